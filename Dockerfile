@@ -5,12 +5,9 @@ FROM python:3.13-slim AS build
 WORKDIR /src
 COPY pyproject.toml README.md LICENSE gateway.toml ./
 COPY gateway ./gateway
-COPY gateway_pytest ./gateway_pytest
+COPY packages ./packages
 COPY dbc ./dbc
 COPY scenarios ./scenarios
-COPY configs ./configs
-COPY cycles ./cycles
-COPY models ./models
 COPY examples ./examples
 RUN python -m venv /opt/gateway/venv \
     && /opt/gateway/venv/bin/pip install --no-cache-dir .

@@ -16,10 +16,10 @@ import time
 
 from engine import make_log
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.engine.tables import table
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.resources import shipped
 
 CHUNK = 100_000
 

@@ -13,10 +13,10 @@ import time
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from gateway_studies.crank.cases import healthy, sweep
-from gateway_studies.crank.follow import METHODS, follower
 
-from gateway.fdi.wheel import Wheel
+from gateway_plants.crank.study.cases import healthy, sweep
+from gateway_plants.crank.study.follow import METHODS, follower
+from gateway_plants.crank.wheel import Wheel
 
 REPEATS = 5
 

@@ -22,9 +22,9 @@ import numpy as np
 
 from gateway.bus.frames import EXTENDED, empty, to_message
 from gateway.bus.logs import read_log
-from gateway.common.resources import shipped
-from gateway.fleet.lake import Lake
+from gateway.decode.lake import Lake
 from gateway.signals.database import load_database
+from gateway_fdi.common.resources import shipped
 
 #: Frames that cantools gets.
 PART = 20_000

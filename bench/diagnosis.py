@@ -17,10 +17,10 @@ import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import coo_array
 
-from gateway.fdi.diagnosis.cluster import Cluster
-from gateway.fdi.diagnosis.diagnoser import Diagnoser
-from gateway.fdi.diagnosis.state import FAILED, PASSED
-from gateway.fdi.diagnosis.system import Component, Link, Test
+from gateway_fdi.diagnosis.cluster import Cluster
+from gateway_fdi.diagnosis.diagnoser import Diagnoser
+from gateway_fdi.diagnosis.state import FAILED, PASSED
+from gateway_fdi.diagnosis.system import Component, Link, Test
 
 COMPONENTS, CONFLICTS, TESTS = 2000, 200, 1000
 LIMIT_MS = 20.0

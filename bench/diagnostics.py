@@ -27,11 +27,11 @@ import numpy as np
 
 from gateway.bus.frames import empty, put
 from gateway.bus.uri import open_bus
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.monitors.registry import MONITORS
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
 
 PEDALS = 4
 REQUESTS = [bytes.fromhex(text) for text in ("023e00", "031902ff", "0322f186")]

@@ -23,11 +23,9 @@ from filterpy.kalman import KalmanFilter
 from gateway.bus.base import Bus, Statistics
 from gateway.bus.can_structs import RawReceiver, pack
 from gateway.bus.frames import empty, to_message
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
-from gateway.fdi.wheel import Wheel
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
@@ -35,8 +33,10 @@ from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef
-from gateway.vecu.crank.kinematics import tooth_times
-from gateway.vecu.crank.tooth_frames import tooth_frames
+from gateway_fdi.common.resources import shipped
+from gateway_plants.crank.ecu.kinematics import tooth_times
+from gateway_plants.crank.ecu.tooth_frames import tooth_frames
+from gateway_plants.crank.wheel import Wheel
 
 RATE_RPM = 3000
 BATCH = 64

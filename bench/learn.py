@@ -27,8 +27,8 @@ CAR = ROOT / "examples/car"
 WORK = """
 import json, resource, sys, time
 from pathlib import Path
-from gateway.learn.document import BusAsked
-from gateway.learn.learn import Asked, learn
+from gateway_fleet.learn.document import BusAsked
+from gateway_fleet.learn.learn import Asked, learn
 log, database, out = sys.argv[1:]
 stages = {}
 last = ["start", time.process_time()]

@@ -10,20 +10,20 @@ import json
 import time
 
 import numpy as np
-from gateway_studies.linear import example, products
-from gateway_studies.linear.bank import drive, observers
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway.fdi.pi_bank import bank
-from gateway.fdi.pi_bank.design import augmented
-from gateway.jit import call_entry, kernel, zeros
-from gateway.monitors.linear import plant as linear_plant
 from gateway.runtime.app import Gateway
-from gateway.vecu.linear.plant import simulate
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.jit import call_entry, kernel, zeros
+from gateway_plants.linear.ecu.plant import simulate
+from gateway_plants.linear.monitor import plant as linear_plant
+from gateway_plants.linear.pi_bank import bank
+from gateway_plants.linear.pi_bank.design import augmented
+from gateway_plants.linear.study import example, products
+from gateway_plants.linear.study.bank import drive, observers
 
 REPEATS = 5
 

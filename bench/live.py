@@ -34,13 +34,13 @@ from gateway.bus.base import Bus
 from gateway.bus.can_structs import RawReceiver
 from gateway.bus.socketcan import SocketCanBus
 from gateway.bus.uri import open_bus
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.resources import shipped
 
 MESSAGES = 16
 BASE = 0x300

@@ -11,14 +11,14 @@ import time
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from gateway_studies.pedal.cases import NOISY, Case, Run, make
-from gateway_studies.pedal.follow import VOTERS, follow
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.vecu.pedal.ecu import pedal_frames
-from gateway.vecu.pedal.params import PedalParams
+from gateway_fdi.common.resources import shipped
+from gateway_plants.pedal.ecu.ecu import pedal_frames
+from gateway_plants.pedal.ecu.params import PedalParams
+from gateway_plants.pedal.study.cases import NOISY, Case, Run, make
+from gateway_plants.pedal.study.follow import VOTERS, follow
 
 REPEATS = 5
 CASES = {

@@ -25,10 +25,10 @@ from growth import DBC, MESSAGE, chunks_of, shape_of, timeout_ms
 from gateway.bus.frames import EXTENDED, empty, joined
 from gateway.bus.logs import CHUNK, open_writer, read_log
 from gateway.bus.timeline import LogTime
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
+from gateway_fdi.common.resources import shipped
 
 BUS = '[[bus]]\nname = "powertrain"\nuri = "virtual:bench"\nbitrate = 500_000\ndatabase = {files}\n'
 CHECK = '[[bus.check]]\nmessage = "{name}"\ntimeout_ms = {timeout}\nlost = "{lost}"\ninvalid = "{invalid}"\n'
@@ -49,7 +49,7 @@ def crank_steps():
         ("crankshaft: four teeth", bus + check + COUNTER + CRC + CRANK),
         ("messages sent, and decoded again", bus + check + COUNTER + CRC + CRANK + "send = true\n"),
     ]
-    return steps, shipped("gateway.toml").read_text().replace('"dbc/', f'"{shipped("dbc")}/')
+    return steps, shipped("gateway.toml").read_text()
 
 
 def plain_steps(folder, count):

@@ -30,9 +30,9 @@ import numpy as np
 from gateway.bus.frames import empty
 from gateway.bus.uri import open_bus
 from gateway.config.load import load_config
-from gateway.runtime.playing import player_of
-from gateway.vecu.expectations import Judge
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.expectations import Judge
+from gateway_bench.vecu.scenario import load_scenario
 
 #: Cycle times [ms], and how many of a hundred messages have each.
 CYCLES = ((10, 2), (20, 6), (50, 12), (100, 30), (200, 20), (500, 15), (1000, 15))
@@ -66,7 +66,7 @@ def write(folder: Path, count: int, seconds: float, uri: str) -> Path:
 
 def receive(uri: str, pipe: Connection, priority: int | None) -> None:
     """Note identifier and time of each frame until told to end."""
-    import_module("gateway.cli.simulate").prefer(priority)
+    import_module("gateway_bench.cli.simulate").prefer(priority)
     batch, ids, times = empty(1024), [], []
     with open_bus(uri) as bus:
         pipe.send("ready")
@@ -93,7 +93,7 @@ def jitter(ids: np.ndarray, times: np.ndarray, count: int) -> np.ndarray:
 
 def ours(scenario: Path, uri: str, priority: int | None) -> None:
     """Play the rest bus, as ``gateway simulate`` does."""
-    simulate = import_module("gateway.cli.simulate")
+    simulate = import_module("gateway_bench.cli.simulate")
     loaded = load_scenario(scenario)
     player = player_of(loaded, load_config(loaded.config))
     simulate.prefer(priority)
@@ -104,7 +104,7 @@ def ours(scenario: Path, uri: str, priority: int | None) -> None:
 
 def theirs(count: int, seconds: float, uri: str, priority: int | None) -> None:
     """Let python-can send the same messages, each by its cyclic task."""
-    import_module("gateway.cli.simulate").prefer(priority)
+    import_module("gateway_bench.cli.simulate").prefer(priority)
     if uri.startswith("loopback:"):
         host, _, port = uri.removeprefix("loopback:").rpartition(":")
         bus = can.Bus(interface="socketcand", host=host, port=int(port), channel="can0")
@@ -156,7 +156,7 @@ def main() -> None:
         uri = options.uri
         if uri is None:
             command = [sys.executable, "-c", "from gateway.cli import main; main()", "bus", "127.0.0.1:0"]
-            import_module("gateway.cli.simulate").prefer(options.priority)  # of the bus, too
+            import_module("gateway_bench.cli.simulate").prefer(options.priority)  # of the bus, too
             hub = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
             uri = re.search(r"loopback:\S+", hub.stderr.readline())[0]
         with tempfile.TemporaryDirectory() as folder:

@@ -69,7 +69,7 @@ IMPORTS = {
 def environment(**more):
     """The environment of a command: bytecode is kept, as in an installed package."""
     kept = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
-    path = os.pathsep.join(part for part in (str(ROOT), kept.get("PYTHONPATH", "")) if part)
+    path = os.pathsep.join(part for part in (str(ROOT), str(ROOT / "packages"), kept.get("PYTHONPATH", "")) if part)
     return {**kept, "PYTHONPATH": path, **more}
 
 

@@ -11,18 +11,18 @@ import time
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from gateway_studies.steering.estimators import nominal
-from gateway_studies.steering.filters import ekf_dq, luenberger, reduced_luenberger
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.fdi.filters import ekf_alpha_beta, feedforward
-from gateway.fdi.filters.motor import Motor
-from gateway.fdi.filters.transforms import clarke, park
-from gateway.jit import kernel, zeros
 from gateway.runtime.app import Gateway
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.filters import ekf_alpha_beta, feedforward
+from gateway_fdi.filters.motor import Motor
+from gateway_fdi.filters.transforms import clarke, park
+from gateway_fdi.jit import kernel, zeros
+from gateway_plants.steering.study.estimators import nominal
+from gateway_plants.steering.study.filters import ekf_dq, luenberger, reduced_luenberger
 
 REPEATS = 5
 M, T = Motor(), 1e-3

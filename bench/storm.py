@@ -200,7 +200,7 @@ def measure(name: str, tree: Path, options: argparse.Namespace) -> dict:
             stdout=subprocess.PIPE,
             text=True,
             pass_fds=[ours.fileno()],
-            env={**os.environ, "PYTHONPATH": str(tree)},
+            env={**os.environ, "PYTHONPATH": f"{tree}:{tree}/packages"},
         )
         ours.close()
         if child.stdout.readline() != "ready\n":

@@ -14,11 +14,11 @@ import time
 import warnings
 from functools import partial
 
-from gateway.common.resources import shipped
-from gateway.fdi.structure.candidates import classify
-from gateway.fdi.structure.file import load_model
-from gateway.fdi.structure.incidence import counted
-from gateway.fdi.structure.mso import find_msos
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.structure.candidates import classify
+from gateway_fdi.structure.file import load_model
+from gateway_fdi.structure.incidence import counted
+from gateway_fdi.structure.mso import find_msos
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

@@ -16,15 +16,15 @@ import time
 import cantools
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from gateway_studies.truck.follow import DURATION, follow, inputs
-from gateway_studies.truck.table import TRUCK
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.monitors.truck.params import Params
 from gateway.runtime.app import Gateway
-from gateway.vecu.truck.drive import drive
-from gateway.vecu.truck.ecu import frames_of
+from gateway_fdi.common.resources import shipped
+from gateway_plants.truck.ecu.drive import drive
+from gateway_plants.truck.ecu.ecu import frames_of
+from gateway_plants.truck.monitor.params import Params
+from gateway_plants.truck.study.follow import DURATION, follow, inputs
+from gateway_plants.truck.study.table import TRUCK
 
 REPEATS = 5
 LEAST = 1000.0

@@ -6,8 +6,8 @@ import os
 import pytest
 from amount import SMALL, examples
 
-from gateway.common import log
-from gateway.jit import BOUNDSCHECK, COMPILED
+from gateway_fdi.common import log
+from gateway_fdi.jit import BOUNDSCHECK, COMPILED
 
 
 def pytest_configure(config):

@@ -8,8 +8,8 @@ from gateway.bus import conditions as c
 from gateway.bus.conditions import condition_frame
 from gateway.bus.frames import ERROR, empty, put
 from gateway.config.load import load_config
-from gateway.errors import InputErrors
 from gateway.runtime.app import Gateway
+from gateway_fdi.errors import InputErrors
 
 MS = 1_000_000
 

@@ -7,15 +7,15 @@ import random
 import numpy as np
 import pytest
 
-from gateway.cli.learn import learn_car
 from gateway.cli.replay import replay
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.injection import Injector, parse_injection
-from gateway.runtime.playing import player_of
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
+from gateway_fleet.cli.learn import learn_car
 
 
 def frames_of(name, seconds, *injected):

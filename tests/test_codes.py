@@ -14,9 +14,10 @@ from gateway.engine.checks import (
     monitoring_health,
     reporter_health,
 )
-from gateway.monitors.crank import faults as crank
-from gateway.monitors.steering import faults as steering
-from gateway.monitors.truck import faults as truck
+from gateway_fdi.common.resources import all_shipped
+from gateway_plants.crank.monitor import faults as crank
+from gateway_plants.steering.monitor import faults as steering
+from gateway_plants.truck.monitor import faults as truck
 
 ROOT = Path(__file__).parent.parent
 KNOWN = {
@@ -62,5 +63,5 @@ def test_no_signal_is_only_said_where_there_is_none():
 
 def test_no_configuration_borrows_another_sensors_code():
     """P0A3F to P0A42 are the position sensor of drive motor A, whatever the belt's drive may have."""
-    for file in (ROOT / "configs").glob("*.toml"):
+    for file in all_shipped("configs", ".toml"):
         assert not re.search(r"P0A(3F|4[012])", file.read_text()), file.name

@@ -51,8 +51,8 @@ def test_the_wheel_is_made_of_what_is_copied(tmp_path):
     assert made.returncode == 0, made.stderr
     (wheel,) = (tmp_path / "made").glob("*.whl")
     names = set(ZipFile(wheel).namelist())
-    assert {file for file in tracked if file.startswith(("gateway/", "gateway_pytest/"))} <= names
-    for folder in ("dbc", "scenarios", "configs", "cycles", "models", "examples"):
+    assert {file.removeprefix("packages/") for file in tracked if file.startswith(("gateway/", "packages/"))} <= names
+    for folder in ("dbc", "scenarios", "examples"):
         assert {f"gateway/shipped/{file}" for file in tracked if file.startswith(f"{folder}/")} <= names
     assert "gateway/shipped/gateway.toml" in names
 

@@ -12,8 +12,8 @@ from rig import MS, Rig, write_config
 from gateway.bus.frames import empty, put
 from gateway.bus.logs import read_log
 from gateway.config.load import load_config
-from gateway.errors import GatewayError
 from gateway.faults import service
+from gateway_fdi.errors import GatewayError
 
 LIMIT = 'freeze_frame = ["M0.Value"]\n'
 

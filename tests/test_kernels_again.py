@@ -18,7 +18,13 @@ ENGINE = (
     "signals/test_random_databases.py",
     "signals/test_tooth_codec.py",
 )
-MONITORS = ("monitors", "--ignore=monitors/crank")
+PLANTS = tuple(f"{plant}/monitor" for plant in ("linear", "pedal", "steering", "structural", "truck"))
+MONITORS = ("monitors", *PLANTS)
+#: Mathematics, the plants' too.
+FDI = (
+    "fdi", "linear/mathematics", "linear/model_set", "linear/pi_bank", "pedal/test_lag.py",
+    "pedal/test_tracking_voter.py", "crank/test_wheel_seen.py",
+)  # fmt: skip
 
 # Whether something hangs is seen by the limit of each test inside.
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
@@ -28,10 +34,10 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
     ("setting", "parts"),
     [
         pytest.param(PLAIN, ENGINE, id="plain-engine"),
-        pytest.param(PLAIN, ("monitors/crank",), id="plain-crank_sync"),
+        pytest.param(PLAIN, ("crank/monitor",), id="plain-crank_sync"),
         pytest.param(PLAIN, MONITORS, id="plain-monitors"),
-        pytest.param(PLAIN, ("fdi",), id="plain-fdi"),
-        pytest.param(CHECKED, (*ENGINE, "monitors", "fdi"), id="checked"),
+        pytest.param(PLAIN, FDI, id="plain-fdi"),
+        pytest.param(CHECKED, (*ENGINE, *MONITORS, "crank/monitor", *FDI), id="checked"),
     ],
 )
 def test_the_smallest_cases_pass(setting, parts):

@@ -6,11 +6,11 @@ import pytest
 from car import write
 
 from gateway.cli.check import check
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
 from gateway.runtime.mistakes import mistakes
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError, InputErrors
 
 DBC = (
     'BO_ 256 Wheel: 8 A\n SG_ Speed : 0|16@1- (0.01,0) [-300|300] "km/h" B\n SG_ Gear : 16|8@1+ (1,0) [0|255] "" B\n'

@@ -3,12 +3,12 @@
 import numpy as np
 
 from gateway.bus.frames import ANSWER, CYCLIC, OWN, URGENT, empty, put
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
 
 DTC, ENGINE, UDS = 0x6F0, 0x6F1, 0x7E8
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.common.resources import shipped
+from gateway_fdi.common.resources import shipped
 
 #: Monitors of one's own, with a scenario beside; the project examples/bench: tests/pytest_plugin/test_example.py.
 EXAMPLES = sorted(
@@ -119,7 +119,7 @@ def test_an_entry_point_of_another_package_is_a_type_like_ours(tmp_path):
     assert "my_battery" in types
     assert "crank_sync" in types
     known = json.loads(run("doctor", "--json", cwd=folder, path=site).stdout)["plugins"]
-    assert known == {"monitor": {"my_battery": ""}, "ecu": {}}
+    assert {door: names for door, names in known.items() if names} == {"monitor": {"my_battery": ""}}
 
 
 BROKEN = {
@@ -212,3 +212,64 @@ def test_each_step_can_be_traced(tmp_path):
     wrong = run("replay", log, "--only", "batery", cwd=folder)
     assert wrong.returncode == 2
     assert "did you mean battery?" in wrong.stderr
+
+
+def installed(example, place):
+    """Install an example as pip does; returns the folder for PYTHONPATH."""
+    site = place / "site"
+    folder = shutil.copytree(shipped("examples") / example, place / example)
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation", "--no-index"]
+    made = subprocess.run(
+        [*pip, "--target", site, folder],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    return site
+
+
+@pytest.mark.long
+def test_a_package_brings_a_command_a_log_format_a_checksum_and_a_key_function(tmp_path):
+    site = installed("workshop", tmp_path)
+    assert "workshop" in run("--help", cwd=tmp_path, path=site).stdout
+    log = tmp_path / "a.bench"
+    log.write_text("1500 can0 1A0 0011\n2500 can1 1A0 2233\nwhat is this\n3500 can0 1A1 44\n")
+    counted = run("workshop", log, cwd=tmp_path, path=site)
+    assert counted.stdout == "1A0  2\n1A1  1\n", counted.stderr
+    made = run("convert", "log", log, tmp_path / "a.log", cwd=tmp_path, path=site)
+    assert made.returncode == 0, made.stderr
+    assert "1 places could not be read" in made.stderr
+    assert [line.split()[1:] for line in (tmp_path / "a.log").read_text().splitlines()] == [
+        ["can0", "1A0#0011"], ["can1", "1A0#2233"], ["can0", "1A1#44"],
+    ]  # fmt: skip
+    told = json.loads(run("doctor", "--json", cwd=tmp_path, path=site).stdout)["plugins"]
+    assert {door: list(names) for door, names in told.items() if names} == {
+        "command": ["workshop"], "reader": [".bench"], "protection": ["workshop"], "key": ["workshop"],
+    }  # fmt: skip
+    code = (
+        "from gateway.signals.protection.rules import Frame, rule_of;"
+        "from gateway.servers.uds.security import key_function;"
+        "print(rule_of('workshop')(Frame(0x1A0, False, 8)).plus, key_function('workshop')(b'ab', b'k', 1).hex())"
+    )
+    made = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": str(site)}, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert made.stdout == f"{0x01 + 0xA0} {bytes([97 ^ 107 ^ 1, 98 ^ 107 ^ 1]).hex()}\n", made.stderr
+
+
+BAD_PLUGINS = {
+    "does not import": ("1 / 0", "cannot be imported: ZeroDivisionError"),
+    "is none": ("PLUGIN = 1", "no Plugin, but int"),
+    "is of another version": ("from gateway.plugin import Plugin\nPLUGIN = Plugin(api=99)", "written for version 99"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_PLUGINS)
+def test_a_plug_in_that_cannot_be_used_is_one_line_of_the_doctor_and_concerns_nobody_else(tmp_path, case):
+    text, told = BAD_PLUGINS[case]
+    site = package(tmp_path, "mine", "[gateway.plugins]\nmine = mine_plugin:PLUGIN\n", mine_plugin=text)
+    made = run("doctor", cwd=tmp_path, path=site)
+    assert made.returncode == 0
+    (line,) = [line for line in made.stdout.splitlines() if "plug-in mine" in line]
+    assert told in line
+    assert run("--help", cwd=tmp_path, path=site).returncode == 0

@@ -15,8 +15,8 @@ from opendbc.can.packer import CANPacker
 
 from gateway.bus.frames import EXTENDED
 from gateway.config.load import load_config
-from gateway.errors import InputError, InputErrors
 from gateway.runtime.app import Gateway
+from gateway_fdi.errors import InputError, InputErrors
 
 
 def write(folder, messages, check, **options):

@@ -5,11 +5,11 @@ import random
 import numpy as np
 import pytest
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway, prepare
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
 
 SCENARIOS = [
     "crank_missed_tooth",

@@ -9,11 +9,11 @@ from reporting import write_config
 
 from gateway.bus.frames import empty, put
 from gateway.config.load import load_config
-from gateway.errors import InputErrors
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
 from gateway.runtime.mistakes import mistakes
 from gateway.runtime.reports import MOST_STRANGERS
+from gateway_fdi.errors import InputErrors
 
 MS = 1_000_000
 LOST = "gateway.reporter_lost"

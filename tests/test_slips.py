@@ -10,11 +10,11 @@ from structlog.testing import capture_logs
 from gateway.bus.frames import empty, put
 from gateway.cli.check import check
 from gateway.cli.trace import Trace, only, text_of
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.errors import GatewayError
 from gateway.faults import service
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import GatewayError
 
 CONFIG = """
 [[bus]]

@@ -12,16 +12,21 @@ import pytest
 import structlog
 
 import gateway
+import gateway_bench
+import gateway_fdi
+import gateway_fleet
+import gateway_plants
 from gateway.bus.logs import open_writer, read_log
 from gateway.cli.doctor import doctor
 from gateway.cli.structure import structure
-from gateway.common import extras, log
+from gateway.common import extras
 from gateway.common.extras import EXTRAS, PURPOSES
-from gateway.errors import InputError
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.memory import FaultMemory
 from gateway.faults.store import Store
 from gateway.monitors.registry import MONITORS
+from gateway_fdi.common import log
+from gateway_fdi.errors import InputError
 
 ROOT = Path(__file__).parents[1]
 
@@ -31,9 +36,15 @@ EXTRA = ("asammdf", "pandas", "matplotlib", "sympy")
 DESIGN = ("scipy.linalg", "scipy.special", "scipy.signal", "scipy.optimize", "filterpy")
 PYTHON_CAN = ("can.bus", "can.io", "can.message")
 QUIET = ("structlog", "asyncio", "pydantic_settings", "rich")
-STUDIES = ("gateway_studies", "gateway.vecu", "gateway.fdi.structure", "gateway.calibration")
+STUDIES = (
+    "gateway_fleet.fleet",
+    "gateway_fleet.learn",
+    "gateway_bench.vecu",
+    "gateway_fdi.structure",
+    "gateway.calibration",
+)
 #: What gateway.toml has no use for.
-OTHERS = tuple(f"gateway.monitors.{name}" for name in ("pedal", "steering", "linear", "truck"))
+OTHERS = tuple(f"gateway_plants.{name}.monitor" for name in ("pedal", "steering", "linear", "truck"))
 
 _COMMAND = """
 import sys
@@ -108,7 +119,7 @@ def test_help_of_a_group_imports_no_work(group):
 def test_check_imports_what_the_configuration_names():
     said, modules = command("check", "gateway.toml")
     assert "P0336-39" in said
-    assert "gateway.monitors.crank.monitor" in modules
+    assert "gateway_plants.crank.monitor.monitor" in modules
     assert not loaded(modules, (*EXTRA, *DESIGN, *PYTHON_CAN, *QUIET, *STUDIES, *OTHERS))
 
 
@@ -280,11 +291,13 @@ def test_doctor_says_what_is_not_installed(lacking, capsys, memory):
 
 @pytest.mark.long
 def test_without_extras_all_but_their_features_is_there():
-    """Every module of the package, with the packages of all extras missing."""
+    """Every module of the packages but the studies, with the packages of all extras missing."""
+    packages = (gateway, gateway_fdi, gateway_bench, gateway_plants, gateway_fleet)
     names = [
         module.name
-        for module in pkgutil.walk_packages(gateway.__path__, "gateway.")
-        if not module.name.startswith("gateway.shipped")
+        for package in packages
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+        if not module.name.startswith("gateway.shipped") and ".study." not in module.name
     ]
     code = f"""
 import importlib, sys
@@ -299,15 +312,15 @@ for name in {names!r}:
     refused = set(run(code).stdout.split())
     pictures = {f"gateway.cli.{name}" for name in ("drawing", "series_figures", "structure_figures")}
     algebra = {
-        f"gateway.fdi.structure.generator.{name}"
+        f"gateway_fdi.structure.generator.{name}"
         for name in (
             *("c_code", "code", "conditioning", "initial", "loading", "propagation", "realisation", "solving"),
             "symbols",
         )
-    } | {f"gateway.fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
+    } | {f"gateway_fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}
     assert len(names) > 200
-    others = {"gateway.monitors.structural.choice", "gateway.vecu.fmu.model"}
+    others = {"gateway_plants.structural.monitor.choice", "gateway_bench.vecu.fmu.model"}
     assert refused == pictures | algebra | pages | others
 
 

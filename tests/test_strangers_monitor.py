@@ -10,11 +10,11 @@ import pytest
 from gateway.bus.frames import empty, put
 from gateway.cli.check import check
 from gateway.cli.new_monitor import new_monitor
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.faults.hung import hung_beside
 from gateway.monitors.contract import digest_of
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.resources import shipped
 
 RAISES = '    if u.volts > 20.0:\n        raise ValueError("too much")\n'
 CONFIG = """

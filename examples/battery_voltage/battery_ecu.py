@@ -11,7 +11,7 @@ from pydantic import Field
 
 from gateway.bus.frames import Frames, empty, put
 from gateway.signals.database import load_database
-from gateway.vecu.contract import EcuFault, EcuParams, Run, Truth, VirtualEcu
+from gateway_bench.vecu.contract import EcuFault, EcuParams, Run, Truth, VirtualEcu
 
 PERIOD_S = 0.1
 

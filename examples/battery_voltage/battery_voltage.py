@@ -9,7 +9,6 @@ from collections.abc import Mapping
 
 from pydantic import Field
 
-from gateway.jit import Record, f8, kernel, labels, means
 from gateway.monitors import contract
 from gateway.monitors.contract import (
     TIMER,
@@ -23,6 +22,7 @@ from gateway.monitors.contract import (
     Signal,
     report,
 )
+from gateway_fdi.jit import Record, f8, kernel, labels, means
 
 
 class Params(MonitorParams):

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from gateway.bus.frames import Frames, empty, put
 from gateway.signals.database import load_database
-from gateway.vecu.contract import EcuFault, EcuParams, Run, Truth, VirtualEcu
+from gateway_bench.vecu.contract import EcuFault, EcuParams, Run, Truth, VirtualEcu
 
 PERIOD_S, FINE = 0.01, 50
 INERTIA, CONSTANT, FRICTION = 2e-4, 0.05, 1e-4

@@ -15,7 +15,6 @@ import numpy as np
 from pydantic import Field
 from scipy.linalg import expm, solve_discrete_are
 
-from gateway.jit import Record, f8, kernel, labels, means
 from gateway.monitors import contract
 from gateway.monitors.contract import (
     TIMER,
@@ -30,6 +29,7 @@ from gateway.monitors.contract import (
     Signal,
     report,
 )
+from gateway_fdi.jit import Record, f8, kernel, labels, means
 
 #: Samples until the observer has settled, and until a verdict is taken for sure.
 SETTLES, SURE = 50, 20

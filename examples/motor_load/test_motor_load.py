@@ -7,9 +7,9 @@ import pytest
 
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.drive import drive
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.drive import drive
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
 
 HERE = Path(__file__).parent
 

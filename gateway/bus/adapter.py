@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from gateway.bus.base import Bus
 from gateway.bus.frames import Frames, put_message, to_message
-from gateway.errors import BusError, InputError
+from gateway_fdi.errors import BusError, InputError
 
 if TYPE_CHECKING:
     import can

@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Self
 
 from gateway.bus.frames import Frames
-from gateway.errors import BusError
+from gateway_fdi.errors import BusError
 
 #: Wait before frames are offered again to a queue that was full [s].
 RETRY_S = 0.001

@@ -17,7 +17,7 @@ import numpy as np
 
 from gateway.bus.base import Statistics
 from gateway.bus.frames import BRS, ESI, FD, FRAME, OWN, REMOTE, Frames, empty, payload
-from gateway.jit import address_of_array, bound, kernel
+from gateway_fdi.jit import address_of_array, bound, kernel
 
 # From linux/can.h, asm-generic/socket.h, linux/socket.h; not all are in the socket module.
 _CAN_MTU, _CANFD_MTU = 16, 72

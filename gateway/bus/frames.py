@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 if TYPE_CHECKING:
     import can

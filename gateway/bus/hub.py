@@ -24,8 +24,8 @@ from gateway.bus.socketcand import (
     plain_frame,
     split,
 )
-from gateway.common.log import get_logger
-from gateway.errors import BusError
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.errors import BusError
 
 log = get_logger(__name__)
 

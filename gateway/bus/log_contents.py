@@ -9,7 +9,7 @@ from typing import Any
 
 from gateway.bus.log_source import CutOffError
 from gateway.bus.ring import Recorded
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: Places named that were passed over; the rest is counted.
 MOST_NAMED = 3

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from gateway.common.extras import need
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: Suffix -> what compressed the log.
 COMPRESSIONS = {".gz": "gzip", ".bz2": "bzip2", ".xz": "xz", ".zst": "Zstandard", ".zip": "zip"}

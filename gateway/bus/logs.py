@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ from gateway.bus.readers.parquet import Parquet
 from gateway.bus.readers.text import Lines, TextReader
 from gateway.bus.readers.trc import Trc
 from gateway.common.extras import need
-from gateway.errors import InputError
+from gateway.common.plugins import Registry
+from gateway_fdi.errors import InputError
 
 #: Suffix -> what it is.
 FORMATS = {
@@ -42,10 +43,24 @@ FORMATS = {
 _EXTRAS = {".mf4": ("mf4", "MF4 logs"), ".parquet": ("parquet", "logs in Parquet")}
 
 
+def _accepted(found: object, name: str) -> Callable[[Path], Reader]:
+    if not callable(found):
+        raise InputError(f"no class of readers, but {type(found).__name__}", value=name)
+    return cast("Callable[[Path], Reader]", found)
+
+
+#: Suffix -> reader of another package's format.
+READERS: Registry[Callable[[Path], Reader]] = Registry("gateway.readers", _accepted)
+
 #: Formats of lines.
 _LINES: dict[str, Callable[[Path], Lines]] = {".log": Candump, ".asc": Asc, ".trc": Trc, ".csv": Csv}
 #: Frames of a batch at most.
 CHUNK = 100_000
+
+
+def is_format(suffix: str) -> bool:
+    """Return whether files of a suffix are logs that can be read."""
+    return suffix.lower() in FORMATS or suffix.lower() in READERS
 
 
 def _format(name: str, path: Path, *, read: bool) -> str:
@@ -57,7 +72,7 @@ def _format(name: str, path: Path, *, read: bool) -> str:
         read: whether it is to be read.
     """
     suffix = Path(name).suffix.lower()
-    if suffix not in FORMATS:
+    if suffix not in FORMATS and not (read and suffix in READERS):
         known = ", ".join(f"{name} ({what})" for name, what in FORMATS.items())
         more = f"; to be read also with {', '.join(COMPRESSIONS)} after it" if read else ""
         raise InputError(f"a log is one of {known}{more}", file=path)
@@ -82,6 +97,8 @@ def _reader(suffix: str, path: Path) -> Reader:
         return Mf4(path)
     if suffix == ".parquet":
         return Parquet(path)
+    if suffix not in FORMATS:
+        return READERS[suffix](path)
     return TextReader(path, _LINES[suffix](path))
 
 

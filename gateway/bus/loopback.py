@@ -10,7 +10,7 @@ from collections import deque
 from gateway.bus.base import Bus
 from gateway.bus.frames import Frames, payload, put
 from gateway.bus.socketcand import Parts, extended_frame, parse_extended, split
-from gateway.errors import BusError
+from gateway_fdi.errors import BusError
 
 DEFAULT_ADDRESS = ("127.0.0.1", 29536)
 DEFAULT_BUS = "can0"

@@ -19,9 +19,9 @@ from pydantic import Field
 from gateway.bus.frames import Frames
 from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import LogReader, LogWriter, open_writer, read_log
-from gateway.common.log import get_logger
-from gateway.common.tomlfile import StrictModel
-from gateway.errors import InputError
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.common.tomlfile import StrictModel
+from gateway_fdi.errors import InputError
 
 _NAME = re.compile(r"^frames-(\d{6,})-\d{8}T\d{6}Z\.(log|blf)$")
 #: After a failure (disk full) the next attempt waits so long [s].

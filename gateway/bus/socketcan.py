@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from gateway.bus.base import Bus
 from gateway.bus.can_structs import RawReceiver, pack
 from gateway.bus.frames import EXTENDED, ID_MASK, REMOTE, Frames
-from gateway.errors import BusError, UnsupportedError
+from gateway_fdi.errors import BusError, UnsupportedError
 
 # From linux/can/raw.h, asm-generic/socket.h; not all are in the socket module.
 _SOL_CAN_RAW = 101

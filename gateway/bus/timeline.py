@@ -15,7 +15,7 @@ import numpy as np
 
 from gateway.bus.conditions import STEPPED, are_steps, step_frame, step_ns_of
 from gateway.bus.frames import ERROR, FRAME, OWN, Frames, copied, joined
-from gateway.jit import kernel
+from gateway_fdi.jit import kernel
 
 #: Frames of a small batch.
 FEW = 64

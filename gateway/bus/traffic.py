@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames, empty
-from gateway.jit import COMPILED, Record, Same, bound, i8, kernel, means, u1, u4, u8s
+from gateway_fdi.jit import COMPILED, Record, Same, bound, i8, kernel, means, u1, u4, u8s
 
 #: Identifiers that are told apart; those beyond are counted only.
 IDENTIFIERS = 1024

@@ -10,7 +10,7 @@ from gateway.bus.adapter import PythonCanBus
 from gateway.bus.base import Bus
 from gateway.bus.loopback import DEFAULT_ADDRESS, DEFAULT_BUS, LoopbackBus
 from gateway.bus.socketcan import RCVBUF, SocketCanBus
-from gateway.errors import BusError, InputError, UnsupportedError, nearest
+from gateway_fdi.errors import BusError, InputError, UnsupportedError, nearest
 
 _FORMS = (
     "socketcan:vcan0, loopback:127.0.0.1:29536, virtual:name, "

@@ -1,4 +1,4 @@
-"""CUSUM tests: nu and J (:mod:`gateway.fdi.cusum`) from healthy logs.
+"""CUSUM tests: nu and J (:mod:`gateway_fdi.cusum`) from healthy logs.
 
 A first replay gives each residual's nu, a second, with these nu and thresholds out of reach, each quantity's largest T.
 """
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from gateway.calibration.logs import Chosen, Progress, Replay, of_kind, refuse
 from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
-from gateway.errors import InputError
-from gateway.fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway.monitors.contract import CusumCalibration
+from gateway_fdi.cusum import FLOOR, MARGIN, nus, threshold
+from gateway_fdi.errors import InputError
 
 #: A threshold that nothing reaches, in units of nu: T grows on, and its largest value is seen.
 _NEVER = 1e9

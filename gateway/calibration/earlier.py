@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from gateway.common.log import get_logger
 from gateway.config.load import load_config
 from gateway.config.model import Config
-from gateway.errors import InputErrors
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.errors import InputErrors
 
 log = get_logger(__name__)
 

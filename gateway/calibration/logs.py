@@ -17,9 +17,9 @@ from gateway.bus.timeline import LogTime
 from gateway.config.channels import channels_of
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
-from gateway.errors import InputError, InputErrors
 from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams, Refinement, SensorCalibration
 from gateway.runtime.app import Gateway
+from gateway_fdi.errors import InputError, InputErrors
 
 Progress = Callable[[int], None]
 Kind = TypeVar("Kind", Calibration, CusumCalibration, Refinement, SensorCalibration)

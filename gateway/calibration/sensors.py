@@ -18,11 +18,11 @@ from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.config.resolve import resolve
 from gateway.engine.wiring import wire
-from gateway.errors import InputError
 from gateway.monitors.contract import SensorCalibration
 from gateway.signals.decode import lookup
 from gateway.signals.payloads import columns
 from gateway.signals.tables import SignalRef, compile_plan
+from gateway_fdi.errors import InputError
 
 #: Samples further from each other than so many periods are no neighbours.
 _GAP = 1.5

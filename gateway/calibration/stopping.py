@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from gateway.calibration.logs import Progress, Replay, of_kind, parts, refuse
 from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
-from gateway.errors import InputError
-from gateway.fdi.stopping import assured
 from gateway.monitors.contract import Calibration
+from gateway_fdi.errors import InputError
+from gateway_fdi.stopping import assured
 
 #: Time whose largest levels are kept together [ns], and left out at the begin of each log.
 BLOCK_NS, WARM_UP_NS = 1_000_000_000, 2_000_000_000

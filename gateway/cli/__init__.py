@@ -4,7 +4,7 @@ Each function imports its work only when called, so that ``--help`` answers at o
 0 fine, 1 faults found (``--fail-on-dtc``, ``--check``), 2 bad usage, configuration or input, 70 an error of the
 gateway itself.
 
-Annotations are values here, no texts: typer asks for all of them at each start, and would have each text compiled.
+Annotations are values here, no texts (gateway/cli/options.py).
 """
 
 import gc
@@ -16,9 +16,23 @@ from typing import Annotated
 import typer
 
 from gateway import __version__
-from gateway.cli.commands import Commands
+from gateway.cli.commands import Commands, group
 from gateway.cli.failure import DEBUG, ended_by, install_hooks
-from gateway.common import log
+from gateway.cli.options import (
+    LOG_HELP,
+    ConfigArgument,
+    FailOnDtc,
+    HtmlOption,
+    Json,
+    JsonEvents,
+    JunitOfFaults,
+    LogArgument,
+    Maps,
+    MemoryOption,
+    PortOption,
+    StatusOption,
+)
+from gateway_fdi.common import log
 
 app = typer.Typer(
     name="gateway",
@@ -30,50 +44,15 @@ app = typer.Typer(
     add_completion=False,
 )
 faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None)
-fleet_app = typer.Typer(
-    help="Run the logs of many cars through the monitors.", no_args_is_help=True, rich_markup_mode=None
-)
-convert_app = typer.Typer(
-    help="Convert recordings into CAN logs.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+fleet_app = group("fleet", "Run the logs of many cars through the monitors.")
+convert_app = group("convert", "Convert recordings into CAN logs.")
+#: Old name of a study -> its name since version 0.2.
+_STUDIES = {"voters": "pedal", "hybrid": "truck", "pi-bank": "linear"}
+evaluate_app = group("evaluate", "Measure how good the methods are: tables and figures.", _STUDIES)
 app.add_typer(faults_app, name="faults")
 app.add_typer(convert_app, name="convert")
 app.add_typer(fleet_app, name="fleet")
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, on one line, instead of text.")]
-JsonEvents = Annotated[bool, typer.Option("--json", help="Print JSON Lines, one event per line, instead of text.")]
-FailOnDtc = Annotated[bool, typer.Option("--fail-on-dtc", help="Exit with code 1 if a DTC was set.")]
-ConfigArgument = Annotated[
-    Path | None,
-    typer.Argument(help="Configuration file; default: gateway.toml in this folder, or else the shipped one."),
-]
-MemoryOption = Annotated[
-    Path | None, typer.Option("--memory", help="SQLite file of the fault memory; default: as configured.")
-]
-Maps = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--map",
-        metavar="CHANNEL=BUS",
-        help="Read this channel of the log as this bus of the configuration; may be repeated.",
-    ),
-]
-StatusOption = Annotated[
-    Path | None,
-    typer.Option("--status", help="Status socket; default: as configured in [status], or next to the fault memory."),
-]
-HtmlOption = Annotated[Path | None, typer.Option("--html", help="Write a report into this file, e.g. report.html.")]
-LOG_HELP = (
-    "CAN log: .log (candump), .asc, .blf, .mf4, .trc, .csv, .parquet, each also as .gz, .bz2, .xz, .zst, .zip; "
-    "or a folder of segments."
-)
-LogArgument = Annotated[Path, typer.Argument(help=LOG_HELP)]
-JunitOfFaults = Annotated[Path | None, typer.Option("--junit", help="Write a JUnit file with one test case per fault.")]
-PortOption = Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free port.")]
-Seed = Annotated[int | None, typer.Option(help="Seed of all randomness; default: the scenario's.")]
-ScenarioArgument = Annotated[Path, typer.Argument(help="Scenario file, or the name of a shipped scenario.")]
+app.add_typer(evaluate_app, name="evaluate")
 
 
 def _version(wanted: bool) -> None:
@@ -98,30 +77,6 @@ def _main(
         os.environ[DEBUG] = "1"  # also for processes that it starts
     log.to_stderr()
     tell_of_kernels()
-
-
-@app.command()
-def demo(
-    scenario: ScenarioArgument = Path("crank_missed_tooth"),
-    speed: Annotated[
-        float, typer.Option(min=0, help="Speed as a multiple of real time; 0: as fast as possible.")
-    ] = 2.0,
-    seed: Seed = None,
-    page: Annotated[bool, typer.Option("--serve", help="Also show the demo on a web page, until Ctrl-C.")] = False,
-    port: PortOption = 8808,
-    open_page: Annotated[
-        bool, typer.Option("--open/--no-open", help="With --serve: open the page in a browser.")
-    ] = True,
-    json: JsonEvents = False,
-) -> None:
-    """Show how a fault is found, from virtual ECU to DTC.
-
-    Virtual ECUs and a gateway run in this process; no bus and no configuration is needed.
-    """
-    from gateway.cli.simulate import demo as work
-
-    shown = port if page else None
-    raise typer.Exit(work(scenario, speed=speed, seed=seed, page=shown, open_page=open_page, json=json))
 
 
 @app.command()
@@ -275,69 +230,6 @@ def mqtt(
 
 
 @app.command()
-def simulate(
-    scenario: ScenarioArgument,
-    bus: Annotated[
-        str | None,
-        typer.Option(
-            help="URI of the bus to drive; default: as in the scenario's configuration; "
-            '"inside": run a gateway in this process, as fast as possible.'
-        ),
-    ] = None,
-    check: Annotated[bool, typer.Option("--check", help="Exit with code 1 unless the expected DTCs come.")] = False,
-    wait: Annotated[float, typer.Option(min=0, help="With --check: how long to wait for a gateway [s].")] = 60.0,
-    record: Annotated[Path | None, typer.Option(help="Also write the frames of the ECUs to this log.")] = None,
-    seed: Seed = None,
-    html: HtmlOption = None,
-    junit: Annotated[
-        Path | None,
-        typer.Option(help="Write a JUnit file with one test case per expectation; implies --check."),
-    ] = None,
-    control: Annotated[Path | None, typer.Option(help="Listen on this socket for commands of gateway control.")] = None,
-    priority: Annotated[
-        int | None,
-        typer.Option(min=1, max=99, help="Real-time priority (SCHED_RR), for even cycles on a busy machine."),
-    ] = None,
-    json: JsonEvents = False,
-) -> None:
-    """Drive a bus with virtual ECUs and faults, in real time."""
-    from gateway.cli.simulate import simulate as work
-
-    raise typer.Exit(
-        work(
-            scenario,
-            bus=bus,
-            check=check,
-            wait=wait,
-            record=record,
-            seed=seed,
-            html=html,
-            json=json,
-            junit=junit,
-            control=control,
-            priority=priority,
-        )
-    )
-
-
-@app.command()
-def control(
-    socket: Annotated[Path, typer.Argument(help="Socket of a running gateway simulate --control.")],
-    words: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="set A.x=5, release A.x, inject kind=lost message=A, or heal; default: list the set signals."
-        ),
-    ] = None,
-) -> None:
-    """Set signals and inject faults in a running simulation."""
-    from gateway.cli.control import ask, request_of
-    from gateway.cli.present import print_json
-
-    print_json(ask(socket, request_of(words or ())))
-
-
-@app.command()
 def report(
     fault: Annotated[str | None, typer.Argument(help="Id of the fault, e.g. battery.hot.")] = None,
     result: Annotated[
@@ -402,109 +294,6 @@ def structure(
 
     made = {"export": export, "output": None if output is None else str(output)}
     raise typer.Exit(work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors, **made))
-
-
-@app.command()
-def learn(
-    files: Annotated[
-        list[Path], typer.Argument(help="Databases (.dbc, .kcd, .sym, .arxml) and logs of healthy drives.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Configuration file to write.")] = Path("car.toml"),
-    bus: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=FILE[,FILE]", help="Name of a bus and its databases; may be repeated."),
-    ] = None,
-    hold_out: Annotated[
-        float,
-        typer.Option(min=0.0, max=0.9, help="Share of each log that is not learned from, but used to test the result."),
-    ] = 0.3,
-    maps: Maps = None,
-    pgn: Annotated[bool, typer.Option("--pgn", help="Match extended identifiers by their J1939 PGN.")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the faults that are injected into the test share.")] = 1,
-    update: Annotated[
-        bool, typer.Option("--update", help="Add the logs to a configuration learned earlier; edited lines stay.")
-    ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
-    json: Json = False,
-) -> None:
-    """Learn a configuration from a database and healthy logs."""
-    from gateway.cli.learn import learn_car as work
-
-    raise typer.Exit(
-        work(
-            files,
-            out=out,
-            buses=bus or (),
-            hold_out=hold_out,
-            maps=maps or (),
-            pgn=pgn,
-            seed=seed,
-            update=update,
-            force=force,
-            json=json,
-        )
-    )
-
-
-@app.command()
-def calibrate(
-    config: Annotated[Path, typer.Argument(help="Configuration file.")],
-    logs: Annotated[
-        list[str], typer.Argument(help="Logs of healthy drives: files, folders, or patterns, e.g. 'logs/**'.")
-    ],
-    mtfa: Annotated[float, typer.Option(min=1, help="Mean time between false alarms of a monitor [s].")] = 3600.0,
-    margin: Annotated[
-        float, typer.Option(min=0.01, max=1, help="CUSUM tests: largest healthy T as a share of the threshold J.")
-    ] = 0.5,
-    floor: Annotated[
-        float, typer.Option(min=1, help="CUSUM tests: lower limit of the largest healthy T, in units of nu.")
-    ] = 25.0,
-    into: Annotated[bool, typer.Option("--write", help="Write the thresholds into the configuration.")] = False,
-    write_to: Annotated[
-        Path | None,
-        typer.Option(
-            "--write-to", help="Write the thresholds into this copy of the configuration, in the same folder."
-        ),
-    ] = None,
-    parts: Annotated[
-        Path | None,
-        typer.Option(help="Folder for the result of each log, for a fleet: workers read only logs that are new."),
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="With --parts: address of a Dask scheduler, e.g. tcp://10.0.0.1:8786.")
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="With --parts: number of workers on this machine; 0: none, use this process; default: one per core.",
-        ),
-    ] = None,
-    maps: Maps = None,
-    json: Json = False,
-) -> None:
-    """Find thresholds from healthy logs, and how reliable they are.
-
-    It calibrates stopping rules, CUSUM tests, models of plants and redundant sensors. With --parts, a log that is
-    damaged or ends its worker is left out and reported; without --parts, it is an error.
-    """
-    from gateway.cli.calibrate import calibrate_logs as work
-
-    raise typer.Exit(
-        work(
-            config,
-            logs,
-            mtfa=mtfa,
-            margin=margin,
-            floor=floor,
-            into=write_to or (config if into else None),
-            parts=parts,
-            scheduler=scheduler,
-            workers=workers,
-            maps=maps or (),
-            json=json,
-        )
-    )
 
 
 @app.command()
@@ -777,87 +566,6 @@ def doctor(
     raise typer.Exit(work(config, memory=memory, running=running, bench=bench, json=json))
 
 
-@fleet_app.command("run")
-def fleet_run(
-    logs: Annotated[
-        list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns, e.g. 'logs/**'.")
-    ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            "--config", "-c", help="Configuration file; default: gateway.toml in this folder, or else the shipped one."
-        ),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Address of a Dask scheduler, as tcp://HOST:PORT; default: a local cluster on this machine.",
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(min=0, help="Number of workers of the local cluster; 0: no cluster.  [default: one per core]"),
-    ] = None,
-    memory: Annotated[
-        str,
-        typer.Option(
-            help="Fault memory: fresh (a new one for each log) or carried (one per device, through its logs in order)."
-        ),
-    ] = "fresh",
-    maps: Maps = None,
-    device: Annotated[
-        str | None,
-        typer.Option(
-            "--device", help="Name of the device (car) of the logs.  [default: first folder below the pattern]"
-        ),
-    ] = None,
-    retry: Annotated[bool, typer.Option("--retry", help="Try logs again that failed or ended their worker.")] = False,
-    dashboard: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Port of the Dask dashboard on 127.0.0.1.")
-    ] = None,
-    json: JsonEvents = False,
-) -> None:
-    """Run many logs through the monitors, each log once.
-
-    The results are Parquet tables of logs, DTCs, tests, events and errors. If called again, it runs only new logs. Exit
-    code 2: a log could not be run; all others were.
-    """
-    from gateway.cli.fleet import fleet_run as work
-
-    raise typer.Exit(
-        work(
-            logs,
-            config,
-            out,
-            scheduler=scheduler,
-            workers=workers,
-            memory=memory,
-            maps=maps or (),
-            device=device,
-            retry=retry,
-            dashboard=dashboard,
-            json=json,
-        )
-    )
-
-
-@fleet_app.command("diff")
-def fleet_diff(
-    first: Annotated[Path, typer.Argument(help="Folder with the results of one configuration or version.")],
-    second: Annotated[Path, typer.Argument(help="Folder with the results of the other one.")],
-    json: Json = False,
-) -> None:
-    """List logs with different results in two runs.
-
-    It shows the first event that differs in each log. Exit code 1: at least one log differs.
-    """
-    from gateway.cli.fleet import fleet_diff as work
-
-    raise typer.Exit(work(first, second, json=json))
-
-
 @faults_app.command("list")
 def faults_list(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
     """List the DTCs of a fault memory."""
@@ -951,26 +659,6 @@ def faults_export(
     from gateway.cli.export import export as work
 
     raise typer.Exit(work(config, out=out))
-
-
-@convert_app.command("teeth")
-def convert_teeth(
-    capture: Annotated[
-        Path, typer.Argument(help="CSV file of a logic analyser, with the columns time [s], level[, ...].")
-    ],
-    log: Annotated[Path, typer.Argument(help="CAN log to write, e.g. engine.log.")],
-    channel: Annotated[str, typer.Option(help="Channel, by its number from 0 or its name in the header.")] = "0",
-    edge: Annotated[str, typer.Option(help="Edge that a tooth causes: rising or falling.")] = ("falling"),
-    frame: Annotated[str, typer.Option(help="Frames to write: classic (CTW_PT4) or fd (CTW_FD27).")] = "classic",
-    json: Json = False,
-) -> None:
-    """Convert a capture of a crank sensor into CAN frames.
-
-    The frames are those of dbc/crank.dbc.
-    """
-    from gateway.cli.convert import convert_teeth as work
-
-    raise typer.Exit(work(capture, log, channel=channel, edge=edge, frame=frame, json=json))
 
 
 @convert_app.command("log")

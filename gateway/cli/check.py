@@ -12,12 +12,12 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
-from gateway.errors import InputError, InputErrors, each_of
 from gateway.monitors.contract import Monitor
 from gateway.monitors.tryout import refuse_failing
 from gateway.runtime.app import Gateway
 from gateway.runtime.mistakes import mistakes
 from gateway.servers.access_review import ways_around
+from gateway_fdi.errors import InputError, InputErrors, each_of
 
 #: Columns that are left for a name after the codes given out for it, of 80.
 _MOST_OF_NAME = 65

@@ -1,20 +1,17 @@
-"""Commands of other packages: entry points of the group ``gateway.commands``, each a ``typer.Typer`` or a function.
+"""Commands of other packages: by a plug-in, or an entry point of the group ``gateway.commands``.
 
-Our own studies come through this door.
+Each is a ``typer.Typer`` or a function. The commands of the bench, the fleet and the plants come through this door.
 """
 
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperGroup
 
 from gateway.common.plugins import Registry
-from gateway.errors import InputError
-
-#: Commands that packages of this project bring -> how to get them.
-ELSEWHERE = {"evaluate": "the studies are a package of their own; in a checkout: pip install ./studies"}
+from gateway_fdi.errors import InputError
 
 
 def _accepted(found: object, name: str) -> typer.Typer | Callable[..., Any]:
@@ -23,7 +20,15 @@ def _accepted(found: object, name: str) -> typer.Typer | Callable[..., Any]:
     return found
 
 
-_OTHERS: Registry[typer.Typer | Callable[..., Any]] = Registry("gateway.commands", _accepted, own={})
+#: Commands of other packages, by name.
+OTHERS: Registry[typer.Typer | Callable[..., Any]] = Registry("gateway.commands", _accepted)
+
+#: The order in which ``gateway --help`` lists commands; others follow by name.
+ORDER = (
+    "demo", "run", "serve", "watch", "mqtt", "simulate", "control", "report", "structure", "learn", "calibrate", "bus",
+    "record", "replay", "decode", "plot", "check", "new-monitor", "warmup", "doctor", "faults", "convert", "fleet",
+    "evaluate",
+)  # fmt: skip
 
 
 def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:
@@ -38,27 +43,56 @@ def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:
 
 
 class Commands(TyperGroup):
-    """Our commands, and those of installed packages after them; ours are looked up first."""
+    """Our commands, and those of other packages after them; ours are looked up first.
+
+    Attributes:
+        words: the words before a command of this group, each with a space after it; "": the commands of ``gateway``.
+        renamed: commands that were called otherwise before.
+    """
+
+    words = ""
+    renamed: ClassVar[dict[str, str]] = {}
+
+    def _others(self) -> dict[str, str]:
+        """Return name in this group -> name among all."""
+        names = {name.removeprefix(self.words): name for name in OTHERS if name.startswith(self.words)}
+        return {name: whole for name, whole in names.items() if " " not in name}
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands."""
-        ours = super().list_commands(ctx)
-        return [*ours, *(name for name in sorted(_OTHERS) if name not in ours)]
+        names = {*super().list_commands(ctx), *self._others()}
+        if self.words:
+            return sorted(names)
+        first = [name for name in ORDER if name in names]
+        return [*first, *sorted(names.difference(first))]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command, None if there is none."""
+        if cmd_name in self.renamed:
+            now = self.renamed[cmd_name]
+            typer.echo(f"gateway {self.words}{cmd_name} is {now} now", err=True)
+            cmd_name = now
         found = super().get_command(ctx, cmd_name)
-        if found is not None or ":" in cmd_name:
+        whole = self.words + cmd_name
+        if found is not None or ":" in cmd_name or " " in cmd_name or whole not in OTHERS:
             return found
-        if cmd_name not in _OTHERS:
-            if cmd_name in ELSEWHERE:
-                raise InputError(ELSEWHERE[cmd_name], value=f"gateway {cmd_name}")
-            return None
         try:
-            self.commands[cmd_name] = _command(_OTHERS[cmd_name], cmd_name)
+            self.commands[cmd_name] = _command(OTHERS[whole], cmd_name)
         except InputError as error:
             if "--help" in sys.argv[1:2] or len(sys.argv) == 1:  # the others are listed
-                typer.echo(f"gateway {cmd_name}: {error}", err=True)
+                typer.echo(f"gateway {whole}: {error}", err=True)
                 return None
             raise
         return self.commands[cmd_name]
+
+
+def group(name: str, text: str, renamed: dict[str, str] | None = None) -> typer.Typer:
+    """Return a group of commands to which other packages can add theirs, as ``"NAME COMMAND"``.
+
+    Args:
+        name: of the group.
+        text: its help.
+        renamed: commands that were called otherwise before.
+    """
+    kind = type("Group", (Commands,), {"words": f"{name} ", "renamed": renamed or {}})
+    return typer.Typer(cls=kind, help=text, no_args_is_help=True, rich_markup_mode=None, add_completion=False)

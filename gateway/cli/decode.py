@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gateway.bus.corpus import Recording, find
 from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import find_config, print_json, say
 from gateway.common.extras import need
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
-from gateway.errors import InputError, InputErrors
-from gateway.fleet.corpus import Recording, find
-from gateway.fleet.lake import Lake, Written
+from gateway.decode.lake import Lake, Written
 from gateway.signals.database import load_database
+from gateway_fdi.errors import InputError, InputErrors
 
 #: Stamps before this are no wall time: 1980-01-01 [ns].
 _WALL_NS = 315_532_800 * 10**9

@@ -8,20 +8,50 @@ import sys
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, cast
 
 from gateway import __version__
 from gateway.cli.present import find_config, print_json
 from gateway.common.extras import EXTRAS, PURPOSES, installed, missing
-from gateway.common.plugins import foreign
+from gateway.common.plugins import Registry, foreign, unusable
 from gateway.config.load import load_config
-from gateway.errors import InputError
 from gateway.faults.service import daemon_state
-from gateway.jit import COMPILED, cache, shipped
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import COMPILED, cache, shipped
 
-#: Kind of plug-in, its group of entry points, which is a package of ours too, and the name of its registry there.
-_REGISTRIES = (("monitor", "gateway.monitors", "MONITORS"), ("ecu", "gateway.vecu", "VIRTUAL_ECUS"))
+#: What another package can bring -> its group of entry points, and the module and name of the registry.
+_DOORS = {
+    "monitor": ("gateway.monitors", "gateway.monitors.registry", "MONITORS"),
+    "ecu": ("gateway.vecu", "gateway_bench.vecu.registry", "VIRTUAL_ECUS"),
+    "command": ("gateway.commands", "gateway.cli.commands", "OTHERS"),
+    "reader": ("gateway.readers", "gateway.bus.logs", "READERS"),
+    "protection": ("gateway.protections", "gateway.signals.protection.rules", "OTHERS"),
+    "key": ("gateway.keys", "gateway.servers.uds.security", "KEYS"),
+    "measure": ("gateway.measures", "gateway.cli.doctor", "MEASURES"),
+    "observer": ("gateway.observers", "gateway_fleet.learn.observers", "OBSERVERS"),
+}
+#: Of these the words for people, where they are others.
+_WORDS = {"monitor": "monitor type", "ecu": "ecu type", "reader": "log reader", "key": "key function"}
 _LIBRARIES = ("numpy", "numba", "cantools", "python-can", "pydantic")
+
+
+class Measure(Protocol):
+    """What ``--bench`` measures; another package brings it.
+
+    Attributes:
+        seconds: how long it takes.
+    """
+
+    seconds: float
+
+    def measure(self, folder: Path) -> dict[str, Any]:
+        """Return what it measured, by name; the fault memory's folder is for what depends on the disk."""
+
+    def tell(self, found: dict[str, Any]) -> None:
+        """Print what was measured."""
+
+
+MEASURES: Registry[Measure] = Registry("gateway.measures", lambda found, name: cast("Measure", found))
 
 
 def _extras() -> dict[str, str | None]:
@@ -113,24 +143,26 @@ def _told(kernels: dict[str, Any]) -> str:
 
 
 def _plugins() -> dict[str, dict[str, str]]:
-    """Return the types that other packages bring, of each kind, with what is wrong with them ("": nothing)."""
-    found: dict[str, dict[str, str]] = {kind: {} for kind, *_ in _REGISTRIES}
-    for kind, group, registry_name in _REGISTRIES:
-        types = foreign(group)
-        if types:  # else its registry is not imported
-            registry = getattr(import_module(f"{group}.registry"), registry_name)
-            for name, known in registry.described(types).items():
-                found[kind][name] = known.message if isinstance(known, InputError) else ""
+    """Return what other packages bring, by door, with what is wrong with it ("": nothing)."""
+    found: dict[str, dict[str, str]] = {"plug-in": {name: error.message for name, error in unusable().items()}}
+    for door, (group, module, registry_name) in _DOORS.items():
+        found[door] = {}
+        names = foreign(group)
+        if names:  # else its registry is not imported
+            registry = getattr(import_module(module), registry_name)
+            for name, known in registry.described(names).items():
+                found[door][name] = known.message if isinstance(known, InputError) else ""
     return found
 
 
 def _measured(config: Path | None, memory: Path | None) -> dict[str, Any]:
     """Return what this machine does, the disk being that of the fault memory."""
-    from gateway.cli.measure import EACH_S, measure  # noqa: PLC0415 - numpy and the engine: only where it is asked for
-
-    print(f"measuring for {4 * EACH_S:.0f} s ...", file=sys.stderr, flush=True)
     folder = (memory or load_config(find_config(config)).memory.path).parent
-    return measure(folder if folder.is_dir() else Path())
+    found: dict[str, Any] = {}
+    for one in MEASURES.values():
+        print(f"measuring for {one.seconds:.0f} s ...", file=sys.stderr, flush=True)
+        found |= one.measure(folder if folder.is_dir() else Path())
+    return found
 
 
 def doctor(
@@ -178,12 +210,11 @@ def doctor(
     print(", ".join(f"{name} {found}" for name, found in libraries.items()))
     for kind, types in plugins.items():
         for name, wrong in types.items():
-            print(f"{kind} type {name} of another package: {wrong or 'usable'}")
+            print(f"{_WORDS.get(kind, kind)} {name} of another package: {wrong or 'usable'}")
     for extra, package in extras.items():
         if package is None:
             print(f"no {missing(extra)}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")
     if bench:
-        from gateway.cli.measure import tell  # noqa: PLC0415
-
-        tell(measured)
+        for one in MEASURES.values():
+            one.tell(measured)
     return code

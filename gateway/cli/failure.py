@@ -14,7 +14,7 @@ from typing import Any
 import typer
 
 from gateway import __version__
-from gateway.errors import GatewayError
+from gateway_fdi.errors import GatewayError
 
 #: Variable of the environment that asks for tracebacks.
 DEBUG = "GATEWAY_DEBUG"

@@ -15,7 +15,7 @@ from typing import Literal
 from xml.etree import ElementTree as Xml
 
 from gateway.common.attachments import attachments
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: What XML 1.0 cannot have, written in any way.
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")

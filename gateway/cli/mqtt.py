@@ -11,7 +11,7 @@ from gateway.cli.present import find_config, say
 from gateway.cli.serve import socket_of
 from gateway.common.extras import need
 from gateway.config.load import load_config
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 
 def mqtt(

@@ -6,8 +6,8 @@ import keyword
 from importlib.util import find_spec
 from pathlib import Path
 
-from gateway.common.resources import shipped
-from gateway.errors import InputError
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError
 
 #: The folder that is copied: a monitor that CI runs.
 TEMPLATE = "examples/battery_voltage"

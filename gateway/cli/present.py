@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gateway.common.jsonlines import line
-from gateway.common.resources import shipped
-from gateway.errors import InputError
 from gateway.faults.status import Status
+from gateway_fdi.common.resources import all_shipped, beside_or_shipped, shipped
+from gateway_fdi.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -67,7 +67,7 @@ def say_unless_stored(stored: bool, memory: Path | None) -> int:
 def find_config(path: Path | None) -> Path:
     """Return the configuration to use: the given one, gateway.toml here, or the shipped."""
     if path is not None:
-        return path
+        return beside_or_shipped(Path(), path)
     here = Path("gateway.toml")
     return here if here.exists() else shipped("gateway.toml")
 
@@ -78,12 +78,12 @@ def find_shipped(name: Path, folder: str, kind: str) -> Path:
     Raises:
         InputError: neither; names the shipped ones.
     """
-    if name.exists() or name.suffix == ".toml":
-        return name
+    if name.is_file() or name.suffix == ".toml":
+        return beside_or_shipped(Path(), name)
     try:
         return shipped(f"{folder}/{name}.toml")
     except InputError as error:
-        known = ", ".join(sorted(_names(shipped(folder).glob("*.toml"))))
+        known = ", ".join(_names(all_shipped(folder, ".toml")))
         raise InputError(f"no such {kind}; shipped: {known}", value=str(name)) from error
 
 

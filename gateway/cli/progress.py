@@ -6,7 +6,7 @@ import sys
 import time
 from typing import Any
 
-from gateway.common import progress
+from gateway_fdi.common import progress
 
 #: Time between two lines where no terminal is [s].
 PERIOD_S = 5.0
@@ -23,7 +23,7 @@ class CompileProgress:
         self._entry = ""
 
     def __call__(self, name: str, done: int, total: int) -> None:
-        """Tell how far one entry is (see :data:`gateway.jit.progress.Listener`)."""
+        """Tell how far one entry is (see :data:`gateway_fdi.jit.progress.Listener`)."""
         if self._terminal:
             self._draw(name, done, total)
         else:

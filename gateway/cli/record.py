@@ -14,13 +14,13 @@ from gateway.bus.uri import channel_of, open_bus
 from gateway.cli.events import EventPrinter
 from gateway.cli.present import say
 from gateway.cli.run import Ending
-from gateway.common.tomlfile import validate
-from gateway.errors import InputError
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live, bus_event
 from gateway.live.notify import Notifier
 from gateway.live.record import Nobody
+from gateway_fdi.common.tomlfile import validate
+from gateway_fdi.errors import InputError
 
 
 def record(

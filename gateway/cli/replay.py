@@ -24,7 +24,6 @@ from gateway.common.extras import need
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
-from gateway.errors import InputError, InputErrors
 from gateway.faults.status import Status
 from gateway.live.watchdog import steps_watched
 from gateway.runtime.app import Gateway
@@ -32,6 +31,7 @@ from gateway.runtime.assemble import Parts, prepare
 from gateway.runtime.injection import Injector, parse_injection
 from gateway.runtime.replay import FrameConsumer
 from gateway.runtime.replay import replay as feed
+from gateway_fdi.errors import InputError, InputErrors
 
 
 def replay(

@@ -15,7 +15,7 @@ from gateway.cli.failure import BUG, ended_by, refuse
 from gateway.cli.progress import LogsDone
 from gateway.cli.replay import replay
 from gateway.common.extras import need
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: Options that name a file for one log.
 _OF_ONE = {"memory": "--memory", "html": "--html", "series": "--signals", "plot": "--plot", "junit": "--junit"}
@@ -64,7 +64,7 @@ def replays(logs: Sequence[Path], config: Path | None, *, jobs: int, **options: 
         if options.get(name) is not None:
             text = f"of one log, and here are {len(logs)}: each would write it anew"
             raise InputError(text, key=key, value=str(options[name]))
-    from gateway.fleet.pool import default_workers  # noqa: PLC0415 - few replay several logs
+    from gateway.common.pool import default_workers  # noqa: PLC0415 - few replay several logs
 
     jobs = min(jobs or default_workers(), len(logs))
     if jobs == 1:
@@ -86,7 +86,7 @@ def _replay_among(log: Path, config: Path | None, options: dict[str, Any]) -> in
 
 
 class _Replaying:
-    """The work of several replays at once (:class:`gateway.fleet.pool.Work`): outcomes are places and exit codes."""
+    """The work of several replays at once (:class:`gateway.common.pool.Work`): outcomes are places and exit codes."""
 
     def do(self, task: Task) -> list[tuple[int, int]]:
         """Replay a log, at a worker."""
@@ -116,7 +116,7 @@ class _Replaying:
 
 
 def _at_once(logs: Sequence[Path], config: Path | None, jobs: int, options: dict[str, Any]) -> int:
-    from gateway.fleet.pool import Pool, Workers  # noqa: PLC0415 - behind need()
+    from gateway.common.pool import Pool, Workers  # noqa: PLC0415 - behind need()
 
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="gateway-replays-")))

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gateway.cli.present import say
 from gateway.runtime.app import Gateway
-
-if TYPE_CHECKING:
-    from gateway.vecu.expectations import Judge
-    from gateway.vecu.player import Player
-    from gateway.vecu.scenario import Scenario
 
 
 class RunReport:
@@ -36,16 +31,10 @@ class RunReport:
 
         source = [("log", log.name), ("SHA-256", file_hash(log))]
         source += [("fault put in", text) for text in injections]
-        self._write(log.name, source, events=events)
+        self.write(log.name, source, events=events)
 
-    def write_scenario(self, scenario: Scenario, player: Player, judge: Judge, summary: Mapping[str, Any]) -> None:
-        """Write the report of a scenario."""
-        source = [("scenario", f"{scenario.name}: {scenario.description}"), ("seed", str(player.seed))]
-        findings = [(finding.good, finding.text) for finding in judge.findings()]
-        truth = [(f"{fact.kind.replace('_', ' ')}, {fact.count}", fact.t_ns) for fact in player.truth]
-        self._write(scenario.name, source, events=[summary], findings=findings, truth=truth)
-
-    def _write(self, title: str, source: Sequence[tuple[str, str]], **more: Any) -> None:
+    def write(self, title: str, source: Sequence[tuple[str, str]], **more: Any) -> None:
+        """Write the report: its title, what was run, and more of ``gateway.serve.report.page.Told``."""
         from gateway.serve.report.page import Told, write_report  # noqa: PLC0415 - loads bokeh
 
         write_report(self._path, self._gateway, self.collector, Told(title, source, self._config, **more))

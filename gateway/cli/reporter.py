@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gateway.cli.present import find_config, print_json, say
-from gateway.errors import InputError, nearest
 from gateway.report import UNANSWERED, UNDELIVERED, Answer, Reporter, header
 from gateway.report.words import RESULTS
+from gateway_fdi.errors import InputError, nearest
 
 #: How long the gateway may take [s]: its disk may be slow, or a new configuration come.
 PATIENCE_S = 5.0

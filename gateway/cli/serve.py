@@ -11,9 +11,9 @@ from pathlib import Path
 
 from gateway.cli.present import find_config, say
 from gateway.common.extras import need
-from gateway.common.log import get_logger
 from gateway.config.load import load_config
 from gateway.config.model import Config
+from gateway_fdi.common.log import get_logger
 
 #: How far a page beside a gateway gives way to it.
 NICE = 10

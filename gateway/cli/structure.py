@@ -13,13 +13,13 @@ from rich.table import Table
 
 from gateway.cli.present import find_shipped, print_json, wide_console
 from gateway.common.extras import need
-from gateway.errors import InputError
-from gateway.fdi.structure.analysis import Analysis, Test, analyse, as_dict
-from gateway.fdi.structure.candidates import ALGEBRAIC, CAUSALITIES
-from gateway.fdi.structure.file import load_model
-from gateway.fdi.structure.isolability import Isolability
-from gateway.fdi.structure.model import Model
-from gateway.fdi.structure.sensors import place_sensors
+from gateway_fdi.errors import InputError
+from gateway_fdi.structure.analysis import Analysis, Test, analyse, as_dict
+from gateway_fdi.structure.candidates import ALGEBRAIC, CAUSALITIES
+from gateway_fdi.structure.file import load_model
+from gateway_fdi.structure.isolability import Isolability
+from gateway_fdi.structure.model import Model
+from gateway_fdi.structure.sensors import place_sensors
 
 #: Sets listed in text.
 MOST_LISTED = 200
@@ -158,9 +158,9 @@ def _text(console: Console, analysis: Analysis) -> None:
 
 
 def _residual(console: Console, analysis: Analysis, name: str, *, json: bool) -> None:
-    from gateway.fdi.structure.generator.code import write  # noqa: PLC0415 - algebra is slow to load
-    from gateway.fdi.structure.generator.realisation import realise  # noqa: PLC0415
-    from gateway.fdi.structure.generator.solving import NotSolvableError  # noqa: PLC0415
+    from gateway_fdi.structure.generator.code import write  # noqa: PLC0415 - algebra is slow to load
+    from gateway_fdi.structure.generator.realisation import realise  # noqa: PLC0415
+    from gateway_fdi.structure.generator.solving import NotSolvableError  # noqa: PLC0415
 
     choice = analysis.choice(name)
     test = analysis.test(choice)
@@ -222,9 +222,9 @@ def _export(analysis: Analysis, name: str, output: str | None) -> None:
     Raises:
         InputError: it has no code, or the file cannot be written.
     """
-    from gateway.fdi.structure.generator.c_code import c_source  # noqa: PLC0415 - algebra is slow to load
-    from gateway.fdi.structure.generator.loading import residual_generator  # noqa: PLC0415
-    from gateway.fdi.structure.generator.solving import NotSolvableError  # noqa: PLC0415
+    from gateway_fdi.structure.generator.c_code import c_source  # noqa: PLC0415 - algebra is slow to load
+    from gateway_fdi.structure.generator.loading import residual_generator  # noqa: PLC0415
+    from gateway_fdi.structure.generator.solving import NotSolvableError  # noqa: PLC0415
 
     choice = analysis.choice(name)
     own = name if name in analysis.model.residuals else f"{analysis.model.name}_{choice.consistency}"

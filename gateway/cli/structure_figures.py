@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch, Rectangle
 
 from gateway.cli.drawing import save
-from gateway.fdi.structure.analysis import Analysis
+from gateway_fdi.structure.analysis import Analysis
 
 _PANELS = (
     ("a", "SDI", "mixed causality"),

@@ -11,8 +11,8 @@ from gateway.bus.frames import Frames
 from gateway.cli.lines import wrapped
 from gateway.config.model import Config
 from gateway.engine.core import Engine
-from gateway.errors import InputError, nearest
 from gateway.monitors.contract import FAILED, MAX_RESULTS, TIMER
+from gateway_fdi.errors import InputError, nearest
 
 #: Elements of an array that are printed.
 _FEW = 8

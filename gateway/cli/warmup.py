@@ -10,14 +10,14 @@ from gateway.bus.can_structs import RawReceiver
 from gateway.bus.frames import empty
 from gateway.bus.traffic import Traffic
 from gateway.cli.present import print_json, say
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.engine.buckets import nearness
-from gateway.errors import InputError
-from gateway.jit.cache import folder
 from gateway.monitors.contract import Family
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit.cache import folder
 
 
 def warmup(*, json: bool) -> int:

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gateway.common.extras import need
-from gateway.errors import InputError, nearest
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import Parts
 from gateway.runtime.replay import FrameConsumer
@@ -15,6 +14,7 @@ from gateway.runtime.series.envelope import Envelope
 from gateway.runtime.series.files import open_series, read_series
 from gateway.runtime.series.gather import Fed, Gatherer
 from gateway.runtime.series.rows import Series, Sink
+from gateway_fdi.errors import InputError, nearest
 
 _PICTURES = (".svg", ".png", ".pdf")
 

@@ -10,9 +10,9 @@ from gateway.cli.lines import Lines
 from gateway.cli.present import find_config, print_json
 from gateway.config.load import load_config
 from gateway.engine.depends.parts import Seen
-from gateway.errors import InputError, InputErrors, each_of, named
 from gateway.faults.catalogue import FaultDefinition
 from gateway.runtime.assemble import prepare
+from gateway_fdi.errors import InputError, InputErrors, each_of, named
 
 #: Columns of the name of a component; of how it is known.
 _NAME, _WHY = 42, 28

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: Extra -> the package that its features import.
 EXTRAS = {

@@ -1,5 +1,6 @@
-"""Parts of the gateway that other packages bring: by entry points, or by ``"package.module:NAME"``.
+"""Parts of the gateway that other packages bring.
 
+They come by a :class:`~gateway.plugin.Plugin`, by entry points of a group, or by ``"package.module:NAME"``.
 The gateway's own parts come through the same door. To list types imports nothing; to ask for one imports it.
 """
 
@@ -10,15 +11,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, distribution, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from gateway.errors import InputError
+from gateway.plugin import API, DOORS, Plugin
+from gateway_fdi.errors import InputError
 
 T = TypeVar("T")
 
 #: Our own distribution, whose types no other package can take.
 OURS = "ecu-gateway"
+#: Group of entry points, each a :class:`Plugin`.
+PLUGINS = "gateway.plugins"
 
 
 def importable(folder: Path) -> None:
@@ -28,24 +33,74 @@ def importable(folder: Path) -> None:
         sys.path.append(place)
 
 
+def _plugin(place: str) -> Plugin:
+    """Import a plug-in.
+
+    Raises:
+        InputError: it cannot be imported, is none, or was written for another version.
+    """
+    found = _load(place)
+    if not isinstance(found, Plugin):
+        raise InputError(f"no Plugin, but {type(found).__name__}", value=place)
+    if found.api != API:
+        raise InputError(f"written for version {found.api} of Plugin; this gateway has {API}", value=place)
+    return found
+
+
+@cache
+def _our_plugins() -> tuple[Plugin, ...]:
+    """Return the plug-ins of our own distribution; a package that was taken out brings nothing."""
+    try:
+        entries = distribution(OURS).entry_points.select(group=PLUGINS)
+    except PackageNotFoundError:
+        return ()
+    return tuple(_plugin(entry.value) for entry in entries if find_spec(entry.value.partition(".")[0]) is not None)
+
+
+@cache
+def _foreign_plugins() -> tuple[dict[str, Plugin], dict[str, InputError]]:
+    """Return the plug-ins of other packages by their places, and what is wrong with those that cannot be used."""
+    ours = {entry.value for entry in distribution(OURS).entry_points.select(group=PLUGINS)}
+    found: dict[str, Plugin] = {}
+    wrong: dict[str, InputError] = {}
+    for entry in entry_points(group=PLUGINS):
+        if entry.value not in ours:
+            try:
+                found[entry.value] = _plugin(entry.value)
+            except InputError as error:
+                wrong[entry.name] = error
+    return found, wrong
+
+
+def unusable() -> dict[str, InputError]:
+    """Return the plug-ins of other packages that cannot be used, by name, and the reasons."""
+    return dict(_foreign_plugins()[1])
+
+
 @cache
 def _ours(group: str) -> dict[str, str]:
     """Return type -> ``package.module:NAME`` of our own distribution."""
+    found: dict[str, str] = {}
+    for plugin in _our_plugins():
+        found |= getattr(plugin, DOORS[group])
     try:
-        found = distribution(OURS).entry_points.select(group=group)
+        entries = distribution(OURS).entry_points.select(group=group)
     except PackageNotFoundError:
-        return {}
-    return {entry.name: entry.value for entry in found}
+        return found
+    return found | {entry.name: entry.value for entry in entries}
 
 
 @cache
 def _every(group: str) -> dict[str, list[str]]:
     """Return type -> places, of all packages; to look for them takes a while."""
-    found: dict[str, list[str]] = {}
-    for entry in entry_points(group=group):
-        places = found.setdefault(entry.name, [])
-        if entry.value not in places:
-            places.append(entry.value)
+    found: dict[str, list[str]] = {name: [place] for name, place in _ours(group).items()}
+    named = [(entry.name, entry.value) for entry in entry_points(group=group)]
+    for plugin in _foreign_plugins()[0].values():
+        named += getattr(plugin, DOORS[group]).items()
+    for name, place in named:
+        places = found.setdefault(name, [])
+        if place not in places:
+            places.append(place)
     return found
 
 
@@ -77,29 +132,21 @@ class Registry(Mapping[str, T], Generic[T]):
     """What can be named in a configuration, by type.
 
     Args:
-        group: of entry points, type -> ``package.module:NAME``.
+        group: of entry points, type -> ``package.module:NAME``; a key of ``gateway.plugin.DOORS``.
         accept: what was imported, its name -> the same, checked.
-        own: our own types, where they are no entry points: type -> ``package.module:NAME``.
     """
 
-    def __init__(
-        self,
-        group: str,
-        accept: Callable[[object, str], T],
-        *,
-        own: Mapping[str, str] | None = None,
-    ) -> None:
+    def __init__(self, group: str, accept: Callable[[object, str], T]) -> None:
         self.group, self._accept = group, accept
-        self._given = own
         self._known: dict[str, T] = {}
 
     @property
     def _own(self) -> Mapping[str, str]:
-        return _ours(self.group) if self._given is None else self._given
+        return _ours(self.group)
 
     @property
     def _all(self) -> dict[str, list[str]]:
-        return _every(self.group) | {name: [place] for name, place in self._own.items()}
+        return _every(self.group)
 
     def __getitem__(self, type_: str) -> T:
         """Return what a type stands for.
@@ -127,7 +174,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return ":" in type_ or type_ in self._own or type_ in self._all
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._all)
+        return iter(sorted(self._all))
 
     def __len__(self) -> int:
         return len(self._all)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gateway.config.model import Config
-from gateway.errors import InputError, nearest
+from gateway_fdi.errors import InputError, nearest
 
 
 def channels_of(config: Config, maps: Sequence[str] = ()) -> dict[str, int] | None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from gateway.common.tomlfile import texts_in
 from gateway.config.model import Config
 from gateway.engine.checks import bus_health, communication
-from gateway.errors import InputError
 from gateway.monitors.contract import Fault
 from gateway.monitors.network_codes import NetworkCodes, Pair
 from gateway.signals.database import Database
+from gateway_fdi.common.tomlfile import texts_in
+from gateway_fdi.errors import InputError
 
 _CODE = re.compile(r"U[0-3][0-9A-F]{3}(-[0-9A-F]{2})?")
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
-from gateway.errors import InputError, InputErrors, nearest
 from gateway.faults.settings import POWER
 from gateway.servers.access_review import wrong_rules
 from gateway.servers.identifiers import check_unique
+from gateway_fdi.errors import InputError, InputErrors, nearest
 
 
 def cross_check(config: Config) -> Iterator[InputError]:

@@ -15,12 +15,13 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from gateway.common.plugins import importable
-from gateway.common.tomlfile import StrictModel, input_errors, load, read_toml
 from gateway.config.cross_check import cross_check
 from gateway.config.model import Config
-from gateway.errors import InputError, InputErrors
 from gateway.faults.settings import FaultOverride
 from gateway.servers.identifiers import DidParams
+from gateway_fdi.common.resources import beside_or_shipped
+from gateway_fdi.common.tomlfile import StrictModel, input_errors, load, read_toml
+from gateway_fdi.errors import InputError, InputErrors
 
 
 class CatalogueFile(StrictModel):
@@ -109,7 +110,7 @@ def _overridden(data: dict[str, Any], path: Path) -> Config:
 
 
 def load_config(path: str | Path, without: Collection[tuple[int, str]] = ()) -> Config:
-    """Read a configuration; relative database paths become relative to its folder.
+    """Read a configuration; databases are those beside it, else shipped ones.
 
     Args:
         path: of the file.
@@ -150,7 +151,8 @@ def config_of(data: dict[str, Any], path: Path) -> Config:
     if wrong:
         raise InputErrors(wrong)
     buses = tuple(
-        bus.model_copy(update={"database": tuple(folder / file for file in bus.database)}) for bus in config.bus
+        bus.model_copy(update={"database": tuple(beside_or_shipped(folder, file) for file in bus.database)})
+        for bus in config.bus
     )
     return _with_roots(config.model_copy(update={"bus": buses}), folder)
 

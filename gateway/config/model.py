@@ -9,11 +9,9 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator,
 
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of, parse_uri
-from gateway.common.tomlfile import StrictModel
 from gateway.engine.checks import bus_health, communication
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.depends.params import DiagnosisParams
-from gateway.errors import InputError, nearest
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.reported import ReportParams
 from gateway.faults.settings import ConditionSettings, CycleSettings, FaultOverride
@@ -25,6 +23,8 @@ from gateway.servers.identifiers import DidParams
 from gateway.servers.j1939.params import J1939Params
 from gateway.servers.obd.params import ObdParams
 from gateway.servers.uds.params import UdsParams
+from gateway_fdi.common.tomlfile import StrictModel
+from gateway_fdi.errors import InputError, nearest
 
 
 class BusConfig(StrictModel):

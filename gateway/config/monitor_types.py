@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from gateway.common.tomlfile import validate
 from gateway.config.model import MonitorConfig
-from gateway.errors import InputError, InputErrors, nearest
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import made
 from gateway.monitors.contract import Family, Monitor, MonitorParams
 from gateway.monitors.registry import MONITORS
+from gateway_fdi.common.tomlfile import validate
+from gateway_fdi.errors import InputError, InputErrors, nearest
 
 
 def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor[Any], MonitorParams]:

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 from gateway.config.model import Config
 from gateway.engine.gate import NOW, Condition
-from gateway.errors import InputError, nearest
 from gateway.faults.settings import ConditionSettings
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
+from gateway_fdi.errors import InputError, nearest
 
 
 class Names:

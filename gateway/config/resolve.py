@@ -11,7 +11,6 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from gateway.common.resources import shipped
 from gateway.config.codes import codes_of_messages, network_codes
 from gateway.config.model import Config, MonitorConfig
 from gateway.config.monitor_types import monitor_of
@@ -20,7 +19,6 @@ from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.gate import AWAKE, SUPPLIED, Condition, CycleWatch, Gate
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import Gathered, InputError, InputErrors, each_of, named, nearest
 from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
@@ -32,6 +30,8 @@ from gateway.signals.database import Database, load_database
 from gateway.signals.protection.auto import automatic
 from gateway.signals.protection.params import ProtectionParams
 from gateway.signals.tables import SignalRef
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import Gathered, InputError, InputErrors, each_of, named, nearest
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.config.model import Config
-from gateway.errors import InputError
 from gateway.monitors.registry import MONITORS
+from gateway_fdi.errors import InputError
 
 
 def schema() -> dict[str, Any]:

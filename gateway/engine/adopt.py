@@ -22,8 +22,8 @@ from gateway.engine.gate import WatchConst, WatchState
 from gateway.engine.samples import SamplerState
 from gateway.engine.tables import NEVER, ClockState, HandlerState, PageState, Tables, VectorState
 from gateway.engine.timers import note_all
-from gateway.jit import Record
 from gateway.signals.tables import SignalRef
+from gateway_fdi.jit import Record
 
 
 def adopt(new: Engine, old: Engine, buses: Mapping[int, int], cycles: Mapping[int, int]) -> None:

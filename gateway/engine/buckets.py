@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.jit import Record, f8, i1, i4, i8, kernel, means
+from gateway_fdi.jit import Record, f8, i1, i4, i8, kernel, means
 
 
 class Bucket(Record):

@@ -37,8 +37,6 @@ from gateway.engine.tables import (
 )
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, HEALTH, timers_of
 from gateway.engine.wiring import Wired, wire
-from gateway.errors import Gathered, InputError, named
-from gateway.jit import Record
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import RESULTS
@@ -46,6 +44,8 @@ from gateway.monitors.sampling import MOST_MESSAGES
 from gateway.signals.database import Database
 from gateway.signals.protection import protection
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
+from gateway_fdi.errors import Gathered, InputError, named
+from gateway_fdi.jit import Record
 
 
 def build_engine(

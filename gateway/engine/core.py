@@ -19,9 +19,9 @@ from gateway.engine.events import Events
 from gateway.engine.instances import FaultSlot
 from gateway.engine.tables import NEVER, Tables
 from gateway.engine.timers import note_all
-from gateway.jit import Same, bound
 from gateway.monitors.contract import FAILED, NOT_TESTED, PASSED
 from gateway.signals.tables import DecodePlan, SignalRef
+from gateway_fdi.jit import Same, bound
 
 _NO_FRAMES = empty(0)
 _NO_CELLS = np.zeros((0, FRAME.itemsize // 8), np.uint64)
@@ -93,7 +93,7 @@ class Engine:
 
         Args:
             monitor: its place.
-            why: as :func:`gateway.jit.call_entry` tells it; not 0.
+            why: as :func:`gateway_fdi.jit.call_entry` tells it; not 0.
         """
         self.tables.handlers[monitor]["off"] = why
 

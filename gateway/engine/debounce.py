@@ -19,8 +19,8 @@ from gateway.engine.events import (
     QUALIFIED_PASSED,
     RESULT_CHANGED,
 )
-from gateway.jit import Record, f8, f8s, i4, i8, kernel, means, u1
 from gateway.monitors.contract import EVIDENCE, FAILED, NOT_TESTED, PASSED, Debounce
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1
 
 
 class DebouncePlace(Record):

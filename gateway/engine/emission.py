@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, FD, FRAME
-from gateway.jit import COMPILED, Record, i4, i8, kernel, means, u1, u4
 from gateway.monitors.contract import Emission
 from gateway.signals.decode import SIGNAL
 from gateway.signals.encode import insert
@@ -18,6 +17,7 @@ from gateway.signals.protection import protection
 from gateway.signals.protection.own import own_protection
 from gateway.signals.protection.protection import ProtectionConst, protect
 from gateway.signals.tables import encode_rows
+from gateway_fdi.jit import COMPILED, Record, i4, i8, kernel, means, u1, u4
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

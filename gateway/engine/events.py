@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.jit import f8, i1, i4, i8, record, u1
 from gateway.monitors.contract import EVIDENCE
+from gateway_fdi.jit import f8, i1, i4, i8, record, u1
 
 #: Debounce qualified a failure: the fault detection counter arrived at +127.
 QUALIFIED_FAILED = 1

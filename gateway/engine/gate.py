@@ -16,9 +16,9 @@ import numpy as np
 
 from gateway.engine.debounce import fault_detection_counter
 from gateway.engine.tables import table
-from gateway.jit import Record, f8, i4, kernel, means, u1
 from gateway.monitors.contract import FAILED
 from gateway.signals.tables import DecodePlan, SignalRef
+from gateway_fdi.jit import Record, f8, i4, kernel, means, u1
 
 #: How a condition counts: NOW: its message must be there; AWAKE, SUPPLIED: by the last value that came, none is met; of
 #: those that say AWAKE one must be met, of all others each.

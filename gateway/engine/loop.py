@@ -51,7 +51,6 @@ from gateway.engine.results import announce, not_tested, push, report_result, re
 from gateway.engine.samples import collect, wake_at_tick
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
-from gateway.jit import call_entry, kernel, read_ahead
 from gateway.monitors.contract import FAILED, LEAST_SLEEP_NS, MAX_RESULTS, NOT_TESTED, TIMER
 from gateway.signals.decode import (
     INVALID_VALUE,
@@ -66,6 +65,7 @@ from gateway.signals.decode import (
     lookup,
     void,
 )
+from gateway_fdi.jit import call_entry, kernel, read_ahead
 
 #: With more messages than fit the processor's nearest cache, what so many frames on will need is fetched ahead.
 _MANY, _AHEAD = 100, 6
@@ -117,7 +117,7 @@ def switch_off(T: Any, t_ns: int, h: Any, why: int) -> None:
         T: the tables.
         t_ns: now.
         h: the monitor.
-        why: not 0; what :func:`gateway.jit.call_entry` gave.
+        why: not 0; what :func:`gateway_fdi.jit.call_entry` gave.
     """
     h.off = why
     h.wake_ns = NEVER

@@ -16,8 +16,8 @@ from gateway.engine.debounce import (
 from gateway.engine.events import RESULT_CHANGED
 from gateway.engine.gate import closed
 from gateway.engine.timers import arm
-from gateway.jit import kernel
 from gateway.monitors.contract import FAILED, NOT_TESTED, PASSED
+from gateway_fdi.jit import kernel
 
 
 @kernel

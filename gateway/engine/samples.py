@@ -9,10 +9,10 @@ import numpy as np
 
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import arm
-from gateway.jit import Record, i4, kernel, means
 from gateway.monitors import sampling, ticks
 from gateway.monitors.contract import TIMER
 from gateway.monitors.sampling import KEPT, MOST_MESSAGES, OVERTAKEN, SAMPLE, WAITS, Sampling, take, waited
+from gateway_fdi.jit import Record, i4, kernel, means
 
 #: Places of what a sample says of itself among the numbers of the inputs, as SampledInputs has them; waited of each
 #: message.

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.common.times import NEVER
-from gateway.jit import COMPILED, LINE, Record, f8, f8s, i4, i8, means, u1
 from gateway.monitors.contract import EVIDENCE
+from gateway_fdi.jit import COMPILED, LINE, Record, f8, f8s, i4, i8, means, u1
 
 __all__ = [
     "MOST_REPORTS",

@@ -16,7 +16,7 @@ import numpy as np
 
 from gateway.common.times import NEVER
 from gateway.engine.tables import table
-from gateway.jit import Record, i4, i8, kernel, means, u1
+from gateway_fdi.jit import Record, i4, i8, kernel, means, u1
 
 #: Whose a timer is.
 CHECK, HANDLER, DEBOUNCE, HEALTH = range(4)

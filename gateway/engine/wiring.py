@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 from pydantic import BaseModel
 
-from gateway.common.tomlfile import key_path
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import Gathered, InputError, nearest
 from gateway.monitors.conformance import connections, samplings_of
 from gateway.monitors.contract import Signal
 from gateway.monitors.sampling import Sampling
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
+from gateway_fdi.common.tomlfile import key_path
+from gateway_fdi.errors import Gathered, InputError, nearest
 
 
 class Wired(NamedTuple):

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
-from gateway.errors import InputError, InputErrors
 from gateway.faults.dtc import NO_DTC, Dtc, is_group
 from gateway.faults.remedy import remedy_of
 from gateway.faults.settings import CLASSES, POWER, SEVERITIES, FaultOverride
 from gateway.faults.status import Rules
 from gateway.monitors.contract import Debounce, Fault
+from gateway_fdi.errors import InputError, InputErrors
 
 
 @dataclass(frozen=True)

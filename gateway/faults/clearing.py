@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 
-from gateway.errors import InputError
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.dtc import ALL_DTCS, in_group
 from gateway.faults.event_memory import EventMemory
@@ -15,6 +14,7 @@ from gateway.faults.records import Record
 from gateway.faults.status import CLEARED
 from gateway.faults.store import StoreError
 from gateway.faults.usage import Usage
+from gateway_fdi.errors import InputError
 
 
 @dataclass(frozen=True)

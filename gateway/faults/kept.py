@@ -18,7 +18,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from gateway.errors import GatewayError, InputError
 from gateway.faults import chain, rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
@@ -36,6 +35,7 @@ from gateway.faults.store import (
     UnusableError,
     damage,
 )
+from gateway_fdi.errors import GatewayError, InputError
 
 T = TypeVar("T")
 

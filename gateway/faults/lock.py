@@ -9,7 +9,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: Longer than :func:`is_kept` takes [s].
 LOOK_S = 0.02

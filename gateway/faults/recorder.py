@@ -18,8 +18,8 @@ from pydantic import Field
 from gateway.bus.candump import format_frame
 from gateway.bus.frames import RAW, Frames, chosen, copied, empty, joined
 from gateway.bus.timeline import spans
-from gateway.common.tomlfile import StrictModel
 from gateway.faults.records import Recording
+from gateway_fdi.common.tomlfile import StrictModel
 
 
 class RecorderParams(StrictModel):

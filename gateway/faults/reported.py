@@ -12,9 +12,9 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from gateway.common.tomlfile import StrictModel
 from gateway.faults.settings import DebounceOverride, DtcText
 from gateway.monitors.contract import EVIDENCE, Debounce, Fault
+from gateway_fdi.common.tomlfile import StrictModel
 
 #: Modes that the socket can have.
 MODES = (0o600, 0o660, 0o666)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gateway.errors import GatewayError, InputError
 from gateway.faults import chain
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.clearing import AskedClear
@@ -22,6 +21,7 @@ from gateway.faults.records import Record, Recording
 from gateway.faults.remedy import severity_names
 from gateway.faults.status import Status
 from gateway.faults.store import OutdatedError, Store
+from gateway_fdi.errors import GatewayError, InputError
 
 
 def as_dict(entry: Entry) -> dict[str, Any]:

@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from gateway.common.tomlfile import StrictModel
-from gateway.errors import InputError
 from gateway.faults.dtc import Dtc
+from gateway_fdi.common.tomlfile import StrictModel
+from gateway_fdi.errors import InputError
 
 
 def _dtc_text(text: str) -> str:

@@ -14,12 +14,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
-from gateway.errors import GatewayError, InputError
 from gateway.faults import chain, rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.lock import is_marked, mark, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.schema import APPLICATION_ID, CHAINED, MAGIC, MIGRATIONS
+from gateway_fdi.errors import GatewayError, InputError
 
 #: Another process that writes (a request to clear) is waited for this long [s].
 PATIENCE_S = 1.0

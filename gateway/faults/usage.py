@@ -10,10 +10,10 @@ from typing import NamedTuple, Self
 
 from pydantic import Field, model_validator
 
-from gateway.common.tomlfile import StrictModel
 from gateway.faults.dtc import ALL_DTCS, EMISSION_DTCS
 from gateway.faults.ledger import Ledger
 from gateway.faults.settings import POWER, ConditionSettings
+from gateway_fdi.common.tomlfile import StrictModel
 
 #: So much is kept in this process before it is written: a kill loses no more [s, m].
 KEPT_S, KEPT_M = 60.0, 1000.0

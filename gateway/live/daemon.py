@@ -7,10 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from gateway.bus.ring import Ring
-from gateway.common.log import get_logger
 from gateway.config.load import load_config
 from gateway.config.model import Config, StatusConfig
-from gateway.errors import GatewayError, InputError
 from gateway.faults.kept import KeptStore
 from gateway.live.doors import Doors
 from gateway.live.link import Link
@@ -23,6 +21,8 @@ from gateway.live.status import StatusSocket
 from gateway.live.watchdog import Watchdog
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.errors import GatewayError, InputError
 
 log = get_logger(__name__)
 

@@ -16,11 +16,11 @@ import numpy as np
 from gateway.bus.base import Bus, Statistics
 from gateway.bus.conditions import LOSS, LOST, RUNNING, are_conditions, condition_frame
 from gateway.bus.frames import Frames, empty
-from gateway.common.log import get_logger, load
-from gateway.errors import BusError, UnsupportedError
 from gateway.live.clock import Clock
 from gateway.live.stamps import Stamps
 from gateway.live.transmit import Transmitter
+from gateway_fdi.common.log import get_logger, load
+from gateway_fdi.errors import BusError, UnsupportedError
 
 #: First and longest wait before a bus that is gone is tried again [s].
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.05, 0.8

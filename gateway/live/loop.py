@@ -14,10 +14,10 @@ import numpy as np
 from gateway.bus.conditions import LOST, RUNNING, step_frame
 from gateway.bus.frames import ERROR, OWN, Frames, empty
 from gateway.bus.timeline import to_wall
-from gateway.common.log import get_logger
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.merge import Merger
+from gateway_fdi.common.log import get_logger
 
 #: Without traffic, time is let pass this far behind the clock, so that a frame that is still on its
 #: way through the kernel is not overtaken by the timers it would have stopped.

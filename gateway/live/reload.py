@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gateway.config.model import Config
-from gateway.errors import GatewayError
 from gateway.live.machine import Thread, begin_thread
 from gateway.runtime.assemble import Parts
+from gateway_fdi.errors import GatewayError
 
 
 @dataclass(frozen=True)

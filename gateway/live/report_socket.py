@@ -14,12 +14,12 @@ from pathlib import Path
 
 from gateway.bus.frames import Frames
 from gateway.common.jsonlines import line
-from gateway.common.log import get_logger
-from gateway.errors import UnsupportedError
 from gateway.faults.reported import ReportParams
 from gateway.live.unix_socket import credentials_of, groups_of, listen_at
 from gateway.report.words import MOST_BYTES, REFUSALS
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.errors import UnsupportedError
 
 #: Reports of all connections in one turn of the loop.
 MOST_IN_A_TURN = 32

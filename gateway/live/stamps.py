@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.bus.frames import Frames
-from gateway.common.log import get_logger
 from gateway.live.clock import Clock, Step
+from gateway_fdi.common.log import get_logger
 
 #: A stamp so far in the future [ns], or so long before the last look at the bus, is of another clock.
 AHEAD_NS, BEHIND_NS = 5_000_000, 1_000_000_000

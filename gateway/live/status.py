@@ -27,11 +27,11 @@ from gateway import __version__
 from gateway.bus.frames import Frames
 from gateway.bus.traffic import Traffic
 from gateway.common.jsonlines import line
-from gateway.common.log import get_logger
 from gateway.engine.buckets import TickRow
 from gateway.live.status_commands import Commands, monitoring_of
 from gateway.live.unix_socket import credentials_of, listen_at
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.log import get_logger
 
 PROTOCOL = 1
 #: Readers at a time.

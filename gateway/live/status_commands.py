@@ -25,13 +25,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gateway.errors import GatewayError, InputError, nearest
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.interventions import Intervention
 from gateway.live.unix_socket import NOBODY
 from gateway.runtime.app import Gateway
 from gateway.servers.authority import WATCH_NS, Holder, Refusal, local_intervention
 from gateway.servers.uds.params import S3_MS
+from gateway_fdi.errors import GatewayError, InputError, nearest
 
 _FORCE = {"by", "force", "why"}
 _KEYS = {

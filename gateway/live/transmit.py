@@ -8,7 +8,7 @@ import numpy as np
 
 from gateway.bus.base import Bus
 from gateway.bus.frames import ANSWER, CYCLIC, URGENT, Frames
-from gateway.errors import BusError
+from gateway_fdi.errors import BusError
 
 #: Most frames that wait for a bus; an answer of 4095 bytes has 586.
 MOST = 8192

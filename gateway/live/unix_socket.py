@@ -8,7 +8,7 @@ import stat
 import struct
 from pathlib import Path
 
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: Process, user and group at the other end (unix(7), SO_PEERCRED).
 _CREDENTIALS = struct.Struct("3i")

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 from gateway.engine.core import Engine
 from gateway.faults.hung import hung_beside
-from gateway.jit import COMPILED
 from gateway.monitors.contract import digest_of
+from gateway_fdi.jit import COMPILED
 
 #: Exit code: a step did not return. A service manager starts the gateway again (EX_TEMPFAIL of sysexits.h).
 HUNG_EXIT = 75

@@ -9,8 +9,8 @@ from typing import Annotated, Any, NamedTuple
 
 from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator
 
-from gateway.common.tomlfile import StrictModel
-from gateway.fdi.structure.units import differ
+from gateway_fdi.common.tomlfile import StrictModel
+from gateway_fdi.structure.units import differ
 
 _PERCENT = re.compile(r"\s*([0-9.eE+-]+)\s*%\s*")
 _SIZED = re.compile(r"\s*([0-9.eE+-]+)\s*(\S.*?)?\s*")

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from gateway.errors import GatewayError, InputError
+from gateway_fdi.errors import GatewayError, InputError
 
 
 class Written(Protocol):

@@ -15,8 +15,6 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from gateway.errors import InputError, nearest
-from gateway.jit import Record
 from gateway.monitors.authors import author_of
 from gateway.monitors.contract import (
     API,
@@ -38,6 +36,8 @@ from gateway.monitors.contract import (
     Signal,
 )
 from gateway.monitors.sampling import Sampling
+from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.jit import Record
 
 #: Longest time of a debounce, as a configuration may have it, too [ms].
 MOST_DEBOUNCE_MS = 3.6e6

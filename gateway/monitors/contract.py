@@ -23,11 +23,11 @@ from typing import Annotated, Any, ClassVar, Generic, NamedTuple, Protocol, Type
 import numpy as np
 from pydantic import model_validator
 
-from gateway.common.tomlfile import StrictModel
-from gateway.errors import GatewayError, InputError
-from gateway.jit import Closure, Record, entry_point, f8, f8s, i4, i8, kernel, means, record
 from gateway.monitors.authors import by_author
 from gateway.monitors.sampling import MOST_MESSAGES, Sampling
+from gateway_fdi.common.tomlfile import StrictModel
+from gateway_fdi.errors import GatewayError, InputError
+from gateway_fdi.jit import Closure, Record, entry_point, f8, f8s, i4, i8, kernel, means, record
 
 #: Version of this contract. A monitor says for which it was written.
 API = 2
@@ -58,7 +58,7 @@ WAKES_ITSELF = (
 _PLACES = re.compile(r"""File "([^"]+)", line (\d+)""")
 
 #: Packages whose kernels are ours, and how modules begin that we generate: their indices need no check.
-OWN_PACKAGES, GENERATED = ("gateway", "gateway_studies"), "gateway_generated_"
+OWN_PACKAGES, GENERATED = ("gateway", "gateway_fdi", "gateway_plants"), "gateway_generated_"
 
 #: Takes the results beyond :data:`MAX_RESULTS`, so that a kernel need not ask.
 _SPARE = MAX_RESULTS
@@ -400,7 +400,7 @@ class SensorCalibration:
         period_ms: parameters -> time between two samples.
         sensors: parameters -> how many of its inputs they are, the first ones.
         found: parameters, readings in a row of shape (samples, sensors) -> what they say; an
-            :class:`~gateway.errors.InputError` with the key of its table where they do not tell.
+            :class:`~gateway_fdi.errors.InputError` with the key of its table where they do not tell.
     """
 
     period_ms: Callable[[Any], float]

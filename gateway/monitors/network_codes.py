@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: U1000 to U2FFF are the manufacturer's (SAE J2012, 5.1).
 _FIRST, _CODES = 0x1000, 0x2000

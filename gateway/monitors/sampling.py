@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from gateway.jit import Record, f8, i8, i8s, kernel, means
+from gateway_fdi.jit import Record, f8, i8, i8s, kernel, means
 
 #: Messages that a sample can come in, and sets of one counter that are collected at the same time.
 MOST_MESSAGES, MOST_DEPTH = 52, 16

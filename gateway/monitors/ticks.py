@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from gateway.jit import kernel
 from gateway.monitors.sampling import KEPT, SAMPLE, WAITS, Const, is_awaited
+from gateway_fdi.jit import kernel
 
 
 @kernel

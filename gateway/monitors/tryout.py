@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.errors import InputError
-from gateway.jit import failure_of, run_entry
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_faults
 from gateway.monitors.contract import (
@@ -25,6 +23,8 @@ from gateway.monitors.contract import (
     Monitor,
     MonitorParams,
 )
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import failure_of, run_entry
 
 #: Steps with inputs of one kind, and time between two of them [ns].
 STEPS, PERIOD_NS = 200, 10_000_000

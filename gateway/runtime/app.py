@@ -13,12 +13,9 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import FRAME, Frames, empty, joined
-from gateway.common.log import get_logger
-from gateway.common.resources import shipped
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
 from gateway.engine.depends.derive import Dependences
-from gateway.errors import GatewayError
 from gateway.faults.beside import Writer
 from gateway.faults.cases import cases_of
 from gateway.faults.hung import hung_beside
@@ -51,6 +48,9 @@ from gateway.servers.authority import Authority
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
 from gateway.signals.database import Database
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import GatewayError
 
 log = get_logger(__name__)
 

@@ -6,7 +6,6 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.common.resources import shipped
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
@@ -20,7 +19,6 @@ from gateway.engine.depends.residuals import Read
 from gateway.engine.events import NO_BUS
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot, MonitorInstance
-from gateway.errors import InputError, InputErrors, named
 from gateway.faults.catalogue import Catalogue, FaultDefinition, define
 from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
@@ -44,6 +42,8 @@ from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 from gateway.servers.uds.server import UdsServer
 from gateway.signals.database import Database
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError, InputErrors, named
 
 #: Faults of the gateway itself.
 _OWN = (*memory_health.FAULTS, *monitoring_health.FAULTS, *monitor_health.FAULTS, *reporter_health.FAULTS)

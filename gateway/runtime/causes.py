@@ -20,11 +20,11 @@ from gateway.engine.depends.derive import Dependences
 from gateway.engine.depends.parts import Seen
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.engine.instances import FaultSlot
-from gateway.fdi.diagnosis.answer import Group
-from gateway.fdi.diagnosis.apart import telling
-from gateway.fdi.diagnosis.diagnoser import Diagnoser
-from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
-from gateway.fdi.diagnosis.system import Link, Test
+from gateway_fdi.diagnosis.answer import Group
+from gateway_fdi.diagnosis.apart import telling
+from gateway_fdi.diagnosis.diagnoser import Diagnoser
+from gateway_fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
+from gateway_fdi.diagnosis.system import Link, Test
 
 #: Probability that a verdict is wrong though all is well: it is debounced, and thresholds are set for hours. A check of
 #: messages compares what no noise changes.

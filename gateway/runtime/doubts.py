@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from gateway.common.log import get_logger
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.signals.database import Database
 from gateway.signals.protection.fitting import differing, fitting, fitting_modes
 from gateway.signals.protection.params import protection_for
+from gateway_fdi.common.log import get_logger
 
 _log = get_logger(__name__)
 

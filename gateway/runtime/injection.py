@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway.engine.checks.communication import CheckInstance
-from gateway.errors import InputError, nearest
 from gateway.signals.changing import ChangedMessage, ChangedSignal
 from gateway.signals.database import Database
 from gateway.signals.protection.params import protection_for
 from gateway.signals.protection.protection import Protection
+from gateway_fdi.errors import InputError, nearest
 
 #: Of a frame: it does not come; the one before comes again; each is as the first; one bit is wrong.
 FRAME_KINDS = ("drop", "repeat", "freeze", "flip")

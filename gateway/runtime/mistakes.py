@@ -17,12 +17,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from gateway.common.tomlfile import key_path, read_toml, texts_in
 from gateway.config.load import config_of
 from gateway.config.model import Config
-from gateway.errors import InputError, InputErrors
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.tomlfile import key_path, read_toml, texts_in
+from gateway_fdi.errors import InputError, InputErrors
 
 #: A table, or a key that stands alone, by its path: ``("bus", 0, "check", 2)``.
 Place = tuple[str | int, ...]

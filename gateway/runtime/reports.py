@@ -15,15 +15,15 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Any
 
-from gateway.common.log import get_logger
 from gateway.common.times import NEVER
 from gateway.engine.checks.memory_health import OWNER
 from gateway.engine.checks.reporter_health import REPORTER_LOST
 from gateway.engine.core import Engine, Sink
-from gateway.errors import nearest
 from gateway.faults.reported import ReporterParams, ReportParams, key_of
 from gateway.report.words import MOST_BYTES, REFUSALS, RESULTS
 from gateway.runtime.controls import Controls
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.errors import nearest
 
 log = get_logger(__name__)
 

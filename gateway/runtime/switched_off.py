@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from gateway.common.log import get_logger
 from gateway.engine.checks.memory_health import OWNER
 from gateway.engine.checks.monitor_health import SWITCHED_OFF
 from gateway.engine.core import Engine, Sink
 from gateway.engine.events import MISCOUNTED, NO_FAULT, NO_NUMBER, TOO_MANY, TOO_SOON
 from gateway.engine.instances import MonitorInstance
 from gateway.faults.hung import Hung
-from gateway.jit import failure_of
 from gateway.monitors.contract import COUNTS_ITSELF, MAX_RESULTS, WAKES_ITSELF, digest_of
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.jit import failure_of
 
 log = get_logger(__name__)
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from gateway.common.log import get_logger
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
 from gateway.faults.explained import Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.service import intervention_as_dict
 from gateway.monitors.contract import FAILED, PASSED
+from gateway_fdi.common.log import get_logger
 
 _RESULTS = {PASSED: "passed", FAILED: "failed"}
 _log = get_logger(__name__)

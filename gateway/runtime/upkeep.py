@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gateway.common.log import get_logger
 from gateway.engine.checks.memory_health import DAMAGED, NOT_WRITTEN, OWNER
 from gateway.engine.core import Engine, Sink
 from gateway.faults.beside import Writer, WriterThread
@@ -25,6 +24,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.mishaps import Mishap
 from gateway.faults.pace import Pace
 from gateway.monitors.contract import Fault
+from gateway_fdi.common.log import get_logger
 
 log = get_logger(__name__)
 

@@ -16,11 +16,11 @@ from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route
 
 from gateway.common.jsonlines import line
-from gateway.errors import GatewayError
 from gateway.serve.bokeh_files import bokeh_folder
 from gateway.serve.hub import Hub
 from gateway.serve.link import Refused
 from gateway.serve.metrics import Metrics
+from gateway_fdi.errors import GatewayError
 
 STATIC = Path(__file__).parent / "static"
 #: Kinds of the page's files.

@@ -16,7 +16,7 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import dataclass
 from typing import Any
 
-from gateway.common.log import get_logger
+from gateway_fdi.common.log import get_logger
 
 #: Largest body of a request [byte], and how long it may take [s].
 BODY_BYTES, BODY_S = 16 << 10, 5.0

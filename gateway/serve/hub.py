@@ -13,7 +13,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gateway.common.jsonlines import line
-from gateway.common.log import get_logger
 from gateway.engine.buckets import TickRow
 from gateway.faults.records import Recording
 from gateway.serve.buses import BusLoads
@@ -21,6 +20,7 @@ from gateway.serve.history import History
 from gateway.serve.link import StatusLink
 from gateway.serve.memory import BITS, MemoryFile
 from gateway.serve.messages import MessageNames
+from gateway_fdi.common.log import get_logger
 
 #: Events that a page gets when it comes.
 EVENTS = 300

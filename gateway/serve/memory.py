@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gateway.errors import GatewayError
 from gateway.faults import service
 from gateway.faults.cases import cases_of
 from gateway.faults.dtc import Dtc
@@ -15,6 +14,7 @@ from gateway.faults.records import Recording
 from gateway.faults.status import Status
 from gateway.faults.store import Store
 from gateway.serve.words import told_in_words
+from gateway_fdi.errors import GatewayError
 
 #: Bits of the status byte, the lowest first, as ISO 14229-1 calls them.
 BITS = (

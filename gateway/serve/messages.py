@@ -11,8 +11,8 @@ import numpy as np
 
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.bus.traffic import Seen
-from gateway.errors import InputError
 from gateway.signals.database import load_database
+from gateway_fdi.errors import InputError
 
 #: Signals of one message that are shown.
 MOST_SIGNALS = 64

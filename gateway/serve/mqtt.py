@@ -27,11 +27,11 @@ from paho.mqtt.client import Client, MQTTMessageInfo
 from paho.mqtt.enums import CallbackAPIVersion
 
 from gateway.common.jsonlines import line
-from gateway.common.log import get_logger
-from gateway.errors import GatewayError
 from gateway.faults.status import Status
 from gateway.serve.hub import Hub
 from gateway.serve.link import Refused
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.errors import GatewayError
 
 #: Pace of looking for changes [s].
 LOOK_S = 0.1

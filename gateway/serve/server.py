@@ -16,10 +16,10 @@ from typing import Any
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from gateway.errors import GatewayError, InputError
 from gateway.serve.app import Page
 from gateway.serve.guard import Guard, Rights, is_loopback
 from gateway.serve.hub import Hub
+from gateway_fdi.errors import GatewayError, InputError
 
 #: A connection that has not said within so long [s] what it wants is closed.
 HEAD_S = 10.0

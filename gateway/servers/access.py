@@ -14,8 +14,8 @@ from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from gateway.common.tomlfile import StrictModel
 from gateway.faults.settings import ConditionSettings
+from gateway_fdi.common.tomlfile import StrictModel
 
 #: Diagnostic sessions by name (ISO 14229-1, 0x10).
 SESSIONS = {"default": 0x01, "extended": 0x03}

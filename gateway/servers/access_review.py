@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 
-from gateway.errors import InputError, nearest
 from gateway.servers.access import FREE, GUARDED, SESSIONLESS, SESSIONS, Access, AccessParams, Needs
+from gateway_fdi.errors import InputError, nearest
 
 
 def wrong_rules(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from gateway.errors import InputError
 from gateway.servers.isotp.params import IsoTpParams
+from gateway_fdi.errors import InputError
 
 
 def share_address(one: IsoTpParams, other: IsoTpParams, *, same_bus: bool) -> bool:

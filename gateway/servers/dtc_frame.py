@@ -13,12 +13,12 @@ from cantools.database.can import Message
 from pydantic import Field
 
 from gateway.bus.frames import Frames, empty, payload, put
-from gateway.common.tomlfile import StrictModel
 from gateway.faults.dtc import Dtc
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
 from gateway.servers.bus_server import BusServer
 from gateway.signals.database import load_database
+from gateway_fdi.common.tomlfile import StrictModel
 
 MESSAGE = "GW_DTC"
 

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from gateway.common.tomlfile import StrictModel
-from gateway.errors import InputError
+from gateway_fdi.common.tomlfile import StrictModel
+from gateway_fdi.errors import InputError
 
 #: struct codes of the numeric types, high byte first.
 _CODES = {

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gateway.jit import Record, kernel, u1
+from gateway_fdi.jit import Record, kernel, u1
 
 if TYPE_CHECKING:
     from cantools.database.can.signal import Signal

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

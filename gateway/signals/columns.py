@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.jit import kernel
 from gateway.signals.bits import mask_of, write_bits
 from gateway.signals.decode import FLOAT16, FLOAT32, FLOAT64, SIGNED
 from gateway.signals.encode import insert
+from gateway_fdi.jit import kernel
 
 #: Floating-point kinds of signals -> what NumPy calls their numbers, and their bits.
 IEEE = {FLOAT16: ("<f2", "<u2"), FLOAT32: ("<f4", "<u4"), FLOAT64: ("<f8", "<u8")}

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.common.log import get_logger
-from gateway.errors import InputError, nearest
 from gateway.signals.bounds import refuse_lengths, refuse_scalings
 from gateway.signals.dialect import mended
+from gateway_fdi.common.log import get_logger
+from gateway_fdi.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from cantools.database.can import Database as CanDatabase

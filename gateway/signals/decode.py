@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from gateway.jit import f8, i2, i4, kernel, record, u1, u4
 from gateway.signals.bits import read_bits
+from gateway_fdi.jit import f8, i2, i4, kernel, record, u1, u4
 
 OK, TOO_SHORT, UNKNOWN_MUX, INVALID_VALUE = 0, 1, 2, 3
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from gateway.jit import kernel
 from gateway.signals.bits import write_bits
 from gateway.signals.decode import SIGNED
+from gateway_fdi.jit import kernel
 
 
 @kernel

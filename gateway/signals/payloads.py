@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import ERROR, REMOTE, Frames
-from gateway.jit import kernel
 from gateway.signals.bits import read_bits
 from gateway.signals.decode import OK, decode, lookup
 from gateway.signals.tables import DecodePlan
+from gateway_fdi.jit import kernel
 
 
 @kernel

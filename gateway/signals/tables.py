@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, Frames
-from gateway.errors import InputError
-from gateway.jit import COMPILED
 from gateway.signals.bits import place
 from gateway.signals.database import Database
 from gateway.signals.decode import (
@@ -27,6 +25,8 @@ from gateway.signals.decode import (
     hashed,
     pgn_key,
 )
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import COMPILED
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

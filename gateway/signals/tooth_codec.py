@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.jit import kernel
+from gateway_fdi.jit import kernel
 
 #: Fills up a frame that was sent before it was full.
 PADDING_CODE = 0x000

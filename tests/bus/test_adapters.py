@@ -16,7 +16,7 @@ from gateway.bus.base import Statistics
 from gateway.bus.can_structs import RawReceiver, pack
 from gateway.bus.frames import BRS, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, empty, payload, put
 from gateway.bus.uri import loopback_address, open_bus
-from gateway.errors import BusError, InputError
+from gateway_fdi.errors import BusError, InputError
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from command import command
 from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import read_log
 from gateway.bus.readers import blf
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 try:
     zstd = import_module("compression.zstd")

@@ -22,7 +22,7 @@ from gateway.bus.frames import (
     to_message,
 )
 from gateway.bus.logs import FORMATS, open_writer, read_log
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 
 @st.composite

@@ -18,7 +18,7 @@ from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, REMOTE, empty, payload,
 from gateway.bus.hub import QUEUE, Hub
 from gateway.bus.loopback import LoopbackBus
 from gateway.bus.uri import open_bus
-from gateway.errors import BusError
+from gateway_fdi.errors import BusError
 
 
 @pytest.fixture

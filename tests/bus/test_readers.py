@@ -19,7 +19,7 @@ from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import read_log
 from gateway.bus.readers import blf
 from gateway.bus.readers.asc import date_ns
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: What doubles at today's epoch cannot tell apart, and the rounding to microseconds above it [ns].
 NEAR = 2000

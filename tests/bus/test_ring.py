@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from gateway.bus.frames import empty, put
 from gateway.bus.ring import Ring, RingParams, read_recording, segments
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 
 def batch(first, count, *, t_ns=0):

@@ -12,15 +12,15 @@ from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
 from gateway.calibration.logs import digest
 from gateway.cli import app
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway.errors import InputError
-from gateway.jit import COMPILED
-from gateway.monitors.truck.params import QUANTITIES
-from gateway.vecu.truck.drive import drive
-from gateway.vecu.truck.ecu import frames_of
-from gateway.vecu.truck.params import TruckFault, TruckParams
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import COMPILED
+from gateway_plants.truck.ecu.drive import drive
+from gateway_plants.truck.ecu.ecu import frames_of
+from gateway_plants.truck.ecu.params import TruckFault, TruckParams
+from gateway_plants.truck.monitor.params import QUANTITIES
 
 compiled = pytest.mark.skipif(not COMPILED, reason="tens of thousands of frames")
 SECONDS = 90.0
@@ -47,7 +47,7 @@ def healthy(tmp_path_factory, truck):
     logs = [log(folder / f"{seed}.log", truck, seed) for seed in (1, 2)]
     config = folder / "truck.toml"
     text = shipped("configs/truck.toml").read_text()
-    config.write_text(text.replace("../dbc/", f"{shipped('dbc')}/"))
+    config.write_text(text)
     return config, logs
 
 

@@ -15,14 +15,14 @@ from typer.testing import CliRunner
 from gateway.bus.logs import open_writer
 from gateway.calibration.part import Part, load, save
 from gateway.cli import app
-from gateway.common.resources import shipped
-from gateway.errors import InputError
-from gateway.jit import COMPILED
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
-from gateway.vecu.truck.drive import drive
-from gateway.vecu.truck.ecu import frames_of
-from gateway.vecu.truck.params import TruckParams
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import COMPILED
+from gateway_plants.truck.ecu.drive import drive
+from gateway_plants.truck.ecu.ecu import frames_of
+from gateway_plants.truck.ecu.params import TruckParams
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not COMPILED, reason="tens of thousands of frames")]
 
@@ -44,7 +44,7 @@ def truck_log(folder, seed):
 
 def shipped_config(folder, name):
     path = folder / f"{name}.toml"
-    path.write_text(shipped(f"configs/{name}.toml").read_text().replace("../dbc/", f"{shipped('dbc')}/"))
+    path.write_text(shipped(f"configs/{name}.toml").read_text())
     return path
 
 
@@ -126,7 +126,7 @@ def test_by_workers_of_which_one_is_killed(trucks):
     folder, config = trucks
     (folder / "kill.py").write_text(
         "import os, signal\n"
-        "from gateway.fleet import healthy\n"
+        "from gateway_fleet.fleet import healthy\n"
         "asked = getattr(healthy, 'before', healthy._part)\n"
         "healthy.before = asked\n"
         "def poisoned(ask, *rest):\n"

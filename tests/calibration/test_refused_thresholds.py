@@ -5,8 +5,8 @@ import math
 import pytest
 
 from gateway.calibration.cusum import Quantity, _refuse_nu, _refuse_threshold
-from gateway.errors import InputError
-from gateway.fdi.cusum import typical
+from gateway_fdi.cusum import typical
+from gateway_fdi.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -5,19 +5,19 @@ import re
 
 import numpy as np
 import pytest
-from gateway_studies.pedal.outside import faults as cases
-from gateway_studies.pedal.outside import sensors
-from gateway_studies.pedal.outside.foot import driving, points
 from typer.testing import CliRunner
 
 from gateway.bus.logs import open_writer
 from gateway.cli import app
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway.errors import InputError
-from gateway.jit import COMPILED
-from gateway.monitors.pedal.measured import found
-from gateway.monitors.pedal.params import PairParams
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import COMPILED
+from gateway_plants.pedal.monitor.measured import found
+from gateway_plants.pedal.monitor.params import PairParams
+from gateway_plants.pedal.study.outside import faults as cases
+from gateway_plants.pedal.study.outside import sensors
+from gateway_plants.pedal.study.outside.foot import driving, points
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not COMPILED, reason="minutes of samples each 1 ms")]
 

@@ -12,11 +12,11 @@ from typer.testing import CliRunner
 
 from gateway.bus.frames import payload
 from gateway.cli import app
-from gateway.cli.control import Control, ask, request_of
 from gateway.config.load import load_config
-from gateway.errors import InputError
-from gateway.runtime.playing import player_of
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.cli.control import Control, ask, request_of
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.errors import InputError
 
 DBC = """VERSION ""
 BU_: A

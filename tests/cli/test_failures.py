@@ -121,7 +121,7 @@ def test_tables_fold_and_cut_nothing():
 #: Stands for a compiler: a call into C that holds the main thread, and in which no handler of Python runs.
 COMPILING = """
 import ctypes, sys, time
-import gateway.{module} as module
+import {module} as module
 def compiling(*a, **k):
     print("compiling", file=sys.stderr, flush=True)
     ctypes.CDLL(None).sleep.argtypes = [ctypes.c_uint]
@@ -139,8 +139,8 @@ main()
 @pytest.mark.parametrize(
     ("arguments", "module", "name", "code"),
     [
-        (("run",), "live.daemon", "prepare", 0),
-        (("simulate", "crank_healthy", "--bus", "inside", "--check"), "cli.simulate", "Gateway", 143),
+        (("run",), "gateway.live.daemon", "prepare", 0),
+        (("simulate", "crank_healthy", "--bus", "inside", "--check"), "gateway_bench.cli.simulate", "Gateway", 143),
     ],
 )  # fmt: skip
 def test_a_signal_while_it_compiles_ends_it_at_once(tmp_path, arguments, module, name, code, number):
@@ -165,7 +165,7 @@ def test_a_signal_while_it_compiles_ends_it_at_once(tmp_path, arguments, module,
 
 def test_a_simulation_that_is_stopped_is_not_judged(gateway, monkeypatch):
     """SIGTERM during the run ends it there, and a check that saw half of it is no pass."""
-    from gateway.runtime.wires import Wires
+    from gateway_bench.wires import Wires
 
     carry = Wires.carry
 

@@ -8,8 +8,8 @@ from junitparser import Error, Failure, JUnitXml, Skipped
 
 from gateway.cli.junit import Case, write_junit
 from gateway.cli.replay import replay
-from gateway.cli.simulate import simulate
-from gateway.errors import InputError
+from gateway_bench.cli.simulate import simulate
+from gateway_fdi.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 BATTERY = (ROOT / "examples" / "battery_voltage" / "drained.toml").read_text()

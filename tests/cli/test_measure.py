@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from gateway.cli import app, measure
+from gateway.cli import app
+from gateway_bench.cli import measure
 
 ROOT = Path(__file__).parents[2]
 

@@ -8,14 +8,14 @@ import pytest
 from gateway.cli.dtc_words import against, few, state_in_words
 from gateway.cli.events import EventPrinter
 from gateway.cli.lines import number, wrapped
-from gateway.common.resources import shipped
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.dtc import Dtc
-from gateway.vecu.contract import Truth
-from gateway.vecu.message_faults import KINDS, MessageFault
-from gateway.vecu.registry import VIRTUAL_ECUS
-from gateway.vecu.scenario import WireFault, load_scenario
-from gateway.vecu.words import WORDS, injected
+from gateway_bench.vecu.contract import Truth
+from gateway_bench.vecu.message_faults import KINDS, MessageFault
+from gateway_bench.vecu.registry import VIRTUAL_ECUS
+from gateway_bench.vecu.scenario import WireFault, load_scenario
+from gateway_bench.vecu.words import WORDS, injected
+from gateway_fdi.common.resources import shipped
 
 
 def test_the_seconds_that_people_see_go_on_where_the_clock_was_set(capsys):

@@ -10,10 +10,10 @@ import pytest
 from command import command
 
 from gateway.common import extras
-from gateway.common.resources import shipped
 from gateway.runtime.series import files, gather
 from gateway.runtime.series.envelope import BUCKETS, Envelope
 from gateway.runtime.series.rows import RESULTS, Rows, Series
+from gateway_fdi.common.resources import shipped
 
 MOTOR, SIGNALS = shipped("configs/motor.toml"), shipped("configs/signals.toml")
 
@@ -92,8 +92,6 @@ def test_events_are_the_same_and_rows_are_those_of_the_trace(logs, tmp_path, cap
 def test_timers_are_looked_behind_each(logs, tmp_path, capsys, monkeypatch):
     """Samples by the clock at 2 ms between frames at 10 ms: a row for each, at the timer's own time."""
     text = MOTOR.read_text().replace('sample = "set"', "").replace("period_ms = 10.0", "period_ms = 2.0")
-    for folder in ("dbc", "models"):
-        text = text.replace(f"../{folder}", str(shipped(folder)))
     (tmp_path / "clock.toml").write_text(text)
     command(
         capsys, monkeypatch, "replay", logs["motor_faults"], "-c", tmp_path / "clock.toml",

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.vecu.expectations import Judge
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.vecu.expectations import Judge
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
 
-simulate = import_module("gateway.cli.simulate")
+simulate = import_module("gateway_bench.cli.simulate")
 
 
 class Machine:

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from gateway.cli import app
 from gateway.cli.structure_figures import draw
-from gateway.common.resources import shipped
-from gateway.fdi.structure.analysis import analyse
-from gateway.fdi.structure.file import load_model
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.structure.analysis import analyse
+from gateway_fdi.structure.file import load_model
 
 
 def run(*arguments, code=0):
@@ -204,7 +204,7 @@ def test_the_analysis_does_not_load_algebra():
         "sensors",
         "decomposition",
     ]
-    modules = ", ".join(f"gateway.fdi.structure.{name}" for name in names)
+    modules = ", ".join(f"gateway_fdi.structure.{name}" for name in names)
     code = f"import {modules}, sys; print([m for m in ('sympy', 'scipy.optimize') if m in sys.modules])"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ended.stdout.strip() == "[]"

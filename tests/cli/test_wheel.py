@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from command import command
 
-from gateway.common.resources import shipped
+from gateway_fdi.common.resources import shipped
 
 SEED = 7
 

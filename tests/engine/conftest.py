@@ -10,7 +10,6 @@ from gateway.engine.build import build_engine
 from gateway.engine.checks import communication
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.instances import MonitorInstance
-from gateway.jit import Record, f8, i8, kernel, labels, means
 from gateway.monitors import contract
 from gateway.monitors.contract import (
     TIMER,
@@ -23,6 +22,7 @@ from gateway.monitors.contract import (
     report,
 )
 from gateway.signals.database import load_database
+from gateway_fdi.jit import Record, f8, i8, kernel, labels, means
 
 DBC = """VERSION ""
 NS_ :

@@ -19,8 +19,8 @@ from gateway.engine.debounce import (
     reset,
 )
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, RESULT_CHANGED
-from gateway.jit import zeros
 from gateway.monitors.contract import FAILED, PASSED, Debounce
+from gateway_fdi.jit import zeros
 
 
 def row(debounce):

@@ -11,16 +11,19 @@ from gateway.engine.depends.monitors import of_monitor
 from gateway.engine.depends.parts import Network, strongest
 from gateway.engine.depends.residuals import residuals
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import InputError, InputErrors, each_of
-from gateway.fdi.diagnosis.system import PRIORS
 from gateway.monitors.contract import Behind, Blame, Blames, Gain, Reading, Residuals
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.assemble import prepare
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef
+from gateway_fdi.common.resources import all_shipped, shipped
+from gateway_fdi.diagnosis.system import PRIORS
+from gateway_fdi.errors import InputError, InputErrors, each_of
 
 ROOT = Path(__file__).parents[2]
-CONFIGS = sorted([*ROOT.glob("configs/*.toml"), ROOT / "gateway.toml", ROOT / "examples/battery_voltage/gateway.toml"])
+CONFIGS = sorted(
+    [*all_shipped("configs", ".toml"), ROOT / "gateway.toml", ROOT / "examples/battery_voltage/gateway.toml"]
+)
 #: Not a configuration of its own.
 CATALOGUES = {"diagnostics_faults.toml"}
 
@@ -60,7 +63,7 @@ def names(seen):
 
 
 def test_a_message_that_is_missing_blames_the_way_that_it_takes():
-    _, _, found = depends(ROOT / "configs/signals.toml")
+    _, _, found = depends(shipped("configs/signals.toml"))
     told = names(found["chassis.Vehicle.timeout"])
     assert set(told) == {"message chassis.Vehicle", "ecu chassis.Body", "bus chassis"}
     assert told["ecu chassis.Body"] > told["message chassis.Vehicle"] > told["bus chassis"] > 0.0  # if that is at fault
@@ -70,7 +73,7 @@ def test_a_message_that_is_missing_blames_the_way_that_it_takes():
 
 
 def test_a_rule_blames_each_of_its_signals_and_itself():
-    _, _, found = depends(ROOT / "configs/signals.toml")
+    _, _, found = depends(shipped("configs/signals.toml"))
     told = names(found["relations.front"])
     signals = {f"signal chassis.{name}" for name in ("WheelSpeeds.FL", "WheelSpeeds.FR", "Vehicle.Speed")}
     assert {name for name in told if name.startswith("signal")} == signals
@@ -78,19 +81,19 @@ def test_a_rule_blames_each_of_its_signals_and_itself():
 
 
 def test_isolation_says_whom_a_fault_blames():
-    _, _, found = depends(ROOT / "configs/linear_aircraft.toml")
+    _, _, found = depends(shipped("configs/linear_aircraft.toml"))
     sensor = found["aircraft.sensor_roll"]
     assert sensor[0].component.name == "signal flight.Aircraft_Sensors.Roll"
     assert not any("Yaw" in one.component.name for one in sensor)
     actuator = found["aircraft.actuator_rudder"]
     assert actuator[0].component.name == "actuator flight.Aircraft_Command.Rudder"
-    _, _, found = depends(ROOT / "configs/tanks.toml")
+    _, _, found = depends(shipped("configs/tanks.toml"))
     assert names(found["tanks.f_1"])["signal tanks.Sensors.Level1"] == pytest.approx(0.9)
     assert list(names(found["tanks.f_p"])) == ["plant tanks.f_p"]  # the pump, not its command
 
 
 def test_faults_of_one_channel_share_what_they_see_of_it():
-    _, _, found = depends(ROOT / "configs/pedal_three.toml")
+    _, _, found = depends(shipped("configs/pedal_three.toml"))
     own = [seen[0] for fault, seen in found.items() if fault.startswith("brake.channel_2_")]
     assert {one.component.name for one in own} == {"signal chassis.PED_Brake3.Ch2"}
     assert sum(one.power for one in own) == pytest.approx(0.9)
@@ -107,7 +110,7 @@ def test_a_sender_that_stands_for_nobody_is_no_ecu():
 
 
 def configured_by(more, tmp_path):
-    text = (ROOT / "configs/signals.toml").read_text().replace("../dbc", str(ROOT / "dbc"))
+    text = shipped("configs/signals.toml").read_text()
     path = tmp_path / "signals.toml"
     path.write_text(text + more)
     return depends(path)[2]
@@ -124,7 +127,7 @@ name = "G101"
 kind = "ground"
 feeds = ["Brakes", "Body"]
 """
-    before, found = depends(ROOT / "configs/signals.toml")[2], configured_by(supply, tmp_path)
+    before, found = depends(shipped("configs/signals.toml"))[2], configured_by(supply, tmp_path)
     of = "supply sensors_5V"
     assert {fault for fault, seen in found.items() if of in names(seen)} == {
         fault for fault, seen in before.items() if "signal chassis.WheelSpeeds.FL" in names(seen) or "FR" in fault

@@ -13,8 +13,6 @@ from gateway.bus.frames import CYCLIC, ERROR, empty, payload, put
 from gateway.engine.build import build_engine
 from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import InputError, InputErrors
-from gateway.jit import Record, f8, i8, kernel
 from gateway.monitors import contract
 from gateway.monitors.contract import (
     Emission,
@@ -26,6 +24,8 @@ from gateway.monitors.contract import (
     report,
 )
 from gateway.signals.database import load_database
+from gateway_fdi.errors import InputError, InputErrors
+from gateway_fdi.jit import Record, f8, i8, kernel
 
 DBC = """VERSION ""
 NS_ :

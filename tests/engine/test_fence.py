@@ -10,7 +10,6 @@ from battery_bus import PERIOD_NS, battery_database, voltages
 from gateway.engine.build import build_engine
 from gateway.engine.events import MONITOR_OFF, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.engine.instances import MonitorInstance
-from gateway.jit import BOUNDSCHECK, COMPILED, Record, f8, f8s, failure_of, i8, kernel
 from gateway.monitors import contract
 from gateway.monitors.contract import (
     LEAST_SLEEP_NS,
@@ -22,6 +21,7 @@ from gateway.monitors.contract import (
     Signal,
     report,
 )
+from gateway_fdi.jit import BOUNDSCHECK, COMPILED, Record, f8, f8s, failure_of, i8, kernel
 
 
 class State(Record):
@@ -180,7 +180,7 @@ def test_only_who_is_trusted_by_author_and_person_runs_without_checks(author, pe
 
 
 def test_ours_are_not_checked():
-    from gateway.monitors.crank.monitor import MONITOR
+    from gateway_plants.crank.monitor.monitor import MONITOR
 
     assert not MONITOR.outside
     assert GOOD.outside

@@ -14,9 +14,9 @@ from gateway.engine.events import (
     RESULT_CHANGED,
 )
 from gateway.engine.gate import Condition, CycleWatch, Gate
-from gateway.errors import InputError
 from gateway.monitors.contract import Debounce
 from gateway.signals.tables import SignalRef
+from gateway_fdi.errors import InputError
 
 BETA = SignalRef(0, "Beta", "Value")
 HIGH, SILENT = 0, 1

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from gateway.bus.frames import ERROR, REMOTE
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, RESULT_CHANGED
-from gateway.errors import InputError
 from gateway.monitors.contract import NOT_TESTED
+from gateway_fdi.errors import InputError
 
 
 def test_a_failure_is_debounced_qualified_and_carries_its_evidence(build, tools):

@@ -9,9 +9,9 @@ from gateway.engine.adopt import adopt
 from gateway.engine.build import build_engine
 from gateway.engine.checks.communication import CheckInstance, Params
 from gateway.engine.instances import MonitorInstance
-from gateway.jit import Record, f8, i8, kernel
 from gateway.monitors import contract
 from gateway.monitors.contract import Fault, Monitor, MonitorParams, Signal, report
+from gateway_fdi.jit import Record, f8, i8, kernel
 
 TIMEOUT_MS = 10.0
 

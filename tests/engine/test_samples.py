@@ -13,13 +13,13 @@ from gateway.bus.frames import empty, put
 from gateway.engine.adopt import adopt
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import InputError
-from gateway.jit import Record, f8s, i8, kernel
 from gateway.monitors import contract
 from gateway.monitors.conformance import check_type
 from gateway.monitors.contract import TIMER, Fault, Monitor, MonitorParams, Sampled, Signal
 from gateway.monitors.sampling import Sampling
 from gateway.signals.database import load_database
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import Record, f8s, i8, kernel
 
 DBC = """VERSION ""
 NS_ :

@@ -10,7 +10,6 @@ from stored_memories import fill, kept, listed
 from typer.testing import CliRunner
 
 from gateway.cli import app
-from gateway.errors import InputError
 from gateway.faults import chain, service
 from gateway.faults.explained import Cause, Ranked
 from gateway.faults.interventions import MOST, Intervention
@@ -18,6 +17,7 @@ from gateway.faults.records import Changes, Cycle, Permanent, Recording
 from gateway.faults.salvage import salvage
 from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
 from gateway.faults.store import Store
+from gateway_fdi.errors import InputError
 
 
 def change(path, *statements):

@@ -8,12 +8,12 @@ import pytest
 from fault_examples import event, nothing
 from stored_memories import fill, kept, listed
 
-from gateway.errors import InputError
 from gateway.faults import service
 from gateway.faults.kept import KeptStore
 from gateway.faults.outage import FIRST_NS
 from gateway.faults.salvage import salvage
 from gateway.faults.store import DamagedError
+from gateway_fdi.errors import InputError
 
 S = 1_000_000_000
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.errors import InputError
 from gateway.faults.dtc import Dtc, in_group
+from gateway_fdi.errors import InputError
 
 
 @given(st.integers(0, 0xFFFFFF))

@@ -7,13 +7,13 @@ import pytest
 from fault_examples import catalogue, event, nothing
 from stored_memories import fill, kept, listed
 
-from gateway.errors import InputError
 from gateway.faults import service
 from gateway.faults.kept import KeptStore
 from gateway.faults.lock import is_unsaved
 from gateway.faults.memory import FaultMemory
 from gateway.faults.outage import LONGEST_NS
 from gateway.faults.store import Store
+from gateway_fdi.errors import InputError
 
 S = 1_000_000_000
 

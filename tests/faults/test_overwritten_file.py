@@ -13,13 +13,13 @@ from amount import amount
 from fault_examples import event, frame, nothing
 from stored_memories import fill, kept, listed
 
-from gateway.errors import InputError
 from gateway.faults import service
 from gateway.faults.interventions import Intervention
 from gateway.faults.kept import KeptStore
 from gateway.faults.outage import LONGEST_NS
 from gateway.faults.records import Recording
 from gateway.faults.store import Store, StoreError
+from gateway_fdi.errors import InputError
 
 COUNT = 6
 

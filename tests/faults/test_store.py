@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 from fault_examples import AtOnce, catalogue, event, frame, nothing
 
-from gateway.errors import GatewayError, InputError
 from gateway.faults import service
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.dtc import Dtc
 from gateway.faults.memory import FaultMemory
 from gateway.faults.status import Status
 from gateway.faults.store import Store
+from gateway_fdi.errors import GatewayError, InputError
 
 
 def test_everything_survives_a_restart(tmp_path):

@@ -7,16 +7,16 @@ import pytest
 from amount import examples
 from filterpy.common import van_loan_discretization
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
-from gateway_studies.steering.filters import ekf_dq, luenberger, reduced_luenberger
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
-from gateway.fdi.filters import ekf_alpha_beta, feedforward, gaussian, motor
-from gateway.fdi.filters.motor import Motor
-from gateway.fdi.filters.transforms import clarke, inverse_clarke, inverse_park, park, wrap
-from gateway.jit import zeros
+from gateway_fdi.filters import ekf_alpha_beta, feedforward, gaussian, motor
+from gateway_fdi.filters.motor import Motor
+from gateway_fdi.filters.transforms import clarke, inverse_clarke, inverse_park, park, wrap
+from gateway_fdi.jit import zeros
+from gateway_plants.steering.study.filters import ekf_dq, luenberger, reduced_luenberger
 
 M = Motor()
 T = 1e-3

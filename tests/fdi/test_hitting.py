@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from amount import amount
 
-from gateway.fdi.hitting import NEVER, HittingSets, bits, grown_by
+from gateway_fdi.hitting import NEVER, HittingSets, bits, grown_by
 
 SEED = 4701
 

@@ -6,9 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from gateway.fdi.filters import ekf_alpha_beta, feedforward
-from gateway.fdi.filters.motor import Motor
-from gateway.jit import COMPILED, zeros
+from gateway_fdi.filters import ekf_alpha_beta, feedforward
+from gateway_fdi.filters.motor import Motor
+from gateway_fdi.jit import COMPILED, zeros
 
 pytestmark = [
     pytest.mark.long,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm
 
-from gateway.fdi.quantiles import chi2_above, normal_above
+from gateway_fdi.quantiles import chi2_above, normal_above
 
 
 @pytest.mark.parametrize("share", [0.4, 0.05, 1e-4, 1e-9])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from gateway.fdi.slow import filter as slow
-from gateway.fdi.slow import lag
-from gateway.jit import zeros
+from gateway_fdi.jit import zeros
+from gateway_fdi.slow import filter as slow
+from gateway_fdi.slow import lag
 
 SEED = 4711
 

@@ -6,8 +6,9 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.fdi import distances, stopping
-from gateway.jit import zeros
+from gateway_fdi import stopping
+from gateway_fdi.jit import zeros
+from gateway_plants.steering import distances
 
 values = st.lists(st.floats(-5, 5), min_size=1, max_size=150)
 

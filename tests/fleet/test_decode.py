@@ -19,13 +19,13 @@ from hypothesis import strategies as st
 from random_messages import messages
 from typer.testing import CliRunner
 
+from gateway.bus.corpus import find
 from gateway.bus.frames import ERROR, EXTENDED, REMOTE, empty, put
 from gateway.bus.logs import open_writer
 from gateway.cli import app
-from gateway.errors import InputError, InputErrors
-from gateway.fleet.corpus import find
-from gateway.fleet.lake import Lake
+from gateway.decode.lake import Lake
 from gateway.signals.database import Database, load_database
+from gateway_fdi.errors import InputError, InputErrors
 
 S = 10**9
 BEGIN_NS = 1_700_000_000 * S

@@ -2,9 +2,9 @@
 
 import pytest
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.fleet.task import digest_of
+from gateway_fdi.common.resources import shipped
+from gateway_fleet.fleet.task import digest_of
 
 
 @pytest.fixture
@@ -13,7 +13,7 @@ def config(tmp_path):
     for name in ("models/motor.toml", "dbc/motor.dbc"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(shipped(name).read_bytes())
-    text = shipped("configs/motor.toml").read_text().replace("../models", "models").replace("../dbc", "dbc")
+    text = shipped("configs/motor.toml").read_text()
     (tmp_path / "car.toml").write_text(text)
     return tmp_path / "car.toml"
 

@@ -10,13 +10,13 @@ from duck import ask
 from fleet_logs import tables_hash, write_config, write_fleet, write_log
 from typer.testing import CliRunner
 
+from gateway.bus.corpus import find
 from gateway.cli import app
-from gateway.errors import InputError
-from gateway.fleet.corpus import find
-from gateway.fleet.diff import diff
-from gateway.fleet.run import Order, run
-from gateway.fleet.task import MOST_EVENTS, _Watch
-from gateway.fleet.verdicts import Verdicts
+from gateway_fdi.errors import InputError
+from gateway_fleet.fleet.diff import diff
+from gateway_fleet.fleet.run import Order, run
+from gateway_fleet.fleet.task import MOST_EVENTS, _Watch
+from gateway_fleet.fleet.verdicts import Verdicts
 
 
 @pytest.fixture

@@ -16,17 +16,17 @@ import pytest
 from amount import amount
 from fleet_logs import tables_hash, write_config, write_fleet
 
-from gateway.fleet.corpus import find
-from gateway.fleet.pool import Pool, Workers
-from gateway.fleet.run import Order, run
-from gateway.fleet.verdicts import Verdicts
+from gateway.bus.corpus import find
+from gateway.common.pool import Pool, Workers
+from gateway_fleet.fleet.run import Order, run
+from gateway_fleet.fleet.verdicts import Verdicts
 
 pytestmark = [pytest.mark.long, pytest.mark.system]
 
 #: Loaded by workers: a log of this name kills the worker that judges it.
 POISON = """
 import os, signal
-from gateway.fleet import task
+from gateway_fleet.fleet import task
 
 judged = getattr(task, "before", task._judged)  # Dask loads this twice
 task.before = judged

@@ -10,9 +10,9 @@ import numpy as np
 
 from gateway.bus.base import Bus
 from gateway.bus.frames import empty
-from gateway.errors import BusError
 from gateway.live.clock import Clock
 from gateway.live.machine import Machine
+from gateway_fdi.errors import BusError
 
 MS = 1_000_000
 #: Frames that wait on a bus before more are lost.

@@ -9,9 +9,9 @@ from amount import amount
 
 from gateway.bus.frames import empty, payload, put
 from gateway.engine.checks.communication import CheckInstance, Params
-from gateway.errors import InputError
 from gateway.runtime.injection import FRAME_KINDS, SIGNAL_KINDS, Injection, Injector, parse_injection
 from gateway.signals.database import load_database
+from gateway_fdi.errors import InputError
 
 DBC = (
     'VERSION ""\nNS_ :\nBS_:\nBU_: A\n'
@@ -75,8 +75,8 @@ def test_a_fault_of_a_signal_changes_it_alone_and_leaves_the_protection_right(ca
         assert len(out) == len(frames)
         assert injector.count == 100
         held, turn = None, 1
-        from gateway.learn.judged import Payloads, judged
         from gateway.signals.protection.params import protection_for
+        from gateway_fleet.learn.judged import Payloads, judged
 
         for before, after in zip(mine(frames), mine(out), strict=True):
             was, now = (twin.decode(payload(frame), decode_choices=False) for frame in (before, after))

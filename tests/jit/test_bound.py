@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.jit import COMPILED, Same, bound, kernel
+from gateway_fdi.jit import COMPILED, Same, bound, kernel
 
 PAIR = np.dtype([("low", "<u4"), ("high", "<u4")])
 NONE = np.zeros(0, PAIR)

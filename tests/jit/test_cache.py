@@ -6,9 +6,9 @@ import sys
 
 import pytest
 
-from gateway.common import progress
-from gateway.jit import COMPILED, cache
-from gateway.jit.cache import Code
+from gateway_fdi.common import progress
+from gateway_fdi.jit import COMPILED, cache
+from gateway_fdi.jit.cache import Code
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="not COMPILED: there is no cache")
 
@@ -17,7 +17,7 @@ CODE = Code("gateway_1", "i", ("sqrt",), b"\x00code\n\xff" * 50, {"kernel": "a:b
 #: A process that compiles a kernel of a file, says what it said, and prints 5.
 PROGRAM = """
 import sys
-from gateway.common import progress
+from gateway_fdi.common import progress
 import mine
 said = []
 progress.say = said.append
@@ -26,7 +26,7 @@ progress.listen(lambda name, done, total: compiled.append(name) if done == 0 els
 assert mine.plus(2, 3) == 5
 print(len(compiled), said)
 """
-MINE = "from gateway.jit import kernel\n\n\n@kernel\ndef plus(a, b):\n    return a + b\n"
+MINE = "from gateway_fdi.jit import kernel\n\n\n@kernel\ndef plus(a, b):\n    return a + b\n"
 
 
 @pytest.fixture
@@ -216,7 +216,7 @@ def test_with_bounds_checks_an_index_outside_is_an_error_and_without_what_is_kep
 ):
     program = """
 import numpy as np
-from gateway.errors import KernelError
+from gateway_fdi.errors import KernelError
 from jit_kernels import at
 try:
     print(at(np.zeros(4)[:2], 2))

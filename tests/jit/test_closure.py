@@ -5,11 +5,11 @@ import sys
 
 import pytest
 
-from gateway.jit.closure import Closure
+from gateway_fdi.jit.closure import Closure
 
 USER = """\
 from helper import LIMIT, below
-from gateway.jit import kernel, record, f8
+from gateway_fdi.jit import kernel, record, f8
 import helper
 
 STATE = record(x=f8)
@@ -21,7 +21,7 @@ def step(s, x):
     s.x = x if below(x) else LIMIT
 """
 HELPER = """\
-from gateway.jit import kernel
+from gateway_fdi.jit import kernel
 LIMIT = 3.0
 UNUSED = 1
 

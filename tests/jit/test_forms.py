@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jit_kernels import PAIR, Both, several, sum_of, touch
 
-from gateway.errors import KernelError
-from gateway.jit import COMPILED, kernel
-from gateway.jit.forms import (
+from gateway_fdi.errors import KernelError
+from gateway_fdi.jit import COMPILED, kernel
+from gateway_fdi.jit.forms import (
     Arr,
     code_of,
     form_of,

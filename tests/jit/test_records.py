@@ -5,7 +5,7 @@ from typing import Annotated
 import numpy as np
 import pytest
 
-from gateway.jit import LINE, Record, f8, f8s, i8
+from gateway_fdi.jit import LINE, Record, f8, f8s, i8
 
 
 class Cell(Record):

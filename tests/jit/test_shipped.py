@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import gateway
-from gateway.jit import COMPILED, shipped
+from gateway_fdi.jit import COMPILED, shipped
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="not COMPILED: nothing is loaded")
 
@@ -25,7 +25,7 @@ def run(program, *arguments, root=ROOT, cache="/dev/null/none", **environment):
         cwd=root,
         env={
             **os.environ,
-            "PYTHONPATH": f"{root}{os.pathsep}{WITHOUT}",
+            "PYTHONPATH": os.pathsep.join([str(root), f"{root}/packages", str(WITHOUT)]),
             "GATEWAY_CACHE_DIR": str(cache),
             **environment,
         },
@@ -69,16 +69,17 @@ def test_the_daemon_s_kernels_and_the_structural_analysis_compile_nothing():
 
 @pytest.fixture
 def copy(tmp_path):
-    """Return a copy of the package that a test may change."""
-    shutil.copytree(PACKAGE, tmp_path / "gateway", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("dbc", "scenarios", "configs", "models", "cycles"):
+    """Return a copy of the packages that a test may change."""
+    for name in ("gateway", "packages"):
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("dbc", "scenarios"):
         (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "gateway.toml").symlink_to(ROOT / "gateway.toml")
     return tmp_path
 
 
 MADE_READY = """
-from gateway.common import progress
+from gateway_fdi.common import progress
 names = set()
 progress.listen(lambda name, done, total: names.add(name))
 from gateway.cli.warmup import warmup
@@ -96,7 +97,7 @@ def edit(file, old, new):
 @pytest.mark.long
 def test_a_comment_compiles_nothing(copy):
     edit(copy / "gateway/cli/bus.py", '"""', '# a comment\n"""')
-    edit(copy / "gateway/monitors/pedal/diagnosis.py", '"""', '# a comment\n"""')
+    edit(copy / "packages/gateway_plants/pedal/monitor/diagnosis.py", '"""', '# a comment\n"""')
     ended = run(MADE_READY, root=copy, GATEWAY_KERNELS="shipped")
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.strip().endswith("[]")
@@ -122,7 +123,8 @@ def test_damaged_shipped_code_is_not_loaded(copy, tmp_path):
 @pytest.mark.long
 def test_where_no_object_fits_bitcode_is_translated_once(copy, tmp_path):
     for level in ("x86_64", "x86_64_v3", "aarch64"):
-        shutil.rmtree(copy / "gateway/precompiled" / level)
+        for folder in copy.glob(f"**/precompiled/{level}"):
+            shutil.rmtree(folder)
     cache = tmp_path / "cache"
     some = ("demo", "pedal_emergency")
     ended = run(COMMAND, *some, root=copy, cache=cache, GATEWAY_KERNELS="shipped")
@@ -144,7 +146,7 @@ from gateway.cli import main
 try:
     main()
 finally:
-    assert not sys.modules["gateway.jit"].COMPILED
+    assert not sys.modules["gateway_fdi.jit"].COMPILED
 """
     ended = run(program, "check")
     assert ended.returncode == 0, ended.stderr

@@ -16,10 +16,10 @@ from command import command
 from learning import asked, drive, quiet
 
 from gateway.config.load import load_config
-from gateway.errors import InputError, InputErrors
-from gateway.learn.learn import learn
-from gateway.learn.lines import CHECK, RULE, SIGNAL
 from gateway.runtime.app import Gateway
+from gateway_fdi.errors import InputError, InputErrors
+from gateway_fleet.learn.learn import learn
+from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL
 
 ROOT = Path(__file__).parents[2]
 DRIVE = ROOT / "examples/car/drive.log.xz"

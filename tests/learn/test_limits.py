@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gateway.learn.relations import LESS, TIMES, _delay, _fitted, relations
-from gateway.learn.tails import HOURS, SHARERS, block_maxima, limit_above, sustained
+from gateway_fleet.learn.relations import LESS, TIMES, _delay, _fitted, relations
+from gateway_fleet.learn.tails import HOURS, SHARERS, block_maxima, limit_above, sustained
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from gateway.learn.course import Courses
-from gateway.learn.document import BusAsked
-from gateway.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, sending, timeout_ms
-from gateway.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
-from gateway.learn.merge import File
-from gateway.learn.relations import relations
-from gateway.learn.state import Kept
-from gateway.learn.update import add_before
+from gateway_fleet.learn.course import Courses
+from gateway_fleet.learn.document import BusAsked
+from gateway_fleet.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, sending, timeout_ms
+from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
+from gateway_fleet.learn.merge import File
+from gateway_fleet.learn.relations import relations
+from gateway_fleet.learn.state import Kept
+from gateway_fleet.learn.update import add_before
 
 MS = 1_000_000
 

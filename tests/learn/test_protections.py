@@ -12,15 +12,15 @@ from e2e_frames import CASES, DATABASES, E2E, drawn
 from opendbc.can.dbc import DBC
 from opendbc.can.packer import CANPacker
 
-from gateway.learn.claims import proven
-from gateway.learn.counters import of_raw
-from gateway.learn.judged import Payloads, judged
-from gateway.learn.protections import protection_found
 from gateway.signals.bits import field_of
 from gateway.signals.database import load_database
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import Crc
 from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill, protect_all
+from gateway_fleet.learn.claims import proven
+from gateway_fleet.learn.counters import of_raw
+from gateway_fleet.learn.judged import Payloads, judged
+from gateway_fleet.learn.protections import protection_found
 
 NOWHERE = Path("made_up.dbc")
 

@@ -3,14 +3,14 @@
 import random
 
 import pytest
-from gateway_studies.wire.replayed import through
 from learning import asked, drive, quiet
 
 from gateway.bus.ring import read_recording
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
-from gateway.learn.learn import learn
-from gateway.learn.lines import SIGNAL
+from gateway_bench.wire.replayed import through
+from gateway_fleet.learn.learn import learn
+from gateway_fleet.learn.lines import SIGNAL
 
 DBC = (
     'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 Pedal: 8 A\n SG_ Travel : 0|16@1+ (0.1,0) [0|6553.5] "mm" A\n'

@@ -5,15 +5,15 @@ import random
 import numpy as np
 import pytest
 from learning import asked, drive, quiet
-from wire.replayed import through
 
 from gateway.bus.ring import read_recording
-from gateway.cli.learn import learn_car
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
-from gateway.learn.gaps import CYCLIC, Gaps, lost_share, sending, timeout_ms
-from gateway.learn.learn import learn
-from gateway.learn.lines import CHECK
+from gateway_bench.wire.replayed import through
+from gateway_fleet.cli.learn import learn_car
+from gateway_fleet.learn.gaps import CYCLIC, Gaps, lost_share, sending, timeout_ms
+from gateway_fleet.learn.learn import learn
+from gateway_fleet.learn.lines import CHECK
 
 MS = 1_000_000
 IDS = (256, 512, 768, 1024)

@@ -8,16 +8,16 @@ from daemon_rig import TURN_NS, World
 from shared_signal import frames as car_frames
 from shared_signal import write as write_car
 
+from gateway.bus.corpus import find
 from gateway.bus.logs import open_writer
 from gateway.cli.replay import replay
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.faults import service
-from gateway.fleet.corpus import find
-from gateway.fleet.run import Order, run
-from gateway.fleet.verdicts import Verdicts
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
+from gateway_fleet.fleet.run import Order, run
+from gateway_fleet.fleet.verdicts import Verdicts
 
 URI = "virtual:a"
 

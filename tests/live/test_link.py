@@ -6,9 +6,9 @@ import pytest
 from gateway.bus.base import Bus
 from gateway.bus.conditions import LOSS, LOST, RUNNING
 from gateway.bus.frames import ERROR, empty, put
-from gateway.errors import BusError, InputError, UnsupportedError
 from gateway.live.clock import Clock
 from gateway.live.link import LONGEST_WAIT_S, Link
+from gateway_fdi.errors import BusError, InputError, UnsupportedError
 
 
 class Cable(Bus):

@@ -9,10 +9,10 @@ import pytest
 from daemon_rig import World
 from reporting import write_config
 
-from gateway.errors import InputError
 from gateway.live import report_socket as module
 from gateway.live.unix_socket import groups_of, listen_at
 from gateway.serve.metrics import Metrics
+from gateway_fdi.errors import InputError
 
 HOT, SLOW, BLIND = "battery.hot", "battery.slow", "camera.blind"
 
@@ -270,7 +270,7 @@ def test_another_gateways_socket_is_not_taken(bench, tmp_path):
 class Told:
     """As much of the page's hub as metrics ask for."""
 
-    connected, monitoring, memory = True, {"on": True}, {"entries": [], "status": {}, "stored": True}
+    connected, monitoring, memory = True, {"on": True}, {"entries": [], "cases": [], "status": {}, "stored": True}
     hello, worst, buses, counters, missed, refused = {"faults": []}, {}, [], {}, 0, 0
 
     def __init__(self, reporters):

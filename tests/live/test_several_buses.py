@@ -7,15 +7,15 @@ import pytest
 
 from gateway.bus.base import Bus
 from gateway.bus.frames import empty
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.errors import InputError, InputErrors
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError, InputErrors
 
 CHANNELS = """
 [[monitor.channel]]
@@ -41,7 +41,7 @@ BUS = """
 [[bus]]
 name = "{name}"
 uri = "virtual:{name}"
-database = ["{folder}/pedal.dbc"]
+database = ["dbc/pedal.dbc"]
 """
 
 MONITOR = """
@@ -57,7 +57,7 @@ STEP_NS = 300_000
 
 def config_of(tmp_path, buses, first="", second=""):
     path = tmp_path / f"{len(buses)}.toml"
-    text = "".join(BUS.format(name=name, folder=shipped("dbc")) for name in buses)
+    text = "".join(BUS.format(name=name) for name in buses)
     text += MONITOR.format(bus=buses[0]) + CHANNELS.format(first=first, second=second)
     path.write_text(text)
     return load_config(path)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import ANSWER, CYCLIC, URGENT, empty, put
-from gateway.errors import BusError
 from gateway.live.transmit import MOST, Transmitter
+from gateway_fdi.errors import BusError
 
 
 class Full(Bus):

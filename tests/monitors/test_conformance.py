@@ -10,8 +10,6 @@ from battery_bus import battery_database, voltages
 from gateway.engine.build import build_engine
 from gateway.engine.events import QUALIFIED_FAILED
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import InputError
-from gateway.jit import COMPILED, Record, f8, f8s, i8, kernel, labels, means
 from gateway.monitors import contract
 from gateway.monitors.conformance import accepted
 from gateway.monitors.contract import (
@@ -26,6 +24,8 @@ from gateway.monitors.contract import (
     Signal,
     report,
 )
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import COMPILED, Record, f8, f8s, i8, kernel, labels, means
 
 
 class Params(MonitorParams):

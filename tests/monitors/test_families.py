@@ -8,11 +8,11 @@ import pytest
 
 from gateway.config.model import MonitorConfig
 from gateway.config.monitor_types import monitor_of
-from gateway.errors import InputError
-from gateway.jit import Record, f8, f8s, i8s, kernel
 from gateway.monitors import contract, registry
 from gateway.monitors.conformance import accepted, made
 from gateway.monitors.contract import Family, Fault, Monitor, MonitorParams, Notes, Signal
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import Record, f8, f8s, i8s, kernel
 
 DBC = """VERSION ""
 NS_ :

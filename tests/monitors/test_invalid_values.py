@@ -5,7 +5,7 @@ import pytest
 from float_twin import spoiled, twin
 
 from gateway.engine.events import QUALIFIED_FAILED
-from gateway.jit import COMPILED
+from gateway_fdi.jit import COMPILED
 
 #: Scenario and how long it is played [s].
 SCENARIOS = {

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from gateway.config.codes import codes_of_messages, network_codes
 from gateway.config.load import load_config
 from gateway.config.model import Config
-from gateway.errors import InputError
 from gateway.monitors.network_codes import NetworkCodes
 from gateway.runtime.app import Gateway
 from gateway.signals.database import load_database
+from gateway_fdi.errors import InputError
 
 MESSAGES = [f"M{k}" for k in range(700)]  # more than there are pairs
 

@@ -6,9 +6,9 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.jit import zeros
 from gateway.monitors import sampling
 from gateway.monitors.sampling import OVERTAKEN, SAMPLE, WAITS, Sampling
+from gateway_fdi.jit import zeros
 
 PERIOD = 1_000_000
 BEGIN = 10**9

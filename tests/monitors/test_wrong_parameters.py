@@ -12,14 +12,14 @@ import tomlkit
 from amount import FULL
 from pydantic import BaseModel
 
-from gateway.common.resources import shipped
-from gateway.common.tomlfile import read_toml
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway.errors import InputError, InputErrors
-from gateway.jit import COMPILED
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.common.tomlfile import read_toml
+from gateway_fdi.errors import InputError, InputErrors
+from gateway_fdi.jit import COMPILED
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="nothing is stepped")
 
@@ -106,9 +106,6 @@ def test_check_names_what_is_wrong_by_its_key(tmp_path):
         text = tomlkit.dumps({"name": "t", "bus": table["bus"], "monitor": [put(entry, path, VALUES[value])]})
         file = tmp_path / "configs" / "c.toml"
         file.parent.mkdir(exist_ok=True)
-        for folder in ("dbc", "models", "cycles"):
-            if not (tmp_path / folder).exists():
-                (tmp_path / folder).symlink_to(shipped(folder))
         file.write_text(text)
         key = "monitor[0]" + "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
         try:

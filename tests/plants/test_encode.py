@@ -3,12 +3,12 @@
 import cantools
 import numpy as np
 import pytest
-from gateway_studies.wire.encode import frames_of
 
 from gateway.bus.frames import payload
-from gateway.common.resources import shipped
 from gateway.signals.protection.own import prepared
 from gateway.signals.protection.protection import protect_all
+from gateway_bench.wire.encode import frames_of
+from gateway_fdi.common.resources import shipped
 
 CRCS = {"PED_Brake": "Crc", "PED_Brake3": "Crc", "PED_Accelerator": "Crc"}
 CRCS |= {"AFS_MotCur": "CRC_cur", "AFS_MotVol": "CRC_vol", "AFS_Angle": "CRC_ang", "SAS_Angle": "CRC_sas"}

@@ -8,7 +8,7 @@ import pytest
 from foreign_project import ROOT, properties, run
 from junitparser import JUnitXml
 
-from gateway.pytest_plugin.fixtures import left_in
+from gateway_bench.pytest_plugin.fixtures import left_in
 
 EXAMPLE = ROOT / "examples" / "battery_voltage"
 DRAINED = (EXAMPLE / "drained.toml").read_text().replace('"gateway.toml"', '"../gateway.toml"')
@@ -180,7 +180,7 @@ def test_what_fails_says_what_was_seen(project, artifacts):
         "can.log",
     ):
         assert text in said, text
-    assert "gateway/pytest_plugin/" not in said  # the way through our own code helps nobody
+    assert "packages/gateway_bench/pytest_plugin/" not in said  # the way through our own code helps nobody
     [log] = [line for line in said.splitlines() if line.strip().endswith("can.log")]
     assert Path(log.strip()).stat().st_size > 1000
     wanted = project / "left" / "tests" / "test_battery" / "test_too_early" / "can.log"
@@ -196,7 +196,7 @@ def test_who_does_not_ask_gets_nothing(project):
     (project / "tests" / "test_plain.py").write_text(
         "import sys\n\ndef test_nothing(request):\n"
         "    assert not [name for name in sys.modules if name.split('.')[0] in ('gateway', 'cantools', 'numpy')]\n"
-        "    assert request.config.pluginmanager.get_plugin('gateway.pytest_plugin.plugin') is None\n"
+        "    assert request.config.pluginmanager.get_plugin('gateway_bench.pytest_plugin.plugin') is None\n"
         "    with __import__('pytest').raises(Exception, match='gateway_bench'):\n"
         "        request.getfixturevalue('gateway_bench')\n"
     )
@@ -214,4 +214,4 @@ def test_a_folder_that_is_not_there_is_told(project):
 def test_the_door_is_an_entry_point():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     assert project["project"]["entry-points"]["pytest11"] == {"gateway": "gateway_pytest"}
-    assert "gateway_pytest" in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+    assert "packages/gateway_pytest" in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]

@@ -28,10 +28,10 @@ from hostile import PATIENCE_S, attacks, request, said, slow_clients, was_sent_a
 from kernel_can import wait_for
 from processes import bus, gateway, process
 
-from gateway.errors import InputError
 from gateway.serve.app import MOST_VIEWERS
 from gateway.serve.guard import is_loopback
 from gateway.serve.server import MOST_CONNECTIONS, ServeSettings, rights_of
+from gateway_fdi.errors import InputError
 
 pytestmark = pytest.mark.system
 
@@ -100,7 +100,7 @@ def site(tmp_path_factory):
     )  # fmt: skip
     with bus(folder) as uri:
         text = (ROOT / "gateway.toml").read_text().replace("loopback:127.0.0.1:29536", uri)
-        (folder / "gateway.toml").write_text(text.replace('"dbc/', f'"{ROOT}/dbc/'))
+        (folder / "gateway.toml").write_text(text)
         with (
             process("run", "gateway.toml", "--status", "status", cwd=folder, ready="monitoring"),
             process("serve", "--status", "status", "--port", "0", *tokens, cwd=folder, ready="page:") as page,

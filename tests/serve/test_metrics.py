@@ -10,13 +10,13 @@ import pytest
 from debian import program
 from prometheus_client.parser import text_string_to_metric_families
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.engine.buckets import TickRow
 from gateway.live.status import _described
 from gateway.runtime.app import Gateway
 from gateway.serve.hub import Hub
 from gateway.serve.metrics import Metrics
+from gateway_fdi.common.resources import shipped
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 

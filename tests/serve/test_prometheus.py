@@ -54,7 +54,7 @@ def failing_gateway(folder):
     """A gateway with its page, and a virtual ECU that fails; yields the page's address."""
     with bus(folder) as uri:
         text = (ROOT / "gateway.toml").read_text().replace("loopback:127.0.0.1:29536", uri)
-        (folder / "gateway.toml").write_text(text.replace('"dbc/', f'"{ROOT}/dbc/'))
+        (folder / "gateway.toml").write_text(text)
         options = {"cwd": folder}
         with (
             process("run", "gateway.toml", "--status", "status", ready="monitoring", **options),

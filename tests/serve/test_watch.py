@@ -7,12 +7,12 @@ import pytest
 from rich.console import Console
 
 from gateway.cli.watch import drawn, told, watch
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.engine.buckets import TickRow
 from gateway.live.status import _described
 from gateway.runtime.app import Gateway
 from gateway.serve.hub import Hub
+from gateway_fdi.common.resources import shipped
 
 
 @pytest.fixture

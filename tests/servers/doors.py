@@ -13,12 +13,12 @@ from test_access import STANDS, by_j1939, by_mode_04
 from uds_tester import EXTRA, Asked
 
 from gateway.cli.faults import clear_faults
-from gateway.errors import GatewayError
 from gateway.live.status import StatusSocket
 from gateway.serve.app import Page
 from gateway.serve.guard import Guard, Rights
 from gateway.serve.hub import Hub
 from gateway.serve.wire import Splitter
+from gateway_fdi.errors import GatewayError
 
 TOKEN = "control"
 HEAD = {"host": "127.0.0.1", "content-type": "application/json"}

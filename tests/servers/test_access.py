@@ -9,8 +9,8 @@ from gateway.bus.conditions import LOST
 from gateway.bus.frames import ERROR
 from gateway.cli.check import _ways_around, secrets_shown
 from gateway.config.load import load_config
-from gateway.errors import InputErrors
 from gateway.servers.uds.security import hmac_sha256
+from gateway_fdi.errors import InputErrors
 
 SECRET = "00112233"
 LEVEL = f'security = [{{ level = 1, secret = "{SECRET}" }}]\n'

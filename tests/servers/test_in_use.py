@@ -10,8 +10,8 @@ from test_j1939 import ALL, Bus, coded, pgn_id
 
 from gateway.bus.frames import empty, put
 from gateway.config.load import load_config
-from gateway.errors import InputErrors
 from gateway.runtime.usage_meter import UsageMeter
+from gateway_fdi.errors import InputErrors
 
 DM20, DM21, DM11 = 0xC200, 0xC100, 0xFED3
 #: Speed is M1 [km/h], engine speed M0, distance M2 [km].

@@ -6,7 +6,7 @@ from test_access import LEVEL, unlock
 from uds_tester import Asked
 
 from gateway.config.load import load_config
-from gateway.errors import InputErrors
+from gateway_fdi.errors import InputErrors
 
 FURTHER = "further = [{ request = 0x7E4, response = 0x7EC }, { request = 0x18DA10F1, response = 0x18DAF110 }]\n"
 

@@ -15,10 +15,10 @@ import pytest
 from cantools.database.errors import DecodeError
 
 from gateway.bus.frames import empty, put
-from gateway.errors import InputError
 from gateway.signals.database import load_database
 from gateway.signals.decode import OK, decode
 from gateway.signals.tables import SignalRef, compile_plan
+from gateway_fdi.errors import InputError
 
 SEED = 20260
 PAYLOADS = 40
@@ -45,7 +45,6 @@ REFUSED = {
         "environment_variable_data.dbc": "no messages",
         "environment_variable_multiple_access_nodes.dbc": "no messages",
         "incorrect-sig_valtype.dbc": "bad on purpose",
-        "issue_199_extended.dbc": "identifier too long, bad on purpose",
         "issue_62.dbc": "no messages",
     },
     "kcd": {"empty.kcd": "no messages"},

@@ -5,9 +5,9 @@ import re
 import pytest
 from opendbc.dbc.generator.generator import generate_all
 
-from gateway.errors import InputError
 from gateway.signals.database import load_database
 from gateway.signals.dialect import mended
+from gateway_fdi.errors import InputError
 
 DATABASES = generate_all()
 

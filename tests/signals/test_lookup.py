@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import EXTENDED, empty, put
-from gateway.errors import InputError
 from gateway.signals.database import Database, load_database
 from gateway.signals.decode import hashed, lookup
 from gateway.signals.tables import compile_plan
+from gateway_fdi.errors import InputError
 
 
 def message(name, can_id, extended=False, protocol=None, signals=()):

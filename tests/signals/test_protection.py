@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from opendbc.can.dbc import DBC
 from opendbc.can.packer import CANPacker
 
-from gateway.errors import InputError
 from gateway.signals.bits import Field, field_at, mask_of, place
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import Crc
@@ -21,6 +20,7 @@ from gateway.signals.protection.e2e import Header, protection_of
 from gateway.signals.protection.judge import FRAME_CONSTANT, FRAME_OK, judge_frame
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill, protect
 from gateway.signals.protection.rules import RULES, Frame
+from gateway_fdi.errors import InputError
 
 
 class Checked:

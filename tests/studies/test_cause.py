@@ -2,8 +2,9 @@
 
 import pytest
 from amount import amount
-from gateway_studies.cause.cases import faults
-from gateway_studies.cause.matrix import Job, pair_of, run
+
+from gateway_fleet.study.cause.cases import faults
+from gateway_fleet.study.cause.matrix import Job, pair_of, run
 
 SEED = 31
 #: Plant -> its faults that are tried: sensors, actuators, plants, messages.

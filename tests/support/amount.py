@@ -8,7 +8,7 @@ Nothing: what CI runs; studies are sampled. ``full``: every case of every study,
 
 import os
 
-from gateway.jit import COMPILED
+from gateway_fdi.jit import COMPILED
 
 SIZES = ("small", "", "full")
 SIZE = os.environ.get("GATEWAY_TESTS", "")

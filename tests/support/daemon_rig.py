@@ -5,10 +5,10 @@ from functools import partial
 
 from gateway.bus.base import Bus
 from gateway.bus.frames import put
-from gateway.errors import BusError
 from gateway.live.clock import Clock
 from gateway.live.daemon import Daemon
 from gateway.live.machine import Machine
+from gateway_fdi.errors import BusError
 
 MS = 1_000_000
 #: Time between two turns of the loop [ns].

@@ -8,7 +8,7 @@ import own_message
 
 from gateway.bus.frames import empty
 from gateway.bus.logs import open_writer
-from gateway.fleet.verdicts import TABLES, Verdicts
+from gateway_fleet.fleet.verdicts import TABLES, Verdicts
 
 DBC = f"""{own_message.DBC}\
  SG_ Speed : 16|16@1+ (0.01,0) [0|655] "km/h" B

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.bus.frames import FD, empty, payload
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
 from gateway.runtime.app import prepare
 from gateway.signals.database import load_database
-from gateway.vecu.player import Player
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
 
 
 @dataclass

@@ -23,7 +23,8 @@ def environment():
     )
     if said.stdout.strip().startswith(f"{ROOT}{os.sep}"):
         return alone | {"PYTHONPATH": WITHOUT}
-    return found | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", ""), WITHOUT])}
+    places = [str(ROOT), str(ROOT / "packages"), os.environ.get("PYTHONPATH", ""), WITHOUT]
+    return found | {"PYTHONPATH": os.pathsep.join(places)}
 
 
 def run(folder, *arguments):

@@ -1,8 +1,8 @@
-"""Small kernels for the tests of gateway.jit."""
+"""Small kernels for the tests of gateway_fdi.jit."""
 
 from typing import Any, NamedTuple
 
-from gateway.jit import f8, i8, kernel, record
+from gateway_fdi.jit import f8, i8, kernel, record
 
 PAIR = record(whole=i8, ratio=f8)
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from gateway.bus.frames import empty, put
 from gateway.bus.logs import open_writer
-from gateway.learn.document import BusAsked
-from gateway.learn.learn import Asked
+from gateway_fleet.learn.document import BusAsked
+from gateway_fleet.learn.learn import Asked
 
 DATABASE = Path(__file__).parents[2] / "examples/car/toyota_rav4.dbc"
 

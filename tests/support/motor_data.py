@@ -4,7 +4,7 @@ import cantools
 import numpy as np
 
 from gateway.bus.frames import empty, put
-from gateway.common.resources import shipped
+from gateway_fdi.common.resources import shipped
 
 #: Time between two samples [s]; parameters of the model.
 DT = 0.01

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gateway.fdi.structure.model import Equation, Model, Solvable
+from gateway_fdi.structure.model import Equation, Model, Solvable
 
 SOLVABLE = list(Solvable)
 

@@ -2,9 +2,9 @@
 
 import math
 
-from gateway.fdi.diagnosis.diagnoser import Diagnoser
-from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED
-from gateway.fdi.diagnosis.system import Component, Link, Test
+from gateway_fdi.diagnosis.diagnoser import Diagnoser
+from gateway_fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED
+from gateway_fdi.diagnosis.system import Component, Link, Test
 
 
 def a_system(rng, most=16):

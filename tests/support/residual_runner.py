@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gateway.jit import zeros
+from gateway_fdi.jit import zeros
 
 
 class Runner:

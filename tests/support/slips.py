@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from gateway.common.resources import shipped
+from gateway_fdi.common.resources import shipped
 
 STEP = "    s.lowest = min(s.lowest, u.volts)\n"
 STATE = '    lowest: f8 = means("lowest voltage so far", "V")\n'
@@ -215,7 +215,7 @@ def running_source(type_: str, *, loops: bool = False) -> str:
     if loops:
         branches += "    while u.volts > 40.0:\n        s.count += 1\n"
     edits = {
-        FIRST: f"{FIRST}from typing import Annotated\n\nfrom gateway.jit import f8s, i8\n",
+        FIRST: f"{FIRST}from typing import Annotated\n\nfrom gateway_fdi.jit import f8s, i8\n",
         "class State(Record):": "class TooMuch(Exception):\n    pass\n\n\nclass State(Record):",
         STATE: f"{STATE}    cells: Annotated[f8s, 3]\n    count: i8\n    nothing: i8\n",
         "    hysteresis: f8\n": "    hysteresis: f8\n    nan: f8\n    inf: f8\n    above: f8\n    slip: i8\n",

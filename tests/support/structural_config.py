@@ -1,9 +1,9 @@
 """Configurations with a monitor of models/motor.toml, or of another model on its messages."""
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
+from gateway_fdi.common.resources import shipped
 
 #: What healthy drives give (test_calibration.py), rounded up.
 NU = {"e1": 0.065, "e1_2": 0.072, "e5": 0.95, "e5_2": 0.8}

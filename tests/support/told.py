@@ -2,10 +2,10 @@
 
 from rig import Rig, write_config
 
-from gateway.common.resources import shipped
 from gateway.faults import service
 from gateway.faults.dtc import Dtc
 from gateway.servers.dtc_frame import message_of
+from gateway_fdi.common.resources import shipped
 
 FRAMES = "[output.dtc_frame]\nmin_interval_ms = 0\ncycle_ms = 60000.0\n"
 MESSAGE = message_of(shipped("dbc/gateway.dbc"))

@@ -4,13 +4,13 @@ import functools
 
 import numpy as np
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.monitors.truck.params import QUANTITIES
 from gateway.runtime.app import Gateway
-from gateway.vecu.truck.drive import drive
-from gateway.vecu.truck.ecu import frames_of
-from gateway.vecu.truck.params import TruckFault, TruckParams
+from gateway_fdi.common.resources import shipped
+from gateway_plants.truck.ecu.drive import drive
+from gateway_plants.truck.ecu.ecu import frames_of
+from gateway_plants.truck.ecu.params import TruckFault, TruckParams
+from gateway_plants.truck.monitor.params import QUANTITIES
 
 TRUCK = TruckParams(type="truck")
 

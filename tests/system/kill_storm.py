@@ -8,8 +8,8 @@ import can
 import cantools
 from processes import GATEWAY
 
-from gateway.common.resources import shipped
 from gateway.faults.dtc import Dtc
+from gateway_fdi.common.resources import shipped
 
 MESSAGES = 8
 #: The DTC that says that what is told now is not stored.

@@ -13,9 +13,9 @@ import pytest
 from amount import amount
 from kernel_can import daemon
 
-from gateway.cli.simulate import simulate
-from gateway.common.resources import shipped
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.cli.simulate import simulate
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import all_shipped, shipped
 
 #: How often a scenario is played, of which a busy machine let too little through in time.
 ATTEMPTS = 4
@@ -33,7 +33,7 @@ def some(paths, part=1):
 def by_config(ecu):
     """Return the names of the scenarios of a kind of virtual ECU (None: of all), by configuration."""
     found = {}
-    for path in sorted(shipped("scenarios").glob("*.toml")):
+    for path in all_shipped("scenarios", ".toml"):
         scenario = load_scenario(path)
         if ecu is None or {entry.type for entry in scenario.ecu} == {ecu}:
             found.setdefault(str(scenario.config.resolve()), []).append(path)
@@ -47,10 +47,8 @@ def by_config(ecu):
 def patient(config, folder):
     """Return the configuration with longer timeouts: on a shared machine a process may get no turn for a while."""
     text = re.sub(r"timeout_ms = 100\.0", "timeout_ms = 1000.0", Path(config).read_text())
-    for name in ("dbc", "configs"):
-        text = text.replace(f'"../{name}/', f'"{shipped(name)}/').replace(f'"{name}/', f'"{shipped(name)}/')
     copy = folder / Path(config).name
-    copy.write_text(text.replace('"diagnostics_faults.toml"', f'"{shipped("configs")}/diagnostics_faults.toml"'))
+    copy.write_text(text.replace('"diagnostics_faults.toml"', f'"{shipped("configs/diagnostics_faults.toml")}"'))
     return copy
 
 
@@ -62,7 +60,8 @@ def unhurried(scenario, folder):
     text = scenario.read_text()
     text = re.sub(r"(?m)^by_s = ([0-9.]+)", lambda m: f"by_s = {float(m[1]) + 10:.3f}", text)
     text = re.sub(r"(?m)^healed_by_s = ([0-9.]+)", lambda m: f"healed_by_s = {float(m[1]) + 15:.3f}", text)
-    text = re.sub(r'(?m)^config = "(.*)"', lambda m: f'config = "{(scenario.parent / m[1]).resolve()}"', text)
+    config = load_scenario(scenario).config.resolve()
+    text = re.sub(r'(?m)^config = ".*"', f'config = "{config}"', text)
     text = re.sub(r"(?m)^unexpected = .*\n", "", text)
     copy = folder / scenario.name
     copy.write_text('unexpected = "allow"\n' + text)
@@ -95,8 +94,8 @@ def play(config, scenarios, folder):
     ):
         patch.setattr("signal.signal", lambda *_: None)  # this process keeps its own
         said: list[str] = []
-        patch.setattr("gateway.cli.simulate.say", said.append)
-        patch.setattr("gateway.cli.simulate.TOLD_S", 0.0)  # some samples of 10 ms are enough for another plant
+        patch.setattr("gateway_bench.cli.simulate.say", said.append)
+        patch.setattr("gateway_bench.cli.simulate.TOLD_S", 0.0)  # some samples of 10 ms are enough for another plant
         for scenario in scenarios:
             said.clear()
             begun, known = time.monotonic(), len(running.events())

@@ -47,7 +47,6 @@ def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     with ExitStack() as stack:
         uri = stack.enter_context(bus(folder))
-        shutil.copytree(ROOT / "dbc", folder / "dbc")
         text = (ROOT / "gateway.toml").read_text().replace("loopback:127.0.0.1:29536", uri)
         text = text.replace("timeout_ms = 500.0\n", "")  # a sender that is silent after its scenario is no news here
         # Before and after a scenario nobody tells the speed: no operation cycle then, unless it is forced.
@@ -299,7 +298,9 @@ def test_a_cause_comes_first_and_its_symptoms_are_folded_below_it(site, tmp_path
         wait_for(lambda: driver.find_element(By.ID, "verdict-text").text == "Cause now: signal can0.Speed.V")
         assert "It explains 3 faults" in driver.find_element(By.ID, "verdict-more").text
         (case,) = driver.find_elements(By.CSS_SELECTOR, "#dtcs > .case.proven.failing")
-        assert case.find_element(By.CSS_SELECTOR, ".cause").text.startswith("signal can0.Speed.V (99")
+        assert case.find_element(By.CSS_SELECTOR, ".cause").text.startswith(
+            ("signal can0.Speed.V (99", "signal can0.Speed.V (100")
+        )
         cards = case.find_elements(By.CSS_SELECTOR, ".dtc")
         assert [card.is_displayed() for card in cards] == [True, False, False]
         assert "held" not in cards[0].text
@@ -337,8 +338,8 @@ def test_nothing_is_asked_of_another_host_and_the_looks_are_right(site):
         urls = asked_for(phone)
     urls += asked_for(site.driver)
     assert len(urls) > 10
-    hosts = {urlsplit(url).netloc for url in urls if urlsplit(url).scheme not in ("data", "blob", "chrome")}
-    assert hosts == {urlsplit(site.plain).netloc}
+    hosts = {urlsplit(url).hostname for url in urls if urlsplit(url).scheme not in ("data", "blob", "chrome")}
+    assert hosts == {urlsplit(site.plain).hostname}
 
 
 def test_axe_finds_nothing_serious(site):
@@ -393,7 +394,9 @@ def test_a_report_opens_without_a_server(site):
 
 def test_a_report_with_long_names_fits_a_telephone(site):
     name = "crank_of_the_engine_that_is_in_the_front_of_the_car"
-    scenario = (ROOT / "scenarios" / "crank_missed_tooth.toml").read_text().replace("../gateway.toml", "long.toml")
+    scenario = (
+        (ROOT / "scenarios" / "crank" / "crank_missed_tooth.toml").read_text().replace('"gateway.toml"', '"long.toml"')
+    )
     (site.folder / "long_names.toml").write_text(scenario)
     text = (site.folder / "gateway.toml").read_text().replace('name = "crank"', f'name = "{name}"')
     (site.folder / "long.toml").write_text(text.replace('"crank.missed_pulse"', f'"{name}.missed_pulse"'))

@@ -11,7 +11,7 @@ from kernel_can import events_in
 from processes import bus, gateway, process
 from scenario_runs import patient, unexpected, unhurried
 
-from gateway.common.resources import shipped
+from gateway_fdi.common.resources import shipped
 
 pytestmark = pytest.mark.system
 

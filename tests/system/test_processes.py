@@ -11,8 +11,8 @@ from command import command
 from processes import bus, gateway, process
 from scenario_runs import unhurried
 
-from gateway.common.resources import shipped
 from gateway.faults.dtc import Dtc
+from gateway_fdi.common.resources import shipped
 
 pytestmark = pytest.mark.system
 
@@ -31,7 +31,7 @@ def test_three_processes_end_well_and_a_wrong_expectation_does_not(tmp_path):
         assert "P0336-39 set at" in good.stdout
         assert "healed" in good.stdout
         text = shipped("scenarios/crank_missed_tooth.toml").read_text()
-        text = text.replace("../gateway.toml", str(shipped("gateway.toml")))
+        text = text.replace('"gateway.toml"', f'"{shipped("gateway.toml")}"')
         wrong = tmp_path / "wrong.toml"
         wrong.write_text(text.replace('dtc = "P0336-39"', 'dtc = "P0336-3A"'))
         bad = gateway("simulate", wrong, "--check", "--bus", uri, cwd=tmp_path)

@@ -15,8 +15,8 @@ from rest_bus_cars import CARS, REQUEST, RESPONSE, load, write
 
 from gateway.bus.frames import ID_MASK
 from gateway.config.load import load_config
-from gateway.runtime.playing import player_of
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.scenario import load_scenario
 
 pytestmark = pytest.mark.system
 

@@ -20,10 +20,10 @@ from kill_storm import Storm, write_config
 from processes import GATEWAY, bus
 from slips import RUNNING, running_source
 
-from gateway.common.resources import shipped
 from gateway.faults import service
 from gateway.faults.hung import file_beside
 from gateway.live.watchdog import HUNG_EXIT
+from gateway_fdi.common.resources import shipped
 
 pytestmark = pytest.mark.system
 

@@ -27,8 +27,8 @@ from udsoncan.client import Client
 from udsoncan.connections import PythonIsoTpConnection
 from udsoncan.services import RoutineControl
 
-from gateway.common.resources import shipped
 from gateway.faults.dtc import Dtc
+from gateway_fdi.common.resources import shipped
 
 pytestmark = pytest.mark.system
 

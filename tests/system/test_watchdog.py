@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from processes import bus, gateway, process
 
-from gateway.common.resources import shipped
 from gateway.live.watchdog import HUNG_EXIT
+from gateway_fdi.common.resources import shipped
 
 STEP = "    s.lowest = min(s.lowest, u.volts)\n"
 LOOPS = f"    while u.volts > -1.0:\n    {STEP}"

@@ -1,20 +1,18 @@
 """Faults of a plant whose frames are made beforehand, by a condition on signals: as by the times when it holds."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.errors import GatewayError
 from gateway.runtime.app import Gateway
-from gateway.runtime.drive import drive
-from gateway.runtime.playing import player_of
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.drive import drive
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import GatewayError
 
 HEAD = shipped("scenarios/linear_belt_faults.toml").read_text().partition("[[fault]]")[0]
-HEAD = HEAD.replace("../configs", str(Path(shipped("configs")))).replace("duration_s = 40.0", "duration_s = 12.0")
+HEAD = HEAD.replace("duration_s = 40.0", "duration_s = 12.0")
 #: Of a motor whose voltage swings around 8 V with 3 s: each time it is above 11 V.
 FAULT = '[[fault]]\nkind = "actuator_offset"\nplace = 1\nsize = 1.0\n'
 

@@ -2,13 +2,13 @@
 
 import pytest
 
-from gateway.common.resources import shipped
 from gateway.config.load import load_config
-from gateway.errors import GatewayError
 from gateway.runtime.app import Gateway
-from gateway.runtime.drive import drive
-from gateway.runtime.playing import player_of
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.drive import drive
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import GatewayError
 
 BATTERY = shipped("examples") / "battery_voltage"
 CRANK = """

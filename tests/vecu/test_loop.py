@@ -8,11 +8,11 @@ import pytest
 from fmus import CONTROLLER, PLANT, build
 
 from gateway.config.load import load_config
-from gateway.errors import GatewayError
 from gateway.runtime.app import Gateway
-from gateway.runtime.drive import drive
-from gateway.runtime.playing import player_of
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.drive import drive
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.errors import GatewayError
 
 DBC = """VERSION ""
 BU_: C P
@@ -154,7 +154,7 @@ def write(folder, plant, controller, more=""):
 
 def play(file):
     """Return the DTCs that were set, with their times [s], what was injected, and the frames."""
-    from gateway.vecu.registry import VIRTUAL_ECUS
+    from gateway_bench.vecu.registry import VIRTUAL_ECUS
 
     VIRTUAL_ECUS._known.clear()  # modules of this folder, not of the one before
     scenario = load_scenario(file)

@@ -9,9 +9,9 @@ import pytest
 
 from gateway.bus.frames import empty, payload, put
 from gateway.config.load import load_config
-from gateway.errors import GatewayError
-from gateway.runtime.playing import player_of
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.errors import GatewayError
 
 DBC = """VERSION ""
 BU_: A B

@@ -9,14 +9,14 @@ import pytest
 from opendbc import DBC_PATH
 
 from gateway.bus.frames import EXTENDED, ID_MASK, payload
-from gateway.cli.simulate import demo, simulate
 from gateway.config.load import load_config
-from gateway.errors import GatewayError
 from gateway.runtime.app import Gateway
 from gateway.signals.bits import field_of, mask_of
-from gateway.vecu.player import Player
-from gateway.vecu.restbus.signals import start_value
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.cli.simulate import demo, simulate
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.restbus.signals import start_value
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.errors import GatewayError
 
 SEED = 31
 #: Database -> keys of the ECU, its nodes (None: all), courses of signals, messages with a checksum that are sent.

@@ -3,11 +3,11 @@
 import pytest
 
 from gateway.config.load import load_config
-from gateway.errors import GatewayError
 from gateway.runtime.app import Gateway
-from gateway.runtime.playing import player_of
-from gateway.vecu.message_faults import KINDS
-from gateway.vecu.scenario import load_scenario
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.message_faults import KINDS
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.errors import GatewayError
 
 SEED = 7
 DBC = """VERSION ""

@@ -43,8 +43,8 @@ from gateway.bus.readers.scan import (
     word_end,
 )
 from gateway.bus.readers.text import Lines, shown
-from gateway.errors import InputError
-from gateway.jit import kernel
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import kernel
 
 #: What a line became: nothing, a frame, a frame whose line has fewer bytes than it says, no frame but should be one.
 _NOTHING, _FRAME, _SHORT, _WRONG = 0, 1, 2, 3

@@ -23,8 +23,8 @@ from gateway.bus.log_source import OBJECT as MOST
 from gateway.bus.log_source import CutOffError, compression_of, damage, pull
 from gateway.bus.readers.batch import Batch, Names, Read, placed
 from gateway.bus.readers.scan import begin_frame, byte, set_length
-from gateway.errors import InputError
-from gateway.jit import kernel
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import kernel
 
 #: signature, bytes of it, 8 of versions, bytes of the file, unpacked, objects, read, begin and end as SYSTEMTIME.
 FILE_HEADER = struct.Struct("<4sL8BQQLL8H8H")

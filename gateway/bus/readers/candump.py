@@ -36,8 +36,8 @@ from gateway.bus.readers.scan import (
     word_end,
 )
 from gateway.bus.readers.text import Lines, shown
-from gateway.errors import InputError
-from gateway.jit import kernel
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import kernel
 
 _BAD_LINE = 'a line is "(seconds) interface ID#DATA"'
 #: Characters of an interface's name at most.

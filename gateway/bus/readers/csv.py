@@ -21,8 +21,8 @@ from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames, nanosec
 from gateway.bus.readers.batch import NO_CHANNEL, Batch
 from gateway.bus.readers.scan import BAD, DONE, HEX, begin_frame, byte, decimal, line_end, number, set_length
 from gateway.bus.readers.text import Lines, shown
-from gateway.errors import InputError
-from gateway.jit import kernel
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import kernel
 
 #: Character -> its value in base64, 255: none.
 BASE64 = np.full(256, 255, np.uint8)

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage, whole
 from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, Read, placed
-from gateway.errors import InputError
-from gateway.jit import kernel
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import kernel
 
 #: Header of a block: mark, length, number of links; where the first one is.
 _BLOCK, _FIRST = struct.Struct("<4s4xQQ"), 64

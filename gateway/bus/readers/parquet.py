@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, whole
 from gateway.bus.readers.batch import DATA, Names, Read
-from gateway.errors import InputError, nearest
-from gateway.jit import kernel
+from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.jit import kernel
 
 #: Columns that must be there, and those that may be.
 NEEDED = ("t", "id", "data")

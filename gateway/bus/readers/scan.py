@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.readers.batch import FLAGS, LENGTH
-from gateway.jit import kernel
+from gateway_fdi.jit import kernel
 
 #: What a kernel says of the line where it stops: all is read or the batch is full; it is bad; Python is to look at it;
 #: it is no frame but should be one.

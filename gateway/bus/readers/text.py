@@ -14,7 +14,7 @@ from gateway.bus.frames import Frames, empty
 from gateway.bus.log_source import LINE, CutOffError, damage, pull
 from gateway.bus.readers.batch import Batch, Names, Read, placed
 from gateway.bus.readers.scan import ASK, BAD, DONE, PASSED
-from gateway.errors import InputError
+from gateway_fdi.errors import InputError
 
 #: Bytes that are read at a time.
 BLOCK = 1 << 20

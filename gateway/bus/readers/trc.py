@@ -36,8 +36,8 @@ from gateway.bus.readers.scan import (
     word_end,
 )
 from gateway.bus.readers.text import Lines, shown
-from gateway.errors import InputError
-from gateway.jit import kernel
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import kernel
 
 #: Days from 1899-12-30 to 1970-01-01.
 _EPOCH_DAYS = 25569

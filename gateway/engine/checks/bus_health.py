@@ -41,8 +41,8 @@ from gateway.bus.conditions import (
 from gateway.common.times import NEVER
 from gateway.engine.checks.clock_health import OWN_FAULTS
 from gateway.engine.instances import FaultSlot
-from gateway.jit import Record, f8, f8s, i4, i4s, i8, i8s, kernel, means, u1
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
+from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, i8s, kernel, means, u1
 
 OFF, PASSIVE, ERRORS, GONE, OVERFLOW, SILENT, CLOCK_STEPPED = range(7)
 

@@ -14,8 +14,8 @@ from gateway.engine.checks.silence import MOST_PARKS, UNUSUAL
 from gateway.engine.events import CLOCK_STEPPED, NO_BUS
 from gateway.engine.results import announce, report_result, store_evidence
 from gateway.engine.timers import arm
-from gateway.jit import kernel
 from gateway.monitors.contract import NOT_TESTED
+from gateway_fdi.jit import kernel
 
 
 @kernel

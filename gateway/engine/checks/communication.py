@@ -19,8 +19,6 @@ from pydantic import Field
 
 from gateway.common.times import NEVER
 from gateway.engine.instances import FaultSlot
-from gateway.errors import InputError
-from gateway.jit import Record, i4, i4s, i8, means, u1, u8, u8s
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
 from gateway.signals.bits import field_of, mask_of
 from gateway.signals.database import Database
@@ -28,6 +26,8 @@ from gateway.signals.protection import protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables
 from gateway.signals.tables import DecodePlan, SignalRef
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import Record, i4, i4s, i8, means, u1, u8, u8s
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

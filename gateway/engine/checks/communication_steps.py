@@ -30,11 +30,11 @@ from gateway.engine.checks.silence import park
 from gateway.engine.gate import sleeps
 from gateway.engine.results import report_result, store_evidence
 from gateway.engine.timers import arm
-from gateway.jit import kernel
 from gateway.monitors.contract import NOT_TESTED
 from gateway.signals.decode import INVALID_VALUE, OK, TOO_SHORT
 from gateway.signals.protection.judge import FRAME_CHECKSUM, FRAME_OK, judge_frame
 from gateway.signals.protection.protection import counter_of
+from gateway_fdi.jit import kernel
 
 #: States of E2E's state machine.
 NO_DATA, STARTING, VALID, INVALID = range(4)

@@ -16,7 +16,7 @@ from gateway.engine.buckets import note_alike
 from gateway.engine.checks.communication import COUNTER, CRC, RULE
 from gateway.engine.debounce import is_settled
 from gateway.engine.gate import is_lasting
-from gateway.jit import kernel
+from gateway_fdi.jit import kernel
 
 
 @kernel

@@ -15,9 +15,9 @@ from gateway.engine.checks.communication import TIMEOUT, CheckInstance
 from gateway.engine.gate import sleeps
 from gateway.engine.results import not_tested
 from gateway.engine.timers import arm
-from gateway.errors import InputError
-from gateway.jit import kernel
 from gateway.signals.database import Database
+from gateway_fdi.errors import InputError
+from gateway_fdi.jit import kernel
 
 #: A gap between two frames of a bus is unusual from so much of the shortest timeout on: then the next frame decides. It
 #: matters to a message from so much of its own timeout on.

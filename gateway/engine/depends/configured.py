@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from gateway.engine.depends.params import DiagnosisParams, SupplyParams
 from gateway.engine.depends.parts import Network, Seen, component, strongest
-from gateway.errors import Gathered, InputError, InputErrors, nearest
-from gateway.fdi.diagnosis.system import PRIORS
+from gateway_fdi.diagnosis.system import PRIORS
+from gateway_fdi.errors import Gathered, InputError, InputErrors, nearest
 
 Depends = Mapping[str, tuple[Seen, ...]]
 

@@ -9,11 +9,11 @@ from itertools import chain
 from gateway.engine.depends.parts import CONNECTED, OWN, Network, Seen, component, strongest
 from gateway.engine.instances import MonitorInstance
 from gateway.engine.wiring import wire
-from gateway.errors import InputError, nearest
-from gateway.fdi.diagnosis.system import Component
 from gateway.monitors.conformance import checked_faults, connections
 from gateway.monitors.contract import Behind, Blame, Blames
 from gateway.signals.tables import SignalRef
+from gateway_fdi.diagnosis.system import Component
+from gateway_fdi.errors import InputError, nearest
 
 
 def of_monitor(m: MonitorInstance, network: Network) -> dict[str, tuple[Seen, ...]]:

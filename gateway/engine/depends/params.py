@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from gateway.common.tomlfile import StrictModel
+from gateway_fdi.common.tomlfile import StrictModel
 
 
 class SupplyParams(StrictModel):

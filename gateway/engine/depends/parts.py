@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from gateway.errors import InputError
-from gateway.fdi.diagnosis.system import Component
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
+from gateway_fdi.diagnosis.system import Component
+from gateway_fdi.errors import InputError
 
 #: Probability that a test fails if the part that it is there for is at fault: of all faults of a monitor that blame it,
 #: one does.

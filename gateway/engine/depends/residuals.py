@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from gateway.engine.depends.monitors import inputs_of, part_of
 from gateway.engine.depends.parts import Network
 from gateway.engine.instances import MonitorInstance
-from gateway.errors import InputError, nearest
-from gateway.fdi.diagnosis.state import Sized
 from gateway.monitors.conformance import checked_faults
 from gateway.monitors.contract import Gain, Reading, Residuals
 from gateway.signals.tables import SignalRef
+from gateway_fdi.diagnosis.state import Sized
+from gateway_fdi.errors import InputError, nearest
 
 #: Evidence, value and limit of a result -> what it says of sizes.
 Read = Callable[[Sequence[float], float, float], Sized | None]

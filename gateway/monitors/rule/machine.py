@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from gateway.jit import Record, f8, f8s, i4s, i8, i8s, kernel, means
 from gateway.monitors.rule.program import (
     ABS,
     ADD,
@@ -47,6 +46,7 @@ from gateway.monitors.rule.program import (
     UNEQUAL,
     Program,
 )
+from gateway_fdi.jit import Record, f8, f8s, i4s, i8, i8s, kernel, means
 
 
 class Code(Record):

@@ -10,8 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
-from gateway.errors import Gathered, InputError
-from gateway.jit import Record, f8, f8s, i8, kernel
 from gateway.monitors.contract import (
     EVIDENCE,
     Blames,
@@ -32,6 +30,8 @@ from gateway.monitors.rule.params import Params, PartParams, Rule
 from gateway.monitors.rule.program import MOST_SIGNALS, Program
 from gateway.monitors.rule.residual import blames, residual_of
 from gateway.monitors.rule.text import compile_text, is_relation
+from gateway_fdi.errors import Gathered, InputError
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel
 
 
 class Inputs(Event):

@@ -6,9 +6,9 @@ from typing import Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from gateway.common.tomlfile import StrictModel
 from gateway.monitors.contract import MonitorParams
 from gateway.monitors.rule.program import Program
+from gateway_fdi.common.tomlfile import StrictModel
 
 
 class Rule(StrictModel):

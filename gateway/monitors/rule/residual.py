@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.fdi.diagnosis.system import Floats
 from gateway.monitors.contract import EVIDENCE, Blame, Gain, Reading
 from gateway.monitors.rule import program as p
 from gateway.monitors.rule.machine import one_of, two_of
 from gateway.monitors.rule.params import PartParams
 from gateway.monitors.rule.program import Program
+from gateway_fdi.diagnosis.system import Floats
 
 #: Standard deviations of a residual without a fault that a tolerance has room for.
 SPREADS = 3.0

@@ -10,9 +10,9 @@ import ast
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 
-from gateway.errors import InputError, nearest
 from gateway.monitors.rule import program as p
 from gateway.monitors.rule.program import FUNCTIONS, Program
+from gateway_fdi.errors import InputError, nearest
 
 _BINARY: dict[type[ast.operator], int] = {
     ast.Add: p.ADD, ast.Sub: p.SUBTRACT, ast.Mult: p.MULTIPLY, ast.Div: p.DIVIDE, ast.Pow: p.POWER, ast.Mod: p.MODULO,

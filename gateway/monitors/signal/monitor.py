@@ -22,7 +22,6 @@ from typing import Any
 
 import numpy as np
 
-from gateway.jit import kernel
 from gateway.monitors.contract import TIMER, Blames, Connection, Fault, Monitor, Out, Parts, Signal, report
 from gateway.monitors.signal.faults import (
     ABOVE,
@@ -44,6 +43,7 @@ from gateway.monitors.signal.faults import (
 from gateway.monitors.signal.params import MOST_LEVELS, MOST_SIGNALS, Params, PartParams
 from gateway.monitors.signal.parts import parts
 from gateway.monitors.signal.records import Const, Course, Evidence, Inputs, One, State
+from gateway_fdi.jit import kernel
 
 #: So many times as long as from value to value is a gap: then the scatter begins anew.
 GAP = 4.0

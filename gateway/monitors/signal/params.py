@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from gateway.common.tomlfile import StrictModel
 from gateway.monitors.contract import MonitorParams
+from gateway_fdi.common.tomlfile import StrictModel
 
 #: Signals of one message that one part of the monitor looks at.
 MOST_SIGNALS = 11

@@ -7,7 +7,6 @@ from typing import Any
 
 from cantools.database.can.signal import Signal
 
-from gateway.errors import Gathered, InputError, nearest
 from gateway.monitors.signal.params import (
     MOST_CODES,
     MOST_LEVELS,
@@ -20,6 +19,7 @@ from gateway.monitors.signal.params import (
     PartParams,
     Watched,
 )
+from gateway_fdi.errors import Gathered, InputError, nearest
 
 #: Texts of values that stand for no value, in capitals.
 _NONE = ("SNA", "INVALID", "NOT AVAILABLE", "NOT_AVAILABLE", "UNAVAILABLE", "NOT VALID", "UNDEFINED", "INIT", "ERROR")

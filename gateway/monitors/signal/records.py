@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway.jit import Record, f8, f8s, i4, i4s, i8, i8s, means
 from gateway.monitors.contract import Inputs as Event
 from gateway.monitors.signal.faults import KINDS
 from gateway.monitors.signal.params import MOST_CODES, MOST_LEVELS, MOST_RANGES, MOST_SIGNALS, MOST_VALUES
+from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, i8s, means
 
 
 class Inputs(Event):

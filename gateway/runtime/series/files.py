@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from gateway.common.extras import need
-from gateway.errors import InputError
 from gateway.runtime.series.rows import GROUP, RESULTS, Rows, Series, Sink
+from gateway_fdi.errors import InputError
 
 COLUMNS = ("t_ns", "monitor", "kind", "name", "value", "limit", "result", "unit")
 SUFFIXES = (".parquet", ".csv")

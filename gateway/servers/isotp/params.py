@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from gateway.bus.frames import EXTENDED
-from gateway.common.tomlfile import StrictModel
+from gateway_fdi.common.tomlfile import StrictModel
 
 
 class IsoTpParams(StrictModel):

@@ -7,8 +7,8 @@ import random
 from pydantic import Field
 
 from gateway.common.times import NEVER
-from gateway.common.tomlfile import StrictModel
 from gateway.servers.j1939.frame import ADDRESS_CLAIMED, GLOBAL, NULL, Pdu
+from gateway_fdi.common.tomlfile import StrictModel
 
 #: Time for others to contend after a claim.
 CONTEND_NS = 250_000_000

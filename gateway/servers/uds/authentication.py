@@ -15,9 +15,9 @@ from typing import Any
 
 from pydantic import Field
 
-from gateway.common.tomlfile import StrictModel
 from gateway.servers.uds.certificates import Certificates
 from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
+from gateway_fdi.common.tomlfile import StrictModel
 
 #: Bytes of the gateway's challenge.
 CHALLENGE = 32

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from gateway.common.extras import need
-from gateway.errors import InputError
 from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
+from gateway_fdi.errors import InputError
 
 #: Certificates between a tester's and a root. Each costs a verification before the answer.
 MOST_BETWEEN = 3

@@ -6,10 +6,10 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from gateway.common.tomlfile import StrictModel
 from gateway.servers.access import Access
 from gateway.servers.isotp.params import IsoTpParams
 from gateway.servers.uds.authentication import AuthenticationParams
+from gateway_fdi.common.tomlfile import StrictModel
 
 #: Shorter seeds come again while somebody listens.
 LEAST_SEED = 8

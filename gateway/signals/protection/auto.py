@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from gateway.common.tomlfile import input_errors
-from gateway.errors import InputErrors
 from gateway.signals.protection.e2e import PROFILES
 from gateway.signals.protection.params import ProtectionParams
+from gateway_fdi.common.tomlfile import input_errors
+from gateway_fdi.errors import InputErrors
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

@@ -12,9 +12,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from gateway.jit import Record, i4, i8, kernel, means, u1, u1s, u8, u8s
 from gateway.signals.bits import mask_of
 from gateway.signals.protection.crc import Crc, register_of
+from gateway_fdi.jit import Record, i4, i8, kernel, means, u1, u1s, u8, u8s
 
 NONE, CRC, SUM, XOR = range(4)
 

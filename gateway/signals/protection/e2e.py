@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gateway.errors import InputError
 from gateway.signals.bits import field_at
 from gateway.signals.protection.checksum import LIST, Checksum
 from gateway.signals.protection.crc import KNOWN, Crc
 from gateway.signals.protection.protection import Counter, Protection, Window
+from gateway_fdi.errors import InputError
 
 #: Of profiles 1 and 11: start value and final exclusive or of the library's CRC8 cancel out.
 _J1850_FROM_ZERO = Crc(8, 0x1D)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gateway.errors import InputError
 from gateway.signals.bits import Field, mask_of, place
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import KNOWN
@@ -16,6 +15,7 @@ from gateway.signals.protection.judge import FRAME_CONSTANT, FRAME_OK, judge_fra
 from gateway.signals.protection.params import COUNTERS, E2eCheck, signal_of
 from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill
 from gateway.signals.protection.rules import RULES, Frame
+from gateway_fdi.errors import InputError
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from gateway.jit import kernel
 from gateway.signals.bits import read_bits
 from gateway.signals.protection.checksum import NOWHERE, checksum_of
 from gateway.signals.protection.protection import counter_of, same_constants
+from gateway_fdi.jit import kernel
 
 #: FRAME_CONSTANT: the first constant of the header differs, FRAME_CONSTANT + 1: the second.
 FRAME_OK, FRAME_CHECKSUM, FRAME_CONSTANT = range(3)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.errors import InputError
 from gateway.signals.bits import field_of
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import KNOWN
 from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill
+from gateway_fdi.errors import InputError
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from gateway.common.tomlfile import StrictModel
-from gateway.errors import InputError, nearest
 from gateway.signals.bits import field_of
 from gateway.signals.protection.checksum import LIST, MOST_EXTRA, Checksum
 from gateway.signals.protection.crc import KNOWN, Crc
 from gateway.signals.protection.e2e import Header, protection_of
 from gateway.signals.protection.protection import Counter, Protection, Window
-from gateway.signals.protection.rules import RULES, Frame
+from gateway.signals.protection.rules import OTHERS, RULES, Frame, rule_of
+from gateway_fdi.common.tomlfile import StrictModel
+from gateway_fdi.errors import InputError, nearest
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -126,7 +126,7 @@ class SumCheck(StrictModel):
     @field_validator("rule")
     @classmethod
     def _is_known(cls, rule: str) -> str:
-        known = sorted([*RULES, "sum", "xor"])
+        known = sorted([*RULES, *OTHERS, "sum", "xor"])
         if rule not in known:
             raise ValueError(f"the rules are {', '.join(known)}{nearest(rule, known)}")
         return rule
@@ -134,14 +134,15 @@ class SumCheck(StrictModel):
     @model_validator(mode="after")
     def _no_more(self) -> Self:
         own = {"of", "plus", "negative", "xorout", "over"} & self.model_fields_set
-        if self.rule in RULES and own:
+        if self.rule not in ("sum", "xor") and own:
             raise ValueError(f"{', '.join(sorted(own))}: of sum and xor; {self.rule} says it itself")
         return self
 
     def checksum(self, message: Message) -> Checksum:
         """Return what is computed for a message."""
-        if self.rule in RULES:
-            return RULES[self.rule](Frame(message.frame_id, message.is_extended_frame, message.length))
+        rule = None if self.rule in ("sum", "xor") else rule_of(self.rule)
+        if rule is not None:
+            return rule(Frame(message.frame_id, message.is_extended_frame, message.length))
         first, last = self.over or (0, None)
         return Checksum(
             xor=self.rule == "xor", nibbles=self.of == "nibbles", first=first, last=last, plus=self.plus,

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.jit import Record, i4, i4s, i8, kernel, means, u1, u8s
 from gateway.signals.bits import Field, mask_of, placed, read_bits, write_bits
 from gateway.signals.protection.checksum import Checksum, ChecksumConst, checksum_of, fill_checksum
 from gateway.signals.protection.crc import KNOWN, Crc, table_of
+from gateway_fdi.jit import Record, i4, i4s, i8, kernel, means, u1, u8s
 
 #: Constants that a header has, at most.
 MOST_CONSTANTS = 2

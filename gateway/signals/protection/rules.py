@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
+from gateway.common.plugins import Registry
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import KNOWN, Crc
 from gateway.signals.protection.volkswagen import MLB_STARTS, MQB_DATA_IDS
+from gateway_fdi.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -81,8 +84,11 @@ def _of(checksum: Checksum) -> Callable[[Frame], Checksum]:
 
 _J1850 = KNOWN["crc8_sae_j1850"]
 
+#: Returns the checksum of a message.
+Rule = Callable[[Frame], Checksum]
+
 #: Name in a configuration -> the checksum of a message.
-RULES: dict[str, Callable[[Frame], Checksum]] = {
+RULES: dict[str, Rule] = {
     "body": _of(Checksum(Crc(8, 0xD5, 0xFF), backwards=True)),
     "chrysler": _of(Checksum(_J1850)),
     "fca_giorgio": _giorgio,
@@ -101,3 +107,22 @@ RULES: dict[str, Callable[[Frame], Checksum]] = {
     "volkswagen_mqb": _volkswagen_mqb,
     "volkswagen_pq": _of(Checksum(xor=True)),
 }
+
+
+def _accepted(found: object, name: str) -> Rule:
+    if not callable(found):
+        raise InputError(f"no function, but {type(found).__name__}", value=name)
+    return cast("Rule", found)
+
+
+#: Rules of other packages, by name.
+OTHERS: Registry[Rule] = Registry("gateway.protections", _accepted)
+
+
+def rule_of(name: str) -> Rule | None:
+    """Return a rule, ours before those of other packages; None: there is none of this name.
+
+    Raises:
+        InputError: another package's cannot be imported, or is no function.
+    """
+    return RULES.get(name) or OTHERS.get(name)

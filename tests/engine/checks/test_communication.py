@@ -7,7 +7,6 @@ import pytest
 from pydantic import ValidationError
 
 from gateway.bus.frames import empty, put
-from gateway.common.resources import shipped
 from gateway.engine.build import build_engine
 from gateway.engine.checks.communication import (
     COUNTER,
@@ -20,9 +19,10 @@ from gateway.engine.checks.communication import (
     Params,
 )
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
-from gateway.errors import InputError
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError
 
 MS = 1_000_000
 ORACLE = cantools.database.load_file(shipped("dbc/crank.dbc")).get_message_by_name("CTW_PT4")

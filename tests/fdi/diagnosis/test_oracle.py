@@ -9,9 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from random_systems import a_system, ran, some_updates
 
-from gateway.fdi.diagnosis.search import Bounds
-from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED
-from gateway.fdi.diagnosis.system import Component
+from gateway_fdi.diagnosis.search import Bounds
+from gateway_fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED
+from gateway_fdi.diagnosis.system import Component
 
 SEED = 4711
 ALL = Bounds(diagnoses=1 << 20, least=0.0, steps=1 << 30)

@@ -7,10 +7,10 @@ import pytest
 from amount import amount
 from random_systems import a_system, ran, some_updates
 
-from gateway.fdi.diagnosis.diagnoser import Diagnoser
-from gateway.fdi.diagnosis.search import Bounds
-from gateway.fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
-from gateway.fdi.diagnosis.system import Component, Link, Test
+from gateway_fdi.diagnosis.diagnoser import Diagnoser
+from gateway_fdi.diagnosis.search import Bounds
+from gateway_fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
+from gateway_fdi.diagnosis.system import Component, Link, Test
 
 SEED = 4713
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import lsq_linear
 from scipy.stats import chi2
 
-from gateway.fdi.diagnosis.sizes import chi2_beyond, fit
+from gateway_fdi.diagnosis.sizes import chi2_beyond, fit
 
 
 def test_chi_square_is_that_of_scipy():

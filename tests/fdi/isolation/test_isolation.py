@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.fdi.isolation import followed, machine, table
-from gateway.fdi.masks import pack, unpack
-from gateway.jit import zeros
+from gateway_fdi.isolation import followed, machine, table
+from gateway_fdi.jit import zeros
+from gateway_fdi.masks import pack, unpack
 from tests.support.amount import examples
 
 S = 1_000_000_000

@@ -1,7 +1,7 @@
 import pytest
 
-from gateway.common.resources import shipped
-from gateway.fdi.structure.file import load_model
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.structure.file import load_model
 
 
 @pytest.fixture(scope="session")

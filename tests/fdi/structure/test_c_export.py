@@ -11,10 +11,10 @@ from command import command
 from debian import program
 from residual_runner import Runner
 
-from gateway.fdi.structure.analysis import analyse
-from gateway.fdi.structure.generator.c_code import c_source
-from gateway.fdi.structure.generator.loading import residual_generator
-from gateway.fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.analysis import analyse
+from gateway_fdi.structure.generator.c_code import c_source
+from gateway_fdi.structure.generator.loading import residual_generator
+from gateway_fdi.structure.generator.solving import NotSolvableError
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 
@@ -110,7 +110,7 @@ def test_on_a_drive(load, tmp_path, name):
 
 def test_names_that_c_has(tmp_path):
     """Unknowns and parameters that are words of C, or of <math.h>."""
-    from gateway.fdi.structure.file import load_model
+    from gateway_fdi.structure.file import load_model
 
     (tmp_path / "odd.toml").write_text(
         """

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from gateway.fdi.structure.file import load_model
-from gateway.fdi.structure.generator.conditioning import begins, forgets
-from gateway.fdi.structure.generator.initial import find_initial
-from gateway.fdi.structure.generator.realisation import realise
-from gateway.fdi.structure.model import Quantity
+from gateway_fdi.structure.file import load_model
+from gateway_fdi.structure.generator.conditioning import begins, forgets
+from gateway_fdi.structure.generator.initial import find_initial
+from gateway_fdi.structure.generator.realisation import realise
+from gateway_fdi.structure.model import Quantity
 
 #: x'' = u - d x' - k x, y = x, through a table that is the identity.
 SPRING = """

@@ -10,13 +10,13 @@ from amount import amount
 from residual_runner import Runner, close
 from scipy.linalg import expm
 
-from gateway.fdi.structure.generator.code import write
-from gateway.fdi.structure.generator.loading import load, residual_generator
-from gateway.fdi.structure.generator.realisation import realise
-from gateway.fdi.structure.generator.solving import NotSolvableError
-from gateway.fdi.structure.model import Equation, Loop, Model, Quantity, Solvable, differential
-from gateway.fdi.structure.relation import Relation
-from gateway.jit import zeros
+from gateway_fdi.jit import zeros
+from gateway_fdi.structure.generator.code import write
+from gateway_fdi.structure.generator.loading import load, residual_generator
+from gateway_fdi.structure.generator.realisation import realise
+from gateway_fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.model import Equation, Loop, Model, Quantity, Solvable, differential
+from gateway_fdi.structure.relation import Relation
 
 SECONDS = amount(60, 60, 5)
 

@@ -9,16 +9,16 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.common.resources import shipped
-from gateway.errors import InputError, InputErrors
-from gateway.fdi.structure.file import load_model
-from gateway.fdi.structure.generator.loading import residual_generator
-from gateway.fdi.structure.generator.solving import solve
-from gateway.fdi.structure.generator.symbols import Symbols
-from gateway.fdi.structure.model import Equation, Loop, Model, Solvable
-from gateway.fdi.structure.relation import Expression, Relation
-from gateway.fdi.structure.sequence import Kind, Step, Structure
-from gateway.jit import zeros
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError, InputErrors
+from gateway_fdi.jit import zeros
+from gateway_fdi.structure.file import load_model
+from gateway_fdi.structure.generator.loading import residual_generator
+from gateway_fdi.structure.generator.solving import solve
+from gateway_fdi.structure.generator.symbols import Symbols
+from gateway_fdi.structure.model import Equation, Loop, Model, Solvable
+from gateway_fdi.structure.relation import Expression, Relation
+from gateway_fdi.structure.sequence import Kind, Step, Structure
 
 GOOD = """
 text = "a model"
@@ -268,8 +268,8 @@ def expressions():
 @given(expressions(), st.tuples(numbers, numbers, numbers))
 def test_generated_code_computes_what_is_written(text, values):
     """An equation through algebra and code generation against Python's own evaluation of the text."""
-    from gateway.fdi.structure.generator import code, realisation
-    from gateway.fdi.structure.model import Quantity, Table
+    from gateway_fdi.structure.generator import code, realisation
+    from gateway_fdi.structure.model import Quantity, Table
 
     model = Model(
         "random",

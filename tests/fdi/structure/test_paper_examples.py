@@ -8,11 +8,11 @@ import pytest
 import truck_data
 from residual_runner import Runner, close
 
-from gateway.fdi.structure.generator.loading import residual_generator
-from gateway.fdi.structure.generator.realisation import realise
-from gateway.fdi.structure.generator.solving import NotSolvableError
-from gateway.fdi.structure.model import Equation, Model, Solvable
-from gateway.fdi.structure.relation import Relation
+from gateway_fdi.structure.generator.loading import residual_generator
+from gateway_fdi.structure.generator.realisation import realise
+from gateway_fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.model import Equation, Model, Solvable
+from gateway_fdi.structure.relation import Relation
 
 
 def test_example_1(load):

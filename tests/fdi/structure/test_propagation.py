@@ -8,11 +8,11 @@ from residual_runner import Runner
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from gateway.fdi.structure.file import load_model
-from gateway.fdi.structure.generator.loading import residual_generator
-from gateway.fdi.structure.generator.propagation import components, sensors, slope
-from gateway.fdi.structure.generator.realisation import realise
-from gateway.fdi.structure.generator.runtime import advance, incline
+from gateway_fdi.structure.file import load_model
+from gateway_fdi.structure.generator.loading import residual_generator
+from gateway_fdi.structure.generator.propagation import components, sensors, slope
+from gateway_fdi.structure.generator.realisation import realise
+from gateway_fdi.structure.generator.runtime import advance, incline
 
 
 def model_of(plant, folder):

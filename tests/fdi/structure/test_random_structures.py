@@ -11,16 +11,16 @@ from random_models import random_model
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, maximum_bipartite_matching
 
-from gateway.fdi.masks import BITS, pack, unpack
-from gateway.fdi.structure.candidates import classify
-from gateway.fdi.structure.decomposition import decompose, overdetermined
-from gateway.fdi.structure.incidence import counted, full
-from gateway.fdi.structure.isolability import isolability_of_model, isolability_of_tests
-from gateway.fdi.structure.model import Equation, Model, Solvable, differential
-from gateway.fdi.structure.mso import TooManySetsError, find_msos
-from gateway.fdi.structure.selection import fewest_tests
-from gateway.fdi.structure.sensors import minimal_sets, place_sensors
-from gateway.fdi.structure.sequence import Kind, Structure
+from gateway_fdi.masks import BITS, pack, unpack
+from gateway_fdi.structure.candidates import classify
+from gateway_fdi.structure.decomposition import decompose, overdetermined
+from gateway_fdi.structure.incidence import counted, full
+from gateway_fdi.structure.isolability import isolability_of_model, isolability_of_tests
+from gateway_fdi.structure.model import Equation, Model, Solvable, differential
+from gateway_fdi.structure.mso import TooManySetsError, find_msos
+from gateway_fdi.structure.selection import fewest_tests
+from gateway_fdi.structure.sensors import minimal_sets, place_sensors
+from gateway_fdi.structure.sequence import Kind, Structure
 
 
 def rank(dense, rows):

@@ -8,12 +8,12 @@ import pytest
 from residual_runner import Runner
 from scipy.linalg import expm
 
-from gateway.fdi.structure.analysis import analyse
-from gateway.fdi.structure.generator.loading import residual_generator
-from gateway.fdi.structure.generator.realisation import realise
-from gateway.fdi.structure.generator.solving import NotSolvableError
-from gateway.fdi.structure.isolability import isolability_of_model
-from gateway.fdi.structure.mtes import find_mtes
+from gateway_fdi.structure.analysis import analyse
+from gateway_fdi.structure.generator.loading import residual_generator
+from gateway_fdi.structure.generator.realisation import realise
+from gateway_fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.isolability import isolability_of_model
+from gateway_fdi.structure.mtes import find_mtes
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gateway.fdi.structure.file import load_model
-from gateway.fdi.structure.simulation.plant import Course, Plant, constant
-from gateway.fdi.structure.simulation.reduction import NotSimulatedError
+from gateway_fdi.structure.file import load_model
+from gateway_fdi.structure.simulation.plant import Course, Plant, constant
+from gateway_fdi.structure.simulation.reduction import NotSimulatedError
 
 TIMES = np.linspace(0.0, 4.0, 401)
 

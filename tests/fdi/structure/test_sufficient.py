@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from gateway_studies.structure.battery import battery_model
 from random_models import random_model
 
-from gateway.fdi.structure.analysis import analyse
-from gateway.fdi.structure.candidates import classify
-from gateway.fdi.structure.file import load_model
-from gateway.fdi.structure.incidence import counted
-from gateway.fdi.structure.isolability import isolability_of_model, isolability_of_tests, signatures
-from gateway.fdi.structure.mso import TooManySetsError, find_msos
-from gateway.fdi.structure.selection import fewest_tests
-from gateway.fdi.structure.sufficient import sufficient_msos
+from gateway_fdi.structure.analysis import analyse
+from gateway_fdi.structure.candidates import classify
+from gateway_fdi.structure.file import load_model
+from gateway_fdi.structure.incidence import counted
+from gateway_fdi.structure.isolability import isolability_of_model, isolability_of_tests, signatures
+from gateway_fdi.structure.mso import TooManySetsError, find_msos
+from gateway_fdi.structure.selection import fewest_tests
+from gateway_fdi.structure.sufficient import sufficient_msos
+from gateway_plants.structural.study.battery import battery_model
 
 
 def every_one(sets):

@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.fdi.structure.candidates import classify
-from gateway.fdi.structure.incidence import counted
-from gateway.fdi.structure.isolability import (
+from gateway_fdi.jit import COMPILED
+from gateway_fdi.structure.candidates import classify
+from gateway_fdi.structure.incidence import counted
+from gateway_fdi.structure.isolability import (
     isolability_of_model,
     isolability_of_tests,
     signatures,
 )
-from gateway.fdi.structure.model import Solvable
-from gateway.fdi.structure.mso import find_msos
-from gateway.fdi.structure.relation import Relation
-from gateway.fdi.structure.sequence import Structure, shown
-from gateway.jit import COMPILED
+from gateway_fdi.structure.model import Solvable
+from gateway_fdi.structure.mso import find_msos
+from gateway_fdi.structure.relation import Relation
+from gateway_fdi.structure.sequence import Structure, shown
 
 compiled = pytest.mark.skipif(not COMPILED, reason="classifies all candidates again and again")
 

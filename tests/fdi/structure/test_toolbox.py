@@ -7,18 +7,18 @@ import pytest
 from amount import amount
 from random_models import random_model
 
-from gateway.fdi.structure.decomposition import decompose
-from gateway.fdi.structure.incidence import counted
-from gateway.fdi.structure.isolability import (
+from gateway_fdi.jit import COMPILED
+from gateway_fdi.structure.decomposition import decompose
+from gateway_fdi.structure.incidence import counted
+from gateway_fdi.structure.isolability import (
     isolability_of_model,
     isolability_of_tests,
     signatures,
 )
-from gateway.fdi.structure.mso import find_msos
-from gateway.fdi.structure.mtes import find_mtes
-from gateway.fdi.structure.selection import fewest_tests
-from gateway.fdi.structure.sensors import place_sensors
-from gateway.jit import COMPILED
+from gateway_fdi.structure.mso import find_msos
+from gateway_fdi.structure.mtes import find_mtes
+from gateway_fdi.structure.selection import fewest_tests
+from gateway_fdi.structure.sensors import place_sensors
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from residual_runner import Runner
 
-from gateway.fdi.structure.analysis import analyse
-from gateway.fdi.structure.generator.loading import residual_generator
-from gateway.fdi.structure.generator.propagation import sensors
-from gateway.fdi.structure.isolability import isolability_of_tests, signatures
+from gateway_fdi.structure.analysis import analyse
+from gateway_fdi.structure.generator.loading import residual_generator
+from gateway_fdi.structure.generator.propagation import sensors
+from gateway_fdi.structure.isolability import isolability_of_tests, signatures
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

@@ -9,10 +9,10 @@ from amount import amount
 from car import Car, write
 
 from gateway.config.load import load_config
-from gateway.errors import InputError, InputErrors
 from gateway.monitors.rule.machine import Code, Machine, load, run
 from gateway.monitors.rule.text import compile_text
 from gateway.runtime.app import Gateway
+from gateway_fdi.errors import InputError, InputErrors
 
 MS = 1_000_000
 NAMES = ("A.x", "A.y", "B.z")

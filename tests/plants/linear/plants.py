@@ -1,4 +1,4 @@
-"""Three plants of other make, and one of them not linear: own equations, parameters, solver; nothing of gateway/vecu.
+"""Three plants of other make, one of them not linear: own equations, parameters and solver.
 
 Each gives its true matrices for any physical parameters, so that a user's parameters can be told wrong: the gateway is
 configured with the matrices of the wrong ones.

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from gateway.cli import app
 from gateway.config.load import load_config
-from gateway.errors import InputErrors
-from gateway.jit import COMPILED
+from gateway_fdi.errors import InputErrors
+from gateway_fdi.jit import COMPILED
 
 pytestmark = [pytest.mark.skipif(not COMPILED, reason="hundreds of thousands of samples"), pytest.mark.long]
 

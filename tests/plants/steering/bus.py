@@ -2,9 +2,9 @@
 
 import cantools
 import numpy as np
-from gateway_studies.wire.encode import frames_of, merged
 
-from gateway.common.resources import shipped
+from gateway_bench.wire.encode import frames_of, merged
+from gateway_fdi.common.resources import shipped
 
 DBC = shipped("dbc/steering.dbc")
 DATABASE = cantools.database.load_file(DBC)

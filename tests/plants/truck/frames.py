@@ -6,10 +6,10 @@ from truck.plant import CHARGE, COLUMNS, INERTIAS, LOSS, PARAMETERS, RATIOS, VOL
 
 from gateway.bus.frames import FRAME
 from gateway.config.load import load_config
-from gateway.monitors.truck import messages
-from gateway.monitors.truck.monitor import MONITOR
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
+from gateway_plants.truck.monitor import messages
+from gateway_plants.truck.monitor.monitor import MONITOR
 
 #: Message: identifier, signals (name, column or other, bits, signed, resolution).
 MESSAGES = {

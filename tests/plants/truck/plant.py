@@ -1,15 +1,16 @@
 """A parallel hybrid truck of other make: own equations, parameters, gearbox, battery, driver; Heun's method, 2 ms.
 
 16 t, machine geared 1.4 to the joint, 1.15 V s, 0.06 Ohm. The structure (machine behind the clutch) is what any monitor
-of a parallel hybrid has to be told; nothing else is gateway/vecu's. Drives: UDDS of the table in cycles/, and own ones
-(jam, motorway).
+of a parallel hybrid has to be told; nothing else is the shipped virtual ECU's. Drives: UDDS of the table in
+cycles/, and own ones (jam, motorway).
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numba import njit
+
+from gateway_fdi.common.resources import shipped
 
 #: What a user tells of it; keys of the structural model.
 PARAMETERS = {
@@ -64,7 +65,7 @@ def speeds(name, seconds, rng):
     """Return the speed asked for [m/s], each 10 ms."""
     t = np.arange(round(seconds * 100)) * 0.01
     if name == "udds":
-        table = np.loadtxt(Path(__file__).parents[3] / "cycles" / "udds.csv", delimiter=",", skiprows=1)
+        table = np.loadtxt(shipped("cycles/udds.csv"), delimiter=",", skiprows=1)
         v = np.interp(t % table[-1, 0], table[:, 0], table[:, 1])
     else:
         top, rest = {"jam": (9.0, 6.0), "town": (14.0, 10.0), "motorway": (23.0, 2.0)}[name]

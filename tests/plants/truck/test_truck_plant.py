@@ -10,9 +10,9 @@ from truck import frames
 from truck.plant import COLUMNS, RATIOS, Fault, Truck, drive
 
 from gateway.config.load import load_config
-from gateway.errors import InputError, InputErrors
-from gateway.jit import COMPILED
 from gateway.runtime.app import Gateway
+from gateway_fdi.errors import InputError, InputErrors
+from gateway_fdi.jit import COMPILED
 
 pytestmark = [pytest.mark.skipif(not COMPILED, reason="hundreds of thousands of frames"), pytest.mark.long]
 

@@ -22,7 +22,7 @@ from scenario_runs import unhurried
 from gateway.bus.frames import payload
 from gateway.bus.logs import read_log
 from gateway.bus.ring import read_recording
-from gateway.common.resources import shipped
+from gateway_fdi.common.resources import shipped
 
 pytestmark = pytest.mark.vcan
 

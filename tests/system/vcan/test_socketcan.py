@@ -15,8 +15,8 @@ from kernel_can import can_frame, candump, drops_of, ip, raw
 from gateway.bus import conditions as c
 from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, OWN, REMOTE, empty, payload, put
 from gateway.bus.uri import open_bus
-from gateway.errors import BusError
 from gateway.live.transmit import Transmitter
+from gateway_fdi.errors import BusError
 
 pytestmark = pytest.mark.vcan
 

@@ -20,7 +20,7 @@ def test_its_parts_over_vcan(tmp_path):
 
     What compares angles is not tested while senders stand still for tens of ms, as they do in the kernel of a busy
     machine. In one process, and with pauses of a known length, all are asked for (tests/test_gateway.py,
-    tests/monitors/steering/test_pauses.py), as are those of ``steering_angle``, which need a second of even
+    tests/steering/monitor/test_pauses.py), as are those of ``steering_angle``, which need a second of even
     milliseconds in between.
     """
     events, _ = play(CONFIG, [PARTS], tmp_path)

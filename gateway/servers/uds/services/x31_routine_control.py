@@ -10,9 +10,9 @@ Both end by themselves, so there is no stopRoutine.
 
 from __future__ import annotations
 
-from gateway.errors import GatewayError
 from gateway.servers.uds.context import ANY_SESSION, Context, Later, Service
 from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
+from gateway_fdi.errors import GatewayError
 
 START, RESULTS = 0x01, 0x03
 RESTART_CYCLE, COMPACT = 0x0201, 0x0202

@@ -1,0 +1,17 @@
+"""``gateway workshop``: how many frames of each identifier a log has."""
+
+from collections import Counter
+from pathlib import Path
+
+import typer
+
+from gateway.bus.logs import read_log
+
+
+def workshop(log: Path) -> None:
+    """Count the frames of a log by their identifiers."""
+    counts: Counter[int] = Counter()
+    for frames in read_log(log):
+        counts.update(frames["can_id"].tolist())
+    for can_id, count in sorted(counts.items()):
+        typer.echo(f"{can_id:03X}  {count}")

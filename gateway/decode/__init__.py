@@ -1,0 +1,1 @@
+"""Logs into Parquet tables, one per message."""

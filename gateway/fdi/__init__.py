@@ -1,1 +1,0 @@
-"""Mathematics of fault detection and isolation, with no CAN in it."""

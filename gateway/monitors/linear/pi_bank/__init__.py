@@ -1,5 +1,0 @@
-"""Faults of the actuators and sensors of any linear plant, isolated by a bank of PI observers (paper 003)."""
-
-from gateway.monitors.linear.pi_bank.monitor import MONITOR
-
-__all__ = ["MONITOR"]

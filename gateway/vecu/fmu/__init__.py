@@ -1,5 +1,0 @@
-"""Virtual ECU whose plant or controller is an FMU: FMI 2 and 3, co-simulation."""
-
-from gateway.vecu.fmu.ecu import ECU
-
-__all__ = ["ECU"]

@@ -1,5 +1,0 @@
-"""Virtual ECU that sends all messages of a database's nodes, each in its cycle: the rest of a bus."""
-
-from gateway.vecu.restbus.ecu import ECU
-
-__all__ = ["ECU"]

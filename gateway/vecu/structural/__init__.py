@@ -1,5 +1,0 @@
-"""Virtual ECU of a plant that is told by its equations: a structural model simulated, and its signals sent."""
-
-from gateway.vecu.structural.ecu import ECU
-
-__all__ = ["ECU"]

@@ -1,5 +1,0 @@
-"""Virtual ECU that sends any messages of a database, their signals by tables of time and value."""
-
-from gateway.vecu.table.ecu import ECU
-
-__all__ = ["ECU"]

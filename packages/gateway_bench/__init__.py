@@ -1,0 +1,1 @@
+"""The bench: virtual ECUs, scenarios, and the plug-in of pytest."""

@@ -1,0 +1,99 @@
+"""A scenario and a gateway in one process, over python-can's virtual bus: demo, CI, tests.
+
+Simulated time: frames carry the scenario's clock, and each step's frames have all arrived before the next
+step begins, so a run is the same every time and goes as fast as the machine allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from gateway.bus.frames import Frames
+from gateway.config.model import Config
+from gateway.runtime.app import Gateway
+from gateway.servers.dtc_frame import DtcReport
+from gateway_bench.vecu.expectations import Judge
+from gateway_bench.vecu.player import Player
+from gateway_bench.vecu.scenario import Scenario
+from gateway_bench.wires import Wires
+from gateway_fdi.errors import InputError
+
+
+class Driven(Protocol):
+    """What a scenario is played to: a gateway."""
+
+    def feed(self, frames: Frames) -> Frames:
+        """Take a batch; returns the frames to send."""
+
+    def advance(self, t_ns: int) -> Frames:
+        """Let time pass; returns the frames to send."""
+
+    def stop(self, t_ns: int) -> None:
+        """End the operation cycle."""
+
+
+def judgeable(scenario: Scenario, config: Config, *, file: Path) -> None:
+    """Refuse to judge a scenario whose gateway tells no tester of its DTCs: each expectation of silence would hold.
+
+    Args:
+        scenario: with expectations.
+        config: of the gateway.
+        file: of the scenario.
+
+    Raises:
+        InputError: the configuration has no DTC frame.
+    """
+    if config.output.dtc_frame is None:
+        text = "expectations are judged by the gateway's DTC frame: its configuration needs [output.dtc_frame]"
+        raise InputError(text, file=file, key="config", value=str(scenario.config))
+
+
+def drive(
+    gateway: Gateway,
+    player: Player,
+    *,
+    judge: Judge | None = None,
+    on_frames: Callable[[Frames], None] | None = None,
+    on_report: Callable[[DtcReport], None] | None = None,
+    on_step: Callable[[int], None] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    fed: Driven | None = None,
+) -> None:
+    """Play a scenario to a gateway and read its DTC frames as a tester would.
+
+    Args:
+        gateway: not started yet.
+        player: of the scenario.
+        judge: takes the reports.
+        on_frames: called with each step's frames as the gateway got them.
+        on_report: called with each DTC frame, decoded.
+        on_step: called at the end of each step with its time [ns].
+        stop: tells to end early; the operation cycle ends then.
+        fed: what is fed instead of the gateway; it feeds the gateway.
+    """
+    driven: Driven = gateway if fed is None else fed
+    wires = Wires(gateway)
+    try:
+        gateway.start(0)
+        until = 0
+        for until, frames in player.batches():
+            if stop():
+                break
+            batch = wires.carry(frames)
+            if on_frames is not None:
+                on_frames(batch)
+            for sent in (driven.feed(batch), driven.advance(until)):
+                player.hear(sent)
+                for report in wires.reports(sent):
+                    if judge is not None and report.dtc is not None:
+                        judge.report(report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence)
+                    if on_report is not None:
+                        on_report(report)
+            if on_step is not None:
+                on_step(until)
+        driven.stop(until)
+    finally:
+        player.close()
+        wires.close()

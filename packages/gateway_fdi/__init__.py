@@ -1,0 +1,1 @@
+"""Fault detection and isolation: mathematics that knows no bus; a library of its own."""

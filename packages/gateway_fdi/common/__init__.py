@@ -1,0 +1,1 @@
+"""Small things that all packages use: errors of input files, logging, progress."""

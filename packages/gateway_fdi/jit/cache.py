@@ -1,0 +1,176 @@
+"""Compiled kernels in files: what was compiled once is loaded from then on.
+
+A file is written under another name and then renamed, and begins with the digest of the rest: two processes may write
+at once, and one that is cut off or changed is seen. A cache that cannot be read or written costs time, never more; the
+reason is said once. What another user wrote, or could have written, is not used (:mod:`gateway_fdi.jit.owned`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from gateway_fdi.common import progress
+from gateway_fdi.jit.owned import foreign, read_own, write_own
+from gateway_fdi.jit.settings import cache_directory
+
+_MAGIC = b"gateway kernel 2\n"
+_DIGEST = 16
+
+#: Files of one kernel that are kept: the newest.
+KEPT = 8  # of all its signatures
+
+
+_said: set[str] = set()
+
+
+def _say_once(text: str) -> None:
+    if text not in _said:
+        _said.add(text)
+        progress.say(text)
+
+
+def folder() -> Path:
+    """Return where compiled kernels are kept: the cache's folder, or a private one where that may be another's."""
+    asked = cache_directory()
+    why = foreign(asked)
+    if not why:
+        return asked
+    private = _private()
+    _say_once(f"{asked}: not used, as {why}; compiled kernels are kept in {private.path}, {private.until}")
+    return private.path
+
+
+@dataclass(frozen=True)
+class _Private:
+    path: Path
+    until: str
+    held: tempfile.TemporaryDirectory[str] | None = None  # deletes it at the end
+
+
+@cache
+def _private() -> _Private:
+    """Return a folder that is ours: the user's own cache, else one of this process."""
+    import platformdirs  # noqa: PLC0415 - few starts need it
+
+    own = Path(platformdirs.user_cache_dir("ecu-gateway")) / "kernels"
+    try:
+        own.mkdir(mode=0o755, parents=True, exist_ok=True)
+        if not foreign(own) and os.access(own, os.W_OK):
+            return _Private(own, "the user's own cache")
+    except OSError:
+        pass  # there is no home
+    held = tempfile.TemporaryDirectory(prefix="gateway-kernels-")  # with mode 0700
+    return _Private(Path(held.name), "until this process ends", held)
+
+
+@dataclass(frozen=True)
+class Code:
+    """Compiled code of an entry.
+
+    Attributes:
+        symbol: name of its C function.
+        results: form of its result, as text.
+        needs: symbols from elsewhere.
+        code: object code.
+        origin: what it was made from, for who ships it: kernel, digest of its signature, key, files.
+    """
+
+    symbol: str
+    results: str
+    needs: tuple[str, ...]
+    code: bytes
+    origin: dict[str, Any] = field(default_factory=dict)
+
+
+def _pack(code: Code) -> bytes:
+    head = {
+        "symbol": code.symbol,
+        "results": code.results,
+        "needs": code.needs,
+        "origin": code.origin,
+    }
+    body = json.dumps(head).encode() + b"\n" + code.code
+    return _MAGIC + hashlib.blake2b(body, digest_size=_DIGEST).digest() + body
+
+
+def unpack(data: bytes) -> Code | None:
+    """Return the code in a file's bytes; None if they are damaged."""
+    start = len(_MAGIC) + _DIGEST
+    body = data[start:]
+    digest = hashlib.blake2b(body, digest_size=_DIGEST).digest()
+    if data[: len(_MAGIC)] != _MAGIC or data[len(_MAGIC) : start] != digest:
+        return None
+    head, _, code = body.partition(b"\n")
+    values = json.loads(head)
+    needs = tuple(values["needs"])
+    return Code(values["symbol"], values["results"], needs, code, values["origin"])
+
+
+def read(name: str, key: str) -> Code | None:
+    """Return the code of a kernel, None if it is not there, or not to be used."""
+    path = folder() / f"{name}-{key}.kernel"
+    try:
+        data = read_own(path)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        _say_once(f"compiled kernels cannot be read ({error}): they are compiled again")
+        return None
+    code = unpack(data)
+    if code is None:
+        _say_once(f"{path}: damaged, so this kernel is compiled again")
+    return code
+
+
+def write(name: str, key: str, code: Code, bitcode: bytes = b"") -> None:
+    """Keep the code of a kernel, if that is possible; older ones of the same name make room.
+
+    Args:
+        name: of the kernel, with its module.
+        key: what the code depends on.
+        code: the code.
+        bitcode: kept beside it, if there is any.
+    """
+    kept = folder()
+    draft = kept / f".{name}-{key}.{os.getpid()}"
+    try:
+        kept.mkdir(mode=0o755, parents=True, exist_ok=True)
+        write_own(draft, _pack(code))
+        if bitcode:
+            (kept / f"{name}-{key}.bc").write_bytes(bitcode)
+        draft.replace(kept / f"{name}-{key}.kernel")
+        _prune(kept, name)
+    except OSError as error:
+        _say_once(f"compiled kernels cannot be kept ({error}): the next start compiles them again")
+        try:
+            draft.unlink(missing_ok=True)
+        except OSError:
+            return
+
+
+def _changed(path: Path) -> float:
+    """When a file was changed; 0 if another process has just deleted it."""
+    try:
+        return path.stat().st_mtime
+    except FileNotFoundError:
+        return 0.0
+
+
+def _prune(kept: Path, name: str) -> None:
+    """Delete all but the newest files of a kernel."""
+    files = sorted(kept.glob(f"{name}-*.kernel"), key=_changed, reverse=True)
+    for path in files[KEPT:]:
+        path.unlink(missing_ok=True)
+
+
+def size() -> tuple[int, int]:
+    """Return how many compiled kernels are kept, and their bytes."""
+    sizes = [path.stat().st_size for path in folder().glob("*.kernel")]
+    return len(sizes), sum(sizes)

@@ -1,0 +1,49 @@
+"""Generalised likelihood ratio of a change that begins at one of the last samples (Willsky and Jones, 1976).
+
+A change a that began d samples ago adds S(d) a to what is observed, whose noise has the covariance V. Of each beginning
+in the window b = sum S^T V^-1 r is kept, and gives, with J the information up to d, the ratio
+
+    2 log L = b^T J^-1 b
+
+The largest is what a threshold is for. Both the bank of observers (`pi_bank.jump`) and single residuals use it: for a
+residual in standard deviations, of which the mean jumps, S = 1 and J = d.
+"""
+
+from __future__ import annotations
+
+from gateway_fdi.jit import f8s, kernel
+
+
+@kernel
+def largest(begun: f8s, weighted: f8s, inverse: f8s, newest: f8s, at: int, kept: int, m: int, p: int) -> float:
+    """Take the newest sample; returns the largest log likelihood ratio of a beginning before it, doubled.
+
+    Args:
+        begun: b of each beginning, a ring whose length is a power of 2, shape (window, changes); changed.
+        weighted: S(d)^T V^-1, shape (window, changes, observed).
+        inverse: J^-1 at d, shape (window, changes, changes).
+        newest: what is observed, shape (observed,).
+        at: place of the newest sample in the ring.
+        kept: samples that are in the ring, with the newest.
+        m: changes that are there.
+        p: of what is observed, how many are there.
+    """
+    mask = begun.shape[0] - 1
+    for i in range(m):
+        begun[at, i] = 0.0
+    best = 0.0
+    for d in range(1, kept):
+        place = (at - d) & mask
+        square = 0.0
+        for i in range(m):
+            value = begun[place, i]
+            for j in range(p):
+                value += weighted[d, i, j] * newest[j]
+            begun[place, i] = value
+        for i in range(m):
+            half = 0.5 * inverse[d, i, i] * begun[place, i]
+            for j in range(i):
+                half += inverse[d, i, j] * begun[place, j]
+            square += half * begun[place, i]
+        best = max(best, 2.0 * square)
+    return best

@@ -1,0 +1,283 @@
+"""A Kalman filter over slow errors, within bounds and rates.
+
+An equation of a plant, with what is told of its parameters p and with sensors' readings y = (1 + g) x + b, leaves
+
+    rest = h' e + noise
+
+to first order: e, shape (n,), are the relative errors of the parameters, the sensors' relative gains g and their biases
+b; h, shape (n,), is what each adds to the equation, in the equation's unit by the error's. e is a slow state:
+
+    e(t + dt) = e(t) + w,    var w_k = dt rate_k WALK (high_k - low_k)
+
+so that a walk spans the bound in the time that the rate allows for it. :func:`measure` takes a set. Where there are
+many, :func:`add` takes them into a block, :func:`update` a block into the filter: rest and h are linear in e, so the
+mean of a block holds the mean of its equations, and a block of B sets costs a B-th. Noise of a mean of B is sqrt(B)
+smaller; COLOURED times that is taken, as not all is white.
+
+What is found is ``error``, without bounds; what a monitor takes is ``taken``. It is the most likely e within the bounds
+(:func:`_within`): with e ~ N(m, P) and e_k held at its bound,
+
+    E[e_j | e_k = bound] = m_j - P_jk / P_kk (m_k - bound)
+
+so what lies a little beyond the bounds is left, and tests see it. What lies beyond its bound for sure is a fault: it is
+not taken at all, nor are those of its group; others do not take it up, and tests see it whole.
+
+``taken`` is what is found while the filter LEARNS. While it is FOLLOWING, ``taken`` changes by its rate at most, and by
+BETTER times what is known better than before: a fault that comes at once is there long before it is followed.
+``error`` does not run away from ``taken`` meanwhile. While it is HELD, because the set may have a fault, ``error`` as
+well moves by its rate at most, and nothing becomes surer.
+Several equations share one filter: what a sensor's gain does in one it does in the other, and what no equation tells
+apart is left as P has it: in what they leave it cancels.
+
+A test of an equation may doubt by :func:`doubt`, sqrt(h' P h): what is not known yet is no fault, and a threshold
+adapts itself.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Annotated
+
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+
+#: Most errors of a filter.
+MOST = 24
+#: Sets of a block.
+BLOCK = 10
+#: Of the standard deviation of an equation's noise: what is not white in it.
+COLOURED = 3.0
+#: Share of a walk: the rate is what happens at most, not always.
+WALK = 0.1
+#: What is done with what is found.
+LEARNS, FOLLOWING, HELD = range(3)
+#: Of the standard deviation that a set takes away, what an error may move by.
+BETTER = 2.0
+#: Standard deviations of what is not known by which a residual counts less.
+GUARD = 2.0
+#: Steps of its rate that what is found may be ahead of what is taken, beside what is not known.
+LEAD = 1000.0
+#: Standard deviations, and share of the bounds' width, by which an error lies beyond its bound for sure.
+SURE, BEYOND = 4.0, 0.03
+#: Passes over the bounds.
+PASSES = 3
+#: Time behind which nothing is known worse for waiting [s].
+LONG = 300.0
+
+
+class Const(Record):
+    """Constants: ``count`` of errors; bounds, rates [1/s], standard deviations beforehand.
+
+    ``group``: errors of one are refused together.
+    """
+
+    count: i8
+    group: Annotated[i8s, MOST]
+    low: Annotated[f8s, MOST]
+    high: Annotated[f8s, MOST]
+    rate: Annotated[f8s, MOST]
+    prior: Annotated[f8s, MOST]
+
+
+class State(Record):
+    """State: ``error`` found, ``taken`` of it, covariance ``p``; ``now`` and ``since``: when each was followed [s].
+
+    ``refused``: 1: beyond its bound for sure; the rest is scratch.
+    """
+
+    error: Annotated[f8s, MOST]
+    taken: Annotated[f8s, MOST]
+    p: Annotated[f8s, MOST, MOST]
+    now: f8
+    since: Annotated[f8s, MOST]
+    refused: Annotated[i8s, MOST]
+    wanted: Annotated[f8s, MOST]
+    passed: Annotated[f8s, MOST]
+    before: Annotated[f8s, MOST]
+    gain: Annotated[f8s, MOST]
+
+
+class Block(Record):
+    """Sums over the sets of an equation that wait: ``h``, ``rest``, ``variance`` of the noise, ``sets``."""
+
+    h: Annotated[f8s, MOST]
+    rest: f8
+    variance: f8
+    sets: i8
+
+
+def prepare(s: State, c: Const) -> None:
+    """Let errors begin at 0 with their prior."""
+    for k in range(c.count):
+        s.p[k, k] = c.prior[k] ** 2
+
+
+@kernel
+def add(b: Block, h: f8s, rest: float, variance: float) -> bool:
+    """Add a set to a block; tells whether it is whole.
+
+    Args:
+        b: record of Block.
+        h: sensitivities, shape (MOST,).
+        rest: what the equation leaves.
+        variance: of its noise.
+    """
+    b.h += h
+    b.rest += rest
+    b.variance += variance
+    b.sets += 1
+    return bool(b.sets >= BLOCK)
+
+
+@kernel
+def drop(b: Block) -> None:
+    """Forget a block."""
+    b.h[:] = 0.0
+    b.rest, b.variance, b.sets = 0.0, 0.0, 0
+
+
+@kernel
+def _refused(s: State, c: Const, k: int) -> bool:
+    """Tell whether an error that is found lies beyond its bound for sure: then it is none of these errors."""
+    over = max(s.error[k] - c.high[k], c.low[k] - s.error[k])
+    return bool(over > max(SURE * sqrt(max(s.p[k, k], 0.0)), BEYOND * (c.high[k] - c.low[k])))
+
+
+@kernel
+def _within(s: State, c: Const, learning: bool) -> None:
+    """Put the most likely errors within the bounds into ``wanted``; what is refused is left as it is taken."""
+    for k in range(c.count):
+        s.wanted[k] = s.error[k]
+        s.refused[k] = 1 if _refused(s, c, k) else 0
+    for k in range(c.count):
+        for j in range(c.count):
+            if s.refused[j] == 1 and c.group[j] == c.group[k]:
+                s.refused[k] = 1
+    for _ in range(PASSES):
+        for k in range(c.count):
+            over = s.wanted[k] - min(max(s.wanted[k], c.low[k]), c.high[k])
+            if over == 0.0 or s.p[k, k] <= 0.0 or s.refused[k] == 1:
+                continue
+            share = over / s.p[k, k]
+            for j in range(c.count):
+                s.wanted[j] -= s.p[j, k] * share
+    for k in range(c.count):
+        s.wanted[k] = min(max(s.wanted[k], c.low[k]), c.high[k])
+        if s.refused[k] == 1:
+            s.wanted[k] = 0.0 if learning else s.taken[k]
+
+
+@kernel
+def wait(s: State, dt: float) -> None:
+    """Let time pass [s]; an error is known less when it is followed again, or when :func:`age` says so."""
+    s.now += dt
+
+
+@kernel
+def _walk(s: State, c: Const, k: int) -> float:
+    """Let an error walk for the time that it has waited; returns that [s]."""
+    passed = min(s.now - s.since[k], LONG)
+    s.since[k] = s.now
+    if s.p[k, k] < c.prior[k] * c.prior[k]:
+        s.p[k, k] += passed * c.rate[k] * WALK * (c.high[k] - c.low[k])
+    return float(passed)
+
+
+@kernel
+def age(s: State, c: Const, dt: float) -> None:
+    """Let all errors get older: nothing is followed for now, and each may go as far as its rate lets it in dt [s].
+
+    What tests doubt, GUARD standard deviations, grows by the rate and up to the bound: what fires because of ageing
+    comes down again, what is more than that does not.
+    """
+    for k in range(c.count):
+        spread = sqrt(max(s.p[k, k], 0.0)) + dt * c.rate[k] / GUARD
+        if spread < c.prior[k]:
+            s.p[k, k] = spread * spread
+
+
+@kernel
+def update(s: State, c: Const, b: Block, mode: int) -> None:
+    """Take a block, and forget it.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        b: the block.
+        mode: LEARNS, FOLLOWING or HELD.
+    """
+    sets = float(b.sets)
+    for k in range(c.count):
+        b.h[k] /= sets
+    measure(s, c, b.h, b.rest / sets, COLOURED * COLOURED * b.variance / (sets * sets), mode)
+    drop(b)
+
+
+@kernel
+def measure(s: State, c: Const, h: f8s, rest: float, variance: float, mode: int) -> None:
+    """Take an equation's rest.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        h: sensitivities, shape (MOST,).
+        rest: what the equation leaves.
+        variance: of its noise.
+        mode: LEARNS, FOLLOWING or HELD.
+    """
+    n, left, size = c.count, rest, variance
+    for k in range(n):
+        s.passed[k] = _walk(s, c, k) if h[k] != 0.0 else 0.0
+        s.before[k] = sqrt(max(s.p[k, k], 0.0))
+    for j in range(n):
+        total = 0.0
+        for k in range(n):
+            total += s.p[j, k] * h[k]
+        s.gain[j] = total
+        left -= h[j] * s.error[j]
+        size += h[j] * total
+    if not size > 0.0:
+        return
+    for j in range(n):
+        step = s.gain[j] * left / size
+        if mode == HELD:
+            most = c.rate[j] * s.passed[j]
+            s.error[j] += min(max(step, -most), most)
+            continue
+        s.error[j] += step
+        for k in range(j, n):
+            s.p[j, k] -= s.gain[j] * s.gain[k] / size
+            s.p[k, j] = s.p[j, k]
+    _within(s, c, mode == LEARNS)
+    for k in range(n):
+        if mode == LEARNS:
+            s.taken[k] = s.wanted[k]
+            continue
+        now = sqrt(max(s.p[k, k], 0.0))
+        step = c.rate[k] * s.passed[k] + BETTER * max(s.before[k] - now, 0.0)
+        s.taken[k] += min(max(s.wanted[k] - s.taken[k], -step), step)
+        # What it may not follow is none of these errors: it does not run away from what the tests take.
+        lead = LEAD * c.rate[k] * s.passed[k] + GUARD * now
+        s.error[k] = s.taken[k] + min(max(s.error[k] - s.taken[k], -lead), lead)
+
+
+@kernel
+def doubt(s: State, c: Const, h: f8s) -> float:
+    """Return the standard deviation of what the errors still add to an equation of sensitivities ``h``."""
+    total = 0.0
+    for j in range(c.count):
+        if h[j] == 0.0:
+            continue
+        row = 0.5 * s.p[j, j] * h[j]
+        for k in range(j + 1, c.count):
+            row += s.p[j, k] * h[k]
+        total += 2.0 * h[j] * row
+    return sqrt(max(total, 0.0))
+
+
+@kernel
+def beyond(residual: float, doubt: float) -> float:
+    """Return what is left of a residual beyond what is not known: a threshold that adapts itself."""
+    least = GUARD * doubt
+    if residual > least:
+        return residual - least
+    return residual + least if residual < -least else 0.0 * residual

@@ -1,0 +1,1 @@
+"""Many cars: what logs of healthy drives teach, and what the logs of a fleet show."""

@@ -1,0 +1,456 @@
+"""``gateway calibrate``: thresholds from healthy logs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+
+from gateway.bus.corpus import find
+from gateway.calibration import cusum, plants, sensors, stopping
+from gateway.calibration.earlier import load_afresh
+from gateway.calibration.file import write
+from gateway.calibration.logs import digest, of_kind, refuse
+from gateway.cli.present import print_json, say, wide_console
+from gateway.common.extras import need
+from gateway.config.model import Config
+from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
+from gateway_fdi.errors import InputError
+from gateway_fdi.stopping import assured
+
+if TYPE_CHECKING:
+    from gateway_fleet.fleet.healthy import Answer
+    from gateway_fleet.fleet.verdicts import Row
+
+#: Time between two lines of progress [s].
+PERIOD_S = 5.0
+#: States of logs that may fare better another time.
+_FAILED = ("failed", "killed", "unreadable")
+
+
+def _alarmed(failed: tuple[str, ...]) -> list[str]:
+    if not failed:
+        return []
+    return [
+        f"These logs set {', '.join(failed)}. If that was no false alarm, they are not healthy, and the "
+        "thresholds are too high."
+    ]
+
+
+def _claim(seconds: float, target: float) -> list[str]:
+    """Say what the data carry for stopping rules."""
+    lines = [
+        f"The logs hold {seconds:.0f} s. Without an alarm in them, a mean time between false alarms of "
+        f"{assured(seconds, 0):.0f} s is sure with 95 %."
+    ]
+    if target > seconds:
+        lines.append(
+            f"The target of {target:.0f} s lies beyond the data: thresholds are continued from the levels' tail, "
+            f"and nothing here proves them. {3.0 * target:.0f} s of healthy logs would."
+        )
+    return lines
+
+
+def _cusum_claim(found: cusum.Found, margin: float, floor: float) -> list[str]:
+    """Say what the data carry for CUSUM tests."""
+    worst = max(found.rows, key=lambda row: row.margin)
+    floored = sum(row.floored for row in found.rows)
+    few = sorted({row.residual or row.name for row in found.rows if row.samples == 0})
+    lines = [
+        f"The logs hold {found.seconds:.0f} s. With these thresholds no test fires in them: the largest healthy T is "
+        f"{worst.margin:.2f} of its threshold ({worst.name}), {margin:g} at most was asked for. A mean time between "
+        f"false alarms of {assured(found.seconds, 0):.0f} s is sure with 95 %.",
+        f"The floor of {floor:g} nu decides for {floored} of {len(found.rows)} quantities.",
+    ]
+    if few:
+        lines.append(f"Nothing in them updated {', '.join(few)}: nu stays as it was.")
+    return lines
+
+
+def _table(proposals: list[stopping.Proposal]) -> Table:
+    table = Table()
+    for name in ("monitor", "symptom"):
+        table.add_column(name)
+    for name in ("now", "alarms", "largest level", "proposed", "alarms", "assured MTFA [s]"):
+        table.add_column(name, justify="right")
+    for p in proposals:
+        table.add_row(
+            p.monitor,
+            p.symptom,
+            f"{p.now:.4g}",
+            str(p.alarms_now),
+            f"{p.largest:.4g}",
+            f"{p.threshold:.4g}" + (" *" if p.beyond > 1.0 else ""),
+            str(p.alarms),
+            f"{p.assured_s:.0f}",
+        )
+    return table
+
+
+def _cusum_table(rows: tuple[cusum.Quantity, ...]) -> Table:
+    table = Table(title="CUSUM tests; T and J in units of nu")
+    for name in ("monitor", "quantity"):
+        table.add_column(name)
+    for name in ("samples", "nu now", "nu", "J now", "largest T", "J", "T / J"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        table.add_row(
+            row.monitor,
+            row.name,
+            str(row.samples),
+            "-" if row.nu_now is None else f"{row.nu_now:.4g}",
+            "-" if row.nu is None else f"{row.nu:.4g}",
+            "-" if row.now is None else f"{row.now:.4g}",
+            f"{row.largest:.3g}",
+            f"{row.threshold:.4g}",
+            f"{row.margin:.2f}",
+        )
+    return table
+
+
+def _plant_table(plant: plants.Plant) -> Table:
+    """Return what logs say of a plant."""
+    table = Table(title=f"plant of {plant.monitor}")
+    for name in ("entry", "told", "found", "standard deviation"):
+        table.add_column(name, justify="left" if name == "entry" else "right")
+    for name, told, found, sure in plant.rows:
+        table.add_row(name, f"{told:.5g}", f"{found:.5g}", f"{sure:.2g}" if sure else "")
+    return table
+
+
+def _sensor_table(measured: sensors.Sensors) -> Table:
+    """Return what logs say of a monitor's sensors."""
+    table = Table(title=f"sensors of {measured.monitor}")
+    for name in ("key", "told", "found", "standard deviation"):
+        table.add_column(name, justify="left" if name == "key" else "right")
+    for name, *numbers in measured.rows:
+        table.add_row(escape(name), *("" if isnan(number) else f"{number:.4g}" for number in numbers))
+    return table
+
+
+def _plant_claim(plant: plants.Plant) -> str:
+    """Say how well the model explains the logs."""
+    fits = ", ".join(f"{fit:.2f}" for fit in plant.fit)
+    return (
+        f"{plant.monitor}: innovations squared over what the noise explains, log by log: {fits} (1 is all of them; "
+        "more: the model lacks something, and the noise is widened; much less: the noise told is too large)"
+    )
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is asked for.
+
+    Attributes:
+        config: the configuration's file.
+        logs: healthy logs.
+        mtfa: target of the mean time between false alarms [s], for stopping rules.
+        margin: largest healthy T over its threshold, for CUSUM tests.
+        floor: least threshold of these [nu].
+        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
+        into: file that gets the thresholds, None: none.
+        json: whether programs are told.
+    """
+
+    config: Path
+    logs: list[Path]
+    mtfa: float
+    margin: float
+    floor: float
+    maps: Sequence[str]
+    into: Path | None
+    json: bool
+
+
+@dataclass(frozen=True)
+class _Fleet:
+    """How the logs of a fleet are read.
+
+    Attributes:
+        out: folder of what each log said.
+        scheduler: address of a scheduler.
+        workers: of this machine, None: a core each.
+    """
+
+    out: Path
+    scheduler: str | None
+    workers: int | None
+
+
+@dataclass(frozen=True)
+class _Learned:
+    """What the logs say: of stopping rules, of CUSUM tests, None where a configuration has none of these.
+
+    Attributes:
+        levels: largest levels of stopping rules.
+        proposals: thresholds for them.
+        tests: of CUSUM tests, with thresholds.
+        plants: of linear plants, with matrices.
+        sensors: of redundant sensors, with what they are like.
+        data: what names the logs' contents.
+        logs: how many they are.
+        left_out: rows of logs that nothing was learnt from.
+        read: logs that were read; the others had been before.
+    """
+
+    levels: stopping.Levels | None
+    proposals: list[stopping.Proposal]
+    tests: cusum.Found | None
+    plants: list[plants.Plant]
+    sensors: list[sensors.Sensors]
+    data: str
+    logs: int
+    left_out: Sequence[Row] = ()
+    read: int = 0
+
+    @property
+    def seconds(self) -> float:
+        """Length of the logs [s]."""
+        return max(part.seconds for part in (self.levels, self.tests, *self.plants, *self.sensors) if part is not None)
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """DTCs that the logs set."""
+        parts = (part for part in (self.levels, self.tests, *self.sensors) if part is not None)
+        return tuple(sorted({dtc for part in parts for dtc in part.failed}))
+
+
+def _any(config: Config) -> bool:
+    """Tell whether logs can set anything of a configuration."""
+    rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
+    return bool(rules or tests or of_kind(config, Refinement) or of_kind(config, SensorCalibration))
+
+
+def _learn(asked: _Asked) -> _Learned:
+    """Run the logs through a gateway, and propose thresholds.
+
+    Raises:
+        InputError: the configuration has nothing to calibrate.
+    """
+    config = load_afresh(asked.config, told=True)
+    rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
+    models = of_kind(config, Refinement)
+    redundant = of_kind(config, SensorCalibration)
+    if not _any(config):
+        raise refuse("thresholds", asked.config)
+    columns = (TextColumn("frames"), BarColumn(), TextColumn("{task.completed}"))
+    levels, found = None, None
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("frames", total=None)
+
+        def progress(count: int) -> None:
+            bar.advance(task, count)
+
+        if rules:
+            levels = stopping.levels(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
+        if tests:
+            found = cusum.learn(
+                config,
+                asked.logs,
+                margin=asked.margin,
+                floor=asked.floor,
+                file=asked.config,
+                maps=asked.maps,
+                progress=progress,
+            )
+        refined = []
+        if models:
+            refined = plants.learn(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
+        measured = []
+        if redundant:
+            measured = sensors.learn(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
+    proposals = stopping.calibrate(config, levels, asked.mtfa) if levels else []
+    return _Learned(levels, proposals, found, refined, measured, digest(asked.logs), len(asked.logs))
+
+
+class _Told:
+    """Tells how far the logs are read.
+
+    Args:
+        silent: to nobody.
+    """
+
+    def __init__(self, *, silent: bool) -> None:
+        self._silent = silent
+        self._said = time.monotonic()
+
+    def __call__(self, answer: Answer, left: int) -> None:
+        """Take an answer, and how many are to come."""
+        now = time.monotonic()
+        if self._silent or (left and now - self._said < PERIOD_S):
+            return
+        self._said = now
+        say(f"{answer.ask.kind}: {left} logs left")
+
+
+def _learn_of_fleet(asked: _Asked, fleet: _Fleet) -> _Learned:
+    """Have workers run the logs through gateways, and propose thresholds.
+
+    Raises:
+        InputError: the configuration has nothing to calibrate, an extra is missing.
+    """
+    need("fleet", "fleets' logs")
+    need("parquet", "tables of errors")
+    from gateway.common.pool import Workers, default_workers  # noqa: PLC0415
+    from gateway_fleet.fleet import healthy  # noqa: PLC0415 - behind need()
+
+    if fleet.scheduler is not None and fleet.workers is not None:
+        raise InputError("a scheduler has workers of its own", key="--workers", value=fleet.workers)
+    config = load_afresh(asked.config, told=True)
+    if not _any(config):
+        raise refuse("thresholds", asked.config)
+    found = healthy.learn(
+        asked.config,
+        find(asked.logs),
+        fleet.out,
+        Workers(fleet.scheduler, default_workers() if fleet.workers is None else fleet.workers),
+        margin=asked.margin,
+        floor=asked.floor,
+        maps=tuple(asked.maps),
+        told=_Told(silent=asked.json),
+    )
+    proposals = stopping.calibrate(config, found.levels, asked.mtfa) if found.levels else []
+    return _Learned(
+        found.levels, proposals, found.tests, found.plants, found.sensors,
+        found.data, found.logs, found.left_out, found.read,
+    )  # fmt: skip
+
+
+def _write(asked: _Asked, learned: _Learned, into: Path) -> None:
+    """Write the thresholds into a configuration, with their source.
+
+    Raises:
+        InputError: the file cannot be written, or would not find what lies beside the configuration.
+    """
+    source = f"{learned.seconds:.0f} s of healthy logs, sha256 {learned.data}"
+    if into.absolute() != asked.config.absolute():
+        if into.absolute().parent != asked.config.absolute().parent:
+            text = "is to lie beside the configuration, whose databases are named from there"
+            raise InputError(text, key="--write-to", value=str(into))
+        into.write_text(asked.config.read_text())
+    if learned.levels:
+        tables = stopping.tables(learned.proposals)
+        write(into, tables, f"{source}, target {asked.mtfa:.0f} s")
+    if learned.tests:
+        criteria = f"margin {asked.margin:g}, floor {asked.floor:g} nu"
+        write(into, learned.tests.tables, f"{source}, {criteria}")
+    if learned.plants:
+        plants.write(into, learned.plants, source)
+    if learned.sensors:
+        sensors.write(into, learned.sensors, source)
+
+
+def _data(asked: _Asked, learned: _Learned) -> dict[str, Any]:
+    """Return what was found, for programs."""
+    said: dict[str, Any] = {
+        "seconds": learned.seconds,
+        "data": learned.data,
+        "logs": learned.logs,
+        "left_out": [{name: row[name] for name in ("path", "kind", "text")} for row in learned.left_out],
+        "failed": list(learned.failed),
+    }
+    if learned.levels:
+        said |= {"target_s": asked.mtfa, "rows": [asdict(p) for p in learned.proposals]}
+    if learned.tests:
+        said |= {"margin": asked.margin, "floor": asked.floor}
+        said["cusum"] = [asdict(row) | {"margin": row.margin} for row in learned.tests.rows]
+    if learned.plants:
+        said["plants"] = [
+            {"monitor": p.monitor, "seconds": p.seconds, "fit": list(p.fit), "rows": [list(row) for row in p.rows]}
+            for p in learned.plants
+        ]
+    if learned.sensors:
+        said["sensors"] = [
+            {
+                "monitor": one.monitor,
+                "seconds": one.seconds,
+                "rows": [[None if isinstance(v, float) and isnan(v) else v for v in row] for row in one.rows],
+            }
+            for one in learned.sensors
+        ]
+    return said | {"assured_s": assured(learned.seconds, 0)}
+
+
+def _show(asked: _Asked, learned: _Learned, console: Console) -> None:
+    """Print what was found, for people."""
+    lines = _alarmed(learned.failed)
+    if learned.levels:
+        console.print(_table(learned.proposals))
+        lines = _claim(learned.levels.seconds, asked.mtfa) + lines
+        if any(p.beyond > 1.0 for p in learned.proposals):
+            lines.append("* extrapolated: this symptom's share of the target is longer than the logs")
+    if learned.tests:
+        console.print(_cusum_table(learned.tests.rows))
+        lines = _cusum_claim(learned.tests, asked.margin, asked.floor) + lines
+    for plant in learned.plants:
+        console.print(_plant_table(plant))
+        lines.append(_plant_claim(plant))
+    for one in learned.sensors:
+        console.print(_sensor_table(one))
+    for line in lines:
+        console.print(line, soft_wrap=True)
+
+
+def calibrate_logs(
+    config_path: Path,
+    logs: list[str],
+    *,
+    mtfa: float,
+    margin: float,
+    floor: float,
+    into: Path | None,
+    parts: Path | None,
+    scheduler: str | None,
+    workers: int | None,
+    maps: Sequence[str] = (),
+    json: bool,
+) -> int:
+    """Propose thresholds, and write them if wanted; returns the exit code.
+
+    Args:
+        config_path: the configuration.
+        logs: healthy ones: files, folders, patterns.
+        mtfa: target of the mean time between false alarms [s], for stopping rules.
+        margin: largest healthy T over its threshold, for CUSUM tests.
+        floor: least threshold of these [nu].
+        into: configuration that gets the thresholds; None: none.
+        parts: folder of what each log said, None: all is done here, each time anew.
+        scheduler: address of Dask's scheduler.
+        workers: of this machine.
+        maps: channels of the logs taken as buses.
+        json: programs are told.
+    """
+    if parts is None:
+        for key, value in (("--scheduler", scheduler), ("--workers", workers)):
+            if value is not None:
+                raise InputError("goes with --parts, the folder of what each log said", key=key, value=value)
+        paths = [recording.path for recording in find(logs)]
+        asked = _Asked(config_path, paths, mtfa, margin, floor, maps, into, json)
+        learned = _learn(asked)
+    else:
+        asked = _Asked(config_path, [Path(log) for log in logs], mtfa, margin, floor, maps, into, json)
+        learned = _learn_of_fleet(asked, _Fleet(parts, scheduler, workers))
+    if into is not None:
+        _write(asked, learned, into)
+    code = 2 if any(row["kind"] in _FAILED for row in learned.left_out) else 0
+    if json:
+        print_json(_data(asked, learned) | {"written": into is not None})
+        return code
+    console = wide_console()
+    _show(asked, learned, console)
+    if parts is not None:
+        said = f"{learned.logs} logs, {learned.read} of them read now, {len(learned.left_out)} left out"
+        console.print(f"{said} (kept in {parts})", soft_wrap=True)
+        for row in learned.left_out:
+            say(f"{row['path']}: left out, {row['kind']}: {row['text']}")
+    if into is not None:
+        console.print(f"written: {into}")
+    return code

@@ -1,0 +1,132 @@
+"""``gateway fleet``: many logs through the monitors, and two such runs compared."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from gateway.bus.corpus import find
+from gateway.cli.present import find_config, print_json, say, table_of, wide_console
+from gateway.cli.progress import LogsDone
+from gateway.common.extras import need
+from gateway_fdi.errors import InputError
+from gateway_fleet.fleet.task import Outcome
+
+
+def _teller(*, as_json: bool) -> Callable[[Outcome, int], None]:
+    """Return what tells how far a run is: an event a log, or a line."""
+    done = LogsDone()
+
+    def tell(outcome: Outcome, left: int) -> None:
+        if as_json:
+            print_json({"event": "judged", **_event(outcome), "left": left})
+        else:
+            done(left, outcome.frames)
+
+    return tell
+
+
+def _event(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "log": outcome.log,
+        "path": str(outcome.recording.path),
+        "device": outcome.recording.device,
+        "state": outcome.state,
+        "frames": outcome.frames,
+        "dtcs": outcome.dtcs,
+        "seconds": outcome.seconds,
+    }
+
+
+def fleet_run(
+    logs: Sequence[str],
+    config: Path | None,
+    out: Path,
+    *,
+    scheduler: str | None,
+    workers: int | None,
+    memory: str,
+    maps: Sequence[str],
+    device: str | None,
+    retry: bool,
+    dashboard: int | None,
+    json: bool,
+) -> int:
+    """Judge the logs that have no verdict yet; returns the exit code."""
+    need("fleet", "runs over a fleet's logs")
+    need("parquet", "tables of verdicts")
+    if memory not in ("fresh", "carried"):
+        raise InputError("the memories are fresh and carried", key="--memory", value=memory)
+    if scheduler is not None and workers is not None:
+        raise InputError("a scheduler has workers of its own", key="--workers", value=workers)
+    from gateway.common.pool import default_workers  # noqa: PLC0415 - behind need()
+    from gateway_fleet.fleet.run import FAILED, Order, run  # noqa: PLC0415
+
+    order = Order(
+        find(logs, device),
+        find_config(config),
+        out,
+        tuple(maps),
+        carried=memory == "carried",
+        scheduler=scheduler,
+        workers=default_workers() if workers is None else workers,
+        retry=retry,
+        dashboard=dashboard,
+    )
+    begun = time.monotonic()
+    result = run(order, _teller(as_json=json))
+    states = Counter(outcome.state for outcome in result.outcomes)
+    failed = sum(states[state] for state in FAILED)
+    summary = {
+        "event": "fleet",
+        "logs": len(order.recordings),
+        "known": result.known,
+        "judged": len(result.outcomes),
+        "states": dict(sorted(states.items())),
+        "dtcs": sum(outcome.dtcs for outcome in result.outcomes),
+        "seconds": time.monotonic() - begun,
+        "out": str(out),
+    }
+    if json:
+        print_json(summary)
+    else:
+        told = ", ".join(f"{count} {state}" for state, count in sorted(states.items())) or "nothing new"
+        print(f"{len(order.recordings)} logs, {result.known} judged before; now: {told}. Tables: {out}")
+        for outcome in result.outcomes:
+            if outcome.state != "whole":
+                say(f"{outcome.recording.path}: {outcome.state} (table errors)")
+    return 2 if failed else 0
+
+
+def fleet_diff(first: Path, second: Path, *, json: bool) -> int:
+    """Compare two runs; returns the exit code: 1 if a verdict differs."""
+    need("parquet", "tables of verdicts")
+    from gateway_fleet.fleet.diff import diff  # noqa: PLC0415 - behind need()
+
+    found = diff(first, second)
+    if json:
+        print_json({"event": "diff", **asdict(found)})
+        return 1 if found.changed else 0
+    if found.changed:
+        table = table_of("log", "device", "at [s]", "first", "second", "DTCs gone", "DTCs new")
+        for one in found.changed:
+            at = "" if one.at_s is None else f"{one.at_s:.3f}"
+            events = [_told_event(event) for event in (one.before, one.after)]
+            if one.states[0] != one.states[1]:
+                events = [f"{state}; {event}" for state, event in zip(one.states, events, strict=True)]
+            table.add_row(one.path, one.device, at, *events, ", ".join(one.gone), ", ".join(one.new))
+        wide_console().print(table)
+    for label, paths in (("first", found.only_first), ("second", found.only_second)):
+        if paths:
+            more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
+            say(f"only in the {label}: {', '.join(paths[:3])}{more}")
+    print(f"{len(found.changed)} logs changed their verdict, {found.same} did not")
+    return 1 if found.changed else 0
+
+
+def _told_event(event: dict[str, Any] | None) -> str:
+    return "nothing" if event is None else f"{event['dtc']} {event['fault']} 0x{event['status']:02X}"

@@ -1,0 +1,222 @@
+"""Commands of many cars: one function each, whose work is imported only when it is called."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gateway.cli.options import Json, JsonEvents, Maps
+
+
+def learn(
+    files: Annotated[
+        list[Path], typer.Argument(help="Databases (.dbc, .kcd, .sym, .arxml) and logs of healthy drives.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Configuration file to write.")] = Path("car.toml"),
+    bus: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=FILE[,FILE]", help="Name of a bus and its databases; may be repeated."),
+    ] = None,
+    hold_out: Annotated[
+        float,
+        typer.Option(min=0.0, max=0.9, help="Share of each log that is not learned from, but used to test the result."),
+    ] = 0.3,
+    maps: Maps = None,
+    pgn: Annotated[bool, typer.Option("--pgn", help="Match extended identifiers by their J1939 PGN.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the faults that are injected into the test share.")] = 1,
+    update: Annotated[
+        bool, typer.Option("--update", help="Add the logs to a configuration learned earlier; edited lines stay.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    json: Json = False,
+) -> None:
+    """Learn a configuration from a database and healthy logs."""
+    from gateway_fleet.cli.learn import learn_car as work
+
+    raise typer.Exit(
+        work(
+            files,
+            out=out,
+            buses=bus or (),
+            hold_out=hold_out,
+            maps=maps or (),
+            pgn=pgn,
+            seed=seed,
+            update=update,
+            force=force,
+            json=json,
+        )
+    )
+
+
+def calibrate(
+    config: Annotated[Path, typer.Argument(help="Configuration file.")],
+    logs: Annotated[
+        list[str], typer.Argument(help="Logs of healthy drives: files, folders, or patterns, e.g. 'logs/**'.")
+    ],
+    mtfa: Annotated[float, typer.Option(min=1, help="Mean time between false alarms of a monitor [s].")] = 3600.0,
+    margin: Annotated[
+        float, typer.Option(min=0.01, max=1, help="CUSUM tests: largest healthy T as a share of the threshold J.")
+    ] = 0.5,
+    floor: Annotated[
+        float, typer.Option(min=1, help="CUSUM tests: lower limit of the largest healthy T, in units of nu.")
+    ] = 25.0,
+    into: Annotated[bool, typer.Option("--write", help="Write the thresholds into the configuration.")] = False,
+    write_to: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-to", help="Write the thresholds into this copy of the configuration, in the same folder."
+        ),
+    ] = None,
+    parts: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the result of each log, for a fleet: workers read only logs that are new."),
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="With --parts: address of a Dask scheduler, e.g. tcp://10.0.0.1:8786.")
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="With --parts: number of workers on this machine; 0: none, use this process; default: one per core.",
+        ),
+    ] = None,
+    maps: Maps = None,
+    json: Json = False,
+) -> None:
+    """Find thresholds from healthy logs, and how reliable they are.
+
+    It calibrates stopping rules, CUSUM tests, models of plants and redundant sensors. With --parts, a log that is
+    damaged or ends its worker is left out and reported; without --parts, it is an error.
+    """
+    from gateway_fleet.cli.calibrate import calibrate_logs as work
+
+    raise typer.Exit(
+        work(
+            config,
+            logs,
+            mtfa=mtfa,
+            margin=margin,
+            floor=floor,
+            into=write_to or (config if into else None),
+            parts=parts,
+            scheduler=scheduler,
+            workers=workers,
+            maps=maps or (),
+            json=json,
+        )
+    )
+
+
+def fleet_run(
+    logs: Annotated[
+        list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns, e.g. 'logs/**'.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            "--config", "-c", help="Configuration file; default: gateway.toml in this folder, or else the shipped one."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address of a Dask scheduler, as tcp://HOST:PORT; default: a local cluster on this machine.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, help="Number of workers of the local cluster; 0: no cluster.  [default: one per core]"),
+    ] = None,
+    memory: Annotated[
+        str,
+        typer.Option(
+            help="Fault memory: fresh (a new one for each log) or carried (one per device, through its logs in order)."
+        ),
+    ] = "fresh",
+    maps: Maps = None,
+    device: Annotated[
+        str | None,
+        typer.Option(
+            "--device", help="Name of the device (car) of the logs.  [default: first folder below the pattern]"
+        ),
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Try logs again that failed or ended their worker.")] = False,
+    dashboard: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Port of the Dask dashboard on 127.0.0.1.")
+    ] = None,
+    json: JsonEvents = False,
+) -> None:
+    """Run many logs through the monitors, each log once.
+
+    The results are Parquet tables of logs, DTCs, tests, events and errors. If called again, it runs only new logs. Exit
+    code 2: a log could not be run; all others were.
+    """
+    from gateway_fleet.cli.fleet import fleet_run as work
+
+    raise typer.Exit(
+        work(
+            logs,
+            config,
+            out,
+            scheduler=scheduler,
+            workers=workers,
+            memory=memory,
+            maps=maps or (),
+            device=device,
+            retry=retry,
+            dashboard=dashboard,
+            json=json,
+        )
+    )
+
+
+def fleet_diff(
+    first: Annotated[Path, typer.Argument(help="Folder with the results of one configuration or version.")],
+    second: Annotated[Path, typer.Argument(help="Folder with the results of the other one.")],
+    json: Json = False,
+) -> None:
+    """List logs with different results in two runs.
+
+    It shows the first event that differs in each log. Exit code 1: at least one log differs.
+    """
+    from gateway_fleet.cli.fleet import fleet_diff as work
+
+    raise typer.Exit(work(first, second, json=json))
+
+
+def evaluate_learn(
+    cars: Annotated[int, typer.Option(min=1, help="Number of virtual cars.")] = 3,
+    seconds: Annotated[float, typer.Option(min=30, help="Length of the drive that is learned of [s].")] = 300.0,
+    hours: Annotated[float, typer.Option(min=0, help="Other healthy drives, together [h].")] = 20.0,
+    ways: Annotated[str, typer.Option(help="How frames reach the log: clean,lost,sleeps,host,all.")] = "lost,all",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first car.")] = 2026,
+    json: Json = False,
+) -> None:
+    """Evaluate what is learned of virtual cars.
+
+    Cars have 40 messages; claims are compared with the truth, and healthy drives give codes or none.
+    """
+    from gateway_fleet.study.learn.command import learn as work
+
+    raise typer.Exit(work(cars=cars, seconds=seconds, hours=hours, ways=tuple(ways.split(",")), seed=seed, json=json))
+
+
+def evaluate_cause(
+    seeds: Annotated[int, typer.Option(min=0, help="Number of runs of each fault; 0: none.")] = 3,
+    pairs: Annotated[int, typer.Option(min=0, help="Number of runs with two faults; 0: none.")] = 200,
+    healthy: Annotated[int, typer.Option(min=0, help="Number of healthy runs of each scenario; 0: none.")] = 3,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
+    work: Annotated[Path, typer.Option(help="Folder for the two cars that are learned.")] = Path("cause"),
+    json: Json = False,
+) -> None:
+    """Evaluate which component is named as the cause.
+
+    One or two faults are put into plants and learned cars.
+    """
+    from gateway_fleet.study.cause.command import cause as run
+
+    raise typer.Exit(run(seeds=seeds, pair_runs=pairs, healthy_runs=healthy, seed=seed, work=work, json=json))

@@ -1,0 +1,303 @@
+"""What a fleet's run leaves: tables of verdicts as Parquet, a file a log in each, and what has been done.
+
+==========  ======================================================================================================
+table       a row
+==========  ======================================================================================================
+``logs``    a log: whose, when, how many frames, what state, distance driven, DTCs
+``dtcs``    a DTC of a log: status at the end, first and last failure, occurrences, proven cause, evidence
+``tests``   a test of a log: results, the nearest to a failure (``ratio``, 1 at the limit), near misses
+``events``  a change of a DTC's status in a log, in order
+``errors``  what was wrong with a log: damaged, cut off, empty, foreign, failed, killed its worker, a copy
+==========  ======================================================================================================
+
+Files are named by the digest of the log's contents, written under another name and renamed; that in ``logs`` comes
+last, and says that the others are there. So whoever writes one twice writes the same, and nobody reads a part of one.
+Nothing in the tables depends on when, where or how fast they were made.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gateway.bus.corpus import DIGITS, Recording
+from gateway_fdi.errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_TIME, _TEXT, _COUNT, _NUMBER = "time", "text", "count", "number"
+
+#: Table -> its columns.
+TABLES: dict[str, dict[str, str]] = {
+    "logs": {
+        "log": _TEXT, "device": _TEXT, "path": _TEXT, "state": _TEXT, "begin": _TIME, "end": _TIME,
+        "seconds": _NUMBER, "frames": _COUNT, "decoded": _COUNT, "left_out": _COUNT, "km": _NUMBER, "dtcs": _COUNT,
+    },
+    "dtcs": {
+        "log": _TEXT, "device": _TEXT, "dtc": _TEXT, "fault": _TEXT, "status": _COUNT, "first": _TIME, "last": _TIME,
+        "occurrence": _COUNT, "failed_cycles": _COUNT, "cause": _TEXT, "probability": _NUMBER, "role": _TEXT,
+        "evidence": _TEXT,
+    },
+    "tests": {
+        "log": _TEXT, "device": _TEXT, "dtc": _TEXT, "fault": _TEXT, "results": _COUNT, "failed": _COUNT,
+        "ratio": _NUMBER, "worst": _NUMBER, "limit": _NUMBER, "worst_t": _TIME, "low": _NUMBER, "high": _NUMBER,
+        "near_misses": _COUNT, "peak_fdc": _COUNT,
+    },
+    "events": {
+        "log": _TEXT, "device": _TEXT, "n": _COUNT, "t": _TIME, "dtc": _TEXT, "fault": _TEXT, "status": _COUNT,
+        "occurrence": _COUNT,
+    },
+    "errors": {"log": _TEXT, "device": _TEXT, "path": _TEXT, "kind": _TEXT, "text": _TEXT},
+}  # fmt: skip
+
+Row = dict[str, Any]
+
+
+@dataclass
+class Verdict:
+    """The rows of one log, by table."""
+
+    logs: list[Row] = field(default_factory=list)
+    dtcs: list[Row] = field(default_factory=list)
+    tests: list[Row] = field(default_factory=list)
+    events: list[Row] = field(default_factory=list)
+    errors: list[Row] = field(default_factory=list)
+
+
+def _schema(table: str) -> pa.Schema:
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    types = {_TIME: pa.timestamp("ns", "UTC"), _TEXT: pa.string(), _COUNT: pa.int64(), _NUMBER: pa.float64()}
+    return pa.schema([pa.field(name, types[kind]) for name, kind in TABLES[table].items()])
+
+
+def write_table(path: Path, table: str, rows: Sequence[Row]) -> None:
+    """Write a file that is there whole or not at all."""
+    import pyarrow as pa  # noqa: PLC0415 - an extra
+    import pyarrow.parquet as pq  # noqa: PLC0415 - an extra
+
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        pq.write_table(pa.Table.from_pylist(list(rows), schema=_schema(table)), part)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise InputError(f"cannot be written: {error.strerror or error}", file=path) from error
+
+
+class Verdicts:
+    """A folder of verdicts.
+
+    Args:
+        folder: of them.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def prepare(self) -> None:
+        """Make the folders, each table with a file, so that all can be asked for rows.
+
+        Raises:
+            InputError: they cannot be made.
+        """
+        try:
+            for table in TABLES:
+                (self.folder / table).mkdir(parents=True, exist_ok=True)
+                empty = self.folder / table / "none.parquet"
+                if not empty.exists():
+                    write_table(empty, table, [])
+        except OSError as error:
+            raise InputError(f"cannot be written: {error.strerror or error}", file=self.folder) from error
+
+    def path(self, table: str, log: str) -> Path:
+        """Return the file of a log in a table."""
+        return self.folder / table / f"{log}.parquet"
+
+    def has(self, log: str) -> bool:
+        """Tell whether a log has its verdict."""
+        return self.path("logs", log).exists()
+
+    def write(self, log: str, verdict: Verdict) -> None:
+        """Write a log's rows; those in ``logs`` come last."""
+        for table in (*(name for name in TABLES if name != "logs"), "logs"):
+            rows = getattr(verdict, table)
+            path = self.path(table, log)
+            if rows:
+                write_table(path, table, rows)
+            else:
+                path.unlink(missing_ok=True)
+
+    def forget(self, log: str) -> None:
+        """Take a log's rows away."""
+        for table in TABLES:
+            self.path(table, log).unlink(missing_ok=True)
+
+    def name(self, log: str, recording: Recording) -> None:
+        """Have a log's rows name a recording with its contents."""
+        rows = self.rows("logs", log)
+        if not rows or (rows[0]["path"], rows[0]["device"]) == (str(recording.path), recording.device):
+            return
+        before = rows[0]["path"]
+        verdict = Verdict(**{table: self.rows(table, log) for table in TABLES})
+        for table, columns in TABLES.items():
+            for row in getattr(verdict, table):
+                row["device"] = recording.device
+                if "path" in columns:
+                    row["path"] = str(recording.path)
+                if "text" in columns:
+                    row["text"] = row["text"].replace(before, str(recording.path))
+        self.write(log, verdict)
+
+    def tell_copy(self, recording: Recording, log: str, first: Recording | None) -> None:
+        """Write that a recording has the contents of another one, which is judged; None: it has not."""
+        path = self.path("errors", hashlib.sha256(f"copy {recording.path}".encode()).hexdigest()[:DIGITS])
+        if first is None:
+            path.unlink(missing_ok=True)
+            return
+        text = f"the same contents as {first.path}: counted once"
+        write_table(path, "errors", error_rows(log, recording, "copy", [text]))
+
+    def rows(self, table: str, log: str | None = None) -> list[Row]:
+        """Return the rows of a table, of one log or of all, in order of their logs; times in nanoseconds.
+
+        Raises:
+            InputError: there is no such table here.
+        """
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+        import pyarrow.parquet as pq  # noqa: PLC0415 - an extra
+
+        folder = self.folder / table
+        if not folder.is_dir():
+            raise InputError("no verdicts here (made by gateway fleet run --out)", file=self.folder)
+        paths = [self.path(table, log)] if log is not None else sorted(folder.glob("[!.]*.parquet"))
+        found: list[Row] = []
+        for path in paths:
+            if not path.exists():
+                continue
+            read = pq.read_table(path, partitioning=None)
+            for k, one in enumerate(read.schema):
+                if pa.types.is_timestamp(one.type):
+                    read = read.set_column(k, one.name, read.column(k).cast(pa.int64()))
+            found += read.to_pylist()
+        return found
+
+
+@dataclass(frozen=True)
+class Done:
+    """What the manifest says of a recording.
+
+    Attributes:
+        files: name, size [byte] and time of change [ns] of each of its files.
+        log: digest of its contents.
+        state: of it.
+    """
+
+    files: tuple[tuple[str, int, int], ...]
+    log: str
+    state: str
+
+
+def signature(recording: Recording) -> tuple[tuple[str, int, int], ...]:
+    """Return name, size [byte] and time of change [ns] of a recording's files.
+
+    Raises:
+        InputError: one cannot be looked at.
+    """
+    found = []
+    for path in recording.files:
+        try:
+            facts = path.stat()
+        except OSError as error:
+            raise InputError(error.strerror or str(error), file=path) from error
+        found.append((path.name, facts.st_size, facts.st_mtime_ns))
+    return tuple(found)
+
+
+class Manifest:
+    """Which recordings have been done, and by what configuration; a line of JSON each.
+
+    Args:
+        folder: of the verdicts.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._path = folder / "manifest.jsonl"
+        self.done: dict[str, Done] = {}
+        self._before = ""  # ends a line that a kill has cut
+        if self._path.exists():
+            text = self._path.read_text(encoding="utf-8")
+            self._before = "" if text.endswith("\n") or not text else "\n"
+            for line in text.splitlines():
+                self._take(line)
+
+    def _take(self, line: str) -> None:
+        try:
+            row = json.loads(line)
+            files = tuple((str(name), int(size), int(t_ns)) for name, size, t_ns in row["files"])
+            self.done[row["path"]] = Done(files, row["log"], row["state"])
+        except (ValueError, KeyError, TypeError):
+            return  # a line that a kill has cut; its recording is looked at again
+
+    def paths(self, log: str) -> list[str]:
+        """Return the recordings with these contents."""
+        return [path for path, done in self.done.items() if done.log == log]
+
+    def add(self, path: Path, done: Done, more: Mapping[str, Any]) -> None:
+        """Note that a recording has been done.
+
+        Args:
+            path: of it.
+            done: what is to be known.
+            more: what people may want to know.
+        """
+        self.done[str(path)] = done
+        row = {"path": str(path), "log": done.log, "state": done.state, **more, "files": done.files}
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(self._before + json.dumps(row) + "\n")
+        self._before = ""
+
+    def agree(self, setup: Mapping[str, Any]) -> None:
+        """Note with what these verdicts are made, or see that it is the same as before.
+
+        Raises:
+            InputError: it is not.
+        """
+        path = self._folder / "run.json"
+        if path.exists():
+            before = json.loads(path.read_text(encoding="utf-8"))
+            differing = [name for name in setup if before.get(name) != setup[name]]
+            if differing:
+                told = ", ".join(f"{name} {before.get(name)}, now {setup[name]}" for name in differing)
+                raise InputError(f"these verdicts are of another run ({told}); take another --out", file=path)
+            return
+        part = path.with_name(f".run.json.{os.getpid()}.part")
+        part.write_text(json.dumps(dict(setup), indent=2) + "\n", encoding="utf-8")
+        part.replace(path)
+
+    def setup(self) -> dict[str, Any]:
+        """Return with what these verdicts were made.
+
+        Raises:
+            InputError: there are none.
+        """
+        path = self._folder / "run.json"
+        if not path.exists():
+            raise InputError("no verdicts here (made by gateway fleet run --out)", file=self._folder)
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return found
+
+
+def error_rows(log: str, recording: Recording, kind: str, texts: Iterable[str]) -> list[Row]:
+    """Return what was wrong with a log, a row each."""
+    return [
+        {"log": log, "device": recording.device, "path": str(recording.path), "kind": kind, "text": text}
+        for text in texts
+    ]

@@ -1,0 +1,36 @@
+"""Whether a log is of the car that a database is of: so many identifiers in common are more than chance gives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from scipy.stats import hypergeom
+
+from gateway_fleet.learn.observe import Observation
+
+#: Identifiers of 11 bits; chance explains what both have in common less often than this.
+IDENTIFIERS, CHANCE = 2048, 1e-3
+
+
+def strangers(observation: Observation, buses: Sequence[str]) -> list[str]:
+    """Return the buses whose log does not look as if it belonged to their databases, one line each.
+
+    Of M identifiers in a database and n in a log, all of 2048 that there may be, chance gives m in common with the
+    hypergeometric law. Those that have another length than in the database are not in common. An identifier of 29 bits
+    that both have is no chance.
+    """
+    said = []
+    for bus, name in enumerate(buses):
+        mine = [seen for (index, _), seen in observation.seen.items() if index == bus]
+        alike = [seen for seen in mine if seen.lengths and max(seen.lengths) <= seen.message.length]
+        if any(seen.message.is_extended_frame for seen in alike):
+            continue
+        told = len(mine) + sum(index == bus for index, _ in observation.absent)
+        came = len(mine) + sum(index == bus for index, _ in observation.foreign)
+        chance = float(hypergeom.sf(len(alike) - 1, IDENTIFIERS, min(told, IDENTIFIERS), min(came, IDENTIFIERS)))
+        if chance > CHANCE:
+            said.append(
+                f"{name}: THE LOG DOES NOT LOOK AS IF IT WERE OF THIS DATABASE: of its {told} messages {len(alike)}"
+                f" came, of {came} identifiers in the log; chance alone gives as many with probability {chance:.2g}"
+            )
+    return said

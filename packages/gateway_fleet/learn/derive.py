@@ -1,0 +1,77 @@
+"""From what was seen to the lines of a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gateway.signals.database import Database
+from gateway_fleet.learn import limits
+from gateway_fleet.learn.belonging import strangers
+from gateway_fleet.learn.gaps import cycle_ns
+from gateway_fleet.learn.grip import grip_lines
+from gateway_fleet.learn.lines import Learned
+from gateway_fleet.learn.moves import drives
+from gateway_fleet.learn.observe import Observation, Seen
+from gateway_fleet.learn.protections import ProtectionFound, protection_found
+from gateway_fleet.learn.rules import rule_lines
+
+#: Frames that must have come of a message for anything to be said of it.
+LEAST_FRAMES = 4
+#: Frames of two senders: gaps vary by more than this share, and two of them together by less than that of one's.
+VARY, TOGETHER = 0.2, 0.2
+
+
+def derive(
+    observation: Observation, databases: Sequence[Database], buses: Sequence[str], earlier_s: float = 0.0
+) -> Learned:
+    """Return the lines that a configuration gets, and the notes beside them.
+
+    Args:
+        observation: what was seen.
+        databases: of the buses.
+        buses: their names.
+        earlier_s: length of earlier logs whose statistics were added [s].
+    """
+    learned = Learned()
+    found: dict[tuple[int, str], ProtectionFound] = {}
+    seconds = earlier_s + sum(log.seconds for log in observation.logs)
+    taken: dict[int, set[str]] = {}
+    for key, seen in observation.seen.items():
+        bus, name = key
+        file: Path = databases[bus].file_of(name)
+        several = senders(seen)
+        cycle = cycle_ns(seen.gaps)
+        times = [(stamps - stamps[0]) / cycle for stamps in seen.samples.stamps] if cycle > 0.0 else None
+        whole = seen.frames >= LEAST_FRAMES
+        found[key] = protection_found(seen.message, file, seen.samples.runs, whole=whole, cycles=times)
+        line = limits.check_line(buses[bus], seen, found[key])
+        if several and "counter" not in line.keys and found[key].counter is None:
+            learned.notes.append(f"{buses[bus]}.{name}: its gaps look as if two senders sent it")
+        learned.add(line)
+    speeds = [drives(observation, bus) for bus in range(len(buses))]
+    for key, seen in observation.seen.items():
+        names = taken.setdefault(key[0], set())
+        limits.add(learned, limits.signal_lines(buses[key[0]], seen, found[key], seconds, names, speeds[key[0]]))
+    limits.add(learned, rule_lines(observation, found, buses))
+    limits.add(learned, grip_lines(observation, buses, speeds))
+    learned.notes[:0] = strangers(observation, buses)
+    learned.notes += limits.notes_of(observation, buses)
+    return learned
+
+
+def senders(seen: Seen) -> bool:
+    """Tell whether frames look as if two senders sent them, each at its own times.
+
+    Gaps vary, but those of every second frame do not.
+    """
+    for stamps in seen.samples.stamps:
+        if len(stamps) < 40:
+            continue
+        one = np.diff(stamps).astype(np.float64)
+        two = (stamps[2:] - stamps[:-2]).astype(np.float64)
+        if one.std() > VARY * one.mean() and two.std() < TOGETHER * one.std():
+            return True
+    return False

@@ -1,0 +1,251 @@
+"""The whole way: look at healthy logs, derive limits, replay what was held out, widen, put faults into it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from gateway.config.model import BusConfig, Config
+from gateway.config.resolve import load_databases
+from gateway.engine.checks.memory_health import OWNER
+from gateway.signals.database import Database
+from gateway_fdi.errors import InputError
+from gateway_fleet.learn.derive import derive
+from gateway_fleet.learn.document import BusAsked, document
+from gateway_fleet.learn.lines import Learned
+from gateway_fleet.learn.merge import merged
+from gateway_fleet.learn.observe import Observation, Observer
+from gateway_fleet.learn.proof import Replayed, replayed
+from gateway_fleet.learn.state import Kept, Refused, load_state, merge, state_of
+from gateway_fleet.learn.trial import Outcome, Trials, tried
+from gateway_fleet.learn.update import add_before, dropped, read_file
+from gateway_fleet.learn.widen import owner, widened
+
+#: A limit is widened so often, then taken out; the configuration is replayed so often at most.
+WIDENED, ROUNDS = 3, 8
+
+#: Told: what is done, log or number, how far it is (0 to 1).
+Progress = Callable[[str, str, float], None]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is to be learned.
+
+    Attributes:
+        name: of the gateway.
+        buses: with their databases' paths as given.
+        logs: healthy ones.
+        out: file of the configuration.
+        hold_out: share of each log at its end that is not learned from.
+        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
+        seed: of the faults that are put in.
+        update: the file is there, and another drive is added to it.
+    """
+
+    name: str
+    buses: tuple[BusAsked, ...]
+    logs: tuple[Path, ...]
+    out: Path
+    hold_out: float = 0.3
+    maps: tuple[str, ...] = ()
+    seed: int = 1
+    update: bool = False
+
+
+@dataclass
+class Result:
+    """What was learned.
+
+    Attributes:
+        learned: lines and notes.
+        observation: what they come from.
+        text: of the configuration.
+        changes: what was widened, one line each.
+        alarms: faults that healthy logs set still, none if all is well.
+        conditions: faults of the logs themselves: their clock was set, the bus was off.
+        held_s, held_frames: what was held out.
+        trials: what came of the faults that were put into it.
+        state: what is kept for another drive.
+        kept: lines that a person changed, took out or added; they stay.
+        dropped: what earlier logs gave and is not there any more, one line each.
+        refused: place and key of what healthy frames broke until it was taken out.
+    """
+
+    learned: Learned
+    observation: Observation
+    text: str
+    changes: list[str] = field(default_factory=list)
+    alarms: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()
+    held_s: float = 0.0
+    held_frames: int = 0
+    trials: Trials = field(default_factory=Trials)
+    state: dict[str, Any] = field(default_factory=dict)
+    kept: int = 0
+    dropped: list[str] = field(default_factory=list)
+    refused: set[Refused] = field(default_factory=set)
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """What came of one fault of each kind and place."""
+        return self.trials.outcomes
+
+
+def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Database, ...]]:
+    """Look at the logs.
+
+    Raises:
+        InputError, InputErrors: a database or log that is wrong; nothing in the logs that a database has.
+    """
+    config = Config(
+        bus=tuple(
+            BusConfig(
+                name=bus.name,
+                uri=bus.uri,
+                match=bus.match,
+                database=tuple(Path(file) for file in bus.files or bus.databases),
+            )
+            for bus in asked.buses
+        )
+    )
+    databases = load_databases(config)
+    observer = Observer(config, databases)
+    for path in asked.logs:
+        observer.read(path, asked.maps, asked.hold_out, _by_log(progress, "reading"))
+    observation = observer.result()
+    if not observation.seen:
+        files = ", ".join(file for bus in asked.buses for file in bus.files or bus.databases)
+        ids = sorted({can_id for _, can_id in observation.foreign})
+        some = ", ".join(f"0x{can_id & 0x1FFFFFFF:X}" for can_id in ids[:8])
+        raise InputError(
+            f"no frame of this log is one of {files}; it has {len(ids)} identifiers: {some}{', ...' * (len(ids) > 8)}",
+            file=asked.logs[0],
+        )
+    return observation, databases
+
+
+def learn(asked: Asked, progress: Progress) -> Result:
+    """Learn a configuration; nothing is written.
+
+    Raises:
+        InputError, InputErrors: a database or log that is wrong; nothing in the logs that a database has; to be
+            updated, and not there or not ours.
+    """
+    before = load_state(asked.out) if asked.update else Kept()
+    file = read_file(asked.out) if asked.update else None
+    observation, databases = observe(asked, progress)
+    names = [bus.name for bus in asked.buses]
+    merge(observation, before, names)
+    progress("deriving", "", 0.0)
+    learned = derive(observation, databases, names, before.seconds)
+    result = Result(learned, observation, "")
+    logs = [*before.logs, *logs_text(observation)]
+    kept: set[tuple[str, str, str]] = set()
+    if file is None:
+        settle(asked, result, lambda: document(asked.name, asked.buses, learned, logs), progress)
+    else:
+        kept = add_before(learned, before, file, asked.buses)
+        result.kept = len(kept)
+        settle(asked, result, lambda: merged(file, learned, before.written, kept, asked.buses), progress)
+        result.dropped = dropped(before, learned, kept, set(names))
+    seconds = before.seconds + sum(log.seconds for log in observation.logs)
+    result.state = state_of(observation, learned, names, seconds, logs, before, kept, result.refused)
+    return result
+
+
+def settle(
+    asked: Asked,
+    result: Result,
+    compose: Callable[[], str],
+    progress: Progress,
+) -> None:
+    """Replay the lines on the logs, widen what alarms until they are silent, and put faults in."""
+    before: Counter[tuple[tuple[str, str, str], str]] = Counter()
+    proof: Replayed | None = None
+    for number in range(ROUNDS):
+        result.text = compose()
+        said = f"proof {number + 1}"
+        with _beside(asked.out, result.text) as path:
+            proof = replayed(path, result.observation.logs, asked.maps, _by_log(progress, said))
+        result.held_s, result.held_frames = proof.seconds, proof.frames
+        own = {fault for fault in proof.alarms if _of_log(fault, [bus.name for bus in asked.buses])}
+        result.alarms = tuple(sorted(set(proof.alarms) - own))
+        result.conditions = tuple(sorted(own))
+        if not _widen(asked, result, proof, before):
+            break
+    assert proof is not None
+    if not result.alarms:
+        _try(asked, result, proof, progress)
+
+
+def _of_log(fault: str, buses: Sequence[str]) -> bool:
+    """Tell whether a fault is one of the recording (its clock was set, its bus was off), not of a limit."""
+    owner_, _, rest = fault.partition(".")
+    return owner_ == OWNER or (owner_ in buses and "." not in rest)
+
+
+def _by_log(progress: Progress, said: str) -> Callable[[Path, int, float], None]:
+    return lambda path, _frames, done: progress(said, path.name, done)
+
+
+def _widen(asked: Asked, result: Result, proof: Replayed, before: Counter[tuple[tuple[str, str, str], str]]) -> bool:
+    """Widen what alarmed; returns whether anything was changed."""
+    changed = False
+    for fault, alarm in sorted(proof.alarms.items()):
+        owned = owner(result.learned, fault, asked.buses)
+        if owned is None:
+            continue
+        line, kind = owned
+        new, said = widened(line, kind, alarm, before[line.place, kind] >= WIDENED)
+        before[line.place, kind] += 1
+        left = {} if new is None else new.keys
+        result.refused |= {(line.place, key) for key in line.keys if key not in left}
+        if new is None:
+            del result.learned.lines[line.place]
+            result.learned.notes.append(f"{line.bus}: {line.name}: {said}")
+        else:
+            result.learned.lines[line.place] = new
+        result.changes.append(f"{fault}: {said}")
+        changed = True
+    return changed
+
+
+def _try(asked: Asked, result: Result, proof: Replayed, progress: Progress) -> None:
+    result.trials = tried(
+        proof,
+        result.learned,
+        result.observation,
+        asked.buses,
+        asked.seed,
+        lambda done, count: progress("faults", f"{done} of {count}", done / count),
+    )
+
+
+def logs_text(observation: Observation) -> list[str]:
+    """Return what was read, for people."""
+    said = []
+    for log in observation.logs:
+        part = "" if log.cut_ns is None else " (the rest was held out)"
+        said.append(f"{log.path.name}, {log.seconds:.0f} s, {log.frames} frames{part}")
+    return said
+
+
+@contextmanager
+def _beside(out: Path, text: str) -> Iterator[Path]:
+    """Write a text beside a file, for the time of the block: paths in it are relative to there."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.stem}-", suffix=".toml")
+    path = Path(name)
+    try:
+        with os.fdopen(handle, "w") as file:
+            file.write(text)
+        yield path
+    finally:
+        path.unlink(missing_ok=True)

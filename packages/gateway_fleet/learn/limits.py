@@ -1,0 +1,280 @@
+"""From what was seen to limits that a healthy part keeps, each with its evidence.
+
+A log shows what a part does, not all that it may do. So a limit is taken from it only where the log has room to show
+that: ranges where the database gives none only of signals that went through much of what their bits can say, gradients
+with a margin and only where something steeper could be told, standstill only of long logs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from cantools.database.can.signal import Signal
+
+from gateway.monitors.signal.params import MOST_CODES, MOST_VALUES
+from gateway.monitors.signal.parts import no_value
+from gateway_fleet.learn import gaps
+from gateway_fleet.learn.claims import called_checksum
+from gateway_fleet.learn.counters import called_counter, signal_of
+from gateway_fleet.learn.course import Course
+from gateway_fleet.learn.lines import CHECK, SIGNAL, Learned, Line, short, shown
+from gateway_fleet.learn.moves import Drives, moving
+from gateway_fleet.learn.observe import Observation, Seen
+from gateway_fleet.learn.protections import ProtectionFound
+
+#: A share of lost frames that is told.
+LOST = 0.005
+#: Values that it takes to say anything of a signal.
+LEAST_VALUES = 100
+#: Share of what its bits can say that a signal must have gone through, and what is added on either side, of its span.
+EXPLORED, ROOM = 0.2, 2.0
+#: What is added on either side of the database's range, of its width: steering wheels turn farther than databases say.
+MARGIN = 0.1
+#: Steepest change seen -> limit, at least the whole range in this time [s]: a log of gentle driving shows no emergency.
+STEEPER, ACROSS_S = 3.0, 1.0
+#: A limit must be below this share of the range in one period, or nothing could exceed it.
+TOLD = 0.5
+#: Standstill is learned of logs of so long [s], of signals that moved so often; the limit is so much longer.
+LONG_S, MOVES, LONGER, LEAST_REST_S = 600.0, 1000, 10.0, 10.0
+#: A code that stands for no value in healthy logs for longer is no fault [s].
+HEALTHY_NONE_S = 0.25
+#: Share of the texts of a value table that must have come for others to be a fault, and how many there must be.
+TEXTS_SEEN, LEAST_TEXTS = 0.66, 3
+#: Or chance would put the values seen among the texts with a probability below this one.
+TEXTS_BY_CHANCE = 1e-3
+
+
+def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
+    """Return what is asked of a message, with its evidence."""
+    message, why = seen.message, [f"{seen.frames} frames"]
+    keys: dict[str, Any] = {"message": message.name}
+    kind = gaps.sending(seen.gaps)
+    timeout = gaps.timeout_ms(seen.gaps)
+    if kind != gaps.TOO_FEW:
+        why.append(f"{kind}, {_ms(seen.gaps.quantile_ns(0.5))}, longest gap {_ms(seen.gaps.largest_ns)}")
+        lost = gaps.lost_share(seen.gaps)
+        why += [f"about {100 * lost:.2g} % of its frames lost"] if lost > LOST else []
+    if timeout is not None and _ended(seen):
+        why.append(f"ended {seen.ended_s:.1f} s before the log: no timeout")
+        timeout = None
+    elif timeout is None:
+        why.append("no timeout" if kind != gaps.TOO_FEW else "too few for a timeout")
+    if timeout is not None:
+        keys["timeout_ms"] = timeout
+        keys |= _wake(seen, timeout, why)
+    if seen.decoded < seen.frames or any(length < message.length for length in seen.lengths):
+        keys["length"] = False
+        why.append(
+            f"frames of {', '.join(str(n) for n in sorted(seen.lengths))} bytes, the database has {message.length}"
+        )
+    if found.claim is not None:
+        keys |= found.claim.keys
+        name = found.claim.protection.name
+        why.append(f"{name} right in {found.claim.matched} of {found.claim.frames}")
+        why += [found.claim.note] if found.claim.note else []
+    if found.counter is not None:
+        keys["counter"] = found.counter.keys(signal_of(message, found.counter).length)
+        why.append(f"counts in {found.counter.ones} of {found.counter.steps} steps")
+        if not found.counter.wraps:
+            why.append("not seen to come round")
+    for name in found.unexplained:
+        why.append(f"{name}: no rule proven in {found.frames} different frames")
+    return Line(bus, CHECK, message.name, keys, "; ".join(why))
+
+
+def _wake(seen: Seen, timeout: float, why: list[str]) -> dict[str, Any]:
+    """Return what a message has to come after a wake-up, and add what it stands on."""
+    wake = gaps.wake_ms(seen.gaps, timeout)
+    if wake is None:
+        return {}
+    times, latest_ns = seen.gaps.wakes
+    why.append(f"came {latest_ns * 1e-9:.3g} s after a wake-up at most, of {times}")
+    return {"wake_ms": wake}
+
+
+def _ms(ns: float) -> str:
+    return f"{ns * 1e-6:.3g} ms"
+
+
+def _ended(seen: Seen) -> bool:
+    """Tell whether a message stopped before its log did: switched off, with the ignition or otherwise."""
+    return seen.ended_s * 1e9 > max(2e9, 3.0 * seen.gaps.largest_ns)
+
+
+def signal_lines(
+    bus: str, seen: Seen, found: ProtectionFound, seconds: float, taken: set[str], speeds: Sequence[Drives] = ()
+) -> list[Line]:
+    """Return what is asked of the signals of a message.
+
+    Args:
+        bus: name of the bus.
+        seen: what they did.
+        found: how the message is protected: its counter and checksum are no quantities.
+        seconds: length of the logs [s].
+        taken: names of faults that are in use; those of the lines are added.
+        speeds: signals that say how fast the car is.
+    """
+    own = {found.counter.signal} if found.counter is not None else set()
+    if found.claim is not None:
+        own |= {str(part.get("signal")) for part in found.claim.keys.values()}
+    lines = []
+    counted = found.counter is not None or (found.claim is not None and "e2e" in found.claim.keys)
+    checksum = None if counted or found.claim is None else next(iter(own), None)
+    moves = {signal.name: (keys, text) for signal, keys, text in moving(seen, own, speeds, checksum)}
+    period = seen.gaps.quantile_ns(0.5) * 1e-9 if seen.gaps.count else 0.0
+    for signal, course in zip(seen.signals, seen.courses.each, strict=True):
+        keys: dict[str, Any] = {}
+        why: list[str] = []
+        if not (
+            signal.name in own or called_checksum(signal.name) or called_counter(signal.name) or signal.is_multiplexer
+        ):
+            keys, why = _limits(signal, course, period, seconds)
+        if signal.name in moves and "stuck" not in keys:
+            keys["stuck"], text = moves[signal.name]
+            why.append(text)
+        if keys:
+            name = f"{seen.message.name}.{signal.name}"
+            head: dict[str, Any] = {"signal": name}
+            if signal.name in taken:
+                head["name"] = f"{seen.message.name}_{signal.name}"
+            taken.add(str(head.get("name", signal.name)))
+            lines.append(Line(bus, SIGNAL, name, head | keys, "; ".join(why)))
+    return lines
+
+
+def _limits(signal: Signal, course: Course, period: float, seconds: float) -> tuple[dict[str, Any], list[str]]:
+    keys: dict[str, Any] = {}
+    why: list[str] = []
+    if course.count and not course.states:
+        why.append(f"{course.count} values, {shown(course.lowest)} to {shown(course.highest)}")
+    for part in (_range, _gradient, _rest):
+        more, text = part(signal, course, period, seconds)
+        keys |= more
+        why += [text] if text else []
+    codes = no_value(signal)
+    if 0 < len(codes) <= MOST_CODES and course.none_s > HEALTHY_NONE_S:
+        if keys:
+            keys["invalid"] = []
+        why.append(f"no value for {course.none_s:.3g} s in healthy logs: no fault")
+    elif 0 < len(codes) <= MOST_CODES and course.count:
+        keys.setdefault("invalid", "auto")
+        why.append(f"{len(codes)} invalid code{'s' * (len(codes) > 1)} in the database, seen {course.none} times")
+    more, text = _texts(signal, course)
+    return keys | more, why + ([text] if text else [])
+
+
+def representable(signal: Signal) -> tuple[float, float]:
+    """Return the physical values that a signal's bits can say."""
+    if signal.is_float:
+        return -np.inf, np.inf
+    low, high = (
+        (-(1 << signal.length - 1), (1 << signal.length - 1) - 1) if signal.is_signed else (0, (1 << signal.length) - 1)
+    )
+    ends = sorted((low * signal.scale + signal.offset, high * signal.scale + signal.offset))
+    return float(ends[0]), float(ends[1])
+
+
+def database_range(signal: Signal) -> tuple[float, float] | None:
+    """Return the range of a signal in the database, if it says more than the signal's bits do."""
+    if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
+        return None
+    low, high = representable(signal)
+    step = abs(signal.scale) * 1.001
+    if signal.minimum <= low + step and signal.maximum >= high - step:
+        return None
+    return float(signal.minimum), float(signal.maximum)
+
+
+def _range(signal: Signal, course: Course, _period: float, _seconds: float) -> tuple[dict[str, Any], str]:
+    if not course.count:
+        return {}, ""
+    given, (low, high) = database_range(signal), representable(signal)
+    slack = abs(signal.scale) * 0.501
+    if given is not None and given[0] - slack <= course.lowest and course.highest <= given[1] + slack:
+        room = MARGIN * (given[1] - given[0])
+        wide = given[0] - room, given[1] + room
+        if wide[0] <= low and wide[1] >= high:
+            return {}, ""
+        return {"plausible": [short(wide[0]), short(wide[1])]}, f"database {shown(given[0])} to {shown(given[1])}"
+    beyond = "" if given is None else f"beyond the database's {shown(given[0])} to {shown(given[1])}"
+    if course.states or course.count < LEAST_VALUES or not np.isfinite(high - low):
+        return {}, beyond
+    if course.span < EXPLORED * (high - low):
+        return {}, beyond
+    room = ROOM * course.span
+    wide = course.lowest - room, course.highest + room
+    if wide[0] <= low and wide[1] >= high:
+        return {}, beyond
+    text = "range of the logs, and twice as much on either side"
+    return {"plausible": [short(wide[0]), short(wide[1])]}, "; ".join(part for part in (beyond, text) if part)
+
+
+def _gradient(signal: Signal, course: Course, period: float, _seconds: float) -> tuple[dict[str, Any], str]:
+    if course.states or course.count < LEAST_VALUES or course.steepest <= 0 or period <= 0:
+        return {}, ""
+    low, high = database_range(signal) or representable(signal)
+    if course.lowest < low or course.highest > high:  # the database is wrong
+        low, high = representable(signal)
+    reach = high - low if np.isfinite(high - low) else 10.0 * course.span
+    limit = short(max(STEEPER * course.steepest, reach / ACROSS_S), 3)
+    if limit * period > TOLD * reach:
+        return {}, ""
+    return {"gradient": limit}, f"steepest {shown(course.steepest)}/s"
+
+
+def _rest(_signal: Signal, course: Course, _period: float, seconds: float) -> tuple[dict[str, Any], str]:
+    limit = max(LONGER * course.rest_s, LEAST_REST_S)
+    if seconds < LONG_S or course.states or course.changes < MOVES or limit > seconds / 10.0:
+        return {}, ""
+    return {"stuck": {"seconds": short(limit, 2)}}, f"at rest for {course.rest_s:.3g} s at most"
+
+
+def _texts(signal: Signal, course: Course) -> tuple[dict[str, Any], str]:
+    texts = {float(raw * signal.scale + signal.offset) for raw in signal.choices or {}}
+    if not LEAST_TEXTS <= len(texts) <= MOST_VALUES or not course.values or len(texts) == 1 << signal.length:
+        return {}, ""
+    seen, shown_share = len(course.values), len(course.values & texts) / len(texts)
+    if not course.values <= texts:
+        return {}, ""
+    room = min(1 << signal.length, 1 << 20)
+    chance = float(np.prod([(len(texts) - k) / (room - k) for k in range(seen)]))
+    if shown_share < TEXTS_SEEN and chance > TEXTS_BY_CHANCE:
+        return {}, ""
+    return {"undefined": True}, f"{len(course.values)} of {len(texts)} texts seen, and nothing else"
+
+
+def notes_of(observation: Observation, buses: Sequence[str]) -> list[str]:
+    """Return what came and is in no database, and what is in one and never came; one line each."""
+    notes = []
+    for bus, name in enumerate(buses):
+        pauses = observation.pauses[bus]
+        if pauses.count:
+            notes.append(
+                f"{name}: {pauses.count} pauses of the bus or the recorder, {pauses.longest_s:.3g} s at most:"
+                " no gap of a message"
+            )
+        absent = sorted(message for index, message in observation.absent if index == bus)
+        if absent:
+            notes.append(f"{name}: {len(absent)} messages of the database never came: {', '.join(absent)}")
+        foreign = {can_id: count for (index, can_id), count in observation.foreign.items() if index == bus}
+        if foreign:
+            ids = ", ".join(_identifier(can_id) for can_id in sorted(foreign))
+            notes.append(
+                f"{name}: {len(foreign)} identifiers ({sum(foreign.values())} frames) are in no database: {ids}"
+            )
+        doubled = sorted(message for index, message in observation.doubled if index == bus)
+        if doubled:
+            notes.append(f"{name}: messages with one identifier together, left out: {', '.join(doubled)}")
+    return notes
+
+
+def _identifier(can_id: int) -> str:
+    return f"0x{can_id & 0x1FFFFFFF:X}"
+
+
+def add(learned: Learned, lines: Sequence[Line]) -> None:
+    """Add lines."""
+    for line in lines:
+        learned.add(line)

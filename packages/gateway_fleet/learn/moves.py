@@ -1,0 +1,179 @@
+"""Signals that move in nearly every frame: one that does not is frozen, or its frames come twice.
+
+What is learned is the share of values that differ from the one before, in the shortest time that says something of it,
+while the car is driven as it was: a car that stands moves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from cantools.database.can.signal import Signal
+from numpy.typing import NDArray
+
+from gateway.signals.bits import field_of
+from gateway.signals.payloads import bits_of
+from gateway_fleet.learn.claims import called_checksum
+from gateway_fleet.learn.counters import called_counter
+from gateway_fleet.learn.gaps import cycle_ns
+from gateway_fleet.learn.lines import short
+from gateway_fleet.learn.observe import Observation, Seen
+from gateway_fleet.learn.tails import limit_above
+
+#: Values of one share, and the time that they take at least, and at most [s].
+VALUES, LEAST_S, MOST_S = 50, 1.0, 15.0
+#: Blocks that it takes to know a share, and the least one that is asked for.
+LEAST_BLOCKS, LEAST_SHARE = 12, 0.1
+#: Of the least share seen so much is asked for at most. Frames that come twice halve the share.
+OF_LEAST = 0.65
+#: Blocks so much longer are tried, too, where the share that can be asked for is below this one, which shows
+#: such frames.
+LONGER, TWICE = (1, 3), 0.46
+#: Where nothing says how fast the car is: the signal's own range, if it is so far from zero, of its span.
+FROM_ZERO = 0.2
+#: The car is not taken to stand above this share of its usual speed.
+DRIVES = 0.25
+#: Units and names of a car's speed, and words of other speeds.
+UNITS = frozenset({"km/h", "kph", "kmh", "mph", "m/s", "kilometer per hour", "km/hr"})
+NAMES, OTHERS = (
+    ("SPEED", "VELOC", "GESCHW", "VEH_V"),
+    ("ENG", "FAN", "WIND", "WIPER", "SET", "LIMIT", "TURB", "MOT", "RATE"),
+)
+
+
+@dataclass(frozen=True)
+class Drives:
+    """How fast the car is.
+
+    Attributes:
+        name: of the signal, ``Message.Signal``.
+        message: of it.
+        at: times [ns] -> values, NaN where none is known.
+        unit: of it, in small letters.
+        least, most: of it, seen.
+    """
+
+    name: str
+    message: str
+    unit: str
+    at: Callable[[NDArray[np.int64]], NDArray[np.float64]]
+    least: float
+    most: float
+
+
+def drives(observation: Observation, bus: int) -> list[Drives]:
+    """Return the signals of a bus that say how fast the car is, the likeliest first."""
+    stamps, matrix = observation.snapshots.stamps(), observation.snapshots.matrix()
+    found: list[tuple[tuple[bool, bool, bool, int], int, Drives]] = []
+    for (index, name), seen in observation.seen.items():
+        if index != bus:
+            continue
+        for k, signal in enumerate(seen.signals):
+            course = seen.courses.each[k]
+            if course.states or signal.choices or not _says_speed(signal):
+                continue
+            column = matrix[:, seen.columns.start + k]
+            named = any(word in signal.name.upper() for word in NAMES)
+            unit = (signal.unit or "").lower()
+            rank = unit not in UNITS, not named, "WHEEL" in signal.name.upper(), -seen.frames
+            made = Drives(f"{name}.{signal.name}", name, unit, _at(stamps, column), course.lowest, course.highest)
+            found.append((rank, len(found), made))
+    return [made for _, _, made in sorted(found, key=lambda each: each[:2])]
+
+
+def _says_speed(signal: Signal) -> bool:
+    name = signal.name.upper()
+    if any(word in name for word in OTHERS):
+        return False
+    return (signal.unit or "").lower() in UNITS or any(word in name for word in NAMES)
+
+
+def _at(stamps: NDArray[np.int64], column: NDArray[np.float64]) -> Callable[[NDArray[np.int64]], NDArray[np.float64]]:
+    def at(t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        places = np.clip(np.searchsorted(stamps, t_ns), 0, len(stamps) - 1)
+        near = np.abs(stamps[places] - t_ns) < 500_000_000
+        return np.where(near, column[places], np.nan)
+
+    return at
+
+
+def moving(
+    seen: Seen, own: set[str], speeds: Sequence[Drives], checksum: str | None = None
+) -> Iterator[tuple[Signal, dict[str, Any], str]]:
+    """Yield the signals of a message that move, what is asked of each, and what it stands on.
+
+    Args:
+        seen: of the message.
+        own: names of its counter and checksum.
+        speeds: of :func:`drives`.
+        checksum: of a message without a counter: it moves with any bit of the frame; None: not looked at.
+    """
+    period = cycle_ns(seen.gaps) * 1e-9
+    if period <= 0.0 or period * VALUES > MOST_S or not len(seen.samples.runs):
+        return
+    count = max(VALUES, int(np.ceil(LEAST_S / period)))
+    speed = next((each for each in speeds if each.message != seen.message.name), None)
+    for signal, course in zip(seen.signals, seen.courses.each, strict=True):
+        quantity = not (signal.choices or signal.multiplexer_ids or signal.is_multiplexer) and signal.length > 1
+        called = called_checksum(signal.name) or called_counter(signal.name) or signal.name in own
+        if not quantity or (called and signal.name != checksum) or course.changes < LEAST_BLOCKS or course.none:
+            continue
+        each = [(found, times * count) for times in LONGER if (found := _asked(seen, signal, speed, times * count))]
+        if each:
+            (share, condition, text), values = max(each, key=lambda one: one[0][0] >= TWICE)
+            yield signal, {"seconds": short(values * period, 2), "share": share} | condition, text
+
+
+def _asked(seen: Seen, signal: Signal, speed: Drives | None, count: int) -> tuple[float, dict[str, Any], str] | None:
+    """Return the least share of values that move, when it is asked for, and what it stands on; None: nothing is."""
+    field = field_of(signal)
+    shares, lows = [], []
+    low, high = np.inf, -np.inf
+    for run, stamps in zip(seen.samples.runs, seen.samples.stamps, strict=True):
+        raw = bits_of(run.words, field).astype(np.int64)
+        moved = raw[1:] != raw[:-1]
+        value = _physical(raw, signal)
+        fast = value if speed is None else speed.at(stamps)
+        for first in range(0, len(moved) - count + 1, max(count // 2, 1)):
+            part = slice(first, first + count)
+            if np.isnan(fast[part]).any():
+                continue
+            shares.append(float(moved[part].mean()))
+            lows.append(float(fast[part].min()))
+            low, high = min(low, value[part].min()), max(high, value[part].max())
+    if len(shares) < 2 * LEAST_BLOCKS:
+        return None
+    every, slowest = np.array(shares), np.array(lows)
+    if speed is None:
+        if min(abs(low), abs(high)) < FROM_ZERO * max(high - low, 1e-9) or low * high <= 0.0:
+            return None  # at zero it may rest
+        starts = [low]
+    else:
+        usual = float(np.median(slowest))
+        starts = sorted(
+            {max(float(np.quantile(slowest, share)), DRIVES * usual, 1e-3) for share in (0.0, 0.1, 0.25, 0.5)}
+        )
+    for start in starts:
+        mine = every[slowest >= start]
+        if len(mine) < 2 * LEAST_BLOCKS:
+            break
+        middle = float(mine.mean())
+        scatter = max(np.sqrt(middle * (1.0 - middle) / count), 1.0 / count)
+        limit = -limit_above(-mine, 1.0, 0.25 * scatter)
+        share = short(min(limit, OF_LEAST * float(mine.min())), 2)
+        if share >= LEAST_SHARE:
+            name = f"{seen.message.name}.{signal.name}" if speed is None else speed.name
+            most = short(high, 3) if speed is None else short(max(4.0 * speed.most, 100.0), 2)
+            condition = {"during": name, "within": [short(start, 3), most]}
+            return share, condition, f"{middle:.2f} of its values move, {mine.min():.2f} at least, of {len(mine)} times"
+    return None
+
+
+def _physical(raw: NDArray[np.int64], signal: Signal) -> NDArray[np.float64]:
+    value = raw.astype(np.float64)
+    if signal.is_signed:
+        value = np.where(value >= 2.0 ** (signal.length - 1), value - 2.0**signal.length, value)
+    return np.asarray(value * float(signal.scale) + float(signal.offset), np.float64)

@@ -1,0 +1,292 @@
+"""One pass over healthy logs: what comes, how often, and what it carries."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+from numpy.typing import NDArray
+
+from gateway.bus.frames import ERROR, ID_MASK, REMOTE, Frames
+from gateway.calibration.logs import read_even
+from gateway.config.model import Config
+from gateway.monitors.signal.parts import no_value
+from gateway.signals.database import Database
+from gateway.signals.decode import lookup
+from gateway.signals.payloads import columns, words_of
+from gateway.signals.tables import compile_plan
+from gateway_fleet.learn import observers
+from gateway_fleet.learn.course import Courses
+from gateway_fleet.learn.gaps import Gaps
+from gateway_fleet.learn.pauses import Pauses, tell_wakes
+from gateway_fleet.learn.samples import Samples
+from gateway_fleet.learn.snapshots import Snapshots
+
+
+@dataclass
+class Seen:
+    """What came of one message.
+
+    Attributes:
+        bus: index of its bus.
+        message: in the database.
+        signals: in the order of the columns.
+        frames: that came.
+        decoded: of these.
+        lengths: payload lengths [byte] -> frames.
+        gaps: between frames.
+        courses: of its signals.
+        samples: frames that were kept.
+        ended_s: before the end of a log by so much, at most, it came for the last time [s]; with its time in the log.
+        columns: of its signals among all.
+        observers: what other packages see in it.
+    """
+
+    bus: int
+    message: Message
+    signals: list[Signal]
+    columns: slice
+    courses: Courses
+    frames: int = 0
+    decoded: int = 0
+    lengths: Counter[int] = field(default_factory=Counter)
+    gaps: Gaps = field(default_factory=Gaps)
+    samples: Samples = field(default_factory=Samples)
+    ended_s: float = 0.0
+    last_ns: int | None = None
+    observers: list[observers.Observer] = field(default_factory=list)
+
+
+@dataclass
+class LogSeen:
+    """What was read of one log.
+
+    Attributes:
+        path: of it.
+        frames: that were learned from.
+        first_ns, last_ns: their stamps.
+        cut_ns: from here on it was held out; None: nothing was.
+    """
+
+    path: Path
+    frames: int = 0
+    first_ns: int | None = None
+    last_ns: int = 0
+    cut_ns: int | None = None
+
+    @property
+    def seconds(self) -> float:
+        """Length of what was learned from [s]."""
+        return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) * 1e-9
+
+
+@dataclass
+class Observation:
+    """All that was seen.
+
+    Attributes:
+        seen: messages of the databases that came, by bus and name.
+        absent: messages of the databases that did not.
+        foreign: (bus, identifier with its flags) -> frames that no database has.
+        doubled: messages left out, since others have their identifier.
+        logs: that were read.
+        snapshots: values of all signals at the same times.
+        pauses: of each bus as a whole.
+    """
+
+    seen: dict[tuple[int, str], Seen]
+    absent: list[tuple[int, str]]
+    foreign: Counter[tuple[int, int]]
+    doubled: list[tuple[int, str]]
+    logs: list[LogSeen]
+    snapshots: Snapshots
+    pauses: list[Pauses]
+
+
+Progress = Callable[[Path, int, float], None]
+
+
+def unique_databases(databases: Sequence[Database]) -> tuple[list[tuple[int, Database]], list[tuple[int, str]]]:
+    """Return the databases without messages that have one identifier together, and the names of these."""
+    kept, left = [], []
+    for bus, database in enumerate(databases):
+        ids = Counter((message.frame_id, message.is_extended_frame) for message in database)
+        good = [message for message in database if ids[message.frame_id, message.is_extended_frame] == 1]
+        left += [(bus, message.name) for message in database if message not in good]
+        kept.append((bus, Database([(message, database.file_of(message.name)) for message in good])))
+    return kept, left
+
+
+class Observer:
+    """Looks at frames of healthy logs.
+
+    Args:
+        config: buses, with their databases and how they match.
+        databases: of the buses.
+    """
+
+    def __init__(self, config: Config, databases: Sequence[Database]) -> None:
+        self._config = config
+        kept, doubled = unique_databases(databases)
+        pgn = [index for index, bus in enumerate(config.bus) if bus.match == "pgn"]
+        self._plan = compile_plan(kept, pgn=pgn)
+        self._last_column = 0
+        self._rows: dict[int, int] = {}
+        self._made = [self._seen(row, kept) for row in range(len(self._plan.message_names))]
+        self._foreign: Counter[tuple[int, int]] = Counter()
+        self._doubled = doubled
+        self._snapshots = Snapshots(sum(len(seen.signals) for seen in self._made))
+        self._logs: list[LogSeen] = []
+        self._pauses = [Pauses() for _ in config.bus]
+
+    def _seen(self, row: int, databases: list[tuple[int, Database]]) -> Seen:
+        bus, name = self._plan.message_names[row]
+        message = dict(databases)[bus].message(name)
+        by_place = {
+            ref.signal: place for ref, place in self._plan.positions.items() if (ref.bus, ref.message) == (bus, name)
+        }
+        by_name = {signal.name: signal for signal in message.signals}
+        signals = [by_name[each] for each in sorted(by_place, key=lambda each: by_place[each])]
+        first = self._last_column
+        self._last_column = first + len(signals)
+        courses = Courses([no_value(signal) for signal in signals])
+        names = [signal.name for signal in signals]
+        shown = [found for kind in observers.OBSERVERS.values() if (found := kind.of(name, names)) is not None]
+        return Seen(bus, message, signals, slice(first, self._last_column), courses, observers=shown)
+
+    def read(self, path: Path, maps: Sequence[str], hold_out: float, progress: Progress) -> None:
+        """Read a log, but for a share at its end.
+
+        Raises:
+            InputError, InputErrors: it is damaged, cut off, or holds no frame of a configured bus.
+        """
+        log = LogSeen(path)
+        self._logs.append(log)
+        self._snapshots.begin()
+        for pauses in self._pauses:
+            pauses.begin()
+        for seen in self._made:
+            seen.gaps.begin()
+            seen.last_ns = None
+            for observer in seen.observers:
+                observer.begin()
+        for frames, cut in _until(read_even(self._config, path, maps), 1.0 - hold_out, progress, path):
+            good = frames[: len(frames) if cut is None else cut]
+            if cut is not None and log.cut_ns is None:
+                log.cut_ns = int(frames["t_ns"][cut])
+            if len(good):
+                self._add(log, good)
+        self._end(log)
+
+    def _add(self, log: LogSeen, frames: Frames) -> None:
+        frames = frames[frames["can_id"] & (ERROR | REMOTE) == 0]
+        if not len(frames):
+            return
+        if log.first_ns is None:
+            log.first_ns = int(frames["t_ns"][0])
+            for seen in self._made:
+                seen.courses.begin(log.first_ns)
+        log.frames += len(frames)
+        log.last_ns = max(log.last_ns, int(frames["t_ns"].max()))
+        self._snapshots.grid(int(frames["t_ns"][0]), int(frames["t_ns"][-1]))
+        for bus, pauses in enumerate(self._pauses):
+            mine = frames[frames["bus"] == bus]
+            if len(mine):
+                pauses.add(mine["t_ns"], mine["can_id"])
+        came = set()
+        for row, group in self._groups(frames):
+            came.add(row)
+            self._add_message(row, group)
+        for row, seen in enumerate(self._made):
+            if row not in came and seen.signals and seen.frames:
+                self._snapshots.rest(seen.columns)
+        self._snapshots.end()
+
+    def _groups(self, frames: Frames) -> Iterator[tuple[int, Frames]]:
+        """Yield the frames of each message that a database has, in order."""
+        keys = frames["bus"].astype(np.int64) << 32 | frames["can_id"]
+        order = np.argsort(keys, kind="stable")
+        ordered = keys[order]
+        starts = np.flatnonzero(np.concatenate([[True], np.diff(ordered) != 0]))
+        by_row: dict[int, list[NDArray[np.intp]]] = {}
+        for begin, end in zip(starts, [*starts[1:], len(ordered)], strict=True):
+            row = self._row(int(ordered[begin]))
+            if row < 0:
+                key = int(ordered[begin])
+                self._foreign[key >> 32, key & 0xFFFFFFFF] += int(end - begin)
+            else:
+                by_row.setdefault(row, []).append(order[begin:end])
+        for row, parts in by_row.items():
+            places = parts[0] if len(parts) == 1 else np.sort(np.concatenate(parts))
+            yield row, frames[places]
+
+    def _row(self, key: int) -> int:
+        found = self._rows.get(key)
+        if found is None:
+            found = int(lookup(self._plan.keys, self._plan.rows, key >> 32, key & 0xFFFFFFFF))
+            self._rows[key] = found
+        return found
+
+    def _add_message(self, row: int, frames: Frames) -> None:
+        seen = self._made[row]
+        t_ns = frames["t_ns"]
+        seen.frames += len(frames)
+        seen.last_ns = int(t_ns[-1])
+        self._pauses[seen.bus].give(seen.gaps, t_ns)
+        lengths, counts = np.unique(frames["length"], return_counts=True)
+        seen.lengths.update({int(length): int(count) for length, count in zip(lengths, counts, strict=True)})
+        seen.samples.add(words_of(frames), frames["length"].astype(np.int64), t_ns)
+        if seen.signals:
+            values, decoded = columns(frames, self._plan, row)
+            seen.decoded += decoded
+            usual_s = seen.gaps.quantile_ns(0.5) * 1e-9 if seen.gaps.count else 0.0
+            seen.courses.add(t_ns, values, usual_s)
+            self._snapshots.put(seen.columns, t_ns, values)
+            for observer in seen.observers:
+                observer.add(values)
+
+    def _end(self, log: LogSeen) -> None:
+        for seen in self._made:
+            if seen.last_ns is not None:
+                seen.ended_s = max(seen.ended_s, (log.last_ns - seen.last_ns) * 1e-9)
+
+    def result(self) -> Observation:
+        """Return what was seen."""
+        for bus in range(len(self._pauses)):
+            tell_wakes([seen.gaps for seen in self._made if seen.bus == bus])
+        return Observation(
+            {(seen.bus, seen.message.name): seen for seen in self._made if seen.frames},
+            [(seen.bus, seen.message.name) for seen in self._made if not seen.frames],
+            self._foreign,
+            self._doubled,
+            self._logs,
+            self._snapshots,
+            self._pauses,
+        )
+
+
+def _until(
+    batches: Iterator[tuple[Frames, float]], share: float, progress: Progress, path: Path
+) -> Iterator[tuple[Frames, int | None]]:
+    """Yield the batches of a log, and where in them it is held out from; None: not yet."""
+    before = 0.0
+    for frames, done in batches:
+        cut = None
+        if done > share:
+            at = (share - before) / (done - before) if done > before else 0.0
+            cut = min(max(round(at * len(frames)), 0), len(frames) - 1)
+        yield frames, cut
+        progress(path, len(frames), done)
+        if cut is not None:
+            return
+        before = done
+
+
+def identifier(can_id: int) -> str:
+    """Return an identifier as people write it."""
+    return f"0x{can_id & ID_MASK:X}"

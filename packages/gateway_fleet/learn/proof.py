@@ -1,0 +1,129 @@
+"""The learned configuration, replayed: it must be silent on the whole log, above all on what it did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gateway.bus.frames import Frames, empty
+from gateway.calibration.logs import read_even
+from gateway.config.load import load_config
+from gateway.config.model import Config
+from gateway.engine.adopt import adopt
+from gateway.engine.core import Engine
+from gateway.engine.events import QUALIFIED_FAILED, Events
+from gateway.runtime.assemble import Parts, prepare
+from gateway_fleet.learn.observe import LogSeen
+
+#: Frames and time [ns] of what was held out that are kept to put faults into.
+WINDOW_FRAMES, WINDOW_NS = 60_000, 8_000_000_000
+
+
+@dataclass
+class Alarm:
+    """A fault that a healthy log set.
+
+    Attributes:
+        learned, held_out: how often, in what was learned from and in what was not.
+        value, threshold: of the first time.
+    """
+
+    learned: int = 0
+    held_out: int = 0
+    value: float = np.nan
+    threshold: float = np.nan
+
+
+@dataclass
+class Replayed:
+    """What a replay of the logs gave.
+
+    Attributes:
+        alarms: fault id -> what it was.
+        frames, seconds: of what was held out.
+        windows: frames of each log after its cut, in even time, to put faults into.
+        before: engine as it was at the cut, of each window.
+        config: that was replayed.
+        parts: built of it.
+    """
+
+    config: Config
+    parts: Parts
+    alarms: dict[str, Alarm] = field(default_factory=dict)
+    frames: int = 0
+    seconds: float = 0.0
+    windows: list[Frames] = field(default_factory=list)
+    before: list[Engine] = field(default_factory=list)
+
+
+def replayed(
+    path: Path, logs: Sequence[LogSeen], maps: Sequence[str], progress: Callable[[Path, int, float], None]
+) -> Replayed:
+    """Replay logs with a configuration, from its file.
+
+    Raises:
+        InputError, InputErrors: a log that cannot be read to its end, a configuration that is wrong.
+    """
+    config = load_config(path)
+    result = Replayed(config, prepare(config, path))
+    for log in logs:
+        engine = prepare(config, path).engine
+        _replay(result, engine, log, maps, progress)
+    return result
+
+
+def _replay(
+    result: Replayed,
+    engine: Engine,
+    log: LogSeen,
+    maps: Sequence[str],
+    progress: Callable[[Path, int, float], None],
+) -> None:
+    cut = log.cut_ns
+    held = False
+
+    def hear(events: Events) -> None:
+        for event in events[events["kind"] == QUALIFIED_FAILED]:
+            alarm = result.alarms.setdefault(engine.faults[int(event["fault"])].id, Alarm())
+            if not alarm.learned and not alarm.held_out:
+                alarm.value, alarm.threshold = float(event["value"]), float(event["threshold"])
+            alarm.held_out += held
+            alarm.learned += not held
+
+    window: list[Frames] = []
+    kept, last_ns = 0, 0
+    for frames, done in read_even(result.config, log.path, maps):
+        if cut is not None and not held and int(frames["t_ns"].max()) >= cut:
+            at = int(np.argmax(frames["t_ns"] >= cut))
+            engine.process(frames[:at], hear)
+            held, rest = True, frames[at:]
+            result.before.append(_copied(result, engine, log.path))
+        else:
+            rest = frames
+        engine.process(rest, hear)
+        if held and cut is not None:
+            result.frames += len(rest)
+            last_ns = max(last_ns, int(rest["t_ns"].max()))
+            if kept < WINDOW_FRAMES:
+                part = rest[rest["t_ns"] < cut + WINDOW_NS][: WINDOW_FRAMES - kept]
+                window.append(part)
+                kept += len(part)
+        progress(log.path, len(frames), done)
+    if held and cut is not None:
+        result.seconds += max(0, last_ns - cut) * 1e-9
+        result.windows.append(np.concatenate(window) if window else empty(0))
+
+
+def _copied(result: Replayed, engine: Engine, path: Path) -> Engine:
+    """Return another engine in the same state."""
+    other = prepare(result.config, path).engine
+    restore(other, engine, result.config)
+    return other
+
+
+def restore(engine: Engine, saved: Engine, config: Config) -> None:
+    """Give an engine the state of another of the same configuration."""
+    adopt(engine, saved, {k: k for k in range(len(config.bus))}, {k: k for k in range(len(config.cycle) + 1)})

@@ -1,0 +1,171 @@
+"""What was learned, for people: a page in Markdown, and the same as data."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from gateway_fleet.learn.learn import Asked, Result
+from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, inline, shown
+from gateway_fleet.learn.observers import OBSERVERS
+from gateway_fleet.learn.trial import Outcome
+
+
+def summary(result: Result) -> dict[str, Any]:
+    """Return the numbers of what was learned."""
+    lines = result.learned.lines.values()
+    checks = [line for line in lines if line.table == CHECK]
+    protected = {"crc", "checksum", "e2e"}
+    return {
+        "frames": sum(log.frames for log in result.observation.logs),
+        "seconds": round(sum(log.seconds for log in result.observation.logs), 3),
+        "messages": len(checks),
+        "timeouts": sum("timeout_ms" in line.keys for line in checks),
+        "counters": sum("counter" in line.keys or "e2e" in line.keys for line in checks),
+        "checksums": sum(bool(protected & set(line.keys)) for line in checks),
+        "signals": sum(line.table == SIGNAL for line in lines),
+        "relations": sum(line.table == RULE for line in lines),
+        "held_out_s": round(result.held_s, 3),
+        "held_out_frames": result.held_frames,
+        "alarms": list(result.alarms),
+        "conditions": list(result.conditions),
+        "widened": result.changes,
+        "faults_tried": len(result.outcomes),
+        "faults_named": sum(outcome.named for outcome in result.outcomes),
+        "kept": result.kept,
+        "dropped": result.dropped,
+    } | observed(result)
+
+
+def observed(result: Result) -> dict[str, list[str]]:
+    """Return what other packages saw: topic -> one line for each message."""
+    found: dict[str, list[str]] = {kind.topic: [] for kind in OBSERVERS.values()}
+    for (_, name), seen in result.observation.seen.items():
+        for observer in seen.observers:
+            found[observer.topic].append(f"{name}: {observer.told()}")
+    return found
+
+
+def data(result: Result) -> dict[str, Any]:
+    """Return all of it, for programs."""
+    return summary(result) | {
+        "lines": [
+            {"bus": line.bus, "table": line.table, "name": line.name, "keys": dict(line.keys), "why": line.why}
+            for line in result.learned.lines.values()
+        ],
+        "notes": result.learned.notes,
+        "faults": [
+            {
+                "kind": outcome.trial.injection.kind,
+                "message": outcome.trial.message,
+                "signal": outcome.trial.injection.signal,
+                "value": outcome.trial.injection.value,
+                "by": outcome.by,
+                "after_s": None if not outcome.named else round(outcome.after_s, 3),
+                "frames": outcome.frames,
+                "named": outcome.named,
+                "others": list(outcome.others),
+            }
+            for outcome in result.outcomes
+        ],
+        "smallest": [vars(each) for each in result.trials.seeing],
+        "unwatched": result.trials.unwatched,
+    }
+
+
+def markdown(asked: Asked, result: Result) -> str:
+    """Return the page."""
+    found = summary(result)
+    parts = [
+        f"# What was learned: {asked.name}",
+        f"From {found['frames']} frames, {found['seconds']:.0f} s of {len(asked.logs)} log(s);"
+        f" {found['held_out_frames']} frames, {found['held_out_s']:.0f} s were held out.",
+        f"{found['messages']} messages: {found['timeouts']} timeouts, {found['counters']} counters,"
+        f" {found['checksums']} checksums. {found['signals']} signals with limits, {found['relations']} relations.",
+        _silence(result),
+        f"The logs themselves: {', '.join(result.conditions)}." if result.conditions else "",
+        *(f"{line}." for lines in observed(result).values() for line in lines),
+        *_faults(result),
+        *_lines(result),
+        *_list("Not there any more", result.dropped),
+        *_list("Not in it", result.learned.notes),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _silence(result: Result) -> str:
+    if result.alarms:
+        return f"**Healthy frames still set {', '.join(result.alarms)}**: see these lines."
+    widened = "".join(f"\n- {change}" for change in result.changes)
+    return "Replayed on all frames, those held out too: no fault was set." + (
+        f" Widened for it:\n{widened}" if widened else ""
+    )
+
+
+def _faults(result: Result) -> list[str]:
+    if not result.outcomes:
+        return []
+    named = sum(outcome.named for outcome in result.outcomes)
+    left = result.trials.left
+    of = f"; {left} more signals were not tried" if left else ""
+    kinds = sorted({outcome.trial.injection.kind for outcome in result.outcomes})
+    head = f"{named} of {len(result.outcomes)} faults put into what was held out were named{of}."
+    head += " An offset is as large as the signal's own spread, whatever its limits are."
+    table = ["| message | " + " | ".join(kinds) + " |", "|---" * (len(kinds) + 1) + "|"]
+    for message in sorted({outcome.trial.message for outcome in result.outcomes}):
+        mine = [outcome for outcome in result.outcomes if outcome.trial.message == message]
+        table.append(f"| {message} | " + " | ".join(_cell(mine, kind) for kind in kinds) + " |")
+    missed = [
+        f"{outcome.trial.injection.kind} of {outcome.trial.message}"
+        f"{'.' + outcome.trial.injection.signal if outcome.trial.injection.signal else ''}: nothing was set"
+        f" ({outcome.frames} frames)"
+        for outcome in result.outcomes
+        if not outcome.named
+    ]
+    parts = ["## Faults put in", head, "\n".join(table), *_list("Not named", missed, level=3), *_smallest(result)]
+    return [
+        *parts,
+        *_list("What nothing watches", [", ".join(result.trials.unwatched)] if result.trials.unwatched else []),
+    ]
+
+
+def _smallest(result: Result) -> list[str]:
+    """Return the smallest faults of each signal that were seen."""
+    rows = []
+    for each in result.trials.seeing:
+        unit = f" {each.unit}" if each.unit else ""
+        cells = [
+            each.name,
+            f"{shown(each.spread)}{unit}",
+            "-" if each.offset is None else f"{shown(each.offset)}{unit}",
+            "-" if each.scale is None else f"{each.scale:g} times",
+            "-" if each.stuck_s is None else f"after {each.stuck_s:.1f} s",
+        ]
+        rows.append(f"| {' | '.join(cells)} |")
+    head = "| signal | its spread | smallest offset seen | factor seen | standing value seen |\n|---|---|---|---|---|"
+    return ["## Smallest faults that are seen", "\n".join([head, *rows])] if rows else []
+
+
+def _cell(outcomes: Sequence[Outcome], kind: str) -> str:
+    count = Counter(outcome.named for outcome in outcomes if outcome.trial.injection.kind == kind)
+    total = count[True] + count[False]
+    return f"{count[True]}/{total}" if total else ""
+
+
+def _lines(result: Result) -> list[str]:
+    parts = ["## Limits"]
+    for table, title in ((CHECK, "Messages"), (SIGNAL, "Signals"), (RULE, "Relations")):
+        lines = [line for line in result.learned.lines.values() if line.table == table]
+        if lines:
+            rows = [f"| {line.name} | `{inline(_asked(line.keys))}` | {line.why} |" for line in lines]
+            parts.append("\n".join([f"| {title} | asked | evidence |", "|---|---|---|", *rows]))
+    return parts
+
+
+def _asked(keys: Any) -> dict[str, Any]:
+    return {key: value for key, value in keys.items() if key not in ("message", "signal", "name")}
+
+
+def _list(title: str, texts: Sequence[str], level: int = 2) -> list[str]:
+    return [f"{'#' * level} {title}", "\n".join(f"- {text}" for text in texts)] if texts else []

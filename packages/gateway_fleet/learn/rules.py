@@ -1,0 +1,124 @@
+"""Relations between signals as lines of the monitor `rule`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from cantools.database.can.signal import Signal
+
+from gateway_fleet.learn.claims import called_checksum
+from gateway_fleet.learn.counters import called_counter
+from gateway_fleet.learn.lines import RULE, Line, inline, short, shown
+from gateway_fleet.learn.observe import Observation, Seen
+from gateway_fleet.learn.protections import ProtectionFound
+from gateway_fleet.learn.relations import LASTS_S, LEAST_VALUES, LESS, ONE, TIMES, Relation, relations
+from gateway_fleet.learn.tails import HOURS
+
+#: What deviations that last exceed once in hundreds of hours -> tolerance: with this share of the largest value: tyres
+#: wear, a car is loaded, logs seldom show tight turns and slip.
+WIDER, SHARE = 1.2, 0.06
+#: A law with a product is true for small angles, and for slow movements: it gets more.
+SHARE_PRODUCT = 0.2
+#: Outside of what was seen the tolerance grows by this share of how far, and so many standard errors of the slope.
+GROWTH, ERRORS = 0.15, 4.0
+#: A range that begins so near to nothing has no lower end.
+NEAR_NOTHING = 0.05
+#: A relation must not hold for so long [ms].
+FAILED_MS = 1000.0
+
+
+def rule_lines(
+    observation: Observation, found: dict[tuple[int, str], ProtectionFound], buses: Sequence[str]
+) -> list[Line]:
+    """Return the relations between the signals of all buses, each with its evidence."""
+    names: dict[int, tuple[Seen, Signal]] = {}
+    allowed = [False] * observation.snapshots.width
+    for key, seen in observation.seen.items():
+        own = _of_protection(found[key])
+        for k, signal in enumerate(seen.signals):
+            column = seen.columns.start + k
+            names[column] = seen, signal
+            named = called_counter(signal.name) or called_checksum(signal.name)
+            course = seen.courses.each[k]
+            quantity = not course.states or (not signal.choices and len(course.values) >= LEAST_VALUES)
+            allowed[column] = quantity and not (named or signal.name in own or signal.is_multiplexer)
+    lines: dict[str, Line] = {}
+    for relation in relations(observation.snapshots.matrix(), allowed, observation.snapshots.step_s):
+        line = _line(relation, names, buses)
+        lines[line.name] = line
+    return list(lines.values())
+
+
+def _of_protection(found: ProtectionFound) -> set[str]:
+    own = {found.counter.signal} if found.counter is not None else set()
+    return own | (set() if found.claim is None else {str(part.get("signal")) for part in found.claim.keys.values()})
+
+
+def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Sequence[str]) -> Line:
+    seen, signal = names[relation.of]
+
+    columns = (relation.of, *relation.by)
+    units = {names[column][1].unit or "" for column in columns} - {""}
+
+    def called(column: int) -> str:
+        other, its = names[column]
+        bus = "" if len(buses) == 1 else f"{buses[other.bus]}."
+        text = f"{bus}{other.message.name}.{its.name}"
+        return f"number({text})" if len(units) > 1 else text
+
+    of, *by = (called(column) for column in columns)
+    if relation.delay_s > 0.0:
+        by = [f"delay({each}, {inline(round(1e3 * relation.delay_s))})" for each in by]
+    elif relation.delay_s < 0.0:
+        of = f"delay({of}, {inline(round(-1e3 * relation.delay_s))})"
+    right = _TOGETHER[relation.form].format(*by)
+    slope, offset = short(relation.slope), short(relation.offset)
+    side = right if slope == 1.0 else f"{inline(slope)} * {right}"
+    # What rounding the numbers adds at the ends of what was seen is part of the deviation.
+    course = seen.courses.each[relation.of - seen.columns.start]
+    high = max(abs(course.lowest), abs(course.highest))
+    rounding = 1e-3 * high
+    if abs(offset) > max(rounding, 0.1 * relation.limit):
+        side += f" {'-' if offset < 0 else '+'} {inline(abs(offset))}"
+    else:
+        rounding += abs(offset)
+    step = 0.0 if signal.is_float else abs(signal.scale)
+    share = SHARE_PRODUCT if relation.form == TIMES else SHARE
+    tolerance = _up(WIDER * relation.limit + share * high + rounding + step)
+    text = f"abs({of} - {_in_sum(side)}) <= {_growth(relation, right)}"
+    others = "_".join(names[column][1].name for column in relation.by)
+    name = re.sub(r"[^A-Za-z0-9_-]", "_", f"{seen.message.name}_{signal.name}_by_{others}")
+    why = (
+        f"{relation.rows} times, slope to {relation.slope_error:.2g}, for {LASTS_S:g} s at most {shown(relation.limit)}"
+        f" off once in {HOURS:g} h, {shown(relation.worst)} at once; movements agree to {relation.movement:.3f}"
+    )
+    keys = {"name": name, "holds": text, "tolerance": tolerance, "failed_ms": FAILED_MS}
+    return Line(buses[seen.bus], RULE, name, keys, why)
+
+
+_TOGETHER = {ONE: "{0}", LESS: "({0} - {1})", TIMES: "({0} * {1})"}
+
+
+def _in_sum(side: str) -> str:
+    """Return a right side as it stands behind a minus."""
+    return f"({side})" if re.search(r" [-+] [^()]*$", side) else side
+
+
+def _growth(relation: Relation, right: str) -> str:
+    """Return by what the tolerance grows where the right side's signals leave what was seen of them."""
+    least, most = relation.seen
+    room = most - least
+    share = short(GROWTH * abs(relation.slope) + ERRORS * relation.slope_error, 2)
+    plain = f"number({right})"
+    above = f"{plain} - {inline(short(most, 3))}"
+    if 0.0 <= least <= NEAR_NOTHING * room:
+        return f"{inline(share)} * max({above}, 0)"
+    return f"{inline(share)} * max(max({inline(short(least, 3))} - {plain}, {above}), 0)"
+
+
+def _up(value: float) -> float:
+    """Round up to two digits."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")

@@ -1,0 +1,42 @@
+"""Frames that are kept of a message, to find its protection in: bounded, runs without a gap."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway_fleet.learn.judged import Payloads
+
+#: Frames of one run, and runs of a message, at most.
+RUN, RUNS = 512, 16
+
+
+class Samples:
+    """Runs of frames of one message: the first one, then others with ever more room between them."""
+
+    def __init__(self) -> None:
+        self._runs: list[tuple[NDArray[np.uint64], NDArray[np.int64], NDArray[np.int64]]] = []
+        self._seen = 0
+        self._next = 0
+
+    def add(self, words: NDArray[np.uint64], lengths: NDArray[np.int64], t_ns: NDArray[np.int64]) -> None:
+        """Add frames that came one after the other: payloads, shape (frames, 8), lengths [byte], stamps [ns]."""
+        count = len(words)
+        while self._seen + count > self._next:
+            first = max(0, self._next - self._seen)
+            part = slice(first, first + RUN)
+            self._runs.append((words[part].copy(), lengths[part].copy(), t_ns[part].copy()))
+            self._next = max(self._seen + first + RUN, int(1.5 * self._next))
+            if len(self._runs) > RUNS:
+                del self._runs[1]  # the first is kept, and the later ones lie farther apart
+        self._seen += count
+
+    @property
+    def runs(self) -> list[Payloads]:
+        """The runs, each in order."""
+        return [Payloads(words, lengths) for words, lengths, _ in self._runs]
+
+    @property
+    def stamps(self) -> list[NDArray[np.int64]]:
+        """Stamps of the runs' frames [ns]."""
+        return [t_ns for _, _, t_ns in self._runs]

@@ -1,0 +1,14 @@
+"""What many cars bring to the gateway: commands."""
+
+from gateway.plugin import Plugin
+
+PLUGIN = Plugin(
+    commands={
+        "learn": "gateway_fleet.commands:learn",
+        "calibrate": "gateway_fleet.commands:calibrate",
+        "evaluate learn": "gateway_fleet.commands:evaluate_learn",
+        "evaluate cause": "gateway_fleet.commands:evaluate_cause",
+        "fleet run": "gateway_fleet.commands:fleet_run",
+        "fleet diff": "gateway_fleet.commands:fleet_diff",
+    }
+)

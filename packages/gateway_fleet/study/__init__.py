@@ -1,0 +1,1 @@
+"""How good learning is, and how well causes are told."""

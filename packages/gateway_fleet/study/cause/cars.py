@@ -1,0 +1,106 @@
+"""Two cars whose configurations are learned: one from a real drive, one from the rest bus of a vehicle."""
+
+from __future__ import annotations
+
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gateway.bus.logs import open_writer
+from gateway.signals.database import Database, load_database
+from gateway_fdi.common.resources import shipped
+from gateway_fleet.learn.document import BusAsked
+from gateway_fleet.learn.learn import Asked, learn
+from gateway_fleet.learn.limits import representable
+from gateway_fleet.study.cause.cases import Truth
+from gateway_fleet.study.cause.drive import played
+
+#: Faults of a car begin and end [s].
+BEGIN_S, END_S = 20.0, 32.0
+
+
+@dataclass(frozen=True)
+class Car:
+    """A learned car: its configuration and a drive."""
+
+    name: str
+    config: Path
+    log: Path
+
+
+@dataclass(frozen=True)
+class Injected:
+    """A fault of a car, as --inject has it, without its times."""
+
+    car: Car
+    text: str
+    truth: Truth
+
+    @property
+    def of_frames(self) -> bool:
+        """Whether it is one of a message's frames, not of a value."""
+        return "=" not in self.text
+
+
+def learned(folder: Path) -> list[Car]:
+    """Return both cars; their configurations are written into a folder."""
+    real = Car("rav4", folder / "rav4.toml", shipped("examples/car/drive.log.xz"))
+    _learn(shipped("examples/car/toyota_rav4.dbc"), real)
+    rest = Car("vehicle", folder / "vehicle.toml", folder / "vehicle.log")
+    _, frames = played("restbus", (), 120.0, 4242)
+    with open_writer(rest.log) as writer:
+        writer.write(frames)
+    _learn(shipped("dbc/vehicle.dbc"), rest)
+    return [real, rest]
+
+
+def _learn(database: Path, car: Car) -> None:
+    buses = (BusAsked("can0", "socketcan:can0", (str(database),)),)
+    result = learn(Asked(car.name, buses, (car.log,), car.config, seed=1), lambda *_: None)
+    car.config.write_text(result.text)
+
+
+def injected(car: Car) -> Iterator[Injected]:
+    """Yield faults that the lines of a learned configuration can show, with whom each is of."""
+    config = tomllib.loads(car.config.read_text())
+    bus = config["bus"][0]
+    name = bus["name"]
+    database = load_database([car.config.parent / file for file in bus["database"]])
+    sends = _sends(database, name)
+    for check in bus.get("check", ()):
+        message = check["message"]
+        if check.get("timeout_ms", 1e9) < 2000:
+            yield Injected(car, f"drop {message}", sends[message])
+        if {"crc", "checksum", "e2e"} & set(check):
+            yield Injected(car, f"flip {message}", sends[message])
+    for monitor in config.get("monitor", ()):
+        for one in monitor.get("signal", ()):
+            if "plausible" in one and one["plausible"][0] >= -40 and one["plausible"][1] < 1000:
+                low, high = one["plausible"]
+                value = high + 0.02 * (high - low)
+                if value > representable(database.signal(*one["signal"].split(".")))[1]:
+                    continue
+                yield Injected(car, f"value {one['signal']}={value:g}", _signal(name, one["signal"]))
+        for rule in monitor.get("rule", ()):
+            left, _, right = rule["holds"].partition(" == ")
+            for side in (left, right.rpartition("* ")[2].split()[0]):
+                signal = side.removeprefix("number(").removesuffix(")").strip("()")
+                if signal.count(".") == 1:
+                    size = 2.5 * rule["tolerance"]
+                    yield Injected(car, f"offset {signal}={size:g}", _signal(name, signal))
+
+
+def _signal(bus: str, name: str) -> Truth:
+    return frozenset({f"signal {bus}.{name}"})
+
+
+def _sends(database: Database, bus: str) -> dict[str, Truth]:
+    """Return who is at fault where a message is: itself, or its sender, where that sends nothing else."""
+    senders = {m.name: [s for s in m.senders if s not in ("XXX", "Vector__XXX")] for m in database}
+    count = Counter(sender for each in senders.values() for sender in each)
+    return {
+        name: frozenset({f"message {bus}.{name}", *(f"ecu {bus}.{s}" for s in mine if count[s] == 1)})
+        for name, mine in senders.items()
+    }

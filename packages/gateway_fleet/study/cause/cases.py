@@ -1,0 +1,218 @@
+"""Which fault of which plant, and which component that is.
+
+Everything is read from the shipped files: plants, their inputs, the kinds and sizes of their faults from scenarios, the
+monitors from configurations. What is written here is only which component each fault is of: as its model or scenario
+says it in words, not as a monitor does.
+"""
+
+from __future__ import annotations
+
+import copy
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gateway_fdi.common.resources import shipped
+
+#: Components, each of which is right: nobody could tell them apart.
+Truth = frozenset[str]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault as a scenario has it.
+
+    Attributes:
+        plant: which.
+        base: scenario that it is put into, without its own faults.
+        name: for people.
+        entry: keys of the scenario's table fault, with from_s, to_s.
+        truth: the component that is at fault.
+    """
+
+    plant: str
+    base: str
+    name: str
+    entry: dict[str, Any] = field(hash=False)
+    truth: Truth
+
+    @property
+    def of_frames(self) -> bool:
+        """Whether it is one of a message's frames, not of a value."""
+        return "message" in self.entry
+
+    @property
+    def lasts_s(self) -> float:
+        """How long it is there [s]."""
+        return float(self.entry["to_s"]) - float(self.entry["from_s"])
+
+
+def read(name: str) -> dict[str, Any]:
+    """Return a scenario as it is written."""
+    return tomllib.loads(shipped(f"scenarios/{name}.toml").read_text())
+
+
+def _one(*names: str) -> Truth:
+    return frozenset(names)
+
+
+#: Fault of a structural model -> known variable of its sensor; all others are of the plant.
+_SENSORS = {
+    "tanks": {"f_1": "y1", "f_2": "y2", "f_3": "y3"},
+    "motor": {"f_i": "i", "f_w": "w"},
+    "brake": {"f_i": "i", "f_a": "a", "f_F": "c"},
+    "cooling": {"f_1": "y1", "f_2": "y2", "f_3": "y3", "f_m": "ym"},
+    "battery": {"f_I": "y_I", "f_V": "y_V", "f_y2": "y2"},
+}
+#: Kind of a fault of the steering -> its component.
+_STEERING = {
+    "wheel_angle_offset": _one("signal chassis.SAS_Angle.Delta_S"),
+    "pinion_angle_offset": _one("signal chassis.AFS_Angle.Delta_G"),
+    "current_offset": _one("signal chassis.AFS_MotCur.I_U", "signal chassis.AFS_MotCur.I_V"),
+    "voltage_offset": _one(
+        "actuator steering.inverter", "signal chassis.AFS_MotVol.U_sd_mean", "signal chassis.AFS_MotVol.U_sq_mean"
+    ),
+    "motor_angle": _one("sensor steering.motor angle"),
+}
+_TRUCK = {
+    "battery_short": _one("plant powertrain.battery"),
+    "inverter_voltage": _one("actuator powertrain.inverter"),
+    "machine_efficiency": _one("plant powertrain.machine"),
+    "machine_resistance": _one("plant powertrain.machine"),
+    "machine_voltage_sensor": _one("signal powertrain.HEV_SENS_ELEC.U_em_sens"),
+}
+#: Plant -> bus, its commands, its sensors' signals.
+_LINEAR = {
+    "aircraft": (
+        "flight",
+        ("Aircraft_Command.Rudder", "Aircraft_Command.Aileron"),
+        ("Aircraft_Sensors.Roll", "Aircraft_Sensors.RollRate", "Aircraft_Sensors.YawRate"),
+    ),
+    "belt": (
+        "machine",
+        ("Belt_Command.Voltage",),
+        ("Belt_Sensors.MotorSpeed", "Belt_Sensors.LoadSpeed", "Belt_Sensors.Current"),
+    ),
+}
+
+
+def _bus(base: str) -> str:
+    config = shipped(f"configs/{read(base)['config'].rpartition('/')[2]}")
+    return str(tomllib.loads(config.read_text())["bus"][0]["name"])
+
+
+def _structural(plant: str) -> Iterator[Fault]:
+    base = f"{plant}_faults"
+    sent = {known: f"{m['name']}.{s}" for m in read(base)["ecu"][0]["message"] for s, known in m["signals"].items()}
+    for entry in read(base)["fault"]:
+        known = _SENSORS[plant].get(entry["name"])
+        part = f"signal {_bus(base)}.{sent[known]}" if known else f"plant {plant}.{entry['name']}"
+        yield Fault(plant, base, entry["name"], entry, _one(part))
+
+
+def _linear(plant: str) -> Iterator[Fault]:
+    bus, inputs, outputs = _LINEAR[plant]
+    base = f"linear_{plant}_faults"
+    for entry in read(base)["fault"]:
+        place = entry["place"] - 1
+        of_sensor = entry["kind"].startswith("output")
+        part = f"signal {bus}.{outputs[place]}" if of_sensor else f"actuator {bus}.{inputs[place]}"
+        yield Fault(plant, base, f"{entry['kind']} {place + 1}", entry, _one(part))
+
+
+def _steering() -> Iterator[Fault]:
+    for base in ("steering_parts", "steering_angle"):
+        for entry in read(base)["fault"]:
+            kind = entry["kind"]
+            truth = _STEERING["motor_angle" if kind.startswith("motor_angle") else kind]
+            yield Fault("steering", base, kind, {**entry, "to_s": entry.get("to_s", 12.0)}, truth)
+
+
+def _truck() -> Iterator[Fault]:
+    for kind, truth in _TRUCK.items():
+        base = f"truck_{kind}"
+        for entry in read(base)["fault"]:
+            yield Fault("truck", base, kind, {**entry, "to_s": read(base)["duration_s"]}, truth)
+
+
+def _pedal() -> Iterator[Fault]:
+    for entry in read("pedal_faults")["fault"]:
+        if len(entry["channel"]) == 1 and entry.get("size") != -0.08:  # two channels at once are no single fault
+            channels = (1, 2) if entry["kind"] == "drift" else entry["channel"]  # both drift apart alike
+            truth = _one(*(f"signal chassis.PED_Brake.Ch{k}" for k in channels))
+            yield Fault("pedal", "pedal_faults", f"{entry['kind']} {entry['channel'][0]}", entry, truth)
+    for entry in read("pedal_three")["fault"]:
+        message = {"brake": "PED_Brake3", "accelerator": "PED_Accelerator"}[entry["ecu"]]
+        truth = _one(f"signal chassis.{message}.Ch{entry['channel'][0]}")
+        name = f"{entry['ecu']} {entry['kind']}"
+        yield Fault("pedal", "pedal_three", name, {**entry, "to_s": entry["from_s"] + 2.5}, truth)
+
+
+#: Signals that only one rule relates with each other: which of them is off nobody can tell.
+_RELATED = (
+    _one("signal chassis.WheelSpeeds.FL", "signal chassis.WheelSpeeds.FR"),
+    _one("signal chassis.WheelSpeeds.RL", "signal chassis.WheelSpeeds.RR", "signal chassis.Vehicle.Speed"),
+)
+
+
+def _alike(entry: dict[str, Any]) -> Truth:
+    own = _one(f"signal chassis.{entry['signal']}")
+    related = (group for group in _RELATED if own <= group)
+    return next(related, own) if entry["kind"] == "offset" else own
+
+
+def _signals() -> Iterator[Fault]:
+    for entry in read("signals_faults")["fault"]:
+        truth = _alike(entry)
+        if entry["signal"] == "Climate.Page":  # it says which signal comes
+            truth |= _one("signal chassis.Climate.Outside")
+        yield Fault("signals", "signals_faults", f"{entry['kind']} {entry['signal']}", entry, truth)
+
+
+#: Messages of the vehicle, or who sends them: Brakes sends nothing else, of Body nothing else is watched.
+_SENDS = {
+    "WheelSpeeds": _one("message chassis.WheelSpeeds", "ecu chassis.Brakes"),
+    "Vehicle": _one("message chassis.Vehicle", "ecu chassis.Body"),
+}
+
+
+#: Offsets of the rest bus [km/h].
+_OFFSETS = {
+    "WheelSpeeds.FL": 60,
+    "WheelSpeeds.FR": -60,
+    "WheelSpeeds.RL": 40,
+    "WheelSpeeds.RR": -40,
+    "Vehicle.Speed": 30,
+}
+
+
+def _restbus() -> Iterator[Fault]:
+    base, at = "restbus", {"from_s": 6.0, "to_s": 12.0}
+    for entry in read(base)["fault"]:
+        if "signal" in entry:
+            yield Fault(base, base, f"{entry['kind']} {entry['signal']}", entry, _alike(entry))
+    for kind, messages in (("lost", _SENDS), ("checksum", ("Vehicle",)), ("counter", ("Vehicle",))):
+        for message in messages:
+            yield Fault(base, base, f"{kind} {message}", {"kind": kind, "message": message, **at}, _SENDS[message])
+    for signal, size in _OFFSETS.items():
+        entry = {"kind": "offset", "signal": signal, "size": size, **at}
+        yield Fault(base, base, f"offset {signal}", entry, _alike(entry))
+
+
+def faults() -> list[Fault]:
+    """Return all faults of all plants."""
+    found = [fault for plant in _SENSORS for fault in _structural(plant)]
+    found += [fault for plant in _LINEAR for fault in _linear(plant)]
+    return [*found, *_steering(), *_truck(), *_pedal(), *_signals(), *_restbus()]
+
+
+def drawn(fault: Fault, rng: np.random.Generator) -> dict[str, Any]:
+    """Return a fault as it is put in: it begins up to a fifth of its length later, and is up to half as large again."""
+    entry = copy.deepcopy(fault.entry)
+    entry["from_s"] = round(entry["from_s"] + rng.uniform(0.0, 0.2) * fault.lasts_s, 3)
+    if (entry.get("size") and entry["kind"] in ("offset", "drift")) or entry["kind"].endswith(("_offset", "_drift")):
+        entry["size"] = round(float(entry["size"]) * rng.uniform(1.0, 1.5), 6)
+    return entry

@@ -1,0 +1,71 @@
+"""``gateway evaluate cause``."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+
+from gateway.cli.present import print_json, wide_console
+from gateway_fleet.study.cause.cars import learned
+from gateway_fleet.study.cause.matrix import Job, Row, done, folder_of, healthy, pairs, singles
+
+
+def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Path, json: bool) -> int:
+    """Run the matrix and print it; returns the exit code."""
+    cars = learned(folder_of(work))
+    kinds: dict[str, list[Job]] = {
+        "one fault": list(singles(range(seed, seed + seeds), cars)),
+        "two faults": list(pairs(pair_runs, seed, cars)),
+        "healthy": list(healthy(range(seed, seed + healthy_runs))),
+    }
+    console = wide_console()
+    with Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), console=console) as progress:
+        rows: dict[str, list[Row]] = {}
+        for kind, jobs in kinds.items():
+            task = progress.add_task(kind, total=len(jobs))
+            rows[kind] = done(jobs, lambda task=task: progress.advance(task)) if jobs else []  # type: ignore[misc]
+    if json:
+        print_json({"seed": seed, **{kind: [asdict(row) for row in some] for kind, some in rows.items()}})
+        return 0
+    for kind, some in rows.items():
+        if some:
+            console.print(_table(kind, some))
+    return 0
+
+
+def _table(kind: str, rows: Sequence[Row]) -> Table:
+    title = f"{kind}: {len(rows)} runs, {sum(row.seconds for row in rows) / 3600:.1f} h"
+    table = Table(title=title)
+    for name in ("plant", "runs", "seen", "first", "in three", "alone", "told", "healthy named", "before"):
+        table.add_column(name, justify="left" if name == "plant" else "right")
+    by_plant: dict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        by_plant[row.plant].append(row)
+    for plant, mine in by_plant.items():
+        table.add_row(plant, *_counts(mine))
+    table.add_row("all", *_counts(rows), style="bold")
+    return table
+
+
+def _counts(rows: Sequence[Row]) -> list[str]:
+    verdicts = [row.verdict for row in rows]
+    seen = [one for one in verdicts if one.seen]
+
+    def of_seen(count: int) -> str:
+        return f"{count} ({count / len(seen):.0%})" if seen else "-"
+
+    return [
+        str(len(verdicts)),
+        str(len(seen)),
+        of_seen(sum(one.place == 1 for one in seen)),
+        of_seen(sum(1 <= one.place <= 3 for one in seen)),
+        of_seen(sum(one.alone for one in seen)),
+        of_seen(sum(one.cause for one in seen)),
+        str(sum(bool(one.healthy) for one in verdicts)),
+        str(sum(one.before for one in verdicts)),
+    ]

@@ -1,0 +1,68 @@
+"""One run: frames of a plant with faults, and the diagnoses that the gateway tells of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gateway.bus.frames import Frames
+from gateway.bus.logs import LogReader
+from gateway.config.load import load_config
+from gateway.config.model import Config
+from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import prepare
+from gateway.runtime.injection import Injector, parse_injection
+from gateway_bench.playing import player_of
+from gateway_bench.vecu.scenario import Scenario, located
+from gateway_fdi.common.resources import shipped
+from gateway_fleet.study.cause.cases import read
+
+#: Frames that are fed at once.
+_BATCH = 20_000
+
+
+@dataclass(frozen=True)
+class Told:
+    """What was told: each diagnosis with its time [s], of the frames' clock."""
+
+    t_s: float
+    groups: tuple[Mapping[str, Any], ...]
+
+
+def played(base: str, entries: Sequence[Mapping[str, Any]], seconds: float, seed: int) -> tuple[Config, Frames]:
+    """Return the frames of a scenario with other faults, and the configuration that looks at them."""
+    path = shipped(f"scenarios/{base}.toml")
+    data = {**read(base), "fault": list(entries), "expect": [], "duration_s": seconds}
+    scenario = located(Scenario.model_validate(data), path.parent)
+    config = load_config(scenario.config)
+    return config, player_of(scenario, config, seed=seed).frames
+
+
+def recorded(log: Path, path: Path, injections: Sequence[str], seed: int) -> tuple[Config, Frames]:
+    """Return the frames of a log with faults put in, and the configuration that looks at them."""
+    config = load_config(path)
+    frames = np.concatenate(list(LogReader(log, channels={config.bus[0].channel: 0})))
+    parts = prepare(config, path)
+    names = [bus.name for bus in config.bus]
+    for k, text in enumerate(injections):
+        asked = parse_injection(text, names, parts.databases)
+        frames = Injector(asked, parts.databases, parts.checks, np.random.default_rng([seed, k])).apply(frames)
+    return config, frames
+
+
+def diagnoses(config: Config, frames: Frames) -> list[Told]:
+    """Return the diagnoses of a run."""
+    gateway = Gateway(config)
+    events: list[Mapping[str, Any]] = []
+    gateway.listen(events.append)
+    start, end = int(frames["t_ns"][0]), int(frames["t_ns"][-1])
+    gateway.start(start)
+    for begin in range(0, len(frames), _BATCH):
+        gateway.feed(frames[begin : begin + _BATCH])
+    gateway.advance(end)
+    gateway.close()
+    return [Told((e["t_ns"] - start) * 1e-9, tuple(e["groups"])) for e in events if e["event"] == "diagnosis"]

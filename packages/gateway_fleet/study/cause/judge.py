@@ -1,0 +1,84 @@
+"""What diagnoses are worth, against what was put in."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from gateway_fleet.study.cause.cases import Truth
+from gateway_fleet.study.cause.drive import Told
+
+#: Diagnoses of several groups are looked at together: so many of each.
+_EACH = 4
+#: Nothing else may have so much of the first one's probability.
+_TENTH = 0.1
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of one run.
+
+    Attributes:
+        before: a cause was told, or a fault failed, before any was there.
+        seen: a test failed while the fault was there.
+        place: of the truth among diagnoses, 1: the first; 0: it is none of them.
+        alone: it is the first, and nothing else has a tenth of its probability.
+        cause: it is told as the cause, and nothing else.
+        healthy: healthy components that were told as a cause at some time.
+        last: what was told last, for people.
+    """
+
+    before: bool
+    seen: bool
+    place: int
+    alone: bool
+    cause: bool
+    healthy: tuple[str, ...]
+    last: str
+
+
+def judge(told: Sequence[Told], truths: Sequence[Truth], begin_s: float, end_s: float) -> Verdict:
+    """Judge what was told of faults that were there from one time to another."""
+    during = [one for one in told if begin_s <= one.t_s <= end_s and one.groups]
+    before = any(one.t_s < begin_s and one.groups for one in told)
+    right = frozenset().union(*truths)
+    causes = {name for one in during for group in one.groups for name in group["cause"] or ()}
+    healthy = tuple(sorted(causes - right))
+    if not during:
+        return Verdict(before, False, 0, False, False, healthy, "")
+    groups = during[-1].groups
+    weighed = _together(groups)
+    places = [k for k, chosen in enumerate((chosen for chosen, _ in weighed), 1) if _is(chosen, truths)]
+    whole = [group["cause"] for group in groups]
+    near = [chosen for chosen, p in weighed if p >= _TENTH * weighed[0][1]]
+    alone = all(_is(chosen, truths) for chosen in near)
+    cause = None not in whole and _is(frozenset(itertools.chain.from_iterable(whole)), truths)
+    return Verdict(before, True, places[0] if places else 0, alone, cause, healthy, _text(groups))
+
+
+def _is(chosen: frozenset[str], truths: Sequence[Truth]) -> bool:
+    return len(chosen) == len(truths) and all(chosen & truth for truth in truths)
+
+
+def _together(groups: Sequence[Mapping[str, Any]]) -> list[tuple[frozenset[str], float]]:
+    """Return what may be wrong as a whole with its probability, likeliest first."""
+    each = [group["causes"][:_EACH] for group in groups]
+    whole = [
+        (
+            frozenset(itertools.chain.from_iterable(one["components"] for one in chosen)),
+            math.prod(one["probability"] for one in chosen),
+        )
+        for chosen in itertools.product(*each)
+    ]
+    return sorted(whole, key=lambda one: -one[1])
+
+
+def _text(groups: Sequence[Mapping[str, Any]]) -> str:
+    return " | ".join(
+        f"{'+'.join(g['failed'])}: "
+        + ", ".join(f"{' & '.join(c['components']) or 'false alarm'} {c['probability']:.3g}" for c in g["causes"][:3])
+        for g in groups
+    )

@@ -1,0 +1,1 @@
+"""The crankshaft wheel: monitor, mathematics, virtual ECU."""

@@ -1,0 +1,384 @@
+"""The adaptive method: acquisition, hypotheses about every pulse, learned wheel, isolation.
+
+See :mod:`gateway_plants.crank.pulse_tracking` for the observer. It keeps the paper's form - observer, input
+generator, residual, correction - with the time of the next pulse as its output, so that it holds
+while the speed changes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gateway_fdi.jit import f8s, kernel
+from gateway_plants.crank import wheel_pairs, wheel_seen
+from gateway_plants.crank.monitor import anchor, defects, noise, reversal, waiting, wrong_wheel
+from gateway_plants.crank.monitor.faults import RESIDUALS, Reports
+from gateway_plants.crank.monitor.isolation import (
+    UNSEEN_PULSES,
+    broken_silence,
+    decide,
+    decided,
+    fall_noisy,
+    fall_silent,
+    hold_to_gap,
+    lose,
+    prove,
+    turned,
+    turned_back,
+    unwatched,
+    wait,
+)
+from gateway_plants.crank.monitor.place import (
+    CONFIRMED,
+    SEARCHING,
+    TENTATIVE,
+    Const,
+    State,
+    doubt,
+    search,
+    unlearned,
+)
+from gateway_plants.crank.pulse_tracking import profile
+from gateway_plants.crank.pulse_tracking.acquisition import WINDOW, restart, seek
+from gateway_plants.crank.pulse_tracking.branching import MOST_MISSED
+from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS, Limits, Pulses, plain, short, take
+from gateway_plants.crank.pulse_tracking.tracker import (
+    agreed,
+    begin,
+    best,
+    jump,
+    keep_reported,
+    reported,
+    shift,
+    transfer_ripple,
+)
+
+#: Mean cost of a pulse [nat] above which the hypotheses are given up.
+MOST_MEAN_COST = 8.0
+#: Least time between two pulses, and of a pitch [us]: a frame may tell of none.
+LEAST_US = 0.1
+#: An engine does not slow down by this factor from one tooth to the next.
+ABRUPT = 4.0
+#: The neighbours of the largest gap, so many on each side, are never taken the short way.
+NEAR = 2
+#: Variance of the edges [pitch^2] below which intervals are those of a wheel of equal pitches.
+MOST_UNEVEN = 0.2**2 / 2.0
+#: A pulse so much later [pitch] than the last tooth that can be counted is behind more of them.
+BEYOND = 0.45
+
+
+@kernel
+def lost(s: State, c: Const, number: int, out: Reports) -> None:
+    """Pass over pulses whose times were lost on the bus: they were there, unseen.
+
+    A tooth missed among them would not be known: the place is not proven any more, until a gap is seen where it is
+    expected.
+    """
+    unwatched(s, c, number, out)
+    wheel_seen.skip(s.seen)
+    wheel_pairs.skip(s.pairs)
+    if s.burst.count > 0:
+        noise.tell(s.burst, c.firing_us, out)
+        search(s, c)
+    _pass_over(s, c, number)
+    waiting.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
+
+
+@kernel
+def _pass_over(s: State, c: Const, number: int) -> None:
+    """Go on by teeth that passed without an interval of their own; the gap has to prove the place again."""
+    anchor.skip(s.anchor, c.pulses, number)
+    if s.phase == SEARCHING:
+        restart(s.search)
+    else:
+        jump(s.tracker, c.pulses, number)
+        s.revolutions += (s.index + number) // c.pulses
+        s.index = best(s.tracker).index
+        doubt(s)
+        s.hole = 1
+    s.y1 = 0.0
+    s.y2 = 0.0
+    s.reversal.index = -1
+
+
+@kernel
+def recount(s: State, c: Const, number: int) -> None:
+    """Put the index right by pulses that were lost on the bus and counted wrongly."""
+    if number != 0 and s.phase != SEARCHING:
+        shift(s.tracker, c.pulses, number)
+        s.revolutions += (s.index + number) // c.pulses
+        s.index = best(s.tracker).index
+        doubt(s)
+        anchor.skip(s.anchor, c.pulses, c.pulses)
+        s.hole = 1
+
+
+@kernel(inlined=False)
+def tooth(s: State, c: Const, y: float, out: Reports) -> None:
+    """Take one interval between two pulses.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        y: interval [us].
+        out: record of Out.
+    """
+    if (
+        s.phase == CONFIRMED
+        and s.looks == 0
+        and 0 < s.index < c.pulses - 1
+        and s.profile.ended == 0
+        and _plain(s, c, y)
+    ):
+        return
+    y = max(y, LEAST_US)
+    s.teeth += 1
+    s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
+    if s.burst.count > 0:
+        _wait_for_end(s, c, y, out)
+        return
+    anchor.note(s.anchor, c.pulses, y)
+    if s.looks == 1:
+        wrong_wheel.note(s, c, y, out)
+    if s.wrong == 1:
+        return
+    shows = c.even == 0 and c.turns == 1  # a wheel of few pulses looks the same turned back
+    if shows and s.reversal.index >= 0 and reversal.seen(s.reversal, c.pulses, c.gap, s.y2, s.y1, y):
+        reversal.tell(s.reversal, out, c.told == 1)
+        search(s, c)
+    if s.phase == SEARCHING:
+        if s.silent > 0:
+            broken_silence(s, y, out)
+        _seek(s, c, y)
+    else:
+        period = best(s.tracker).period
+        noise.note(s.burst, s.teeth, y, period)
+        silent = y > (MOST_MISSED + 1) * period and _silent(s, c, y, period)
+        _watch_turning(s, c, y, silent)
+        if silent and s.reversal.stood == 1:
+            search(s, c)
+        elif silent:
+            fall_silent(s, c, out, y / period)
+        else:
+            _track(s, c, y, out)
+            if s.phase != SEARCHING:
+                hold_to_gap(s, c, y, out)
+    if s.phase != CONFIRMED:
+        wait(s, c, y, out)
+    s.y2 = s.y1
+    s.y1 = y
+
+
+@kernel
+def _wait_for_end(s: State, c: Const, y: float, out: Reports) -> None:
+    """Wait for the end of a burst; then go on by the time that has passed, or look for the place again."""
+    if noise.goes_on(s.burst, y, c.firing_us, out):
+        return
+    number = 0
+    s.burst.told = s.teeth
+    if s.burst.known == 1:
+        number = noise.passed(s.burst, best(s.tracker), s.tracker.pitches, c.pulses)
+    if number == 0:
+        search(s, c)
+    _pass_over(s, c, max(number, 1))
+
+
+@kernel
+def regular(s: State, c: Const, us: f8s, first: int, last: int) -> int:
+    """Take the pulses that are the next teeth beyond doubt, away from the gap, up to one that is not.
+
+    The same as :func:`tooth` does for them, without what that only does elsewhere.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        us: intervals [us].
+        first: of them, where to begin.
+        last: where to end at the latest.
+
+    Returns:
+        how many were taken.
+    """
+    pr, index = s.profile, int(s.index)
+    if s.phase != CONFIRMED or s.looks == 1 or index < NEAR or pr.ended == 1 or s.reversal.index >= 0:
+        return 0
+    last = min(last, first + c.pulses - NEAR - index, first + c.pulses + 1 - s.anchor.age)
+    learned = pr.turns > 0
+    limits = Limits(c.longest_us, pr.slow if learned else np.inf, pr.fast if learned else 0.0)
+    taken = short(s.tracker, Pulses(us, first, last), limits, s.residuals, s.teeth % RESIDUALS)
+    for k in range(first, first + taken):
+        y = us[k]
+        s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
+        anchor.note(s.anchor, c.pulses, y)
+        profile.note(pr, index, y)
+        index += 1
+        s.y2 = s.y1
+        s.y1 = y
+    s.teeth += taken
+    s.index = index
+    s.since += taken
+    return taken
+
+
+@kernel
+def _plain(s: State, c: Const, y: float) -> bool:
+    """Take a pulse that the filter explains, not the gap's; returns whether it was one.
+
+    It is what is left where the filter has not come to its limit yet.
+    """
+    pr, tr, index = s.profile, s.tracker, int(s.index)
+    h = best(tr)
+    if s.reversal.index >= 0 or s.anchor.age > c.pulses or h.missed != 0 or h.added != 0:
+        return False
+    if y > c.longest_us * min(tr.pitches[index], 1.0) or y > (MOST_MISSED + 1) * h.period:
+        return False
+    if plain(tr, c.pulses, c.acceleration, y) < 0.0:
+        return False
+    s.teeth += 1
+    s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
+    anchor.note(s.anchor, c.pulses, y)
+    s.residuals[s.teeth % RESIDUALS] = tr.residual
+    profile.note(pr, index, y)
+    s.index = index + 1
+    s.since += 1
+    s.y2 = s.y1
+    s.y1 = y
+    if pr.turns > 0 and (h.period > pr.slow or h.period < pr.fast):
+        _follow(s, c, index)
+    return True
+
+
+@kernel
+def _follow(s: State, c: Const, behind: int) -> None:
+    """Bring the pitches to the speed of a tooth, the one behind the slot ``behind``; what is predicted stays."""
+    pr, tr = s.profile, s.tracker
+    old_behind, old_ahead = profile.smooth(pr, behind), profile.smooth(pr, behind + 1)
+    profile.follow(pr, c.wheel, best(tr).period, tr.pitches)
+    new_behind, new_ahead = profile.smooth(pr, behind), profile.smooth(pr, behind + 1)
+    if new_behind != old_behind or new_ahead != old_ahead:
+        transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead, _apart(c, behind, behind + 1))
+
+
+@kernel
+def _apart(c: Const, one: int, next_one: int) -> float:
+    """Return the pitches from the middle of a slot to the middle of the next one."""
+    return float(0.5 * (c.wheel.nominal[one] + c.wheel.nominal[next_one]))
+
+
+@kernel
+def _silent(s: State, c: Const, y: float, period: float) -> bool:
+    """Tell whether an interval [us] goes beyond the last tooth that hypotheses count to.
+
+    The truth must be among the hypotheses: of nine pulses missed, eight and a late edge would win, and the index be
+    wrong by one. An engine that nearly stands is given more.
+    """
+    span, slot = 0.0, int(s.index)
+    for _ in range(MOST_MISSED + 1):
+        span += s.tracker.pitches[slot]
+        slot = slot + 1 if slot + 1 < c.pulses else 0
+    most = span + BEYOND if period < c.slowest_us / ABRUPT else (MOST_MISSED + 1 + c.gap) * ABRUPT
+    return bool(y > most * period)
+
+
+@kernel
+def _watch_turning(s: State, c: Const, y: float, silent: bool) -> None:
+    """Look whether the engine may have turned back in an interval; then its place is doubted.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        y: interval [us].
+        silent: it goes beyond all teeth that are counted.
+    """
+    re, pitches = s.reversal, s.tracker.pitches
+    behind = s.index - 1 if s.index > 0 else c.pulses - 1
+    before = behind - 1 if behind > 0 else c.pulses - 1
+    u2, u1, u = s.y2 / pitches[before], s.y1 / pitches[behind], y / pitches[s.index]
+    slower = reversal.slower(re, u, s.tracker.variance)
+    crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST  # intervals of a burst are no engine's
+    stopping = not crowded and reversal.stopping(c.turn_us, pitches[s.index], u2, u1, u, s.tracker.variance)
+    period = best(s.tracker).period
+    jitter = reversal.grown(s.tracker.variance)
+    slow = u > c.slowest_us * (1.0 + jitter) or min(u, period) > c.slowest_us
+    nearly = slow and period > c.slowest_us / ABRUPT
+    steady = max(u1, period) if jitter > 0.0 else u1  # an interval that is short by jitter is no speed
+    sudden = not silent and not stopping and reversal.sudden(re, c.turn_us, steady, u, s.tracker.variance)
+    if slower or stopping or nearly:
+        reversal.begin(re, c.pulses, s.index, y)
+    if slower or stopping or nearly or (sudden and s.phase == CONFIRMED):
+        doubt(s)
+    if slower or stopping or (nearly and not sudden):
+        re.stood = 1
+    if slower:
+        s.held_fault = -1
+
+
+@kernel
+def _seek(s: State, c: Const, y: float) -> None:
+    """Look for the place on the wheel."""
+    if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y, s.tracker.variance):
+        s.reversal.stood = 1
+        restart(s.search)
+    index = seek(s.search, c.logs, c.repeats, y)
+    if index >= 0 and (c.even == 0 or s.search.variance < MOST_UNEVEN):
+        se = s.search
+        begin(s.tracker, index, se.period, se.growth, se.variance)
+        s.tracker.wander = unlearned(c, se.period)
+        s.phase = TENTATIVE
+        s.index = index
+        s.since = 0
+        s.suspects = 0
+        s.recurring = 0
+        defects.clear(s.defects)
+        s.profile.clean = 0
+        s.profile.turn_us = 0.0
+        anchor.restart(s.anchor)
+        s.sure = 1 if anchor.shows(s.anchor, c.anchor, c.pulses, index, WINDOW) else 0
+
+
+@kernel
+def _track(s: State, c: Const, y: float, out: Reports) -> None:
+    """Follow the wheel by one pulse."""
+    tr = s.tracker
+    before = int(s.index)
+    cost = take(tr, c.pulses, c.acceleration, c.ripple, y)
+    s.residuals[s.teeth % RESIDUALS] = tr.residual
+    if not (cost <= HOPELESS and tr.mean_cost <= MOST_MEAN_COST and best(tr).period > LEAST_US):
+        count = noise.crowd(s.burst, s.teeth)
+        if count >= noise.BURST and s.reversal.stood == 0:
+            fall_noisy(s, c, count)
+        else:
+            lose(s, c, out, cost)
+        return
+    if tr.open > 5 * c.pulses // 2:
+        keep_reported(tr)
+    h = reported(tr)
+    s.index = h.index
+    s.since += 1
+    behind = s.index - 1 if s.index > 0 else c.pulses - 1
+    old_behind = profile.smooth(s.profile, behind)
+    old_ahead = profile.smooth(s.profile, s.index)
+    profile.follow(s.profile, c.wheel, h.period, tr.pitches)
+    following = before + 1 if before + 1 < c.pulses else 0
+    if h.associated == 1 and s.index == following:
+        profile.note(s.profile, before, y)
+    else:
+        s.profile.clean = 0
+    first = best(tr)
+    if first.associated == 1 and (first.missed != 0 or first.added != 0) and agreed(tr):
+        s.index = first.index
+        decide(s, c, out)
+        if s.phase == SEARCHING:
+            return
+    if s.index < before and before - s.index > c.pulses // 2:
+        turned(s)
+    elif s.index > before and s.index - before > c.pulses // 2:
+        turned_back(s)
+    if s.profile.ended == 1:
+        decided(s, c, out)
+    new_behind = profile.smooth(s.profile, behind)
+    new_ahead = profile.smooth(s.profile, s.index)
+    if new_behind != old_behind or new_ahead != old_ahead:
+        transfer_ripple(tr, old_behind - new_behind, old_ahead - new_ahead, _apart(c, behind, s.index))
+    if s.phase == TENTATIVE and (s.hole == 0 or c.even == 1) and agreed(tr):
+        prove(s, c, out)

@@ -1,0 +1,239 @@
+"""The gap as an anchor: each turn the raw intervals are asked where on the wheel they are.
+
+The tracker takes a gap for one residual more, so that an index which is wrong could outlive any number of gaps. Here
+the logarithms of the last turn's intervals are compared with the wheel's at every shift. Speed and acceleration are
+taken off by the contrast of an interval with its neighbours, which a straight line does not enter::
+
+    c_k = ln y_k - (ln y_{k-1} + ln y_{k+1}) / 2,        p_i = ln a_i - (ln a_{i-1} + ln a_{i+1}) / 2
+    S(d) = sum over k of min((c_k - p_{i(k) + d})^2, MOST),    i(k) the slot that interval k is believed to be
+
+``a`` the nominal pitches (what was learned may be what is wrong). With noise of variance v the log likelihood of
+shift d against the present one is ``(S(0) - S(d)) / 2 v``. A shift that is likelier than the present place by
+:data:`ODDS`, and than any third one by :data:`UNIQUE`, wins; two wins in a row of the same shift, a turn apart,
+relocate. One disturbance is in one window only, because the windows do not overlap.
+
+The whole test takes all pulses times all shifts, so it is spared while the gap comes where it is expected: there
+``y_1^2 / (y y_2)`` is the wheel's own ratio and no other place is likelier.
+"""
+
+from __future__ import annotations
+
+from math import log
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway_fdi.jit import Record, f8, f8s, i4, kernel, u1
+from gateway_plants.crank.wheel import MOST_TEETH
+
+#: [nat] by which a shift has to be likelier than the present place, and than any other shift.
+ODDS, UNIQUE = 12.0, 4.0
+#: Most that one contrast counts (a pulse missed or added is about so far off), least variance of a contrast.
+MOST, LEAST_VARIANCE = 0.5, 0.05**2
+#: A contrast that is not known, because one of its intervals is not.
+UNKNOWN = 1e9
+#: The gap is where it is expected when the square of its ratio is right within this factor.
+RIGHT = 1.65
+#: A gap whose squared ratio to its neighbours is less than this is no mark of its own.
+DISTINCT = 2.4
+#: Wins of a shift in a row after which it is believed.
+WINS = 2
+#: What :func:`ask` found besides a shift: the turn is even, no gap is in it; it cannot tell; the present place is the
+#: likeliest by far.
+ABSENT, UNDECIDED, HERE = -2, -1, 0
+
+
+class Const(Record):
+    """Contrasts of the wheel's slots, the ``largest`` of them, and the ``width`` of the largest gap [pitch].
+
+    ``ratio``: that gap squared over its neighbours (0: not distinct).
+    """
+
+    ratio: f8
+    width: f8
+    largest: f8
+    contrast: Annotated[f8s, MOST_TEETH]
+
+
+class State(Record):
+    """State.
+
+    ``intervals`` the last turn's [us], 0: not known, the next one goes to ``at``; ``age`` pulses since the gap was
+    seen where it is expected, or since the last test; ``verified`` whether it was seen there since the last test;
+    ``shift`` that won last, ``wins`` of it in a row.
+    """
+
+    at: i4
+    age: i4
+    shift: i4
+    wins: i4
+    verified: u1
+    intervals: Annotated[f8s, MOST_TEETH]
+    logs: Annotated[f8s, MOST_TEETH]
+
+
+def prepare(c: Const, pitches: NDArray[np.float64]) -> None:
+    """Fill the constants.
+
+    Args:
+        c: record of Const.
+        pitches: shape (P,), nominal; the last one is the largest gap.
+    """
+    logs = np.log(pitches)
+    c.contrast[: len(logs)] = logs - (np.roll(logs, 1) + np.roll(logs, -1)) / 2
+    c.largest = np.abs(c.contrast[: len(logs)]).max()
+    c.width = pitches.max()
+    ratio = float(np.exp(2 * (logs[-1] - (logs[-2] + logs[0]) / 2)))
+    c.ratio = ratio if ratio >= DISTINCT else 0.0
+
+
+@kernel
+def restart(an: State) -> None:
+    """Begin at a new place: what the intervals were stays, what they proved does not."""
+    an.age = 0
+    an.wins = 0
+    an.verified = 0
+
+
+@kernel
+def note(an: State, pulses: int, y: float) -> None:
+    """Note one interval [us]."""
+    an.intervals[an.at] = y
+    an.at = an.at + 1 if an.at + 1 < pulses else 0
+    an.age += 1
+
+
+@kernel
+def skip(an: State, pulses: int, number: int) -> None:
+    """Pass over intervals that nobody told."""
+    for _ in range(min(number, pulses)):
+        an.intervals[an.at] = 0.0
+        an.at = an.at + 1 if an.at + 1 < pulses else 0
+    an.age += number
+    an.verified = 0
+
+
+@kernel
+def seen(an: State, c: Const, y2: float, y1: float, y: float) -> bool:
+    """Tell whether the gap ``y1`` [us], between its neighbours, is where it is expected; notes it."""
+    if c.ratio == 0.0 or y1 == 0.0 or y2 == 0.0:
+        return False
+    ratio, expected = y1 * y1, c.ratio * y * y2
+    if ratio * RIGHT < expected or ratio > RIGHT * expected:
+        return False
+    an.age = 0
+    an.wins = 0
+    an.verified = 1
+    return True
+
+
+@kernel
+def shows(an: State, c: Const, pulses: int, index: int, window: int) -> bool:
+    """Tell whether the largest gap is among the last intervals, and stands out from its neighbours as it should.
+
+    A straight line through a few logarithms is not what an engine does that spins up over a compression: a place that
+    was found without having seen the gap is a guess.
+
+    Args:
+        an: record of State.
+        c: record of Const.
+        pulses: of one turn.
+        index: of the latest tooth; the gap ended so many pulses ago.
+        window: intervals that the place was found by.
+    """
+    if index > window - 2:
+        return False
+    at = an.at - 1 - index
+    before, here = an.intervals[(at - 1) % pulses], an.intervals[at % pulses]
+    behind = an.intervals[(at + 1) % pulses] if index > 0 else before
+    squared, expected = here * here, c.ratio * before * behind
+    return bool(c.ratio > 0.0 and expected > 0.0 and expected / RIGHT <= squared <= RIGHT * expected)
+
+
+@kernel
+def squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
+    """Return S of a shift; the contrasts are in ``logs``, that of the interval k pulses ago at k."""
+    total = 0.0
+    slot = index - 2 + shift
+    while slot < 0:
+        slot += pulses
+    while slot >= pulses:
+        slot -= pulses
+    for k in range(1, pulses - 1):
+        d = an.logs[k] - c.contrast[slot]
+        if d < UNKNOWN:
+            total += min(d * d, MOST)
+        slot = slot - 1 if slot > 0 else pulses - 1
+    return total
+
+
+@kernel
+def contrasts(an: State, pulses: int) -> int:
+    """Compute the contrasts; returns how many are known."""
+    known = 0
+    at = int(an.at)
+    for k in range(1, pulses - 1):
+        before, here, after = at - 2 - k, at - 1 - k, at - k
+        y0 = an.intervals[before if before >= 0 else before + pulses]
+        y1 = an.intervals[here if here >= 0 else here + pulses]
+        y2 = an.intervals[after if after >= 0 else after + pulses]
+        if y0 > 0.0 and y1 > 0.0 and y2 > 0.0:
+            an.logs[k] = log(y1) - 0.5 * (log(y0) + log(y2))
+            known += 1
+        else:
+            an.logs[k] = UNKNOWN
+    return known
+
+
+@kernel
+def least_known(pulses: int) -> int:
+    """Return how many contrasts a turn needs to be judged: half of them, four, or all that a small wheel has."""
+    return max((pulses + 1) // 2, min(4, pulses - 2)) if pulses > 5 else pulses - 2
+
+
+@kernel
+def plain(an: State, pulses: int) -> float:
+    """Return S of a wheel without a gap; the contrasts are in ``logs``."""
+    total = 0.0
+    for k in range(1, pulses - 1):
+        d = an.logs[k]
+        if d < UNKNOWN:
+            total += min(d * d, MOST)
+    return total
+
+
+@kernel
+def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
+    """Test the last turn against every shift, and against a wheel without a gap.
+
+    Args:
+        an: record of State.
+        c: record of Const.
+        pulses: of one turn.
+        repeats: pulses after which the wheel's pattern repeats.
+        index: of the latest tooth, as it is believed.
+
+    Returns:
+        the shift that is likelier than the present place, HERE, ABSENT or UNDECIDED.
+    """
+    known = contrasts(an, pulses)
+    if known < least_known(pulses):
+        return UNDECIDED
+    present = squares(an, c, pulses, index, 0)
+    first, second, shift = present, 1e9, 0
+    for d in range(1, repeats):
+        rest = squares(an, c, pulses, index, d)
+        if rest < first:
+            second, first, shift = first, rest, d
+        elif rest < second:
+            second = rest
+    variance = max(first / (known - 1), LEAST_VARIANCE)
+    even = plain(an, pulses)
+    if first - even > 2.0 * ODDS * max(even / (known - 1), LEAST_VARIANCE):
+        return ABSENT
+    if second - first < 2.0 * UNIQUE * variance or even - first < 2.0 * ODDS * variance:
+        return UNDECIDED
+    if shift == 0:
+        return HERE
+    return shift if present - first > 2.0 * ODDS * variance else UNDECIDED

@@ -1,0 +1,111 @@
+"""What is wrong in each turn at a place that is not proven: teeth broken off, pulses too many at some of them.
+
+One fault does not speak against a place, and two different ones do: a wrong place has a pulse missed at the wheel's
+gap, and one too many where its own gap should be. Teeth broken off are all missed pulses, and double pulses all added
+ones. So faults of one sign, none of them beside a gap, are noted for a turn; when the next turn shows the same ones at
+the same teeth, one turn later each, they are of the wheel or the sensor, and no reason to doubt the place.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from gateway_fdi.jit import Record, i4, i4s, i8s, kernel
+
+#: Teeth that have a fault in each turn, at most.
+MOST = 16
+#: A fault comes again a turn later, give or take so many pulses: where it is decided. Two that are decided together
+#: count as the first of them.
+NEAR, MOST_LATE = 3, 6
+
+
+class Defects(Record):
+    """Faults of one turn in their order.
+
+    ``count`` of them, their ``teeth``, their ``nets`` (pulses missed less those added) and the number of the ``pulses``
+    at which they came last; ``next`` one that has to come again, -1: the first turn is not over; ``turns`` that have
+    shown all of them again.
+    """
+
+    count: i4
+    next: i4
+    turns: i4
+    teeth: Annotated[i4s, MOST]
+    nets: Annotated[i4s, MOST]
+    pulses: Annotated[i8s, MOST]
+
+
+@kernel
+def clear(de: Defects) -> None:
+    """Forget all."""
+    de.count = 0
+    de.next = -1
+    de.turns = 0
+
+
+@kernel
+def missing(de: Defects) -> int:
+    """Return how many teeth are missing in each turn."""
+    total = 0
+    for k in range(de.count):
+        total += max(de.nets[k], 0)
+    return total
+
+
+@kernel
+def knows(de: Defects, tooth: int, net: int) -> bool:
+    """Tell whether a fault is one of those that come again in each turn."""
+    for k in range(de.count):
+        if de.turns > 0 and de.teeth[k] == tooth and de.nets[k] == net:
+            return True
+    return False
+
+
+@kernel
+def take(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
+    """Take a fault; returns whether it belongs to those that come again in each turn, or to the first turn of them.
+
+    Args:
+        de: record of Defects.
+        pulses: of one turn of the wheel.
+        tooth: of the fault.
+        net: pulses missed less those added.
+        number: of the pulse.
+    """
+    if de.next < 0 and (de.count == 0 or tooth != de.teeth[0]):
+        return _add(de, pulses, tooth, net, number)
+    k = max(de.next, 0)
+    turn = pulses
+    for j in range(de.count):
+        turn -= de.nets[j]
+    if tooth != de.teeth[k] or abs(number - de.pulses[k] - turn) > MOST_LATE:
+        return False
+    total = de.nets[k]
+    de.pulses[k] = number
+    while total != net and k + 1 < de.count:
+        k += 1
+        total += de.nets[k]
+        de.pulses[k] += turn
+    if total != net:
+        return False
+    de.next = k + 1
+    if de.next == de.count:
+        de.next = 0
+        de.turns += 1
+    return True
+
+
+@kernel
+def _add(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
+    """Add a fault of the first turn; returns whether it is one of these."""
+    k = int(de.count)
+    if k == MOST:
+        return False
+    if k > 0:
+        before, here = (de.teeth[k - 1] - de.teeth[0]) % pulses, (tooth - de.teeth[0]) % pulses
+        same_sign = (net > 0) == (de.nets[0] > 0) and (net < 0) == (de.nets[0] < 0)
+        if here <= before or not same_sign or number - de.pulses[0] > pulses + k + NEAR:
+            return False
+    de.teeth[k], de.nets[k], de.pulses[k] = tooth, net, number
+    de.count = k + 1
+    return True

@@ -1,0 +1,648 @@
+"""From what the hypotheses agree on to test results: each cause its own fault, with its evidence."""
+
+from __future__ import annotations
+
+from gateway.monitors.contract import report
+from gateway_fdi.jit import kernel
+from gateway_plants.crank.monitor import anchor, defects, noise, rival, runout, waiting, wrong_wheel
+from gateway_plants.crank.monitor.faults import (
+    ADDED,
+    CRANK_FAULTS,
+    DAMAGED,
+    DOUBLED,
+    MISSED,
+    NO_GAP,
+    NOISE,
+    PULSES_LOST,
+    RELOCATED,
+    RESIDUALS,
+    RUNOUT,
+    SYNC_LOST,
+    TWO_PLACES,
+    UNWATCHED,
+    WRONG_WHEEL,
+    Reports,
+    Shape,
+)
+from gateway_plants.crank.monitor.place import (
+    BY_CAM,
+    CONFIRMED,
+    TENTATIVE,
+    Const,
+    State,
+    decides,
+    doubt,
+    search,
+    speed,
+    tooth_of,
+    unlearned,
+)
+from gateway_plants.crank.pulse_tracking import profile
+from gateway_plants.crank.pulse_tracking.acquisition import begin_later
+from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS
+from gateway_plants.crank.pulse_tracking.motion import Q3
+from gateway_plants.crank.pulse_tracking.tracker import (
+    COARSE,
+    agreed,
+    best,
+    keep_best,
+    marginalise_decided,
+    shift,
+    unanimous,
+)
+
+#: Pulses missed in a row from which on it is loss of signal.
+LOSS = wrong_wheel.LOSS
+#: Pulses within which missed (or added) ones are one disturbance, its count their sum.
+TOGETHER = 8
+#: Revolutions, and pulses beyond, without synchronisation after which the reason is named.
+PATIENCE, PATIENCE_PULSES, LONG_PATIENCE = 4, 100, 10
+#: Share of the teeth with a second pulse from which on the edges are doubled.
+DOUBLE_SHARE = 0.25
+#: Revolutions that the pitches must have been learned from before they are believed.
+LEARNED = 3
+#: Teeth behind a silence among which one has to show the speed before, and within what factor that is the same.
+SILENT, SAME = 3, 1.5
+#: Runout and single teeth are judged above this speed, where torsional ripple is small [rpm].
+RUNOUT_RPM = 800.0
+#: A tooth is damaged when it is off by more than the least of these [pitch], and by so many standard deviations of the
+#: other teeth, but at the most by this.
+BENT, BENT_SIGMAS, BENT_MOST = 0.17, 5.5, 0.3
+#: A decision that took more pulses than this is held until the next gap has proven it.
+LATE = 8
+#: Parts of a turn: by one more the search begins later for each place that was refused. What follows in each turn may
+#: be like the gap.
+PARTS = 8
+#: Turns that have to show the same teeth missing before two places are told: until then it may be another wheel.
+SURE = 3
+#: Turns in a row without a fault, the gap at its place in each, that only the configured wheel has.
+FITTED = 3
+#: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
+EVEN_TURNS = 2
+#: Tooth of the next revolution by which one has to be decided to count.
+DECIDED_BY = 4
+#: Revolutions in a row with a defect in each, from which on the speed is the filter's, and no clean revolution's.
+UNCLEAN = 3
+#: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
+MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
+
+
+@kernel
+def lose(s: State, c: Const, out: Reports, cost: float) -> None:
+    """Report that synchronisation is lost, and search.
+
+    A place that was proven until less than two turns ago, and is doubted by nothing but pulses too close for any
+    engine, counts as proven, if nothing else has been told of these (as doubled edges); not at the starter's speed,
+    where an engine that turns back has such pulses as well.
+    """
+    of_late = s.teeth - s.doubted < 2 * c.pulses and s.hole == 0 and s.reversal.stood == 0
+    of_late = of_late and s.teeth - s.named > 2 * c.pulses and s.teeth - s.burst.crowded < 2 * c.pulses
+    of_late = of_late and s.speed_rpm > runout.FIRING_RPM and s.doubling == 0 and not wrong_wheel.unsure(s, c)
+    if s.phase == CONFIRMED or of_late:
+        e = report(out, SYNC_LOST, True, cost, HOPELESS).sync_lost
+        e.teeth, e.index, e.speed, e.cost = s.teeth, s.index, speed(s, c), cost
+        s.losses += 1
+    search(s, c)
+
+
+@kernel
+def fall_noisy(s: State, c: Const, count: int) -> None:
+    """Doubt the place in a burst of pulses that nothing explains; it is told when it has ended (:mod:`.noise`).
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        count: pulses of the burst so far.
+    """
+    began = s.burst.known == 1 and s.teeth - s.decided <= 2 * TOGETHER
+    known = (s.phase == CONFIRMED or began) and unanimous(s.tracker)
+    if s.phase == CONFIRMED:
+        s.losses += 1
+    keep_best(s.tracker)
+    h = best(s.tracker)
+    noise.begin(s.burst, h, count, speed(s, c), known, tooth_of(s, c, h.index))
+    anchor.skip(s.anchor, c.pulses, c.pulses)
+    anchor.restart(s.anchor)
+    doubt(s)
+
+
+@kernel
+def _shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
+    """Fill the evidence of missed or added pulses; ``first`` is the tooth concerned."""
+    e.count = number
+    e.tooth = tooth_of(s, c, first)
+    e.speed = speed(s, c)
+    for k in range(RESIDUALS):
+        e.residual[k] = s.residuals[(s.teeth + 1 + k) % RESIDUALS]
+
+
+@kernel
+def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int) -> None:
+    """Report missed or added pulses from tooth ``first`` on; a tentative place keeps them until it is proven.
+
+    None where the engine may have turned back.
+    """
+    if s.phase == TENTATIVE and s.reversal.stood == 1:
+        return
+    if s.phase == TENTATIVE:
+        s.held_fault = fault
+        _shape(s, c, number, first, s.held)
+        return
+    s.named = s.teeth
+    _shape(s, c, number, first, report(out, fault, True, s.tracker.residual, 0.5).pulses)
+
+
+@kernel
+def _beside_gap(c: Const, tooth: int) -> bool:
+    """Tell whether a tooth is next to a gap."""
+    return bool(c.wheel.gap[tooth] == 1 or c.wheel.gap[tooth - 1 if tooth > 0 else c.pulses - 1] == 1)
+
+
+@kernel
+def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
+    """Tell whether a fault found at a place that is not proven speaks against the place.
+
+    One fault does not: it is held until the place is proven. Nor do those that come again a turn later at the same
+    teeth: they are defects of the wheel or the sensor (teeth broken off, pulses too many in each turn), not a wrong
+    place (:mod:`.defects`); but beside the gap it is a wrong edge, or a wrong wheel. Others do, unless frames were lost
+    in between, and pulses with them.
+    """
+    beside = _beside_gap(c, tooth)
+    if beside or not defects.take(s.defects, c.pulses, tooth, net, s.teeth):
+        s.suspects += 1
+        s.recurring = 0
+        defects.clear(s.defects)
+        if not beside:
+            defects.take(s.defects, c.pulses, tooth, net, s.teeth)
+        return s.suspects > 1 and s.hole == 0
+    s.suspects = max(s.suspects, 1)
+    s.recurring = 1 if s.defects.turns > 0 else 0
+    return False
+
+
+@kernel
+def decide(s: State, c: Const, out: Reports) -> None:
+    """Act on missed or added pulses that all hypotheses agree on."""
+    h = best(s.tracker)
+    missed, added = int(h.missed), int(h.added)
+    tooth = int(h.missed_at if missed > 0 else h.added_at)
+    added_at = int(h.added_at)
+    marginalise_decided(s.tracker)
+    s.profile.clean = 0
+    s.fitted = 0
+    s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
+    if s.phase == CONFIRMED and (s.tracker.took > LATE or wrong_wheel.unsure(s, c)):
+        doubt(s)
+    if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
+        lose(s, c, out, s.tracker.mean_cost)
+        s.refused += 1
+        begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= waiting.FEW else 0)
+        return
+    s.since = 0
+    if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
+        # The place was a guess, and it is the gap that comes elsewhere: that is the place put right.
+        s.suspects = 0
+        s.sure = 1
+        return
+    s.corrections += missed - added
+    s.uneven = s.teeth if missed != added else s.uneven
+    own = defects.knows(s.defects, tooth, missed - added)
+    missed, added = max(missed, 0), max(added, 0)
+    s.recent_missed += 0 if own else missed
+    s.recent_added += 0 if own else added
+    if s.recent_missed > 0 and s.recent_added > 0 and s.recent_missed + s.recent_added > LOSS:
+        lose(s, c, out, s.tracker.mean_cost)
+        return
+    if missed == added:
+        # One missed and one too many: an edge far off. Only when it comes again it says that nothing fits (above).
+        return
+    if own or s.teeth - s.decided > TOGETHER:
+        s.burst_missed = 0
+        s.burst_added = 0
+        s.burst_tooth = tooth
+    s.decided = s.teeth
+    s.burst_missed += missed
+    s.burst_added += added
+    if s.phase == CONFIRMED:
+        s.missed += missed
+        s.added += added
+    if missed > 0:
+        fault = PULSES_LOST if s.burst_missed >= LOSS else MISSED
+        _fail(s, c, out, fault, s.burst_missed, s.burst_tooth)
+    if added > 0:
+        burst = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
+        if burst or s.teeth - s.burst.told <= TOGETHER:
+            if s.y1 < c.firing_us:
+                _tell_noise(s, c, out)
+            else:
+                doubt(s)  # pulses no closer than those of an engine that the starter turns may be an engine's
+            return
+        # Of teeth with a second pulse: several pulses behind one tooth are one.
+        s.doubled += min(added, max((s.index - added_at) % c.pulses, 1))
+        if s.doubling == 0:
+            _fail(s, c, out, ADDED, s.burst_added, s.burst_tooth if missed == 0 else added_at)
+
+
+@kernel
+def _tell_noise(s: State, c: Const, out: Reports) -> None:
+    """Report a burst whose teeth were counted all the same; a place that is not proven keeps nothing of it."""
+    s.named = s.teeth
+    s.burst.told = s.teeth
+    e = report(out, NOISE, True, s.burst_added, noise.BURST).noise
+    e.count, e.tooth, e.speed = s.burst_added, tooth_of(s, c, s.burst_tooth), speed(s, c)
+
+
+@kernel
+def fall_silent(s: State, c: Const, out: Reports, pitches: float) -> None:
+    """Report a silence too long to count its teeth, and search.
+
+    An engine that was too slow can have come to rest in it; then it depends on the teeth that follow
+    (:func:`broken_silence`).
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        out: record of Out.
+        pitches: that have passed at the speed before.
+    """
+    period = best(s.tracker).period
+    proven = s.phase == CONFIRMED
+    if proven:
+        turns = int(pitches / c.wheel.whole)
+        number, slot, span = turns * c.pulses - 1, int(s.index), turns * c.wheel.whole
+        while span + 0.5 * c.wheel.nominal[slot] < pitches:
+            span += c.wheel.nominal[slot]
+            slot = slot + 1 if slot + 1 < c.pulses else 0
+            number += 1
+        _shape(s, c, number, s.index + 1, s.held)
+    search(s, c)
+    if proven and period < c.turning_us:
+        _tell_silence(s, out)
+    elif proven:
+        s.silent_us = period
+        s.silent = SILENT
+
+
+@kernel
+def _tell_silence(s: State, out: Reports) -> None:
+    s.missed += int(s.held.count)
+    s.losses += 1
+    e = report(out, PULSES_LOST, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
+    e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
+    for k in range(RESIDUALS):
+        e.residual[k] = s.held.residual[k]
+
+
+@kernel
+def broken_silence(s: State, y: float, out: Reports) -> None:
+    """Take a tooth soon after a silence: an engine that has its speed at once has not stood still in between."""
+    s.silent -= 1
+    if s.silent_us / SAME < y < SAME * s.silent_us:
+        s.silent = 0
+        _tell_silence(s, out)
+
+
+@kernel
+def prove(s: State, c: Const, out: Reports) -> None:
+    """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
+
+    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. None does while it is
+    filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth that
+    are missing of it in each turn.
+    """
+    if c.even == 1:
+        if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
+            confirm(s, out)
+        return
+    proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
+    if s.since < proof or s.filled == 1 or not decides(s, c) or _held_back(s, c):
+        return
+    if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
+        confirm(s, out)
+
+
+@kernel
+def _held_back(s: State, c: Const) -> bool:
+    """Return whether a fault is held until it is known that the wheel is the configured one."""
+    return bool((s.held_fault >= 0 or s.recurring == 1) and wrong_wheel.unsure(s, c))
+
+
+@kernel
+def confirm(s: State, out: Reports) -> None:
+    """Take the place on the wheel for proven, and report what was held until then."""
+    s.phase = CONFIRMED
+    s.refused = 0
+    waiting.clear(s.waiting)
+    s.suspects = 0
+    s.hole = 0
+    s.reversal.stood = 0
+    if s.held_fault >= 0:
+        e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
+        e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
+        for k in range(RESIDUALS):
+            e.residual[k] = s.held.residual[k]
+        if s.held_fault == ADDED:
+            s.added += int(s.held.count)
+        else:
+            s.missed += int(s.held.count)
+        s.held_fault = -1
+
+
+@kernel
+def _trust(s: State, c: Const) -> None:
+    """Trust the pitches as far as they are learned, and as the turns repeat."""
+    turns = s.profile.turns
+    wander = max(Q3, s.profile.rest * s.profile.rest * c.rest)
+    s.tracker.wander = unlearned(c, best(s.tracker).period) if turns == 0 else wander
+    for i in range(c.pulses):
+        s.tracker.slack[i] = c.slack[i] / (1 + turns * turns)
+
+
+@kernel
+def turned(s: State) -> None:
+    """End a revolution, which :func:`decided` takes when its gap is."""
+    s.revolutions += 1
+    if s.anchor.verified == 0 or s.anchor.wins > 0:
+        s.profile.clean = 0
+    profile.end(s.profile)
+
+
+@kernel
+def turned_back(s: State) -> None:
+    """Take the end of a revolution back: the gap had not come yet, after all."""
+    s.revolutions -= 1
+    s.profile.ended = 0
+    s.profile.clean = 0
+
+
+@kernel
+def decided(s: State, c: Const, out: Reports) -> None:
+    """Take a revolution that has ended, once the hypotheses agree, at the latest at tooth :data:`DECIDED_BY`.
+
+    A gap that real sensors make longer or shorter than it is leaves a doubt for a pulse or two.
+    """
+    if not agreed(s.tracker):
+        if s.index < min(DECIDED_BY, c.pulses // 2):
+            return
+        s.profile.ended_clean = 0
+    _take_turn(s, c, out)
+
+
+@kernel
+def _take_turn(s: State, c: Const, out: Reports) -> None:
+    """Take a revolution: speed, learning, passed results of a clean one, doubled edges, runout."""
+    us = s.profile.ended_us
+    before = s.profile.turns
+    clean = profile.turn(s.profile, c.wheel, s.tracker.pitches, s.index)
+    if s.profile.turns != before or before == 0:
+        _trust(s, c)
+    if s.profile.turns != before:
+        runout.take(s.law, 60e6 * c.turns / us, s.profile.even, s.profile.odd)
+    s.fitted = s.fitted + 1 if clean else 0
+    if s.fitted >= FITTED:
+        s.known = 1
+    doubled = s.doubled
+    s.doubled = 0
+    if s.phase != CONFIRMED:
+        return
+    s.doubling = 1 if doubled > DOUBLE_SHARE * c.pulses else 0
+    if s.doubling == 1:
+        share = doubled / c.pulses
+        s.named = s.teeth
+        d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
+        d.share, d.teeth, d.speed = share, s.teeth, speed(s, c)
+    s.unclean = 0 if clean else s.unclean + 1
+    if clean:
+        _note_speed(s, 60e6 * c.turns / us)
+    elif s.unclean >= UNCLEAN:
+        _note_speed(s, speed(s, c))
+    if not clean:
+        return
+    s.recent_missed = 0
+    s.recent_added = 0
+    for fault in range(CRANK_FAULTS):
+        if fault != RUNOUT:
+            report(out, fault, False, 0.0, 0.0)
+    report(out, RELOCATED, False, 0.0, 0.0)
+    report(out, UNWATCHED, False, 0.0, 0.0)
+    report(out, NOISE, False, 0.0, 0.0)
+    report(out, TWO_PLACES, False, 0.0, 0.0)
+    report(out, WRONG_WHEEL, False, 0.0, 0.0)
+    if c.turns == 1 and s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
+        _judge_wheel(s, c, out)
+
+
+@kernel
+def _note_speed(s: State, rpm: float) -> None:
+    """Note the speed of a revolution [rpm]."""
+    s.speed_rpm = rpm
+    s.fastest_rpm = max(s.fastest_rpm, rpm)
+    if s.slowest_rpm == 0.0 or rpm < s.slowest_rpm:
+        s.slowest_rpm = rpm
+
+
+@kernel
+def _judge_wheel(s: State, c: Const, out: Reports) -> None:
+    """Judge the wheel as it was learned: off centre, a tooth out of its place."""
+    learned_rpm = 60e6 / (s.profile.period * c.wheel.whole)
+    amplitude, most = runout.geometry(s.law, learned_rpm, s.profile.first, c.runout)
+    if profile.tells_runout(c.wheel):
+        r = report(out, RUNOUT, amplitude > most, amplitude, most).runout
+        r.amplitude, r.tooth = amplitude, tooth_of(s, c, s.profile.worst)
+        r.speed = s.speed_rpm
+    off = s.profile.off
+    limit = max(BENT, min(BENT_SIGMAS * s.profile.scatter, BENT_MOST))
+    d = report(out, DAMAGED, abs(off) > limit, abs(off), limit).damaged
+    d.tooth, d.off, d.speed = tooth_of(s, c, s.profile.bent), off, s.speed_rpm
+
+
+@kernel
+def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
+    """Hold the place on the wheel to the gap: behind it when it comes where it is expected, else once a turn.
+
+    What frames that were lost had hidden is proven by the gap that comes where it is expected, all hypotheses agreeing.
+    The intervals of a turn in which pulses were missed or added are not those of the wheel, and say nothing of another
+    place. A wheel of equal pitches has none.
+    """
+    an = s.anchor
+    if c.even == 1:
+        if an.age >= c.pulses:
+            an.age = 0
+        an.verified = 1
+    elif s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
+        _witness(s, c, out)
+    elif an.age >= c.pulses + 2 and not decides(s, c):
+        an.age = 2
+        an.verified = 1
+    elif an.age >= c.pulses + 2:
+        an.age = 2
+        an.verified = 0
+        found = anchor.ask(an, c.anchor, c.pulses, c.repeats, s.index)
+        if found == anchor.HERE:
+            an.wins = 0
+            an.verified = 1
+            _witness(s, c, out)
+        elif found == anchor.ABSENT and s.known == 0:
+            doubt(s)
+        elif found > 0 and s.teeth - s.uneven > c.pulses:
+            an.wins = an.wins + 1 if found == an.shift else 1
+            an.shift = found
+            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0):
+                relocate(s, c, out, found)
+
+
+@kernel
+def _told_apart(s: State, c: Const) -> bool:
+    """Tell whether faults of each turn are no noise, and their pulses none that the wheel itself may have there.
+
+    A pulse too many halfway between two teeth is what marks 12+1.
+    """
+    added = defects.missing(s.defects) == 0
+    return bool(s.tracker.variance <= COARSE and not (added and c.anchor.ratio == 0.0))
+
+
+@kernel
+def _laid(s: State, c: Const) -> bool:
+    """Tell whether it is the whole turn, laid onto the wheel, that proves a place at which teeth are missing.
+
+    Not on a wheel whose gap is no mark of its own (12+1).
+    """
+    return bool(s.phase == TENTATIVE and s.recurring == 1 and c.anchor.ratio > 0.0 and defects.missing(s.defects) > 0)
+
+
+@kernel
+def _broken_off(s: State, c: Const, out: Reports) -> bool:
+    """Tell whether teeth that are missing in each turn are so by this place alone; reports another place as likely."""
+    missing = rival.seek(s.rival, s.anchor, c.wheel, c.repeats, s.index)
+    if missing != defects.missing(s.defects):
+        return False
+    if s.rival.other == rival.NONE:
+        return True
+    if s.defects.turns < SURE:
+        return False
+    waiting.clear(s.waiting)
+    e = report(out, TWO_PLACES, True, 1.0, 1.0).two_places
+    e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
+    return False
+
+
+@kernel
+def settle(s: State, c: Const, out: Reports, other: bool) -> None:
+    """Take one of two places for the right one, as the cam says; the other one goes.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        out: record of Out.
+        other: whether it is the rival.
+    """
+    if other:
+        tooth = rival.place_of(s.rival, c.wheel.nominal, c.pulses, s.index)
+        shift(s.tracker, c.pulses, tooth - s.index)
+        s.index = best(s.tracker).index
+        s.held.tooth = s.rival.other
+        profile.forget(s.profile, c.wheel, s.tracker.pitches)
+        anchor.restart(s.anchor)
+    rival.clear(s.rival)
+    s.recurring = 0
+    confirm(s, out)
+
+
+@kernel
+def place_by_cam(s: State, c: Const, number: int) -> None:
+    """Put the index of a wheel of equal pitches on by so many teeth: it is told by the cam then."""
+    s.placed = BY_CAM
+    if number == 0:
+        return
+    shift(s.tracker, c.pulses, number)
+    s.index = best(s.tracker).index
+    profile.forget(s.profile, c.wheel, s.tracker.pitches)
+    runout.forget(s.law)
+    _trust(s, c)
+    defects.clear(s.defects)
+
+
+@kernel
+def _witness(s: State, c: Const, out: Reports) -> None:
+    """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given."""
+    h = best(s.tracker)
+    told = agreed(s.tracker) and h.missed == 0 and h.added == 0
+    if told:
+        s.sure = 1
+    if s.phase != TENTATIVE or not told or not decides(s, c) or _held_back(s, c):
+        return
+    if s.recurring == 1 and not _told_apart(s, c):
+        return
+    if s.recurring == 1 and defects.missing(s.defects) > 0 and not _broken_off(s, c, out):
+        return
+    if s.hole == 1 or s.recurring == 1:
+        confirm(s, out)
+
+
+@kernel
+def unwatched(s: State, c: Const, number: int, out: Reports) -> None:
+    """Count pulses that no frame brought; when they are too many to tell anything about the sensor, say so."""
+    s.unseen += number * (1.0 - s.unseen / UNSEEN_PULSES)
+    share = s.unseen / UNSEEN_PULSES
+    if share > MOST_UNSEEN:
+        e = report(out, UNWATCHED, True, share, MOST_UNSEEN).unwatched
+        e.share, e.teeth = share, s.teeth
+
+
+@kernel
+def relocate(s: State, c: Const, out: Reports, found: int) -> None:
+    """Put the index right by a shift that the whole turn proves; what was learned at the wrong place is forgotten."""
+    shift(s.tracker, c.pulses, found)
+    s.index = best(s.tracker).index
+    if s.phase == CONFIRMED and not wrong_wheel.unsure(s, c):
+        off = found if 2 * found <= c.pulses else found - c.pulses
+        e = report(out, RELOCATED, True, off, 0.0).relocated
+        e.shift, e.tooth, e.speed = off, s.index, speed(s, c)
+        s.corrections += off
+    doubt(s)
+    s.held_fault = -1
+    profile.forget(s.profile, c.wheel, s.tracker.pitches)
+    runout.forget(s.law)
+    _trust(s, c)
+    anchor.restart(s.anchor)
+
+
+@kernel
+def _open(s: State, c: Const) -> bool:
+    """Return whether something else than a missing gap is about to be told: another wheel, defects of each turn."""
+    defect = s.phase == TENTATIVE and s.recurring == 1
+    return bool(defect or wrong_wheel.expected(s) or wrong_wheel.unsure(s, c))
+
+
+@kernel
+def wait(s: State, c: Const, y: float, out: Reports) -> None:
+    """Count pulses without a proven place on the wheel, and name the reason in the end.
+
+    There may be none: an engine whose ripple hides the gap is no defect, so that only what speaks against the wheel
+    counts, for :data:`LONG_PATIENCE` times as long, and for ever while the starter turns it.
+    """
+    wa = s.waiting
+    if _held_back(s, c):
+        waiting.clear(wa)  # the place may be known: it waits for the wheel, which is no reason to miss the gap
+        return
+    waiting.note(wa, s.y2, s.y1, y)
+    if c.even == 0:
+        waiting.look(wa, s.anchor, c.anchor, c.pulses, c.repeats)
+    patience = PATIENCE * c.pulses + PATIENCE_PULSES
+    if wa.pulses < patience or (wa.pulses > patience and wa.pulses % c.pulses != 0):
+        return
+    share = wa.short / wa.pulses - c.short
+    fires = waiting.turn_us(s.anchor, c.pulses) < 60e6 / runout.FIRING_RPM * c.turns
+    if share > DOUBLE_SHARE:
+        d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
+        d.share, d.teeth = share, s.teeth
+    elif c.even == 1:
+        pass  # it has no gap that could be missing
+    elif _open(s, c) and wa.pulses < LONG_PATIENCE * patience:
+        return
+    elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
+        g = report(out, NO_GAP, True, wa.widest, c.gap).no_gap
+        g.teeth, g.widest = s.teeth, wa.widest
+    else:
+        return
+    waiting.clear(wa)

@@ -1,0 +1,133 @@
+"""Bursts of pulses within one tooth: ignition noise, ringing of the edge, a contact that chatters.
+
+Up to six pulses of a burst are hypotheses of the tracker
+(:data:`~gateway_plants.crank.pulse_tracking.branching.MOST_CLUTTER`). A longer burst ends them: which of its pulses was
+a tooth is not known. The burst then goes on until an interval is as long as a tooth's again; only then is it told, with
+all its pulses. The wheel turned on meanwhile: the time since the last tooth says how many passed, where one number fits
+it. The place is then doubted until the gap comes where it is expected; else it is looked for again.
+"""
+
+from __future__ import annotations
+
+from gateway.monitors.contract import report
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, u1
+from gateway_plants.crank.monitor.faults import NOISE, Reports
+from gateway_plants.crank.pulse_tracking.motion import Hypothesis, travel
+
+#: Pulses that no tooth made, within one interval, from which on they are a burst and no pulse of their own.
+BURST = 4
+#: Share of a pitch: pulses that follow each other sooner are of the burst.
+SHORT = 0.5
+#: Pulses after which a burst that does not end is told all the same.
+MOST = 256
+#: Pulses behind a crowd, which may be its end.
+BEHIND = 2
+#: Teeth that can be told by the time since the last one, and how far from it one may be [pitch].
+MOST_TEETH_PASSED, NEAR = 10, 0.3
+
+
+class Burst(Record):
+    """A burst that is not told yet.
+
+    ``count`` of its pulses so far (0: there is none), ``tooth`` behind which it began, ``named`` the same as it is
+    told, ``us`` since that tooth, ``period`` of a pitch [us] and ``rpm`` before it, ``known`` whether the place was
+    proven before it. ``crowd`` pulses that came sooner than half a pitch, one behind the other, the latest of them as
+    pulse number ``crowded``; ``told`` the pulse at which a burst was last told.
+    """
+
+    count: i4
+    tooth: i4
+    named: i4
+    us: f8
+    period: f8
+    rpm: f8
+    known: u1
+    crowd: i4
+    crowded: i8
+    told: i8
+
+
+@kernel
+def note(b: Burst, number: int, y: float, period: float) -> None:
+    """Note an interval [us] that ends with pulse ``number``, at a time of a pitch [us]."""
+    if y >= SHORT * period:
+        return
+    b.crowd = b.crowd + 1 if number == b.crowded + 1 else 1
+    b.crowded = number
+
+
+@kernel
+def crowd(b: Burst, number: int) -> int:
+    """Return how many pulses, just before pulse ``number``, came as a crowd; the one it began at counts."""
+    return int(b.crowd) + 1 if number - b.crowded <= BEHIND else 0
+
+
+@kernel
+def begin(b: Burst, h: Hypothesis, count: int, rpm: float, known: bool, named: int) -> None:
+    """Begin a burst.
+
+    Args:
+        b: record of Burst.
+        h: the hypothesis before it, or the one that holds its pulses for clutter.
+        count: its pulses so far.
+        rpm: speed before it.
+        known: whether the place was proven before it.
+        named: the tooth as it is told; -1: no place is.
+    """
+    b.named = named
+    b.count, b.tooth, b.us, b.period = count, h.index, h.elapsed, h.period
+    b.rpm, b.known = rpm, known
+
+
+@kernel
+def passed(b: Burst, h: Hypothesis, pitches: f8s, pulses: int) -> int:
+    """Return how many teeth have passed since the burst began, the latest pulse the last of them; 0: not known.
+
+    Args:
+        b: record of Burst.
+        h: the hypothesis before it.
+        pitches: as learned, of ``pulses`` slots.
+        pulses: of one turn.
+    """
+    span, slot, found, nearest = 0.0, int(b.tooth), 0, NEAR
+    for k in range(1, MOST_TEETH_PASSED + 1):
+        span += pitches[slot]
+        slot = slot + 1 if slot + 1 < pulses else 0
+        dt, q = travel(h, span)
+        off = abs(b.us - dt) * q / h.period
+        if off < nearest:
+            nearest, found = off, k
+    return found
+
+
+@kernel
+def goes_on(b: Burst, y: float, firing_us: float, out: Reports) -> bool:
+    """Take an interval [us]; returns whether its pulse is still of the burst. Tells the burst when it ends.
+
+    Args:
+        b: record of Burst.
+        y: the interval [us].
+        firing_us: time of a pitch of the slowest engine that fires [us], see :func:`tell`.
+        out: record of Out.
+    """
+    b.us += y
+    if y < SHORT * b.period and b.count < MOST:
+        b.count += 1
+        return True
+    tell(b, firing_us, out)
+    return False
+
+
+@kernel
+def tell(b: Burst, firing_us: float, out: Reports) -> None:
+    """Report the burst, and forget it.
+
+    Not one whose pulses came no closer than those of an engine that is turned by its starter: one that nearly stood,
+    and was thrown back, has such pulses as well.
+    """
+    if b.us > firing_us * b.count:
+        b.count = 0
+        return
+    e = report(out, NOISE, True, b.count, BURST).noise
+    e.count, e.tooth, e.speed = b.count, b.named, b.rpm
+    b.count = 0

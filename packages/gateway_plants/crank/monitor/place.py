@@ -1,0 +1,406 @@
+"""Where on the wheel the latest pulse was: the state of the adaptive method, and how it is set up and lost."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, u1
+from gateway_plants.crank.monitor import anchor, defects, made, noise, rival, waiting
+from gateway_plants.crank.monitor.faults import RESIDUALS, Shape
+from gateway_plants.crank.monitor.reversal import Reversal
+from gateway_plants.crank.monitor.runout import ALLOWED, ALLOWED_RPM, FIRING_RPM, Law
+from gateway_plants.crank.pulse_tracking.acquisition import Search, restart
+from gateway_plants.crank.pulse_tracking.profile import (
+    MOST_ORDERS,
+    REST_ORDER,
+    LearnedWheel,
+    Profile,
+    forget,
+    harmonics,
+)
+from gateway_plants.crank.pulse_tracking.tracker import Tracker, best, unanimous
+from gateway_plants.crank.wheel import MOST_TEETH, Wheel
+from gateway_plants.crank.wheel_pairs import Pairs
+from gateway_plants.crank.wheel_pairs import skip as skip_pairs
+from gateway_plants.crank.wheel_seen import LEAST_PULSES, Seen, skip
+
+#: Synchronisation: none, a place that one more revolution has to prove, proven.
+SEARCHING, TENTATIVE, CONFIRMED = range(3)
+#: Number of a pulse long ago.
+NEVER = -1_000_000
+#: Torsional ripple that an engine may have before it is learned (2 per revolution), and the error of the
+#: pitches at a gap [pitch].
+RIPPLE, GAP_ERROR = 0.05, 0.1
+#: Ripple that has to be followed while it is not learned: amplitude, at the speed [rpm] up to which it is so large (it
+#: falls with the square of the speed, down to RIPPLE), and order per revolution.
+UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
+#: An engine that stops brakes at most so many times harder than ``acceleration`` says. From a speed v [pitch/s] it
+#: comes to rest within v^2 / 2 a pitches: one that would need two pitches or more, turns on behind the next tooth.
+BRAKE = 4.0
+#: A pitch that is less than this share of the one before is short: with ripple it may look like a pulse too many.
+SHORT = 0.7
+#: Largest change of the growth from pitch to pitch, as a multiple of the speed's ripple, where a pitch is as long as
+#: half of the ripple's wave: of a wheel of few pulses every other one may be longer.
+ALTERNATING = 8.0
+#: Ripple of the speed that an engine may have at most, amplitude (it falls with the square of the speed, as
+#: :data:`runout.ALLOWED` says), and how many times that much two places have to be apart by their contrasts.
+MOST_RIPPLE, CONTRASTS = 0.4, 5.0
+#: How the cam's edges have told the place of a wheel of equal pitches: not yet, or they have; a wheel with a gap tells
+#: its place itself.
+NOT_TOLD, BY_CAM, BY_GAP = range(3)
+#: What goes out for a place that is not told: the speed is followed, and no place is known.
+SPEED_ONLY = 3
+#: An engine that turns back, in a compression that it does not come over, has up to so many times ``acceleration``.
+KICK = 2.0
+
+
+class Const(Record):
+    """Constants.
+
+    ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands;
+    ``firing_us`` time of a pitch at the least speed of an engine that fires; ``turn_us`` least time over one pitch of
+    one that turns back; ``told`` whether that is reported; ``short`` share of the wheel's own pitches that are much
+    shorter than the one before.
+
+    ``pulses`` are those of the wheel as it is laid out: over ``turns`` turns, each of ``teeth`` pulses and ``turn``
+    pitches (see :attr:`gateway_plants.crank.wheel.Wheel.laid_out`). ``even``: its pitches are equal; ``seen``: its
+    pulses alone show it (:mod:`gateway_plants.crank.wheel_seen`). ``rest``: growth's process noise that one of ripple
+    which is not learned needs. ``proof_us``: longest turn by which a place is proven; on a wheel of few pulses a slower
+    engine's ripple may be as large as what tells the places from each other.
+    """
+
+    pulses: i4
+    teeth: i4
+    turns: i4
+    turn: f8
+    even: u1
+    seen: u1
+    rest: f8
+    proof_us: f8
+    repeats: i4
+    acceleration: f8
+    ripple: f8
+    unlearned: f8
+    unlearned_us: f8
+    usual: f8
+    runout: f8
+    slowest_us: f8
+    longest_us: f8
+    turn_us: f8
+    told: u1
+    short: f8
+    gap: f8
+    turning_us: f8
+    firing_us: f8
+    wheel: LearnedWheel
+    made: made.Const
+    anchor: anchor.Const
+    logs: Annotated[f8s, MOST_TEETH]
+    slack: Annotated[f8s, MOST_TEETH]
+
+
+class State(Record):
+    """State.
+
+    ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``held`` what a tentative place found,
+    ``suspects`` how often what does not come in each turn, ``defects`` what may, ``recurring`` whether it does;
+    ``refused`` places since one was proven; ``sure`` whether the gap was seen where the place was found; ``hole``
+    frames were lost, and the gap was not seen since;
+    ``unseen`` pulses that no frame brought, lately; ``silent`` teeth that may still tell whether a silence was one of
+    the sensor, ``silent_us`` the period before it; ``unclean`` revolutions in a row with a defect;
+    ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported, ``uneven``
+    the one at which pulses were last found missed or added;
+    ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), whether it is a ``wrong``
+    one, and whether its gap is ``filled`` each turn; ``known`` whether it was once shown to be the configured one,
+    ``fitted`` turns in a row without a fault,
+    ``looked`` pulses that were looked at before; ``pairs`` intervals that alternate;
+    ``placed`` how the place is told, once it is (:data:`NOT_TOLD`,
+    :data:`BY_CAM`, :data:`BY_GAP`).
+    """
+
+    phase: i4
+    placed: u1
+    index: i4
+    since: i8
+    teeth: i8
+    revolutions: i8
+    suspects: i4
+    defects: defects.Defects
+    recurring: u1
+    refused: i4
+    sure: u1
+    held_fault: i4
+    held: Shape
+    residuals: Annotated[f8s, RESIDUALS]
+    missed: i8
+    added: i8
+    corrections: i8
+    losses: i8
+    recent_missed: i8
+    recent_added: i8
+    doubled: i8
+    doubling: u1
+    silent: i4
+    silent_us: f8
+    hole: i4
+    burst: noise.Burst
+    rival: rival.Rival
+    seen: Seen
+    looks: u1
+    wrong: u1
+    filled: u1
+    known: u1
+    fitted: i4
+    looked: i8
+    pairs: Pairs
+    unseen: f8
+    decided: i8
+    burst_missed: i4
+    burst_added: i4
+    burst_tooth: i4
+    unclean: i4
+    doubted: i8
+    named: i8
+    uneven: i8
+    speed_rpm: f8
+    slowest_rpm: f8
+    fastest_rpm: f8
+    y1: f8
+    y2: f8
+    reversal: Reversal
+    anchor: anchor.State
+    waiting: waiting.Waiting
+    law: Law
+    tracker: Tracker
+    search: Search
+    profile: Profile
+
+
+def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float, reversal_rpm: float) -> None:
+    """Fill state and constants.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        wheel: the wheel.
+        acceleration: that the engine can have [rpm/s].
+        runout: variation of the pitch once a revolution that is a fault, amplitude as a share.
+        reversal_rpm: below this speed the engine may have turned back [rpm].
+    """
+    laid = wheel.laid_out
+    pitches = np.asarray(laid.pitches)
+    count = len(pitches)
+    c.pulses, c.teeth, c.turns, c.turn = count, wheel.pulses, wheel.tiles, wheel.turn
+    c.even = wheel.even
+    c.repeats = wheel.repeats
+    c.acceleration = acceleration / 60 * wheel.turn
+    few = wheel.tiles > 1
+    c.ripple = RIPPLE * 2 * (wheel.turn / 2 if few else 2) * (2 * np.pi / wheel.turn)
+    c.unlearned = _changes(UNLEARNED, UNLEARNED_ORDER, wheel)
+    c.usual = _changes(RIPPLE, 2.0, wheel)
+    c.rest = _changes(1.0, REST_ORDER, wheel)
+    c.proof_us = 60e6 / proof_rpm(wheel)
+    c.unlearned_us = 60e6 / (UNLEARNED_RPM * wheel.turn)
+    c.runout = runout
+    c.slowest_us = 60e6 / (reversal_rpm * wheel.turn)
+    c.turn_us = min(1e6 / np.sqrt(KICK * c.acceleration), c.slowest_us)
+    c.longest_us = c.turn_us
+    c.gap = pitches.max()
+    c.short = float(np.mean(pitches < SHORT * np.roll(pitches, 1)))
+    c.firing_us = 60e6 / (FIRING_RPM * wheel.turn)
+    c.turning_us = 1e6 / np.sqrt(2 * BRAKE * c.acceleration * 2.0)
+    anchor.prepare(c.anchor, pitches)
+    if wheel.tiles == 1:
+        made.prepare(c.made, wheel)
+    c.seen = wheel.tiles == 1 and wheel.repeats >= LEAST_PULSES and bool(np.all(pitches * 2 % 1 == 0))
+    c.logs[:count] = np.log(pitches)
+    gap = (pitches > 1.3) | (pitches < 0.7)
+    gap |= np.roll(gap, 1)
+    c.slack[:count] = np.where(gap, GAP_ERROR**2, 0.0)
+    wh = c.wheel
+    wh.gap[:count] = gap
+    wh.pulses, wh.whole = count, laid.turn
+    wh.lone = wheel.lone
+    wh.orders = 0 if few else min(MOST_ORDERS, count // 5)
+    wh.nominal[:count] = pitches
+    middle = 2 * np.pi * (np.asarray(laid.positions) + pitches / 2) / laid.turn
+    harmonics(wh, middle)
+    tr = s.tracker
+    tr.pitches[:count] = pitches
+    tr.slack[:] = c.slack
+    tr.wander = c.unlearned
+    s.held_fault = -1
+    s.looks = 1
+    s.placed = NOT_TOLD if wheel.even else BY_GAP
+    s.rival.other = rival.NONE
+    s.defects.next = -1
+    s.doubted = NEVER
+    s.named = NEVER
+    s.uneven = NEVER
+    s.burst.told = NEVER
+    s.reversal.index = -1
+
+
+def _changes(amplitude: float, order: float, wheel: Wheel) -> float:
+    """Return the process noise of the growth per pitch that a ripple of the speed needs.
+
+    Args:
+        amplitude: of the speed.
+        order: per turn.
+        wheel: the wheel.
+    """
+    if wheel.tiles > 1:
+        return (ALTERNATING * amplitude) ** 2
+    return float((2 * amplitude * (order * 2 * np.pi / wheel.turn) ** 2) ** 2)
+
+
+def proof_rpm(wheel: Wheel) -> float:
+    """Return the speed from which on the intervals of a wheel of few pulses prove a place [rpm]; 1: no limit.
+
+    A place is mistaken for another one only if ripple changes the contrasts of the intervals by half of what tells the
+    two apart. A ripple of amplitude A changes one by up to 2 A.
+    """
+    if wheel.even or wheel.tiles == 1:
+        return 1.0
+    logs = np.log(np.asarray(wheel.pitches))
+    contrasts = logs - (np.roll(logs, 1) + np.roll(logs, -1)) / 2
+    apart = min(float(np.abs(contrasts - np.roll(contrasts, k)).max()) for k in range(1, wheel.repeats))
+    most = apart / CONTRASTS
+    return 1.0 if most > MOST_RIPPLE else ALLOWED_RPM * float(np.sqrt(ALLOWED / most))
+
+
+@kernel
+def decides(s: State, c: Const) -> bool:
+    """Return whether the engine is fast enough for the intervals to tell the place."""
+    return bool(best(s.tracker).period * c.turn <= c.proof_us)
+
+
+@kernel
+def unlearned(c: Const, period: float) -> float:
+    """Return the process noise of the growth that ripple needs while it is not learned, at a pitch time [us]."""
+    share = min(period / c.unlearned_us, 3.5)
+    return float(max(c.unlearned * share * share * share * share, c.usual))
+
+
+@kernel
+def search(s: State, c: Const) -> None:
+    """Give the place on the wheel up, and what was learned at it, and look for it again."""
+    if s.phase == CONFIRMED:
+        waiting.clear(s.waiting)
+    s.phase = SEARCHING
+    displace(s)
+    s.looks = 1
+    s.doubted = NEVER
+    rival.clear(s.rival)
+    s.since = 0
+    s.suspects = 0
+    s.recurring = 0
+    defects.clear(s.defects)
+    s.held_fault = -1
+    s.silent = 0
+    s.recent_missed = 0
+    s.recent_added = 0
+    s.doubled = 0
+    s.doubling = 0
+    s.hole = 0
+    forget(s.profile, c.wheel, s.tracker.pitches)
+    s.tracker.wander = c.unlearned
+    for i in range(c.pulses):
+        s.tracker.slack[i] = c.slack[i]
+    anchor.restart(s.anchor)
+    restart(s.search)
+
+
+@kernel
+def displace(s: State) -> None:
+    """The place that the cam has told is not known any more."""
+    if s.placed == BY_CAM:
+        s.placed = NOT_TOLD
+
+
+@kernel
+def stand(s: State, c: Const) -> None:
+    """The engine stands: no place, no speed, and nothing to wait for."""
+    search(s, c)
+    anchor.skip(s.anchor, c.pulses, c.pulses)
+    anchor.restart(s.anchor)
+    waiting.clear(s.waiting)
+    skip(s.seen)
+    skip_pairs(s.pairs)
+    s.looked = 0
+    s.wrong = 0
+    s.filled = 0
+    s.y1 = 0.0
+    s.y2 = 0.0
+    s.reversal.index = -1
+    s.reversal.stood = 0
+
+
+@kernel
+def doubt(s: State) -> None:
+    """Ask for one more revolution as a proof of the place on the wheel."""
+    if s.phase == CONFIRMED:
+        s.phase = TENTATIVE
+        s.doubted = s.teeth
+        waiting.clear(s.waiting)
+    displace(s)
+    s.since = 0
+    s.suspects = 0
+    s.recurring = 0
+    defects.clear(s.defects)
+    s.profile.clean = 0
+
+
+@kernel
+def proven(s: State) -> bool:
+    """Tell whether the tooth of the latest pulse is proven: the place is, and no credible hypothesis has another.
+
+    None is just behind a crowd of pulses, whose end may be yet to come.
+    """
+    crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST
+    return bool(s.phase == CONFIRMED and s.placed > NOT_TOLD and not crowded and unanimous(s.tracker))
+
+
+@kernel
+def shown(s: State) -> int:
+    """Return what is told of synchronisation: SEARCHING, TENTATIVE, CONFIRMED, or SPEED_ONLY."""
+    if s.phase != CONFIRMED or proven(s):
+        return int(s.phase)
+    return SPEED_ONLY if s.placed == NOT_TOLD else TENTATIVE
+
+
+@kernel
+def tooth_of(s: State, c: Const, index: int) -> int:
+    """Return the tooth of a turn that a place of the wheel as it is laid out is; -1: no place is told."""
+    return int(index % c.teeth) if s.placed > NOT_TOLD else -1
+
+
+@kernel
+def revolutions(s: State, c: Const) -> int:
+    """Return how many turns the engine has made."""
+    return int(s.revolutions * c.turns + s.index // c.teeth)
+
+
+@kernel
+def speed(s: State, c: Const) -> float:
+    """Return the speed at the last tooth [rpm], 0 while it is not known."""
+    if s.phase == SEARCHING:
+        return 0.0
+    return float(60e6 / (best(s.tracker).period * c.turn))
+
+
+@kernel
+def period(s: State) -> float:
+    """Return the time of one pitch at the last tooth [us]."""
+    return float(best(s.tracker).period)
+
+
+@kernel
+def angle(s: State, c: Const) -> float:
+    """Return the angle of the last tooth [share of a revolution], tooth 0 at zero."""
+    total = 0.0
+    for i in range(s.index % c.teeth):
+        total += c.wheel.nominal[i]
+    return float(total / c.turn)

@@ -1,0 +1,180 @@
+"""Pulses without a proven place: whether they show the wheel's gap, before "no gap" is said.
+
+Each turn of such pulses is asked as in :mod:`.anchor`. The gap is seen when one place on the wheel explains the
+turn's contrasts better than any other, and better than a wheel without a gap; it is the ``same`` when the next turn
+shows that place again. What speaks against the wheel: a turn that is even, so that nothing can hide a gap, and shows
+none or several; and a gap that *moves*, so that the next turn shows it elsewhere: another number of teeth. An engine
+whose ripple is as large as the gap is neither: then there is nothing to say for a long time.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from gateway_fdi.jit import Record, f8, i4, i8, kernel
+from gateway_plants.crank.monitor import anchor
+
+#: An interval this share of the one before is short: there was a pulse too many.
+SHORT = 0.45
+#: Share of the gap's contrast below which nothing stands out.
+LEVEL = 0.55
+#: Share of the contrasts that are small in an even turn.
+EVEN = 0.6
+#: Intervals of a turn whose contrast is not known, because a neighbour is not.
+EDGES = 2
+#: Pulses of a turn from which on an engine that the starter turns shows whether it has a gap.
+FEW = 10
+#: What is found of a turn: it cannot be told; an even turn that is not one of this wheel.
+UNDECIDED, AGAINST = -1, -2
+
+
+class Waiting(Record):
+    """What the pulses have shown since synchronisation was last proven, or a reason was last given.
+
+    ``pulses`` since, how many of them ``short`` (less than half of the one before), ``widest`` interval over its
+    neighbours; ``turns`` asked, ``place`` that the last one showed, how many showed the ``same`` place as the one
+    before, how many another one (``moved``, of these ``shifted`` in an even turn), and how many were ``against`` the
+    wheel.
+    """
+
+    pulses: i8
+    short: i8
+    widest: f8
+    turns: i4
+    place: i4
+    same: i4
+    moved: i4
+    shifted: i4
+    against: i4
+
+
+@kernel
+def clear(wa: Waiting) -> None:
+    """Forget what was seen."""
+    wa.pulses = 0
+    wa.short = 0
+    wa.widest = 0.0
+    wa.turns = 0
+    wa.place = UNDECIDED
+    wa.same = 0
+    wa.moved = 0
+    wa.shifted = 0
+    wa.against = 0
+
+
+@kernel
+def note(wa: Waiting, y2: float, y1: float, y: float) -> None:
+    """Note one interval ``y`` [us], and the two before it (0: not known)."""
+    wa.pulses += 1
+    if y < SHORT * y1:
+        wa.short += 1
+    if y1 > 0.0 and y2 > 0.0:
+        wa.widest = max(wa.widest, y1 / sqrt(y * y2))
+
+
+@kernel
+def turn_us(an: anchor.State, pulses: int) -> float:
+    """Return the time that as many intervals take as a turn has, from those that are known [us]."""
+    total, known = 0.0, 0
+    for k in range(pulses):
+        total += an.intervals[k]
+        known += 1 if an.intervals[k] > 0.0 else 0
+    return total * pulses / known if known > 0 else 0.0
+
+
+@kernel
+def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> None:
+    """Look at the last turn, when it is time.
+
+    The contrasts of a turn of intervals lack the first and the last: a look two pulses earlier each turn sees the gap
+    that hides there. The place then has gone on by the pulses in between.
+    """
+    if wa.pulses % (pulses - EDGES) != 0:
+        return
+    found = _place(an, c, pulses, repeats)
+    wa.turns += 1
+    if wa.place >= 0:
+        wa.place = (wa.place + pulses - EDGES) % repeats
+    if found == AGAINST:
+        wa.against += 1
+    elif found >= 0 and wa.place >= 0:
+        if found == wa.place:
+            wa.same += 1
+        else:
+            wa.moved += 1
+            wa.shifted += 1 if _even(an, pulses, anchor.contrasts(an, pulses), _hidden_by(c)) else 0
+    wa.place = found
+
+
+@kernel
+def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
+    """Tell whether what was seen speaks against the wheel: no gap, or one that moves, in three turns of four.
+
+    At the starter's speed only even turns count: the ripple may be what moves. Of a wheel of few pulses nothing is told
+    then.
+
+    Args:
+        wa: record of Waiting.
+        fires: whether the engine is faster than its starter turns it.
+        pulses: of one turn of the wheel.
+    """
+    if not fires and pulses < FEW:
+        return False
+    against = wa.against + (wa.moved if fires else wa.shifted)
+    return bool(wa.same == 0 and 4 * against >= 3 * (wa.turns - 1))
+
+
+@kernel
+def _place(an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> int:
+    """Return the place that the latest pulse has by the contrasts of the last turn, UNDECIDED or AGAINST."""
+    known = anchor.contrasts(an, pulses)
+    if known < anchor.least_known(pulses):
+        return UNDECIDED
+    largest = 0.0
+    for k in range(1, pulses - 1):
+        d = an.logs[k]
+        if d < anchor.UNKNOWN:
+            largest = max(largest, abs(d))
+    beside = AGAINST if _even(an, pulses, known, _hidden_by(c)) else UNDECIDED
+    if largest < LEVEL * c.largest:
+        return beside
+    first, second, found = np.inf, np.inf, 0
+    for place in range(repeats):
+        rest = anchor.squares(an, c, pulses, place, 0)
+        if rest < first:
+            second, first, found = first, rest, place
+        elif rest < second:
+            second = rest
+    variance = max(first / (known - 1), anchor.LEAST_VARIANCE)
+    if (
+        second - first < 2.0 * anchor.UNIQUE * variance
+        or anchor.plain(an, pulses) - first < 2.0 * anchor.ODDS * variance
+    ):
+        return beside
+    return found
+
+
+@kernel
+def _even(an: anchor.State, pulses: int, known: int, rms: float) -> bool:
+    """Tell whether the turn is even but for some places: its ripple is too small to hide a gap.
+
+    Of a sine that has this rms, half of the contrasts are below it.
+    """
+    small = 0
+    for k in range(1, pulses - 1):
+        if abs(an.logs[k]) < rms:
+            small += 1
+    return bool(small > EVEN * known)
+
+
+@kernel
+def _hidden_by(c: anchor.Const) -> float:
+    """Return the rms of the contrasts from which on ripple could hide the gap.
+
+    A sine of the speed has the contrast A (n 2 pi / S)^2 at single pitches; over a gap of G pitches the neighbours are
+    (1 + G) / 2 as far from its middle, and the contrast is the square of that larger.
+    """
+    reach = (1.0 + c.width) / 2.0
+    return float((1.0 - LEVEL) * c.largest / (sqrt(2.0) * reach * reach))

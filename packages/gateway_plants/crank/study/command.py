@@ -1,0 +1,193 @@
+"""``gateway evaluate crank``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from math import isnan
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from gateway.cli.present import print_json, wide_console
+from gateway_plants.crank.study import noise
+from gateway_plants.crank.study import outside as beyond
+from gateway_plants.crank.study import pairs as wrong
+from gateway_plants.crank.study.table import (
+    KINDS,
+    Alarms,
+    Score,
+    alarm_jobs,
+    as_dict,
+    false_alarms,
+    fault_jobs,
+    monte_carlo,
+)
+from gateway_plants.crank.wheel import Wheel
+
+
+def _share(value: float) -> str:
+    return "-" if isnan(value) else f"{100 * value:.2f}"
+
+
+def _scores(scores: list[Score]) -> list[Table]:
+    tables = []
+    for group in dict.fromkeys(score.group for score in scores):
+        table = Table(title=f"Faults: {group}")
+        for name in ("wheel", "fault", "runs"):
+            table.add_column(name, justify="left" if name == "fault" else "right")
+        for name in ("detected", "named", "labelled", "delay", "at once"):
+            table.add_column(f"adaptive\n{name}", justify="right", style="bold")
+        table.add_column("paper\nnamed", justify="right")
+        for method in ("paper", "ratio", "threshold"):
+            table.add_column(f"{method}\nlabelled", justify="right")
+            table.add_column("wrong/\nno sync", justify="right")
+        mine = [score for score in scores if score.group == group]
+        for key in dict.fromkeys((score.wheel, score.kind, score.count) for score in mine):
+            by = {s.method: s for s in mine if (s.wheel, s.kind, s.count) == key}
+            ours = by["adaptive"]
+            row = [key[0], f"{key[2]} {key[1]}", str(ours.runs)]
+            row += [_share(v) for v in (ours.detected, ours.named, ours.labelled)]
+            row += [f"{ours.delay:.2f}", _share(ours.at_once), _share(by["paper"].named)]
+            for method in ("paper", "ratio", "threshold"):
+                peer = by[method]
+                row += [_share(peer.labelled), f"{peer.wrong:.2f}/{peer.unsynced:.2f}"]
+            table.add_row(*row, end_section=(key[1], key[2]) == KINDS[-1])
+        tables.append(table)
+    return tables
+
+
+def _alarm_table(rows: list[Alarms]) -> Table:
+    table = Table(title="Healthy engine: false alarms per million pulses (wrong labels in brackets)")
+    methods = list(dict.fromkeys(row.method for row in rows))
+    for name in ("case", "wheel", "jitter", "pulses", *methods):
+        table.add_column(name, justify="left" if name == "case" else "right")
+    for key in dict.fromkeys((row.case, row.wheel, row.jitter) for row in rows):
+        mine = {row.method: row for row in rows if (row.case, row.wheel, row.jitter) == key}
+        shown = [f"{mine[m].per_million:.1f} ({mine[m].wrong})" for m in methods]
+        pulses = str(mine[methods[0]].pulses)
+        table.add_row(key[0], key[1], f"{100 * key[2]:.0f} %", pulses, *shown)
+    return table
+
+
+def _outside_table(rows: list[beyond.Outcome]) -> Table:
+    """Return the cases outside the regular sweep: runs with a report, and with a wrong tooth that was proven."""
+    table = Table(
+        title="Outside the regular sweep: runs with a report / with a wrong proven tooth / % of pulses unproven"
+    )
+    for name in ("group", "case", "runs", *beyond.METHODS, "adaptive reported"):
+        table.add_column(name, justify="right" if name == "runs" else "left")
+    sums = list(beyond.summed(rows))
+    for group, case in dict.fromkeys((row.group, row.case) for row in sums):
+        mine = {row.method: row for row in sums if (row.group, row.case) == (group, case)}
+        shown = [f"{r.reports} / {r.wrong} / {100 * r.unsynced:.1f}" for r in mine.values()]
+        named = ", ".join(f"{name} {count}" for name, count in mine["adaptive"].named.items())
+        table.add_row(group, case, str(mine["adaptive"].runs), *shown, named)
+    return table
+
+
+def _noise_table(rows: list[noise.Outcome]) -> Table:
+    """Return the bursts, ringing and chatter: what a method made of them over all wheels and speeds."""
+    table = Table(title="Noise: runs with a wrong proven tooth / proven after two turns / untold / cranking")
+    for name in ("kind", "runs", *noise.METHODS):
+        table.add_column(name, justify="right" if name == "runs" else "left")
+    for kind in noise.KINDS:
+        shown = []
+        for method in noise.METHODS:
+            mine = [row for row in rows if (row.kind, row.method) == (kind, method)]
+            keys = ("wrong", "late", "silent", "cranking")
+            shown.append(" / ".join(str(sum(getattr(row, key) for row in mine)) for key in keys))
+        table.add_row(kind, str(sum(row.runs for row in rows if (row.kind, row.method) == (kind, "adaptive"))), *shown)
+    return table
+
+
+def _pair_tables(rows: list[wrong.Outcome]) -> list[Table]:
+    """Return the matrix of wheels, and what was told where it was not the mismatch alone; none without rows."""
+    if not rows:
+        return []
+    named, runs = sum(row.named for row in rows), sum(row.runs for row in rows)
+    matrix = Table(
+        title=f"Configured wheel (row), real wheel (column): {named} of {runs} runs named alone within {wrong.WITHIN}"
+        " turns\n=: all runs named; D: named, and a defect of the configured wheel would give the same pulses"
+    )
+    for name in ("", *wrong.WHEELS):
+        matrix.add_column(name)
+    for told in wrong.WHEELS:
+        cells = []
+        for real in wrong.WHEELS:
+            mine = [row for row in rows if (row.told, row.real) == (told, real)]
+            missed = sum(row.runs - row.named for row in mine)
+            same = mine and wrong.common(Wheel.parse(told), Wheel.parse(real))
+            cells.append(str(-missed) if missed else "D" if same else "=" if mine else "")
+        matrix.add_row(told, *cells)
+    details = Table(title="Wheels that a defect makes alike, runs not named alone, and runs with a place proven")
+    for name in ("configured", "real", "rpm", "named", "latest turn", "proven", "told instead", "the same pulses as"):
+        details.add_column(name)
+    for row in rows:
+        same = wrong.common(Wheel.parse(row.told), Wheel.parse(row.real))
+        if same or row.named < row.runs or row.proven:
+            told = ", ".join(f"{name} {count}" for name, count in row.reports.items())
+            cells = [row.told, row.real, f"{row.rpm:.0f}", f"{row.named}/{row.runs}", f"{row.turn:.1f}"]
+            details.add_row(*cells, str(row.proven), told, same or "")
+    return [matrix, details]
+
+
+def crank(*, runs: int, pulses: int, outside: int, pairs: int, seed: int, json: bool, plot: Path | None) -> int:
+    """Evaluate the crankshaft methods; returns the exit code."""
+    faults, healthy = fault_jobs(runs, seed), alarm_jobs(pulses, seed)
+    others = beyond.jobs(outside, seed) if outside else []
+    bursts = noise.jobs(outside, seed) if outside else []
+    mismatched = wrong.jobs(pairs, seed) if pairs else []
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        total = (len(faults) if runs else 0) + len(healthy) + len(others) + len(bursts) + len(mismatched)
+        task = bar.add_task("crank", total=total)
+        scores = monte_carlo(runs, seed, lambda: bar.advance(task)) if runs else []
+        alarms = false_alarms(pulses, seed, lambda: bar.advance(task)) if pulses else []
+        rows = beyond.outside(outside, seed, lambda: bar.advance(task)) if outside else []
+        disturbed = noise.gauntlet(outside, seed, lambda: bar.advance(task)) if outside else []
+        matrix = wrong.pairs(pairs, seed, lambda: bar.advance(task)) if pairs else []
+    files: list[Path] = []
+    if plot is not None:
+        from gateway_plants.crank.study.figures import draw  # noqa: PLC0415 - slow to load
+
+        files = draw(plot, seed)
+    if json:
+        print_json(
+            {
+                "seed": seed,
+                "faults": [as_dict(score) for score in scores],
+                "healthy": [as_dict(row) for row in alarms],
+                "outside": [asdict(row) for row in rows],
+                "noise": [asdict(row) for row in disturbed],
+                "pairs": [asdict(row) for row in matrix],
+                "files": [str(file) for file in files],
+            }
+        )
+        return 0
+    console = wide_console()
+    for table in _scores(scores):
+        console.print(table)
+    if alarms:
+        console.print(_alarm_table(alarms))
+    if rows:
+        console.print(_outside_table(rows))
+    if disturbed:
+        console.print(_noise_table(disturbed))
+    for table in _pair_tables(matrix):
+        console.print(table)
+    if scores or alarms:
+        _explain(console, seed)
+    for file in files:
+        console.print(f"drawn: {file}")
+    return 0
+
+
+def _explain(console: Console, seed: int) -> None:
+    console.print(
+        f"seed {seed}. adaptive, paper: methods of crank_sync; ratio: as FOME and rusEFI find the gap;"
+        " threshold: as Speeduino does, filter 50 %.\n"
+        "detected, named (direction and count), labelled (every tooth right from 4 pulses after the"
+        " fault for 3 turns), at once: % of runs; delay: pulses from\nthe fault's last pulse to the"
+        " report; wrong, no sync: turns after the fault with a wrong tooth, with none."
+    )

@@ -1,0 +1,153 @@
+"""A pulse train through a method: which tooth it takes each pulse for, and what it reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.monitors.contract import FAILED
+from gateway_fdi.jit import kernel, zeros
+from gateway_plants.crank.monitor import adaptive, place
+from gateway_plants.crank.monitor.monitor import MONITOR, Params
+from gateway_plants.crank.study import constant_speed
+from gateway_plants.crank.study.peers import PEER, ratio, threshold
+from gateway_plants.crank.wheel import Wheel
+
+Method = Literal["adaptive", "paper", "ratio", "threshold"]
+METHODS: tuple[Method, ...] = ("adaptive", "paper", "ratio", "threshold")
+#: The paper's observer gain D, (9).
+GAIN = 0.6
+#: Reports kept of one train.
+MOST_REPORTS = 4096
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What a method made of a train of n pulses.
+
+    Attributes:
+        teeth: shape (n - 1,), tooth it took pulse k + 1 for, -1 while not synchronised.
+        proven: shape (n - 1,), whether synchronisation was proven.
+        pulse: shape (m,), the pulse at which each report came.
+        fault: shape (m,), the fault reported.
+        count: shape (m,), its count, the first value of its evidence.
+        tooth: shape (m,), the second one: the tooth, where pulses were missed or added.
+        alarms: exceedances that were looked into (paper), losses of synchronisation (peers).
+        reversals: times that the engine turned back (adaptive).
+    """
+
+    teeth: NDArray[np.int64]
+    proven: NDArray[np.bool_]
+    pulse: NDArray[np.int64]
+    fault: NDArray[np.int64]
+    count: NDArray[np.int64]
+    tooth: NDArray[np.int64]
+    alarms: int
+    reversals: int = 0
+
+
+@kernel
+def _collect(out: Any, n: int, pulse: int, reports: Any) -> int:
+    """Append what failed at a pulse to the reports; returns how many there are."""
+    for j in range(out.n):
+        r = out.results[j]
+        if r.result == FAILED and n < reports.shape[0]:
+            reports[n, 0], reports[n, 1] = pulse, r.fault
+            reports[n, 2], reports[n, 3] = r.cells[0], r.cells[1]
+            n += 1
+    return n
+
+
+@kernel
+def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: Any) -> int:
+    n = k = 0
+    while k < y.shape[0]:
+        taken = adaptive.regular(s, c, y, k, y.shape[0])
+        told = s.placed > place.NOT_TOLD
+        for j in range(taken):
+            teeth[k + j] = s.index - taken + 1 + j
+            proven[k + j] = told
+        k += taken
+        if k < y.shape[0]:
+            out.n = 0
+            adaptive.tooth(s, c, y[k], out)
+            teeth[k] = s.index if s.phase != place.SEARCHING else -1
+            proven[k] = place.proven(s)
+            k += 1
+            n = _collect(out, n, k, reports)
+    return n
+
+
+@kernel
+def _paper(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: Any) -> int:
+    n = 0
+    for k in range(y.shape[0]):
+        out.n = 0
+        constant_speed.tooth(s, c, y[k], out)
+        teeth[k] = s.index if s.phase != constant_speed.SEARCH else -1
+        proven[k] = s.phase == constant_speed.TRACK
+        n = _collect(out, n, k + 1, reports)
+    return n
+
+
+@kernel
+def _ratio(s: Any, pulses: int, gap: float, y: Any, teeth: Any, proven: Any) -> None:
+    for k in range(y.shape[0]):
+        ratio(s, pulses, gap, y[k])
+        teeth[k] = s.index if s.synced == 1 else -1
+        proven[k] = s.synced == 1
+
+
+@kernel
+def _threshold(s: Any, pulses: int, gap: float, y: Any, teeth: Any, proven: Any) -> None:
+    for k in range(y.shape[0]):
+        threshold(s, pulses, gap, y[k])
+        teeth[k] = s.index if s.synced == 1 else -1
+        proven[k] = s.synced == 1
+
+
+def follower(
+    method: Method, wheel: Wheel, *, report_reversal: bool = False
+) -> Callable[[NDArray[np.float64]], Followed]:
+    """Return a function that takes the pulse times of one train [us], each from the start.
+
+    Args:
+        method: one of ours by its name in the configuration, or a peer (see :mod:`.peers`).
+        wheel: the wheel.
+        report_reversal: of the adaptive method's parameters.
+    """
+    out = zeros(1, MONITOR.results)
+    defaults = Params(wheel=wheel)
+    pulses, gap = wheel.pulses, max(wheel.pitches)
+
+    def follow(times_us: NDArray[np.float64]) -> Followed:
+        y = np.diff(times_us)
+        teeth = np.full(len(y), -1, np.int64)
+        proven = np.zeros(len(y), np.bool_)
+        reports = np.zeros((MOST_REPORTS, 4))
+        n = alarms = reversals = 0
+        s: Any
+        c: Any
+        if method == "adaptive":
+            s, c = zeros(1, place.State), zeros(1, place.Const)
+            place.prepare(s[0], c[0], wheel, defaults.acceleration, defaults.runout, defaults.reversal_rpm)
+            c[0]["told"] = report_reversal
+            n = _adaptive(s[0], c[0], out[0], y, teeth, proven, reports)
+            reversals = int(s[0]["reversal"]["total"])
+        elif method == "paper":
+            s, c = zeros(1, constant_speed.State), zeros(1, constant_speed.Const)
+            constant_speed.prepare(s[0], c[0], wheel, GAIN, 0.5, False)
+            n = _paper(s[0], c[0], out[0], y, teeth, proven, reports)
+            alarms = int(s[0]["alarms"])
+        else:
+            s = zeros(1, PEER)
+            (_ratio if method == "ratio" else _threshold)(s[0], pulses, gap, y, teeth, proven)
+            alarms = int(s[0]["losses"])
+        found = reports[:n].astype(np.int64)
+        return Followed(teeth, proven, found[:, 0], found[:, 1], found[:, 2], found[:, 3], alarms, reversals)
+
+    return follow

@@ -1,0 +1,1 @@
+"""Linear plants: monitor, mathematics, virtual ECU."""

@@ -1,0 +1,161 @@
+"""The ECU of a linear plant: sensors and commands as frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+from numpy.typing import NDArray
+
+from gateway.bus.frames import EXTENDED, FD, Frames, empty, put
+from gateway.signals.database import Database, load_database
+from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
+from gateway_bench.vecu.protection import protect
+from gateway_fdi.common.resources import all_shipped, shipped
+from gateway_fdi.errors import InputError, nearest
+from gateway_plants.linear.ecu.params import LinearFault, LinearParams
+from gateway_plants.linear.ecu.plant import simulate
+
+#: Signals that are not the plant's.
+_COUNTER = "FrameCnt"
+_OWN = ("Crc", _COUNTER)
+#: Database of the shipped plants.
+DATABASE = "dbc/linear.dbc"
+#: The sensors' frame follows that of the commands [ns].
+_AFTER = 300_000
+
+
+def _database(params: LinearParams, databases: Sequence[Path]) -> Database:
+    """Load the database that it names, else those of its bus, else the shipped one."""
+    if params.database is not None:
+        given = params.database
+        return load_database([given if given.exists() else shipped(str(given))])
+    return load_database(databases or [shipped(DATABASE)])
+
+
+def _signals(message: Message, count: int) -> list[Signal]:
+    """Return the signals that carry the plant, in their order in the message.
+
+    Raises:
+        InputError: not so many, or not all of them in every frame.
+    """
+    if message.is_multiplexed():
+        raise InputError("a multiplexed message cannot carry a plant: its signals must come together")
+    found = [signal for signal in message.signals if signal.name not in _OWN]
+    found.sort(key=lambda signal: signal.start)
+    if len(found) != count:
+        names = ", ".join(signal.name for signal in found)
+        raise InputError(
+            f"this message has {len(found)} signals besides {' and '.join(_OWN)} ({names}), the plant has {count}"
+        )
+    return found
+
+
+def _encoded(message: Message, signals: Sequence[Signal], row: NDArray[np.float64], k: int) -> bytes:
+    """Return the payload of sample k; alive counter and CRC go in where the message has them."""
+    values: dict[str, float] = {}
+    for signal, value in zip(signals, row, strict=True):
+        low = -np.inf if signal.minimum is None else signal.minimum
+        high = np.inf if signal.maximum is None else signal.maximum
+        values[signal.name] = float(np.clip(value, low, high))
+    for signal in message.signals:
+        if signal.name == _COUNTER:
+            values[_COUNTER] = k % 2**signal.length
+    return protect(message, values)
+
+
+def linear_frames(
+    params: LinearParams,
+    faults: Iterable[LinearFault],
+    duration_s: float,
+    *,
+    bus: int,
+    rng: np.random.Generator,
+    databases: Sequence[Path] = (),
+) -> tuple[Frames, list[Truth]]:
+    """Return all frames of a run, stamped from time 0, and what was injected.
+
+    Args:
+        params: the plant.
+        faults: of its actuators and sensors.
+        duration_s: length of the run [s].
+        bus: index of its bus.
+        rng: source of all randomness.
+        databases: of its bus, for parameters that name none.
+
+    Raises:
+        InputError: the database has no such message, or it has not one signal for each output or input.
+    """
+    faults = tuple(faults)
+    database = _database(params, databases)
+    outputs, commands = simulate(params, faults, duration_s, rng)
+    period = params.sample_ms * 1e6
+    frames = empty(2 * len(outputs))
+    late = np.clip(np.abs(rng.normal(0.0, params.jitter_us * 1e3, len(frames))), 0.0, 0.1 * _AFTER)
+    for first, key, name, columns in (
+        (0, "commands", params.commands, commands),
+        (1, "sensors", params.sensors, outputs),
+    ):
+        try:
+            message = database.message(name)
+            signals = _signals(message, columns.shape[1])
+            can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+            for k, row in enumerate(columns):
+                data = _encoded(message, signals, row, k)
+                stamp = round(k * period) + first * _AFTER + round(late[2 * k + first])
+                flags = FD if message.is_fd else 0
+                put(frames, 2 * k + first, stamp, can_id, data, bus=bus, flags=flags)
+        except InputError as error:
+            raise InputError(error.message, key=key, value=name) from error
+    truth = []
+    for fault in faults:
+        end = duration_s if fault.to_s is None else min(fault.to_s, duration_s)
+        if fault.from_s < end:
+            count = round((end - fault.from_s) * 1e3 / params.sample_ms)
+            truth.append(Truth(round(fault.from_s * 1e9), fault.kind, count))
+    return frames, truth
+
+
+def _frames(params: LinearParams, faults: Sequence[LinearFault], run: Run) -> tuple[Frames, list[Truth]]:
+    return linear_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng, databases=run.databases)
+
+
+def _fits(params: LinearParams, fault: LinearFault) -> None:
+    acts = fault.kind.startswith("actuator")
+    count = params.plant.inputs if acts else params.plant.outputs
+    if fault.place > count:
+        raise ValueError(f"ECU {params.name!r} has no place {fault.place} for {fault.kind}")
+
+
+def _locate(params: LinearParams, folder: Path, key: str) -> LinearParams:
+    """Return the parameters with the path of their database: beside the scenario, else among the shipped."""
+    database = params.database
+    if database is None:
+        return params
+    found = folder / database
+    if not found.exists():
+        try:
+            found = shipped(str(database))
+        except InputError:
+            known = [f"dbc/{path.name}" for path in all_shipped("dbc", ".dbc")]
+            raise InputError(
+                f"no such file beside the scenario, and the gateway comes with {', '.join(known)} only"
+                f"{nearest(str(database), known)}",
+                key=f"{key}.database",
+                value=str(database),
+            ) from None
+    return params.model_copy(update={"database": found})
+
+
+ECU = VirtualEcu(
+    type="linear",
+    api=2,
+    params=LinearParams,
+    fault=LinearFault,
+    frames=_frames,
+    fits=_fits,
+    locate=_locate,
+)

@@ -1,0 +1,533 @@
+"""Which actuator, which sensor, how large: evidence between the hypotheses of ``filters``.
+
+Each hypothesis has a sum of evidence against "nothing is wrong", which does not fall below 0 (Page; CUSUM):
+
+    g_h := max(0, g_h + log p_h(y) - log p_0(y))
+
+Beyond the level of ``mtfa_s`` something is wrong, and nothing is judged until it is known what. A part (actuator or
+sensor; the better of its hypotheses) is named when its evidence is more than that of any other part by :data:`SURE`,
+its own innovations are as small as they should be, and its fault has at least the size that counts. If no hypothesis
+explains what came, or several do for longer than the patience, it is not isolated. Then the plant is found anew, with
+the errors of its parameters as they were known before.
+
+A plant that is not linear looks like faults of its actuators. So "its entries vary" is one more that is asked: where it
+is ahead, or nearly as good as the best part when patience ends (an actuator's sooner), nobody is at fault, and from
+then on entries vary. What begins at once is no such change: it has to explain each moment since the alarm, with errors
+as small as they were told.
+
+The named hypothesis goes on alone, until its fault is gone; then all begin again from its estimate. A fault that turns
+out smaller than what counts is taken into the estimate as an offset, and nobody is named.
+"""
+
+from __future__ import annotations
+
+from math import log, sqrt
+from typing import Annotated
+
+from gateway_fdi.isolation import followed
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_fdi.quantiles import chi2_above
+from gateway_plants.linear.model_set import design, filters
+from gateway_plants.linear.model_set.filters import (
+    GAIN,
+    HEALTHY,
+    MOST_SLOW,
+    OFFSET,
+    SENSOR,
+    SILENT,
+    VARYING,
+    slot,
+)
+from gateway_plants.linear.model_set.matrices import MOST_HYPOTHESES
+from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS
+
+#: Log of the odds by which a part must be ahead of the next.
+SURE = 25.0
+#: Of the level over Wald's: errors of parameters are no white noise while they are being learned.
+MARGIN = 2.0
+#: Evidence in levels that may go by while the healthy hypothesis explains all.
+WEAK = 1.5
+#: Alarms that nothing came of while the healthy hypothesis explained all, beyond which it is not isolated; calm samples
+#: that take one of them back.
+FORGIVEN, CALM = 4, 1000
+#: Samples behind an alarm in which no part is named; in which a part has to be ahead.
+LEAST = 4
+#: Samples until what no hypothesis explains is called so.
+PATIENCE = 25
+#: Share of healthy plants within what was told whose errors would look larger than that, behind what was not isolated.
+LARGER = 1e-3
+#: Samples between two jumps that no single sample shows.
+WAIT = 16
+#: Jumps of an actuator's fault since the alarm with which it may be named.
+MOST_JUMPS = 1
+#: Share of a moving mean that a new sample is.
+SHARE = 1.0 / 16.0
+#: Calm samples between two estimates of the parameters that are kept for a new start; until the first two are there.
+KEPT, FIRST = 2000, 250
+#: What is done: a fault is isolated; the plant's errors are learned from healthy samples; the healthy hypothesis is
+#: compared with what comes, and somebody else judges.
+ISOLATING, LEARNING, WATCHING = range(3)
+#: No part; the plant as a whole, that varies.
+NONE, PLANT = -1, -2
+
+
+class Const(Record):
+    """Constants.
+
+    ``level``: of the evidence; ``fits``: largest moving mean of the normalised innovation squared of a hypothesis that
+    is right, with all sensors, ``fits_less``: with one less; ``bounds``: of what is slow, squared, ``told``: likewise,
+    behind what was not isolated; ``actuator``, ``sensor``: sizes that count; ``task``; ``doubt``: normalised innovation
+    squared of one sample beyond which it is not learned from while watching; ``found``: x is known, ``start``,
+    ``hold``, ``patience`` [samples].
+    """
+
+    filters: filters.Const
+    level: f8
+    fits: f8
+    fits_less: f8
+    bounds: f8
+    told: f8
+    actuator: Annotated[f8s, MOST_INPUTS]
+    sensor: Annotated[f8s, MOST_OUTPUTS]
+    task: i8
+    doubt: f8
+    found: i8
+    start: i8
+    hold: i8
+    patience: i8
+
+
+class State(Record):
+    """State.
+
+    ``done``: samples of the start; ``active``: hypothesis in use, 0: healthy; ``evidence``, ``misfits``: of each
+    hypothesis, samples ``waited`` since its jump, and ``jumps`` lately; ``undecided``: samples since an alarm;
+    ``ahead``: of these, in which ``first`` was named; ``suspect``: whether the size of the named fault counts;
+    ``jolted``: since the alarm entries that vary have once not explained what came, it was no gradual change;
+    ``unexplained``; ``agreed``, ``astray``: samples since then that a healthy plant explains, within what was told, and
+    beyond it; ``tested``: the last sample was judged; ``magnitude``: of the fault; ``fit``: sum of normalised
+    innovations squared of the healthy hypothesis while it alone runs, of ``fitted`` samples; ``forgiven``: alarms that
+    nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the older at ``older``.
+    """
+
+    filters: filters.State
+    done: i8
+    active: i8
+    evidence: Annotated[f8s, MOST_HYPOTHESES]
+    misfits: Annotated[f8s, MOST_HYPOTHESES]
+    waited: Annotated[i8s, MOST_HYPOTHESES]
+    jumps: Annotated[i8s, MOST_HYPOTHESES]
+    undecided: i8
+    ahead: i8
+    first: i8
+    suspect: followed.State
+    misfit: i8
+    unexplained: i8
+    jolted: i8
+    agreed: i8
+    astray: i8
+    tested: i8
+    magnitude: f8
+    fit: f8
+    fitted: i8
+    forgiven: i8
+    calm: i8
+    keeps: i8
+    kept: Annotated[f8s, 2, MOST_SLOW]
+    kept_cov: Annotated[f8s, 2, MOST_SLOW, MOST_SLOW]
+
+
+def prepare(
+    s: State,
+    c: Const,
+    told: design.Told,
+    *,
+    mtfa_s: float,
+    start_s: float,
+    hold_s: float,
+    patience_s: float | None = None,
+    task: int = ISOLATING,
+) -> None:
+    """Fill records of State and Const.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        told: what the user tells of the plant.
+        mtfa_s: mean time between false alarms that is asked for [s].
+        start_s: time in which nothing is judged [s].
+        hold_s: a fault is gone when it has been for so long [s].
+        patience_s: time in which a fault has to be isolated [s]; None: 200 samples.
+        task: ISOLATING, LEARNING or WATCHING.
+
+    Raises:
+        ValueError: too many entries are uncertain.
+    """
+    design.prepare(c.filters, told)
+    period, p, m = told.plant.period, told.plant.outputs, told.plant.inputs
+    # Wald: evidence of e^level comes by chance once in e^level samples, for each hypothesis.
+    c.level = MARGIN * log(max(mtfa_s / period, 1e3) * c.filters.hypotheses)
+    spread = sqrt(SHARE / (2.0 - SHARE))
+    c.fits = p + 8.0 * spread * sqrt(2.0 * p)
+    c.fits_less = (p - 1) + 8.0 * spread * sqrt(2.0 * max(p - 1, 1))
+    slow = c.filters.total - c.filters.n - m
+    c.bounds, c.told = 2.0 * chi2_above(1e-6, slow), chi2_above(LARGER, slow)
+    c.actuator[:m], c.sensor[:p] = told.actuator, told.sensor
+    c.start = max(round(start_s / period), 4 * told.plant.states)
+    c.found = c.start // 4
+    c.task = task
+    c.doubt = chi2_above(min(period / mtfa_s, 0.4), p)
+    c.hold = max(round(hold_s / period), 1)
+    c.patience = 200 if patience_s is None else max(round(patience_s / period), PATIENCE)
+    filters.ignorant(s.filters, c.filters, 0)
+    restart(s, c)
+
+
+@kernel(inlined=False)
+def restart(s: State, c: Const) -> None:
+    """Begin anew: nothing is known of the plant's state; of its parameters what was in a calm time."""
+    f = c.filters
+    slow = f.total - f.n
+    if s.keeps >= 2:
+        old = s.keeps % 2
+        for k in range(slow):
+            s.filters.z[0, f.n + k] = s.kept[old, k]
+            for i in range(slow):
+                s.filters.cov[0, f.n + k, f.n + i] = s.kept_cov[old, k, i]
+        filters.derive(s.filters, f, 0)
+    else:
+        filters.ignorant(s.filters, f, 0)
+    filters.unknown(s.filters, f, 0)
+    s.done = s.active = s.undecided = s.ahead = s.misfit = s.unexplained = s.agreed = s.astray = s.tested = 0
+    s.calm = s.forgiven = 0
+    followed.begin(s.suspect)
+    s.first = NONE
+    for h in range(f.hypotheses):
+        s.evidence[h] = 0.0
+        s.misfits[h] = f.p
+
+
+@kernel
+def _keep(s: State, c: Const) -> None:
+    """Keep what is slow, each KEPT calm samples, the first two sooner."""
+    f = c.filters
+    s.calm += 1
+    if s.calm % CALM == 0 and s.forgiven > 0:
+        s.forgiven -= 1
+    if s.calm < (FIRST if s.keeps < 2 else KEPT):
+        return
+    s.calm = 0
+    new = s.keeps % 2
+    for k in range(f.total - f.n):
+        s.kept[new, k] = s.filters.z[0, f.n + k]
+        for i in range(f.total - f.n):
+            s.kept_cov[new, k, i] = s.filters.cov[0, f.n + k, f.n + i]
+    s.keeps = s.keeps + 1 if s.keeps < 1000 else 2 + (s.keeps + 1) % 2
+
+
+@kernel
+def part_of(c: Const, h: int) -> int:
+    """Return the part of a hypothesis: actuators from 0, sensors behind them; NONE or PLANT."""
+    f = c.filters
+    if f.kind[h] == HEALTHY:
+        return NONE
+    if f.kind[h] == VARYING:
+        return PLANT
+    if f.kind[h] in (OFFSET, GAIN):
+        return int(f.place[h])
+    return int(f.m + f.place[h])
+
+
+@kernel
+def _used(s: State, c: Const) -> int:
+    """Return how many hypotheses are in use: once entries vary, they do under each, and the last one tells no more."""
+    f = c.filters
+    last = f.hypotheses - 1
+    return int(last if s.filters.varies == 1 and f.kind[last] == VARYING else f.hypotheses)
+
+
+@kernel
+def _fits(s: State, c: Const, h: int) -> bool:
+    """Tell whether a hypothesis explains what came lately."""
+    return bool(s.misfits[h] <= (c.fits_less if c.filters.kind[h] == SILENT else c.fits))
+
+
+@kernel
+def _counts(c: Const, h: int, size: float) -> float:
+    """Return a fault's size over the one that counts."""
+    part = part_of(c, h)
+    return float(abs(size) / (c.actuator[part] if part < c.filters.m else c.sensor[part - c.filters.m]))
+
+
+@kernel(inlined=False)
+def _adopt(s: State, c: Const, source: int, healed: bool) -> None:
+    """Let all hypotheses begin again from one's estimate; a fault that has healed is taken out of it."""
+    f, x = c.filters, s.filters
+    filters.copy(x, f, source, 0)
+    k = slot(f, source)
+    if k >= 0 and (healed or f.prior[k] == 0.0):
+        for i in range(f.total):
+            x.cov[0, f.n + k, i] = x.cov[0, i, f.n + k] = 0.0
+        x.cov[0, f.n + k, f.n + k] = f.prior[k]
+        x.z[0, f.n + k] = 0.0
+    filters.separate(x, f)
+    s.active = s.undecided = s.ahead = s.misfit = s.calm = 0
+    followed.begin(s.suspect)
+    s.first = NONE
+    for h in range(f.hypotheses):
+        s.evidence[h] = 0.0
+        s.misfits[h] = f.p if f.kind[h] != SILENT else f.p - 1
+
+
+@kernel
+def _best(s: State, c: Const) -> tuple[int, float]:
+    """Return the hypothesis with most evidence, and by how much its part is ahead of the next."""
+    best = 1
+    for h in range(2, _used(s, c)):
+        if s.evidence[h] > s.evidence[best]:
+            best = h
+    next_one = 0.0
+    for h in range(1, _used(s, c)):
+        if part_of(c, h) != part_of(c, best):
+            next_one = max(next_one, s.evidence[h])
+    return best, float(s.evidence[best] - next_one)
+
+
+@kernel
+def _follower(s: State, c: Const, best: int) -> int:
+    """Return the hypothesis that follows a fault, whatever it does, once its part is named.
+
+    A sensor's: that it tells nothing; an actuator's: its offset, let go.
+    """
+    f, x = c.filters, s.filters
+    wanted = SILENT if f.kind[best] == SENSOR else OFFSET if f.kind[best] == GAIN else HEALTHY
+    for h in range(f.hypotheses):
+        if f.kind[h] == wanted and f.place[h] == f.place[best] and wanted != HEALTHY:
+            filters.copy(x, f, best, h)
+            k = f.n + slot(f, best)
+            own = f.n + slot(f, h)
+            for i in range(f.total):
+                x.cov[h, k, i] = x.cov[h, i, k] = 0.0
+            x.z[h, k], x.cov[h, k, k] = 0.0, f.prior[k - f.n]
+            if wanted == OFFSET:
+                x.z[h, own], x.cov[h, own, own] = x.z[best, k] * x.past[0, f.place[best]], f.free[own - f.n]
+            s.misfits[h] = f.p - 1 if wanted == SILENT else f.p
+            return h
+    return best
+
+
+@kernel
+def _as_told(s: State, c: Const, h: int) -> bool:
+    """Tell whether what is slow is as small as it was told, under a hypothesis."""
+    return bool(filters.off_the_bounds(s.filters, c.filters, h) < c.told)
+
+
+@kernel
+def _varying_would_do(s: State, c: Const, best: int) -> bool:
+    """Tell whether entries that vary explain what came, nearly as well as the best hypothesis does."""
+    last = _used(s, c) - 1
+    if c.filters.kind[last] != VARYING or s.jolted == 1:
+        return False
+    return bool(_as_told(s, c, last) and s.evidence[last] > s.evidence[best] - SURE)
+
+
+@kernel
+def _let_vary(s: State, c: Const) -> None:
+    """Let the plant's entries vary from now on, whatever else is the matter."""
+    s.filters.varies = 1
+    _adopt(s, c, c.filters.hypotheses - 1, False)
+
+
+@kernel
+def _isolate(s: State, c: Const) -> None:
+    """Name a part, or say that none can be named."""
+    s.undecided += 1
+    last = _used(s, c) - 1
+    if not _fits(s, c, last):
+        s.jolted = 1
+    elif s.undecided == 1:
+        s.jolted = 0
+    best, ahead = _best(s, c)
+    # What acts through the plant's dynamics begins once; one that had to jump again and again only follows what it is
+    # not.
+    acts = c.filters.kind[best] in (OFFSET, GAIN)
+    begun_once = not acts or s.jumps[best] <= MOST_JUMPS
+    if ahead >= SURE and begun_once and _fits(s, c, best) and s.evidence[best] >= c.level:
+        s.ahead = s.ahead + 1 if part_of(c, best) == s.first else 1
+        s.first = part_of(c, best)
+        if s.ahead >= LEAST and s.first == PLANT:
+            if s.undecided > PATIENCE and _varying_would_do(s, c, best):
+                _let_vary(s, c)
+            elif s.undecided > c.patience:
+                s.unexplained = 1
+        elif s.ahead >= LEAST:
+            s.active, s.undecided, s.ahead = _follower(s, c, best), 0, 0
+            s.misfit = 0
+            followed.begin(s.suspect)
+        return
+    s.ahead, s.first = 0, NONE
+    none_fits = True
+    for h in range(_used(s, c)):
+        if _fits(s, c, h):
+            none_fits = False
+    weak = s.evidence[best] < WEAK * c.level and _fits(s, c, 0)
+    if s.undecided > c.patience and weak and s.forgiven < FORGIVEN:
+        s.forgiven += 1
+        _adopt(s, c, 0, False)
+    elif s.undecided > (PATIENCE if acts else c.patience) and _varying_would_do(s, c, best):
+        _let_vary(s, c)
+    elif s.undecided > c.patience or (s.undecided > PATIENCE and none_fits):
+        s.unexplained = 1
+
+
+@kernel
+def _judge_named(s: State, c: Const, y: f8s, u: f8s) -> None:
+    """Follow the fault of the named hypothesis: its size, whether it is gone, whether it still explains what comes."""
+    h = s.active
+    s.magnitude = filters.size_of(s.filters, c.filters, h, y, u)
+    share = _counts(c, h, s.magnitude)
+    came = followed.follow(s.suspect, share >= 1.0, share < 0.5, c.patience, c.hold)
+    s.misfit = 0 if _fits(s, c, h) else s.misfit + 1
+    if s.misfit > PATIENCE:
+        s.unexplained = 1
+    elif came != followed.STANDS:
+        _adopt(s, c, h, came == followed.GONE)
+
+
+@kernel
+def _recover(s: State, c: Const) -> None:
+    """Go on with the healthy hypothesis until it has explained all for long enough.
+
+    It learns from sensors of which several may be wrong: what they say is explained by errors of the plant that are
+    larger than was told. So these have to be as small as they were told, and for as long as it would take to tell that
+    something is wrong. What was learned while it was is not forgotten soon: where all is explained, but by more than
+    that, the plant is found once more.
+    """
+    fits = _fits(s, c, 0) and s.done >= c.start
+    well = fits and _as_told(s, c, 0)
+    s.agreed = s.agreed + 1 if well else 0
+    s.astray = s.astray + 1 if fits and not well else 0
+    if s.astray >= max(c.hold, c.patience):
+        restart(s, c)
+        s.unexplained = 1
+    elif s.agreed >= max(c.hold, c.patience):
+        s.unexplained = 0
+        _adopt(s, c, 0, False)
+
+
+@kernel(inlined=False)
+def _take(s: State, c: Const, h: int, y: f8s, known: bool) -> None:
+    """Take a sample with one filter, and its share in the moving mean."""
+    # What a sample alone does not show the mean of some does; then some have to tell of the jump before the next one.
+    s.waited[h] += 1
+    # At an alarm each is asked at once, so that none is ahead only because its fault was let go first.
+    restless = known and ((s.waited[h] >= WAIT and not _fits(s, c, h)) or (s.undecided == 1 and s.waited[h] > LEAST))
+    filters.correct(s.filters, c.filters, h, y, known, restless)
+    if s.filters.jumped[h] == 1:
+        s.waited[h] = 0
+        s.jumps[h] += 1
+    elif s.undecided == 0 and s.waited[h] > WAIT:
+        s.jumps[h] = 0
+    s.misfits[h] += SHARE * (s.filters.left[h] - s.misfits[h])
+
+
+@kernel
+def _alone(s: State, c: Const, y: f8s) -> None:
+    """Take a sample with the healthy hypothesis alone.
+
+    While watching, what is slow is learned only from samples that it explains: otherwise a fault would be learned as an
+    error of the plant, and be gone.
+    """
+    filters.innovate(s.filters, c.filters, 0, y)
+    expected = s.filters.square < c.doubt
+    _take(s, c, 0, y, expected or c.task == LEARNING)
+    s.fit += s.filters.left[0]
+    s.fitted += 1
+    if c.task == WATCHING:
+        s.tested = 1
+        if expected:
+            _keep(s, c)
+        else:
+            s.calm = 0
+
+
+@kernel
+def watch(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
+    """Take one sample as :func:`step` does, with the healthy hypothesis alone, whatever the task."""
+    s.tested = 0
+    if s.done < c.start:
+        _start(s, c, y)
+    else:
+        _alone(s, c, y)
+    advance(s, c, u, unsure)
+
+
+@kernel
+def _start(s: State, c: Const, y: f8s) -> None:
+    """Take a sample of the start."""
+    filters.correct(s.filters, c.filters, 0, y, s.done >= c.found, False)
+    s.done += 1
+    if s.done >= c.start:
+        s.misfits[0] = c.filters.p
+
+
+@kernel
+def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
+    """Take one sample of outputs ``y`` with the commands ``u`` that hold from it on."""
+    f = c.filters
+    s.tested = 0
+    if s.done < c.start:
+        _start(s, c, y)
+        if s.done >= c.start and s.unexplained == 0:
+            _adopt(s, c, 0, False)
+        advance(s, c, u, unsure)
+        return
+    if c.task != ISOLATING:
+        _alone(s, c, y)
+    elif s.unexplained == 1:
+        _take(s, c, 0, y, True)
+        _recover(s, c)
+    elif s.active > 0:
+        _take(s, c, s.active, y, True)
+        _judge_named(s, c, y, u)
+        s.tested = 1 if s.unexplained == 0 else 0
+    else:
+        for h in range(_used(s, c)):
+            _take(s, c, h, y, True)
+        most = 0.0
+        for h in range(1, _used(s, c)):
+            told = s.filters.told[h] - s.filters.told[0]
+            s.evidence[h] = max(0.0, s.evidence[h] + told)
+            most = max(most, s.evidence[h])
+        if s.undecided > 0 or most > c.level:
+            if most < 0.5 * c.level:
+                s.undecided = s.ahead = 0
+            else:
+                _isolate(s, c)
+        else:
+            s.tested = 1
+            if filters.off_the_bounds(s.filters, f, 0) > c.bounds:
+                s.unexplained, s.tested = 1, 0
+            elif most < 0.5 * c.level:
+                _keep(s, c)
+    if s.unexplained == 1 and s.active + s.undecided > 0:
+        again = s.unexplained
+        restart(s, c)
+        s.unexplained = again
+        for h in range(f.hypotheses):
+            s.misfits[h] = 2.0 * c.fits
+    advance(s, c, u, unsure)
+
+
+@kernel(inlined=False)
+def advance(s: State, c: Const, u: f8s, unsure: i8s) -> None:
+    """Take the filters in use to the next sample; also over a sample that did not come."""
+    f = c.filters
+    filters.remember(s.filters, f, u)
+    if s.done < c.start or s.unexplained == 1 or c.task != ISOLATING:
+        filters.predict(s.filters, f, 0, u, unsure, False)
+    elif s.active > 0:
+        filters.predict(s.filters, f, s.active, u, unsure, True)
+    else:
+        for h in range(_used(s, c)):
+            filters.predict(s.filters, f, h, u, unsure, False)

@@ -1,0 +1,496 @@
+"""Kalman filters of one linear plant under different hypotheses, each with the plant's own errors as slow states.
+
+State z = [x; theta; a; l; s; g]: the plant's state; the errors of its uncertain entries; of each actuator an offset a
+and a relative gain l; of each sensor an offset s and, where a sensor's accuracy is told so, by how much its gain g is
+off:
+
+    x(k+1) = Phi(theta) x + Gamma(theta) (u + a + diag(l) u) + w,     y = (1 + diag(g)) C x + s + v
+
+What is slow goes on as exp(-T/tau) of itself plus noise, so that its spread is its bound when nothing tells it. The
+covariance
+
+    P := F P F' + Q,   F_x,theta = dPhi/dtheta x + dGamma/dtheta u
+
+grows with what the plant does: a plant that rests shows no error of its model, one that is moved hard shows much. The
+innovation's variance C P C' + R is therefore a threshold that adapts itself to input and state, propagated with both;
+and what the innovations tell of theta makes it shrink again. That is the difference to a larger ``state_noise``, which
+hides faults at rest and in motion alike.
+
+Hypotheses, by their place: 0: nothing is wrong; then of each actuator "its offset jumps or drifts", of each "its gain
+does"; of each sensor "its offset does", of each "it tells nothing" (its reading is spread evenly over its range); the
+last: nothing is wrong, but the plant is not linear: its entries vary within their bounds, as fast as its slowest mode
+lets its state move, and do not only age. All predict the same numbers, so that the densities of what came can be
+compared. An offset or gain that may jump is told so at a sample that is too far from what was expected: the jump may
+have begun at that sample or before it (:data:`BEGINNINGS`).
+
+What the derivatives leave out is of the second order: the share of a step's variance that comes from theta, times
+theta's relative variance, is noise beside w.
+
+While nothing is known of x (at the start, behind a gap) theta and what else is slow is considered, not corrected
+(Schmidt): P has it, the gain does not.
+
+Sources: Schmidt, "Application of state-space methods to navigation problems" (1966); Ljung, "Asymptotic behavior of the
+extended Kalman filter as a parameter estimator" (1979); Blom and Bar-Shalom (1988) for banks by hypothesis.
+"""
+
+from __future__ import annotations
+
+from math import log, pi, sqrt
+from typing import Annotated
+
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_plants.linear.model_set import matrices
+from gateway_plants.linear.model_set.matrices import MOST_ENTRIES, MOST_HYPOTHESES
+from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
+
+#: Slow states; all states.
+MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + 2 * MOST_OUTPUTS
+MOST = MOST_STATES + MOST_SLOW
+#: Kinds of hypotheses.
+HEALTHY, OFFSET, GAIN, SENSOR, SILENT, VARYING = range(6)
+#: Samples before the present one at which a jump may have begun: these, at most BACK.
+BEGINNINGS = (0, 1, 2, 3, 5, 8, 13, 21, 34)
+BACK = 34
+#: Logarithm of the odds that a jump comes at a given sample.
+JUMP = -10.0
+#: Change of an entry's estimate, in its bounds, from which on Phi(theta) is computed anew.
+FRESH = 0.01
+#: Change from which on the derivatives are, likewise.
+DERIVED = 0.2
+#: What the derivatives leave out, per relative uncertainty of the entries.
+SECOND_ORDER = 4.0
+
+
+class Const(Record):
+    """Constants.
+
+    ``n``, ``m``, ``p``, ``q``: states, inputs, outputs, uncertain entries; ``total``: states with slow ones; ``gains``:
+    1: with the sensors' gains.
+    ``relative``: 1 over the square of each entry. ``keep``, ``prior``: of slow states, what a sample leaves of them and
+    their variance; ``vary``: what a sample leaves of entries that vary; ``drive``, ``free``: of a slow state that a
+    hypothesis lets go: variance of a sample's change, and of a jump; ``loose``: share of the latter that a fault which
+    is followed changes by in a sample. ``gate``: of the normalised innovation squared of one sample, beyond which
+    something jumped; ``range``: of a silent sensor's reading, as log density.
+    """
+
+    n: i8
+    m: i8
+    p: i8
+    q: i8
+    total: i8
+    gains: i8
+    plant: matrices.Const
+    hypotheses: i8
+    kind: Annotated[i8s, MOST_HYPOTHESES]
+    place: Annotated[i8s, MOST_HYPOTHESES]
+    relative: Annotated[f8s, MOST_ENTRIES]
+    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES]
+    noise: Annotated[f8s, MOST_STATES]
+    r: Annotated[f8s, MOST_OUTPUTS]
+    unknown: Annotated[f8s, MOST_STATES]
+    keep: Annotated[f8s, MOST_SLOW]
+    vary: f8
+    prior: Annotated[f8s, MOST_SLOW]
+    drive: Annotated[f8s, MOST_SLOW]
+    free: Annotated[f8s, MOST_SLOW]
+    command: Annotated[f8s, MOST_INPUTS]
+    loose: f8
+    gate: f8
+    range: Annotated[f8s, MOST_OUTPUTS]
+
+
+class State(Record):
+    """State of all filters.
+
+    ``z``, ``cov``; ``plant``: [Phi, Gamma] of each, and what derives from them.
+
+    ``jumped``: at the newest sample; ``left``: its normalised innovation squared, ``told``: its log density; ``e``: its
+    innovations; ``own``, ``square``: variance of each innovation by itself, and the normalised innovation squared, of
+    the filter that was asked last. ``past``: commands of the samples before, newest first. ``varies``: 1: the plant's
+    entries vary, under every hypothesis.
+    """
+
+    z: Annotated[f8s, MOST_HYPOTHESES, MOST]
+    cov: Annotated[f8s, MOST_HYPOTHESES, MOST, MOST]
+    plant: matrices.State
+    jumped: Annotated[i8s, MOST_HYPOTHESES]
+    left: Annotated[f8s, MOST_HYPOTHESES]
+    told: Annotated[f8s, MOST_HYPOTHESES]
+    e: Annotated[f8s, MOST_HYPOTHESES, MOST_OUTPUTS]
+    own: Annotated[f8s, MOST_OUTPUTS]
+    square: f8
+    varies: i8
+    past: Annotated[f8s, BACK, MOST_INPUTS]
+    work: Annotated[f8s, MOST_STATES, MOST]
+    by_slow: Annotated[f8s, MOST_STATES, MOST_SLOW]
+    second: Annotated[f8s, MOST_STATES]
+    gain: Annotated[f8s, MOST]
+    spread: Annotated[f8s, MOST_OUTPUTS, MOST_OUTPUTS]
+    rest: Annotated[f8s, MOST_OUTPUTS]
+
+
+@kernel
+def slot(c: Const, h: int) -> int:
+    """Return the slow state that a hypothesis lets go; -1: none."""
+    kind, place = c.kind[h], c.place[h]
+    if kind == OFFSET:
+        return int(c.q + place)
+    if kind == GAIN:
+        return int(c.q + c.m + place)
+    if kind == SENSOR:
+        return int(c.q + 2 * c.m + place)
+    return -1
+
+
+@kernel
+def derive(s: State, c: Const, h: int) -> None:
+    """Compute the matrices of a filter and their derivatives from its estimate of the entries."""
+    matrices.derive(s.plant, c.plant, h, s.z[h, c.n :])
+
+
+@kernel(inlined=False)
+def unknown(s: State, c: Const, h: int) -> None:
+    """Forget a filter's x; what is slow stays, without its ties to x."""
+    for i in range(c.n):
+        s.z[h, i] = 0.0
+        for j in range(c.total):
+            s.cov[h, i, j] = s.cov[h, j, i] = 0.0
+        s.cov[h, i, i] = c.unknown[i]
+
+
+@kernel(inlined=False)
+def ignorant(s: State, c: Const, h: int) -> None:
+    """Set what is slow to its prior."""
+    for i in range(c.n, c.total):
+        s.z[h, i] = 0.0
+        for j in range(c.total):
+            s.cov[h, i, j] = s.cov[h, j, i] = 0.0
+        s.cov[h, i, i] = c.prior[i - c.n]
+    derive(s, c, h)
+
+
+@kernel(inlined=False)
+def copy(s: State, c: Const, source: int, target: int) -> None:
+    """Let a filter go on from another one's estimate."""
+    if source == target:
+        return
+    for i in range(c.total):
+        s.z[target, i] = s.z[source, i]
+        for j in range(c.total):
+            s.cov[target, i, j] = s.cov[source, i, j]
+    matrices.copy(s.plant, c.plant, source, target)
+
+
+@kernel
+def separate(s: State, c: Const) -> None:
+    """Let all hypotheses begin from the first one's estimate."""
+    for h in range(1, c.hypotheses):
+        copy(s, c, 0, h)
+
+
+@kernel(inlined=False)
+def _add_jump(s: State, c: Const, h: int) -> None:
+    """Let the slow state of a hypothesis jump, at this sample or up to BACK samples before."""
+    k = slot(c, h)
+    if c.kind[h] == SENSOR:
+        s.cov[h, c.n + k, c.n + k] += c.free[k]
+        return
+    i = c.place[h]
+    for r in range(c.n):
+        s.gain[r] = 0.0  # what the fault has done to x by now
+        s.work[r, 0] = s.plant.now[h, r, c.n + i]  # what one sample of it has done so many samples later
+    seen = 0.0  # energy of what one unit of it has shown in the samples before this one
+    for back in range(BACK + 1):
+        if back > 0:
+            by = 1.0 if c.kind[h] == OFFSET else s.past[back - 1, i]
+            for r in range(c.n):
+                s.gain[r] += s.work[r, 0] * by
+            for r in range(c.n):
+                total = 0.0
+                for j in range(c.n):
+                    total += s.plant.now[h, r, j] * s.work[j, 0]
+                s.work[r, 1] = total
+            for r in range(c.n):
+                s.work[r, 0] = s.work[r, 1]
+        # A fault that began then would have been seen since, if it were larger than this.
+        share = min(c.free[k] / len(BEGINNINGS), c.gate / max(seen, 1e-300))
+        for j in range(c.p):
+            shows = 0.0
+            for r in range(c.n):
+                shows += c.c[j, r] * s.gain[r]
+            seen += shows * shows / (4.0 * c.r[j])
+        if back not in BEGINNINGS:
+            continue
+        for r in range(c.n):
+            for j in range(c.n):
+                s.cov[h, r, j] += share * s.gain[r] * s.gain[j]
+            s.cov[h, r, c.n + k] += share * s.gain[r]
+            s.cov[h, c.n + k, r] += share * s.gain[r]
+        s.cov[h, c.n + k, c.n + k] += share
+
+
+@kernel
+def _expected(s: State, c: Const, h: int, j: int) -> float:
+    """Return what a filter expects of a sensor."""
+    place = c.n + c.q + 2 * c.m + j
+    shown = _shown(s, c, h, j)
+    if c.gains == 1:
+        shown *= 1.0 + s.z[h, place + c.p]
+    return float(s.z[h, place] + shown)
+
+
+@kernel
+def _shown(s: State, c: Const, h: int, j: int) -> float:
+    """Return what a sensor would show if it were exact, C x."""
+    value = 0.0
+    for i in range(c.n):
+        value += c.c[j, i] * s.z[h, i]
+    return float(value)
+
+
+@kernel
+def _seen(s: State, c: Const, h: int, j: int) -> float:
+    """Return H of a sensor times the vector in ``gain``."""
+    place = c.n + c.q + 2 * c.m + j
+    by_state = 0.0
+    for i in range(c.n):
+        by_state += c.c[j, i] * s.gain[i]
+    if c.gains == 1:
+        by_state = by_state * (1.0 + s.z[h, place + c.p]) + s.gain[place + c.p] * _shown(s, c, h, j)
+    return float(by_state + s.gain[place])
+
+
+@kernel
+def _show(s: State, c: Const, h: int, j: int) -> float:
+    """Put P H' of a sensor into ``gain``; returns H P H' + R."""
+    place = c.n + c.q + 2 * c.m + j
+    scale, shown = 1.0, 0.0
+    if c.gains == 1:
+        scale, shown = 1.0 + s.z[h, place + c.p], _shown(s, c, h, j)
+    for r in range(c.total):
+        value = 0.0
+        for i in range(c.n):
+            value += s.cov[h, r, i] * c.c[j, i]
+        value = value * scale + s.cov[h, r, place]
+        if c.gains == 1:
+            value += s.cov[h, r, place + c.p] * shown
+        s.gain[r] = value
+    return float(c.r[j] + _seen(s, c, h, j))
+
+
+@kernel(inlined=False)
+def _squared(s: State, c: Const, h: int) -> float:
+    """Return the normalised innovation squared of the innovations in ``e`` of a filter that takes all sensors."""
+    p = c.p
+    for j in range(p):
+        size = _show(s, c, h, j)
+        for i in range(j + 1):
+            s.spread[j, i] = _seen(s, c, h, i)
+        s.spread[j, j] = s.own[j] = size
+    # Cholesky, and L w = e on the way.
+    total = 0.0
+    for j in range(p):
+        rest = s.e[h, j]
+        for i in range(j + 1):
+            value = s.spread[j, i]
+            for k in range(i):
+                value -= s.spread[j, k] * s.spread[i, k]
+            if i == j:
+                s.spread[j, j] = sqrt(max(value, 1e-300))
+            else:
+                s.spread[j, i] = value / s.spread[i, i]
+        for i in range(j):
+            rest -= s.spread[j, i] * s.rest[i]
+        s.rest[j] = rest / s.spread[j, j]
+        total += s.rest[j] * s.rest[j]
+    return float(total)
+
+
+@kernel
+def innovate(s: State, c: Const, h: int, y: f8s) -> None:
+    """Compute what a sample has beyond what a filter expects; sets ``e``, ``own`` and ``square``."""
+    for j in range(c.p):
+        s.e[h, j] = y[j] - _expected(s, c, h, j)
+    s.square = _squared(s, c, h)
+
+
+@kernel(inlined=False)
+def correct(s: State, c: Const, h: int, y: f8s, known: bool, restless: bool) -> None:
+    """Take a sample of the outputs with one filter; sets ``e``, ``left`` and ``told``.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        h: the filter.
+        y: outputs.
+        known: x is known; otherwise what is slow is considered only, and nothing jumps.
+        restless: something may have jumped, though this sample alone does not show it.
+    """
+    silent = c.place[h] if c.kind[h] == SILENT else -1
+    told, left = 0.0, 0.0
+    for j in range(c.p):
+        s.e[h, j] = y[j] - _expected(s, c, h, j)
+    s.jumped[h] = 0
+    if known and slot(c, h) >= 0 and (restless or _squared(s, c, h) > c.gate):
+        _add_jump(s, c, h)
+        s.jumped[h] = 1
+        told += JUMP
+    for j in range(c.p):
+        if j == silent:
+            told += c.range[j]
+            continue
+        size = _show(s, c, h, j)
+        rest = y[j] - _expected(s, c, h, j)
+        share = rest / size
+        most = c.total if known else c.n
+        for r in range(most):
+            s.z[h, r] += s.gain[r] * share
+        for r in range(most):
+            weight = s.gain[r] / size
+            for k in range(r, c.total):
+                s.cov[h, r, k] -= weight * s.gain[k]
+                s.cov[h, k, r] = s.cov[h, r, k]
+        told -= 0.5 * (log(2.0 * pi * size) + rest * share)
+        left += rest * share
+    s.told[h], s.left[h] = told, left
+
+
+@kernel(inlined=False)
+def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> None:
+    """Take one filter to the next sample, the commands ``u`` held till then.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        h: the filter.
+        u: commands.
+        unsure: of each command, 1: its frame did not come, it may be another.
+        loose: the fault of this hypothesis is known, and followed in whatever it does.
+    """
+    n, m, q, size = c.n, c.m, c.q, c.total
+    moved, far, relative = 0.0, 0.0, 0.0
+    for k in range(q):
+        apart = s.z[h, n + k] - s.plant.at[h, k]
+        moved = max(moved, apart * apart / c.prior[k])
+        apart = s.z[h, n + k] - s.plant.derived[h, k]
+        far = max(far, apart * apart / c.prior[k])
+        relative = max(relative, s.cov[h, n + k, n + k] * c.relative[k])
+    if far > DERIVED * DERIVED:
+        derive(s, c, h)
+    elif moved > FRESH * FRESH:
+        matrices.refresh(s.plant, c.plant, h, s.z[h, n:])
+    relative *= SECOND_ORDER * SECOND_ORDER
+    # Columns of F for what is slow.
+    for r in range(n):
+        for k in range(q):
+            value = 0.0
+            for i in range(n):
+                value += s.plant.by_entry[h, k, r, i] * s.z[h, i]
+            for i in range(m):
+                value += s.plant.by_entry[h, k, r, n + i] * u[i]
+            s.by_slow[r, k] = value
+        for i in range(m):
+            s.by_slow[r, q + i] = s.plant.now[h, r, n + i]
+            s.by_slow[r, q + m + i] = s.plant.now[h, r, n + i] * u[i]
+    slow = q + 2 * m
+    for r in range(n):
+        value = 0.0
+        for i in range(n):
+            value += s.plant.now[h, r, i] * s.z[h, i]
+        for i in range(m):
+            acts = u[i] * (1.0 + s.z[h, n + q + m + i]) + s.z[h, n + q + i]
+            value += s.plant.now[h, r, n + i] * acts
+        # What the estimate of the entries has moved by since the matrices were computed: once it is well known even a
+        # hundredth of what was told is many of its standard deviations.
+        for k in range(q):
+            value += s.by_slow[r, k] * (s.z[h, n + k] - s.plant.at[h, k])
+        s.gain[r] = value
+        for k in range(size):
+            total = 0.0
+            for i in range(n):
+                total += s.plant.now[h, r, i] * s.cov[h, i, k]
+            for i in range(slow):
+                total += s.by_slow[r, i] * s.cov[h, n + i, k]
+            s.work[r, k] = total
+        s.second[r] = 0.0
+        for k in range(q):
+            for i in range(q):
+                s.second[r] += s.by_slow[r, k] * s.cov[h, n + k, n + i] * s.by_slow[r, i]
+    _spread(s, c, h, unsure, loose, relative)
+
+
+@kernel
+def _kept(s: State, c: Const, h: int, k: int) -> float:
+    """Return what a sample leaves of a slow state, under a hypothesis."""
+    if k == slot(c, h):
+        return 1.0
+    if k < c.q and (s.varies == 1 or c.kind[h] == VARYING):
+        return float(c.vary)
+    return float(c.keep[k])
+
+
+@kernel
+def _spread(s: State, c: Const, h: int, unsure: i8s, loose: bool, relative: float) -> None:
+    """Take covariance and slow states to the next sample, from what :func:`predict` has left in the scratch."""
+    n, m, size = c.n, c.m, c.total
+    slow, free = c.q + 2 * m, slot(c, h)
+    for r in range(n):
+        s.z[h, r] = s.gain[r]
+        for k in range(r, n):
+            total = 0.0
+            for i in range(n):
+                total += s.work[r, i] * s.plant.now[h, k, i]
+            for i in range(slow):
+                total += s.work[r, n + i] * s.by_slow[k, i]
+            for i in range(m):
+                if unsure[i] == 1:
+                    total += s.plant.now[h, r, n + i] * s.plant.now[h, k, n + i] * c.command[i]
+            s.cov[h, r, k] = s.cov[h, k, r] = total
+        s.cov[h, r, r] += c.noise[r] + relative * s.second[r]
+        for k in range(size - n):
+            s.cov[h, r, n + k] = s.cov[h, n + k, r] = s.work[r, n + k] * _kept(s, c, h, k)
+    for k in range(size - n):
+        own = _kept(s, c, h, k)
+        s.z[h, n + k] *= own
+        for i in range(k, size - n):
+            s.cov[h, n + k, n + i] *= own * _kept(s, c, h, i)
+            s.cov[h, n + i, n + k] = s.cov[h, n + k, n + i]
+        if k == free:
+            s.cov[h, n + k, n + k] += c.free[k] * c.loose if loose else c.drive[k]
+        else:
+            s.cov[h, n + k, n + k] += (1.0 - own * own) * c.prior[k]
+
+
+@kernel
+def remember(s: State, c: Const, u: f8s) -> None:
+    """Keep the commands of a sample."""
+    for back in range(BACK - 1, 0, -1):
+        for i in range(c.m):
+            s.past[back, i] = s.past[back - 1, i]
+    for i in range(c.m):
+        s.past[0, i] = u[i]
+
+
+@kernel
+def size_of(s: State, c: Const, h: int, y: f8s, u: f8s) -> float:
+    """Return the size of the fault of a hypothesis, in the unit of its signal."""
+    kind, place = c.kind[h], c.place[h]
+    if kind == OFFSET:
+        return float(s.z[h, c.n + c.q + place])
+    if kind == GAIN:
+        return float(s.z[h, c.n + c.q + c.m + place] * u[place])
+    if kind == SENSOR:
+        return float(s.z[h, c.n + c.q + 2 * c.m + place])
+    if kind == SILENT:
+        return float(y[place] - _expected(s, c, h, place))
+    return 0.0
+
+
+@kernel
+def off_the_bounds(s: State, c: Const, h: int) -> float:
+    """Return the sum of squares of what is slow over its bounds: how far the plant is from what was told."""
+    total = 0.0
+    for k in range(c.total - c.n):
+        if c.prior[k] > 0.0:
+            total += s.z[h, c.n + k] * s.z[h, c.n + k] / c.prior[k]
+    return float(total)

@@ -1,0 +1,75 @@
+"""Parameters of a bank of PI observers."""
+
+from __future__ import annotations
+
+from cmath import exp
+from collections.abc import Mapping
+from functools import cached_property
+from typing import ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from gateway_plants.linear.mathematics.plant import unobservable
+from gateway_plants.linear.monitor.uncertain import UncertainPlantParams
+from gateway_plants.linear.pi_bank.design import Observer, check, design
+
+Logic = Literal["jumps", "models"]
+
+
+class Params(UncertainPlantParams):
+    """A linear plant whose actuators and sensors are watched."""
+
+    moved: ClassVar[Mapping[str, str]] = {
+        "logic = products": "the paper's own decision is in the study (gateway evaluate linear); use jumps"
+    }
+
+    poles: tuple[float | tuple[float, float], ...] | None = Field(
+        None,
+        description="of each observer, n + m, continuous: -1.2, or [-1.0, 2.0] for one of a pair [1/s]; "
+        "default: Kalman's, from the noise",
+    )
+    logic: Logic | None = Field(
+        None,
+        description="jumps: likelihood ratio on the innovations of the bank, latched; models: a filter for each fault, "
+        "with the plant's own errors as slow states. Default: models where model_error is given or a sensor cannot be "
+        "left out, else jumps",
+    )
+    patience_s: float | None = Field(
+        None, gt=0, description="with models: time in which a fault has to be isolated [s]; default: 200 samples"
+    )
+    start_s: float = Field(5.0, gt=0, description="at the start nothing is judged for so long [s]")
+    hold_s: float = Field(2.0, gt=0, description="a sensor is well when it has been for so long [s]")
+
+    @model_validator(mode="after")
+    def _bank_can_be_built(self) -> Self:
+        if self.decided_by == "models":
+            self.check_filters(poles=self.poles is not None)
+        else:
+            check(self.plant, self.sensor_names, self.states)
+            _ = self.observers
+        return self
+
+    @property
+    def decided_by(self) -> Logic:
+        """The logic, own or default."""
+        if self.logic is not None:
+            if self.model_error is not None and self.logic != "models":
+                raise ValueError(
+                    f'model_error: logic = "{self.logic}" takes the matrices as exact; logic = "models" does not'
+                )
+            return self.logic
+        plant = self.plant
+        if self.model_error is not None or any(
+            unobservable(plant.phi, plant.without(j)) for j in range(plant.outputs if plant.outputs > 1 else 0)
+        ):
+            return "models"
+        return "jumps"
+
+    @cached_property
+    def observers(self) -> tuple[Observer, ...]:
+        """The bank."""
+        poles = None
+        if self.poles is not None:
+            given = [complex(*pole) if isinstance(pole, tuple) else complex(pole) for pole in self.poles]
+            poles = tuple(exp(pole * self.sample_ms * 1e-3) for pole in given)
+        return design(self.plant, self.noise, poles)

@@ -1,0 +1,108 @@
+"""A plant whose matrices are not known exactly, by configuration: what monitors that run filters for it share."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from pydantic import Field
+
+from gateway_fdi.common.tomlfile import StrictModel
+from gateway_plants.linear.mathematics.plant import unobservable
+from gateway_plants.linear.mathematics.uncertainty import Entries, entries
+from gateway_plants.linear.model_set.design import OFFSET_SIZE, Told, isolable
+from gateway_plants.linear.model_set.matrices import MOST_ENTRIES
+from gateway_plants.linear.monitor.plant import Matrix, Output, PlantParams
+from gateway_plants.linear.pi_bank.design import Noise
+
+
+class ModelError(StrictModel):
+    """How far the plant may be from its matrices."""
+
+    a: float | Matrix = Field(
+        0.05, description="relative, of each entry of a but 0 and +-1; or the bound of each entry, in its unit"
+    )
+    b: float | Matrix = Field(0.05, description="likewise of b")
+
+
+def _bias(part: Output) -> float:
+    """Return the bias that a sensor may have, in its unit."""
+    told = None if part.accuracy is None else part.accuracy.bias
+    return OFFSET_SIZE * part.limit if told is None else told.value
+
+
+class UncertainPlantParams(PlantParams):
+    """A linear plant, and how well it is known."""
+
+    model_error: float | ModelError | None = Field(
+        None,
+        description="how far the plant may be from a and b: 0.05, of each entry but 0 and +-1, or { a = .., b = .. }",
+    )
+    learning: bool = Field(
+        False,
+        description="with model_error: nothing is judged, the errors of a and b are learned; gateway calibrate sets it",
+    )
+    calibrated: str = Field("", description="where a, b and model_error come from")
+
+    @cached_property
+    def entries(self) -> Entries:
+        """Uncertain entries of the matrices."""
+        error = self.model_error
+        if isinstance(error, ModelError):
+            return entries(self.a, self.b, error.a, error.b)
+        return entries(self.a, self.b, error or 0.0, error or 0.0)
+
+    @cached_property
+    def told(self) -> Told:
+        """What is told of the plant to its filters (:mod:`gateway_plants.linear.model_set`)."""
+        return Told(
+            self.plant,
+            np.array(self.a),
+            np.array(self.b),
+            self.discrete,
+            self.noise,
+            self.entries,
+            self.actuator_limits,
+            self.sensor_limits,
+            isolable(self.plant),
+            np.array([0.0 if part.accuracy is None else part.accuracy.gain or 0.0 for part in self.output]),
+            np.array([_bias(part) for part in self.output]),
+        )
+
+    @property
+    def noise(self) -> Noise:
+        """What is not exact."""
+        drifts = [0.1 * part.threshold if part.drift is None else part.drift for part in self.input]
+        outputs = [part.noise for part in self.output]
+        return Noise(np.array(outputs), np.array(self.disturbance), np.array(drifts))
+
+    @property
+    def actuator_limits(self) -> np.ndarray:
+        """Th_a."""
+        return np.array([part.threshold for part in self.input])
+
+    @property
+    def sensor_limits(self) -> np.ndarray:
+        """Th_s."""
+        return np.array([part.limit for part in self.output])
+
+    def check_observable(self) -> None:
+        """Raise ValueError if the sensors do not show the whole plant."""
+        hidden = unobservable(self.plant.phi, self.plant.c, self.states)
+        if hidden:
+            raise ValueError(f"the sensors do not show {hidden}")
+
+    def check_filters(self, *, poles: bool) -> None:
+        """Raise ValueError if there can be no filters with the plant's errors as slow states.
+
+        Args:
+            poles: the user has given poles.
+        """
+        self.check_observable()
+        if poles:
+            raise ValueError('poles: with model_error (or logic = "models") gains are Kalman\'s; leave poles out')
+        if len(self.entries) > MOST_ENTRIES:
+            raise ValueError(
+                f"model_error: {len(self.entries)} uncertain entries of a and b; at most {MOST_ENTRIES}: "
+                "give it by entry"
+            )

@@ -1,0 +1,113 @@
+"""The bank's kernel: all observers step on one sample (paper 003, (14), in discrete time).
+
+    e_k = y^k - C^k x_k                          what is left of the sensors that observer k takes
+    [x_k; omega_k] := [[Phi, Gamma], [0, 1]] [x_k; omega_k] + [Gamma; 0] u + [K_k; H_k] e_k
+
+Observer 0 takes all sensors, observer k from 1 on all but the k-th.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from gateway_fdi.jit import Record, f8s, i8, kernel
+from gateway_plants.linear.mathematics.plant import LinearPlant
+from gateway_plants.linear.pi_bank.design import Observer, augmented
+
+#: Largest plant.
+MOST_STATES, MOST_INPUTS, MOST_OUTPUTS = 8, 4, 6
+#: States with faults; observers.
+MOST, BANK = MOST_STATES + MOST_INPUTS, MOST_OUTPUTS + 1
+
+
+class Const(Record):
+    """Constants."""
+
+    n: i8
+    m: i8
+    p: i8
+    phi: Annotated[f8s, MOST, MOST]
+    gamma: Annotated[f8s, MOST_STATES, MOST_INPUTS]
+    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES]
+    gain: Annotated[f8s, BANK, MOST, MOST_OUTPUTS]
+
+
+class State(Record):
+    """State.
+
+    ``z``: state and fault of each observer; ``e``: what it left of each sensor, 0 for the one that it does not
+    take.
+    """
+
+    z: Annotated[f8s, BANK, MOST]
+    e: Annotated[f8s, BANK, MOST_OUTPUTS]
+    work: Annotated[f8s, MOST]
+
+
+def prepare(c: Const, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:
+    """Fill a record of Const.
+
+    Raises:
+        ValueError: the plant is too large.
+    """
+    n, m, p = plant.states, plant.inputs, plant.outputs
+    if n > MOST_STATES or m > MOST_INPUTS or p > MOST_OUTPUTS:
+        raise ValueError(f"{n} states, {m} inputs, {p} outputs: at most {MOST_STATES}, {MOST_INPUTS}, {MOST_OUTPUTS}")
+    c.n, c.m, c.p = n, m, p
+    c.phi[: n + m, : n + m] = augmented(plant)
+    c.gamma[:n, :m] = plant.gamma
+    c.c[:p, :n] = plant.c
+    for k, observer in enumerate(bank):
+        rows = [j for j in range(p) if j != observer.left_out]
+        c.gain[k][: n + m, rows] = observer.gain.gain
+
+
+@kernel
+def innovate(s: State, c: Const, k: int, y: f8s) -> None:
+    """Compute what observer k leaves of a sample of the outputs."""
+    for j in range(c.p):
+        if j == k - 1:
+            s.e[k, j] = 0.0
+            continue
+        rest = y[j]
+        for i in range(c.n):
+            rest -= c.c[j, i] * s.z[k, i]
+        s.e[k, j] = rest
+
+
+@kernel
+def advance(s: State, c: Const, k: int, u: f8s) -> None:
+    """Step observer k to the next sample, the commands ``u`` held till then."""
+    size = c.n + c.m
+    for i in range(c.n):
+        value = 0.0
+        for j in range(size):
+            value += c.phi[i, j] * s.z[k, j]
+        for j in range(c.m):
+            value += c.gamma[i, j] * u[j]
+        for j in range(c.p):
+            value += c.gain[k, i, j] * s.e[k, j]
+        s.work[i] = value
+    for i in range(c.n, size):
+        value = s.z[k, i]
+        for j in range(c.p):
+            value += c.gain[k, i, j] * s.e[k, j]
+        s.work[i] = value
+    for i in range(size):
+        s.z[k, i] = s.work[i]
+
+
+@kernel
+def step(s: State, c: Const, y: f8s, u: f8s) -> None:
+    """Take one sample with the whole bank."""
+    for k in range(c.p + 1):
+        innovate(s, c, k, y)
+        advance(s, c, k, u)
+
+
+@kernel
+def missing(s: State, c: Const, k: int, u: f8s) -> None:
+    """Step observer k over a sample that did not come: nothing corrects it."""
+    for j in range(c.p):
+        s.e[k, j] = 0.0
+    advance(s, c, k, u)

@@ -1,0 +1,74 @@
+"""Which faults hide each other from (16): for these sizes nobody can isolate them by stationary values.
+
+A sensor's constant fault s_j moves the stationary fault of observer k, k != j, by G_kj s_j, whatever its gain:
+
+    [[Phi - 1, Gamma], [C^k, 0]] [x; omega] = [0; s^k]
+
+r_ai is lost for good where |a_i + (G_kj)_i s_j| < Th_ai in one observer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway_plants.linear.mathematics.plant import LinearPlant
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Masked:
+    """An actuator's fault that a sensor's hides.
+
+    Attributes:
+        actuator: by its place.
+        sensor: likewise.
+        observer: in which, by the sensor that it leaves out.
+        low: of the sensor's fault, for the size of the actuator's that was asked for.
+        high: likewise.
+    """
+
+    actuator: int
+    sensor: int
+    observer: int
+    low: float
+    high: float
+
+
+def stationary(plant: LinearPlant) -> Array:
+    """Return G, shape (p, p, m): stationary fault of observer k for 1 of sensor j's; 0 for k = j."""
+    n, m, p = plant.states, plant.inputs, plant.outputs
+    moved = np.zeros((p, p, m))
+    for k in range(p):
+        rows = [j for j in range(p) if j != k]
+        block = np.zeros((n + p - 1, n + m))
+        block[:n, :n], block[:n, n:] = plant.phi - np.eye(n), plant.gamma
+        block[n:, :n] = plant.c[rows]
+        for place, j in enumerate(rows):
+            right = np.zeros(n + p - 1)
+            right[n + place] = 1.0
+            moved[k, j] = np.linalg.lstsq(block, right, rcond=None)[0][n:]
+    return moved
+
+
+def masked(plant: LinearPlant, size: Array, threshold: Array) -> list[Masked]:
+    """Return the intervals of sensor faults that hide actuator faults of given sizes.
+
+    Args:
+        plant: the plant.
+        size: of each actuator's fault, shape (m,).
+        threshold: Th_a, shape (m,).
+    """
+    moved = stationary(plant)
+    found = []
+    for i in range(plant.inputs):
+        for j in range(plant.outputs):
+            for k in range(plant.outputs):
+                g = moved[k, j, i]
+                if abs(g) > 1e-12:
+                    ends = sorted(((threshold[i] - size[i]) / g, (-threshold[i] - size[i]) / g))
+                    found.append(Masked(i, j, k, float(ends[0]), float(ends[1])))
+    return found

@@ -1,0 +1,203 @@
+"""Our bank on the paper's plant: the isolation's own kernels on samples of a simulated run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway_fdi.jit import kernel, zeros
+from gateway_plants.linear.ecu.params import LinearFault, LinearParams, Swing
+from gateway_plants.linear.ecu.plant import simulate
+from gateway_plants.linear.pi_bank import isolation
+from gateway_plants.linear.pi_bank.design import Noise, Observer, check, design
+from gateway_plants.linear.study import example
+
+Array = NDArray[np.float64]
+
+#: State feedback that keeps the plant stable over hours.
+FEEDBACK = ((0.234, -0.429, 1.234, -1.06), (0.183, 0.005, -0.23, 0.446))
+#: Mean time between false alarms that is asked for [s].
+MTFA = 1e6
+
+
+@dataclass(frozen=True)
+class Found:
+    """What was found at each sample.
+
+    Attributes:
+        actuators: flags, shape (n, 2).
+        sensors: flags, shape (n, 3).
+        fault: sizes of the actuators' faults, shape (n, 2).
+        offset: of the sensors', shape (n, 3).
+        unexplained: shape (n,).
+    """
+
+    actuators: NDArray[np.int64]
+    sensors: NDArray[np.int64]
+    fault: Array
+    offset: Array
+    unexplained: NDArray[np.int64]
+
+
+def noise() -> Noise:
+    """Return the noise that the bank is designed for: that of configs/linear_aircraft.toml."""
+    drift = 0.1 * example.ACTUATOR_LIMIT
+    return Noise(np.full(3, example.NOISE), np.full(4, 1e-4), np.full(2, drift))
+
+
+@cache
+def observers() -> tuple[Observer, ...]:
+    """Return the bank."""
+    check(example.plant())
+    return design(example.plant(), noise())
+
+
+def records(start_s: float, *, known: bool) -> tuple[Any, Any]:
+    """Return state and constants of a bank before its first sample."""
+    s, c = zeros(1, isolation.State), zeros(1, isolation.Const)
+    isolation.prepare(
+        c[0],
+        s[0],
+        example.plant(),
+        noise(),
+        observers(),
+        actuator=np.full(2, example.ACTUATOR_LIMIT),
+        sensor=np.full(3, example.SENSOR_LIMIT),
+        mtfa_s=MTFA,
+        start_s=start_s,
+        hold_s=2.0,
+        known=known,
+    )
+    isolation.restart(s[0], c[0])
+    return s[0], c[0]
+
+
+#: Samples of a long flight whose noise is drawn at a time.
+PORTION = 100_000
+
+
+@kernel
+def _walk(s: Any, c: Any, y: Any, u: Any, flags: Any, sizes: Any) -> None:
+    """Step through samples; ``flags``: actuators, sensors, unexplained; ``sizes``: of actuators, sensors."""
+    for t in range(y.shape[0]):
+        isolation.step(s, c, y[t], u[t])
+        for i in range(2):
+            flags[t, i] = s.actuator[i]
+            sizes[t, i] = s.fault[i]
+        for j in range(3):
+            flags[t, 2 + j] = 1 if s.latched == j and s.suspect.confirmed == 1 else 0
+            sizes[t, 2 + j] = s.offset[j]
+        flags[t, 5] = s.unexplained
+
+
+def walk(s: Any, c: Any, y: Array, u: Array) -> Found:
+    """Step a bank through samples y (n, 3) with commands u (n, 2)."""
+    flags, sizes = np.zeros((len(y), 6), np.int64), np.zeros((len(y), 5))
+    _walk(s, c, y, u, flags, sizes)
+    return Found(flags[:, :2], flags[:, 2:5], sizes[:, :2], sizes[:, 2:], flags[:, 5])
+
+
+def drive(noise_std: float, *, stable: bool) -> LinearParams:
+    """Return the plant with the paper's constant commands, or with a controller and moving ones."""
+    swings = (
+        (Swing(amplitude=0.5, period_s=21.0), Swing(amplitude=0.5, period_s=13.0))
+        if stable
+        else (Swing(offset=example.COMMAND),) * 2
+    )
+    return LinearParams(
+        type="linear",
+        sensors="Aircraft_Sensors",
+        commands="Aircraft_Command",
+        sample_ms=1e3 * example.PERIOD,
+        a=example.A,
+        b=example.B,
+        c=example.C,
+        feedback=FEEDBACK if stable else None,
+        swing=swings,
+        noise=(noise_std,) * 3,
+    )
+
+
+def run(faults: tuple[LinearFault, ...], noise_std: float, rng: np.random.Generator) -> Found:
+    """Return what the bank finds in the paper's 12 s from its known state 0."""
+    y, u = simulate(drive(noise_std, stable=False), faults, example.DURATION, rng)
+    return walk(*records(1.0, known=True), y, u)
+
+
+@kernel
+def _long(
+    s: Any,
+    c: Any,
+    phi: Any,
+    gamma: Any,
+    feedback: Any,
+    first: int,
+    noise: Any,
+    scratch: Any,
+    seen: Any,
+) -> None:
+    """Fly healthy from sample ``first`` on; counts flags that go up in ``seen``, and samples judged.
+
+    ``noise`` of the sensors, shape (samples, 3); ``scratch``, shape (4, 4), begins with the state of the plant.
+    """
+    x, after, y, u = scratch[0], scratch[1], scratch[2], scratch[3]
+    for t in range(noise.shape[0]):
+        for j in range(3):
+            y[j] = x[j] + noise[t, j]
+        for i in range(2):
+            u[i] = 0.5 * np.sin(0.03 * (first + t) * (1.0 + 0.6 * i))
+            for j in range(4):
+                u[i] -= feedback[i, j] * x[j]
+        before_0, before_1, confirmed, lost = (
+            s.actuator[0],
+            s.actuator[1],
+            s.suspect.confirmed,
+            s.unexplained,
+        )
+        isolation.step(s, c, y, u)
+        seen[0] += 1 if s.actuator[0] > before_0 else 0
+        seen[1] += 1 if s.actuator[1] > before_1 else 0
+        seen[2] += 1 if s.suspect.confirmed > confirmed else 0
+        seen[3] += 1 if s.unexplained > lost else 0
+        seen[4] += s.tested
+        for i in range(4):
+            after[i] = 0.0
+            for j in range(4):
+                after[i] += phi[i, j] * x[j]
+            for j in range(2):
+                after[i] += gamma[i, j] * u[j]
+        for i in range(4):
+            x[i] = after[i]
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """A healthy flight.
+
+    Attributes:
+        noise: standard deviation of each sensor.
+        hours: judged.
+        alarms: flags of actuators that went up, of sensors, and changes that were not isolated.
+        seed: of the noise.
+    """
+
+    noise: float
+    hours: float
+    alarms: int
+    seed: int
+
+
+def quiet(sigma: float, hours: float, seed: int) -> Quiet:
+    """Fly healthy with moving commands, and count the alarms."""
+    plant, seen = example.plant(), np.zeros(5, np.int64)
+    count = round(hours * 3600 / example.PERIOD)
+    s, c = records(5.0, known=False)
+    rng, scratch, feedback = np.random.default_rng(seed), np.zeros((4, 4)), np.array(FEEDBACK)
+    for first in range(0, count, PORTION):
+        noise = rng.normal(0.0, sigma, (min(PORTION, count - first), 3))
+        _long(s, c, plant.phi, plant.gamma, feedback, first, noise, scratch, seen)
+    return Quiet(sigma, float(seen[4]) * example.PERIOD / 3600, int(seen[:4].sum()), seed)

@@ -1,0 +1,1 @@
+"""The redundant brake pedal: monitor, mathematics, virtual ECU."""

@@ -1,0 +1,1 @@
+"""The angle of a steering motor: monitor, mathematics, virtual ECU."""

@@ -1,0 +1,5 @@
+"""Virtual ECU of an active front steering."""
+
+from gateway_plants.steering.ecu.ecu import ECU
+
+__all__ = ["ECU"]

@@ -1,0 +1,353 @@
+"""The motor's side: a filter of its angle, and what that says of angle sensor, currents and voltages.
+
+Everything runs once for a pair of motor frames with equal counters. Three residuals are independent of each other's
+weak spots:
+
+increment  the sensor's step less the one of the alpha-beta filter's speed: sees what changes at once, at rest too
+angle      where the EMF lies in the controller's frame: (17), (18) of paper 001 turned into it give
+           (E_d, E_q) = c_M omega (sin, cos) of the sensor's error. Resistance and dead time act along the current,
+           which the controller keeps on q, so that E_d knows hardly anything of them; blind at rest
+balance    the EMF vector less c_M omega of the sensor's own speed: currents or voltages are wrong, or the angle
+"""
+
+from __future__ import annotations
+
+from math import atan2, exp, hypot, nan, pi, sin
+
+from gateway_fdi.filters import ekf_alpha_beta, feedforward
+from gateway_fdi.filters.motor import warm_resistance
+from gateway_fdi.filters.transforms import clarke, inverse_park, park, wrap
+from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_plants.steering.monitor.params import Params
+
+#: Share of a new value in the EMF's average, per millisecond.
+AVERAGE = 0.05
+#: Frames at rest after which it is known whether the sensor is lively; it is if in one of so many it turns back by more
+#: than so many steps of its resolution. On the edge between two codes any sensor does so by one.
+LEARNED, LIVELY, TURNS = 300, 25, 1.5
+#: Steps of the sensor after which the least one is its resolution; a coarser one is none [rad, electrical].
+STEPS, COARSEST = 50, 0.6
+#: Factor of the anchor's standard deviation while the sensor is at fault.
+DOUBT = 20.0
+#: For so long the filter's speed may ask for more EMF than there is [s].
+LOST = 0.05
+#: Share of a resistance's largest error that is taken for noise of a step, squared.
+SHARE = 0.25
+#: What a silent sensor should have moved is forgotten, share a frame: at rest the filter's speed is noise.
+STILL = 0.02
+#: After so many lost frames everything starts anew, perhaps while the motor turns [rad/s].
+GAP, MOVING = 8.0, 100.0
+
+
+class Const(Record):
+    """Constants."""
+
+    pole_pairs: f8
+    emf: f8
+    period: f8
+    resistance: f8
+    warm: i8
+    gate: f8
+    share: f8
+    resistance_error: f8
+    flux_error: f8
+    dead: f8
+    noise: f8
+    input_gain: f8
+    quiet: f8
+    silent: i8
+    filter: ekf_alpha_beta.Const
+    forward: feedforward.Const
+
+
+class State(Record):
+    """State.
+
+    ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]; ``speed`` of the sensor
+    [rad/s]. ``increment`` [rad, mechanical]. ``strength`` of the EMF [V]; ``e_d``, ``e_q``: it, in the
+    controller's frame, averaged [V]; ``angle``: error of the sensor [rad, mechanical], NaN where the EMF is too
+    small to tell; ``strict``: it is larger than what a wrong resistance makes, too. ``residual_d``, ``residual_q``: EMF
+    that the sensor's speed does not explain, of the last frame alone [V], in the frame at ``middle``;
+    ``balance``: averaged, in units of what parameter errors explain. ``repeated``: frames for which the sensor
+    has said the same, ``longest`` of its life, ``still``: what it should have moved meanwhile [rad]; of the
+    ``slow`` frames so many were ``lively``: it turned back, by more than its resolution. ``step``: its resolution
+    [rad, electrical], by ``steps`` that it has made, ``least`` of them, ``made``: the last. ``restarts`` of the filter.
+    """
+
+    started: i8
+    frames: i8
+    theta: f8
+    turned: f8
+    speed: f8
+    increment: f8
+    strength: f8
+    lost: i8
+    restarts: i8
+    e_d: f8
+    e_q: f8
+    angle: f8
+    r_d: f8
+    r_q: f8
+    balance: f8
+    nis: f8
+    repeated: i8
+    longest: i8
+    slow: i8
+    lively: i8
+    still: f8
+    step: f8
+    steps: i8
+    least: f8
+    made: f8
+    strict: i8
+    i_alpha: f8
+    i_beta: f8
+    residual_d: f8
+    residual_q: f8
+    middle: f8
+    filter: ekf_alpha_beta.State
+    forward: feedforward.State
+
+
+def prepare(s: State, c: Const, p: Params) -> None:
+    """Fill state and constants.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        p: parameters of the monitor.
+    """
+    motor, period = p.motor.motor, p.period_ms * 1e-3
+    s.angle = nan
+    s.step = p.angle_resolution * pi / 180.0 * motor.pole_pairs
+    c.pole_pairs, c.emf, c.period = motor.pole_pairs, motor.emf, period
+    c.resistance, c.warm = motor.resistance, p.temperature
+    c.quiet, c.silent = 2.0, max(p.frames(35.0), 10)
+    c.share = 1.0 - (1.0 - AVERAGE) ** p.period_ms
+    c.gate, c.noise = 5.0 * motor.emf, 0.05
+    c.resistance_error, c.flux_error = p.resistance_error, p.flux_error
+    c.dead = p.dead_volts
+    c.input_gain = (1.0 - exp(-motor.resistance * period / motor.lq)) / motor.resistance
+    ekf_alpha_beta.prepare(c.filter, motor, period, slow=p.slow)
+    feedforward.prepare(c.forward, motor, period)
+
+
+@kernel
+def _watch(s: State, c: Const, mechanical: float) -> None:
+    """Start the filter anew if its speed asks for an EMF that is not there: it has lost its angle."""
+    f = s.filter
+    if c.emf * abs(f.x[2]) > 2.0 * s.strength + 2.0 * c.gate:
+        s.lost += 1
+    else:
+        s.lost = 0
+    if s.lost * c.period > LOST:
+        s.lost = 0
+        s.restarts += 1
+        ekf_alpha_beta.begin(f, c.filter, mechanical)
+
+
+@kernel
+def _resolve(s: State) -> None:
+    """Take a step of the sensor: the least one is its resolution."""
+    size = abs(s.turned)
+    s.least = size if s.steps == 0 else min(s.least, size)
+    s.steps += 1
+    if s.steps == STEPS:
+        s.step = max(s.step, min(s.least, COARSEST))
+
+
+@kernel
+def _listen(s: State, c: Const) -> None:
+    """Note whether the sensor turns to and fro at rest, because of its noise, and learn its resolution."""
+    # Angles that have gone round the circle differ by arithmetic.
+    same = abs(s.turned) < 1e-9
+    if not same:
+        _resolve(s)
+    if abs(s.filter.x[2]) < c.quiet and s.slow < LEARNED and s.steps >= STEPS:
+        s.slow += 1
+        back = s.turned * s.made < 0.0 and abs(s.turned) > TURNS * s.step
+        s.lively += 1 if back else 0
+    if not same:
+        s.made = s.turned
+    if same:
+        s.repeated += 1
+        s.still += s.increment - STILL * s.still
+        return
+    if s.repeated < c.silent:
+        s.longest = max(s.longest, s.repeated)
+    s.repeated = 0
+    s.still = 0.0
+
+
+@kernel
+def _emf(s: State, c: Const, u_d: float, u_q: float, middle: float, usable: bool) -> None:
+    """Average the EMF in the controller's frame; find the sensor's error and the balance of voltages."""
+    f = s.forward
+    u_alpha, u_beta = inverse_park(u_d, u_q, middle)
+    e_alpha, e_beta = feedforward.emf(f, c.forward, u_alpha, u_beta, s.i_alpha, s.i_beta, s.filter.resistance)
+    if not usable:
+        return
+    e_d, e_q = park(e_alpha, e_beta, middle)
+    s.strength += c.share * (hypot(e_d, e_q) - s.strength)
+    way = 1.0 if s.filter.x[2] >= 0.0 else -1.0
+    s.e_d += c.share * (way * e_d - s.e_d)
+    s.e_q += c.share * (way * e_q - s.e_q)
+    size, current = hypot(s.e_d, s.e_q), hypot(s.i_alpha, s.i_beta)
+    s.angle = atan2(s.e_d, s.e_q) / c.pole_pairs if size > c.gate else nan
+    s.strict = 1 if size > c.gate + c.resistance_error * s.filter.resistance * current else 0
+    s.residual_d, s.residual_q, s.middle = e_d, e_q - c.emf * s.speed, middle
+    s.r_d += c.share * (s.residual_d - s.r_d)
+    s.r_q += c.share * (s.residual_q - s.r_q)
+    allowed = (
+        c.noise + c.dead + c.resistance_error * s.filter.resistance * current + c.flux_error * c.emf * abs(s.speed)
+    )
+    s.balance = hypot(s.r_d, s.r_q) / allowed
+
+
+@kernel
+def _begin(s: State, c: Const, theta: float, i_alpha: float, i_beta: float) -> None:
+    """Begin with a pair of frames: nothing is known of the motor's speed."""
+    f = s.filter
+    s.started = 1
+    s.frames = 0
+    ekf_alpha_beta.begin(f, c.filter, theta / c.pole_pairs)
+    f.p[2 * c.filter.n + 2] = MOVING * MOVING
+    s.theta, s.i_alpha, s.i_beta = theta, i_alpha, i_beta
+    s.forward.alpha, s.forward.beta = i_alpha, i_beta
+    s.angle = nan
+
+
+@kernel
+def _predict(s: State, c: Const, u_d: float, u_q: float, periods: float) -> None:
+    """Predict to the end of the frame, by steps of one length; lost frames are taken like the one that came."""
+    count = int(periods)
+    for k in range(count):
+        share = s.turned / count
+        ekf_alpha_beta.predict(s.filter, c.filter, u_d, u_q, s.theta + k * share, share)
+
+
+@kernel
+def _unexplained(s: State, c: Const, before: float, dt: float) -> float:
+    """Return the sensor's step less the one that the filter's mean speed makes [rad, electrical].
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        before: the filter's speed when the step began [rad/s].
+        dt: its length [s].
+    """
+    return wrap(s.turned - 0.5 * (before + s.filter.x[2]) * c.pole_pairs * dt, 2.0 * pi)
+
+
+@kernel
+def _blur(s: State, c: Const, u_d: float, u_q: float, jump: float, current: float) -> None:
+    """Let the filter doubt its currents as far as voltages and resistance are not known.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        u_d: mean voltage in the controller's frame [V].
+        u_q: likewise.
+        jump: step of the sensor that the filter does not explain [rad, electrical].
+        current: magnitude [A].
+    """
+    f, n = s.filter, c.filter.n
+    # Where the sensor jumped, nobody knows in which frame the controller made the voltages.
+    blur = c.input_gain * hypot(u_d, u_q) * sin(0.5 * min(abs(jump), pi))
+    # What a wrong resistance makes of the current, taken for noise.
+    warm = c.input_gain * c.resistance_error * f.resistance * current
+    f.p[0] += blur * blur + SHARE * warm * warm
+    f.p[n + 1] += blur * blur + SHARE * warm * warm
+
+
+@kernel
+def _filter(
+    s: State,
+    c: Const,
+    theta: float,
+    u_d: float,
+    u_q: float,
+    i_alpha: float,
+    i_beta: float,
+    periods: float,
+    trusted: bool,
+) -> None:
+    """Step the alpha-beta filter, and find the sensor's increment and speed.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        theta: electrical angle of the sensor [rad].
+        u_d: mean voltage in the controller's frame [V].
+        u_q: likewise.
+        i_alpha: current [A].
+        i_beta: likewise.
+        periods: frames since the last pair.
+        trusted: nothing is known against the sensor.
+    """
+    f = s.filter
+    s.turned = wrap(theta - s.theta, 2.0 * pi)
+    dt = periods * c.period
+    before = f.x[2]
+    _predict(s, c, u_d, u_q, periods)
+    _blur(s, c, u_d, u_q, _unexplained(s, c, before, dt), hypot(i_alpha, i_beta))
+    ekf_alpha_beta.correct(f, c.filter, i_alpha, i_beta)
+    s.nis = f.nis
+    ekf_alpha_beta.hold(f, c.filter, theta / c.pole_pairs, 1.0 if trusted else DOUBT)
+    s.increment = _unexplained(s, c, before, dt) / c.pole_pairs
+    s.speed = s.turned / (c.pole_pairs * dt)
+
+
+@kernel
+def step(
+    s: State,
+    c: Const,
+    i_u: float,
+    i_v: float,
+    theta: float,
+    u_d: float,
+    u_q: float,
+    celsius: float,
+    periods: float,
+    trusted: bool,
+) -> None:
+    """Take a pair of motor frames.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        i_u: phase current at the frame's end [A].
+        i_v: likewise.
+        theta: electrical angle used for Park there [rad].
+        u_d: mean voltage in the controller's frame [V].
+        u_q: likewise.
+        celsius: temperature of the winding [degC].
+        periods: frames since the last pair, 1 if none was lost.
+        trusted: nothing is known against the sensor that anchors the filter at standstill.
+    """
+    i_alpha, i_beta = clarke(i_u, i_v)
+    if s.started == 0 or periods > GAP:
+        _begin(s, c, theta, i_alpha, i_beta)
+        return
+    if c.warm == 1:
+        s.filter.resistance = warm_resistance(c.resistance, celsius)
+    s.frames += 1
+    _filter(s, c, theta, u_d, u_q, i_alpha, i_beta, periods, trusted)
+    _listen(s, c)
+    s.i_alpha, s.i_beta = i_alpha, i_beta
+    _emf(s, c, u_d, u_q, s.theta + 0.5 * s.turned, periods == 1.0)
+    _watch(s, c, theta / c.pole_pairs)
+    s.theta = theta
+
+
+@kernel
+def lively(s: State) -> bool:
+    """Tell whether the sensor is known to turn to and fro at rest."""
+    return bool(LIVELY * s.lively > s.slow and s.slow >= LEARNED)
+
+
+@kernel
+def silent(s: State, c: Const) -> bool:
+    """Tell whether the sensor repeats itself for longer than ever before, though it is known to be lively."""
+    for_long = s.repeated >= max(c.silent, 3 * s.longest)
+    return bool(for_long and lively(s))

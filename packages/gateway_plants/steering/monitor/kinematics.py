@@ -1,0 +1,223 @@
+"""The gear's side: motor, steering wheel and pinion angle must fit (paper 001, (1)), each at the same time.
+
+The steering wheel's sensor has a time of its own: at each of its frames, motor and pinion are taken from their history
+for the moment at which it measured. Its own rate is a second witness of it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_plants.steering.monitor import clock
+from gateway_plants.steering.monitor.params import Params
+
+#: History of the frames with motor and pinion.
+KEPT = 32
+#: The steering wheel's age is learned while it turns faster than this, from so many frames with rates so far apart
+#: [deg/s]; (1) must hold that well then [deg]. Within this it is as told [ns].
+TURNING, TURNS, SPREAD, UNEXPLAINED, RIGHT_NS = 15.0, 30, 20.0, 0.12, 1_500_000.0
+#: It is learned better until so many frames; until then it is known so nearly [ns].
+KNOWN, NEARLY = 480, 1_500_000.0
+
+
+class Const(Record):
+    """Constants."""
+
+    motor_ratio: f8
+    wheel_ratio: f8
+    delay_ns: i8
+    age_ns: i8
+    leak: f8
+    jitter: f8
+    angle_ns: f8
+    wheel_ns: f8
+    stale_ns: i8
+    unsure: f8
+    most_ns: f8
+    step: f8
+
+
+class State(Record):
+    """State.
+
+    ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one of the last three, less what late
+    frames explain. ``wheel``: the steering wheel's angle less the integral of its rate, forgetting [deg].
+    ``fitted_ns``: the last frame for which (1) could be tested. ``watched``: the rate has been followed since (1)
+    last held. ``extra_ns``: what the steering wheel's angle is older than told, ``aged`` 1: that is known; by sums over
+    its ``turns``, frames in which it turns, ``due``: with so many it is found anew, of rate and parity: ``r``, ``p``,
+    ``rr``, ``rp``, ``pp``.
+    """
+
+    at: i8
+    kept: i8
+    t_ns: Annotated[i8s, KEPT]
+    motor: Annotated[f8s, KEPT]
+    pinion: Annotated[f8s, KEPT]
+    parity: f8
+    sure: f8
+    before: f8
+    last: f8
+    wheel: f8
+    last_wheel: f8
+    last_rate: f8
+    wheel_ns: i8
+    started: i8
+    fitted_ns: i8
+    watched: i8
+    extra_ns: f8
+    aged: i8
+    turns: i8
+    due: i8
+    rate_before: f8
+    r: f8
+    p: f8
+    rr: f8
+    rp: f8
+    pp: f8
+    angle_clock: clock.Clock
+    wheel_clock: clock.Clock
+
+
+def prepare(c: Const, p: Params) -> None:
+    """Fill constants.
+
+    Args:
+        c: record of Const.
+        p: parameters of the monitor.
+    """
+    c.motor_ratio, c.wheel_ratio = p.motor_ratio, p.wheel_ratio
+    c.delay_ns, c.age_ns, c.leak = round(p.wheel_delay_ms * 1e6), 20_000_000, 2.0
+    c.jitter = 1e-3 * p.wheel_jitter_ms
+    c.angle_ns, c.wheel_ns = int(1e6 * p.angle_period), int(1e6 * p.wheel_period_ms)
+    c.stale_ns = c.age_ns + 3 * c.wheel_ns
+    c.unsure, c.most_ns = 1e-3 * p.wheel_delay_error_ms, 1e6 * p.wheel_delay_error_ms
+    c.step = p.angle_resolution
+
+
+@kernel
+def keep(s: State, t_ns: int, motor: float, pinion: float) -> None:
+    """Take a frame with motor and pinion angle [deg]."""
+    s.t_ns[s.at] = t_ns
+    s.motor[s.at] = motor
+    s.pinion[s.at] = pinion
+    s.at = (s.at + 1) % KEPT
+    s.kept = min(s.kept + 1, KEPT)
+
+
+@kernel
+def _learn(s: State, c: Const) -> None:
+    """Learn how old the steering wheel's angle is: while it turns, (1) is off by its rate times what was told wrong."""
+    rate = s.last_rate / c.wheel_ratio
+    if abs(rate) < TURNING:
+        return
+    s.turns += 1
+    parity = s.parity - 1e-9 * s.extra_ns * rate  # as it was with the age as told
+    s.r += rate
+    s.p += parity
+    s.rr += rate * rate
+    s.rp += rate * parity
+    s.pp += parity * parity
+    rr = s.rr - s.r * s.r / s.turns
+    if s.turns < max(s.due, TURNS) or rr < s.turns * SPREAD * SPREAD:
+        return
+    s.due = 2 * s.turns
+    rp, pp = s.rp - s.r * s.p / s.turns, s.pp - s.p * s.p / s.turns
+    age = -1e9 * rp / rr
+    left = max(pp - rp * rp / rr, 0.0) / s.turns
+    if left <= UNEXPLAINED * UNEXPLAINED and abs(age) <= c.most_ns:
+        s.extra_ns = age if abs(age) > RIGHT_NS else 0.0
+        s.aged = 1
+        s.before = s.last = 0.0  # what was off by it is not
+    elif s.aged == 0:
+        s.turns = 0  # an angle is wrong, or it was: once more
+        s.r = s.p = s.rr = s.rp = s.pp = 0.0
+        s.due = 0
+
+
+@kernel
+def _fastest(s: State, c: Const) -> float:
+    """Return how fast the steering wheel has turned lately, by its rate or by the other two angles [deg/s, pinion]."""
+    rate = max(abs(s.last_rate), abs(s.rate_before)) / c.wheel_ratio
+    new, old = (s.at - 1) % KEPT, (s.at - min(s.kept, 6)) % KEPT
+    dt = 1e-9 * (s.t_ns[new] - s.t_ns[old])
+    if dt > 0.0:
+        turned = s.pinion[new] - s.pinion[old] - (s.motor[new] - s.motor[old]) / c.motor_ratio
+        rate = max(rate, abs(turned) / dt)
+    return float(rate)
+
+
+@kernel
+def fit(s: State, c: Const, sampled_ns: int, wheel: float, coarse: float) -> bool:
+    """Compute (1)'s residual for a steering wheel angle [deg] measured at a time; tells whether it could be.
+
+    Frames on both sides of that moment are needed; the wheel's delay makes them likely to be there. Without a later
+    one the newest two are extrapolated, not further than ``age_ns``. :func:`follow` comes first. ``coarse``: the motor
+    sensor's resolution [deg] where that matters.
+    """
+    if s.kept < 2:
+        return False
+    t_ns = sampled_ns - int(s.extra_ns)
+    later = (s.at - 1) % KEPT
+    for _ in range(s.kept - 2):
+        before = (later - 1) % KEPT
+        if s.t_ns[before] <= t_ns:
+            break
+        later = before
+    before = (later - 1) % KEPT
+    width = s.t_ns[later] - s.t_ns[before]
+    if width <= 0 or width > c.age_ns:
+        return False
+    if t_ns < s.t_ns[before] or t_ns - s.t_ns[later] > c.age_ns:
+        return False
+    share = (t_ns - s.t_ns[before]) / width
+    motor = s.motor[before] + share * (s.motor[later] - s.motor[before])
+    pinion = s.pinion[before] + share * (s.pinion[later] - s.pinion[before])
+    s.parity = motor / c.motor_ratio + wheel / c.wheel_ratio - pinion
+    # What a frame that was late on the bus makes of a turning wheel; half a step of the sensor, and as much for what
+    # lies between two of its frames.
+    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio + coarse / c.motor_ratio
+    if s.turns < KNOWN:
+        due = s.due
+        _learn(s, c)
+        if s.aged == 1 and s.due != due:
+            return False  # the next one is with the new age
+        slack += (c.unsure if s.aged == 0 else NEARLY * 1e-9) * _fastest(s, c)
+    # One that was is not like those before and behind it.
+    one, two, three = s.before, s.last, s.parity
+    s.before, s.last = s.last, s.parity
+    middle = max(min(one, two), min(max(one, two), three))
+    s.sure = middle - min(max(middle, -slack), slack)
+    return True
+
+
+@kernel
+def begin(s: State) -> None:
+    """Follow the steering wheel anew: when it was sampled is known anew."""
+    s.started = s.watched = 0
+    s.wheel = 0.0
+
+
+@kernel
+def follow(s: State, c: Const, t_ns: int, wheel: float, rate: float) -> None:
+    """Compare the steering wheel's step [deg] with its rate [deg/s]."""
+    if s.started == 1:
+        dt = (t_ns - s.wheel_ns) * 1e-9
+        error = wheel - s.last_wheel - 0.5 * (rate + s.last_rate) * dt
+        s.wheel += error - min(c.leak * dt, 1.0) * s.wheel
+    s.started = 1
+    s.rate_before = s.last_rate
+    s.last_wheel, s.last_rate, s.wheel_ns = wheel, rate, t_ns
+
+
+@kernel
+def now(s: State, c: Const, t_ns: int) -> float:
+    """Return the steering wheel's angle at a time, continued with its rate [deg]."""
+    age = (t_ns - s.wheel_ns + c.delay_ns + s.extra_ns) * 1e-9
+    return float(s.last_wheel + s.last_rate * age)
+
+
+@kernel
+def tested(s: State, c: Const, t_ns: int) -> bool:
+    """Tell whether (1) is tested at present: the last time is not long ago."""
+    return bool(s.fitted_ns > 0 and t_ns - s.fitted_ns <= c.stale_ns)

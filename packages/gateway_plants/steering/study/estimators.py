@@ -1,0 +1,311 @@
+"""All estimators on one run: the paper's four, and the ones with the angle as a state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway_bench.study_pool import Progress, run
+from gateway_fdi.filters import ekf_alpha_beta, feedforward
+from gateway_fdi.filters.motor import Motor
+from gateway_fdi.filters.transforms import clarke, park
+from gateway_fdi.jit import Record, f8s, kernel, zeros
+from gateway_plants.steering.ecu.course import sweep, times
+from gateway_plants.steering.ecu.plant import Plant, drive, undisturbed
+from gateway_plants.steering.study.cases import DURATION
+from gateway_plants.steering.study.filters import ekf_dq, luenberger, reduced_luenberger
+
+Array = NDArray[np.float64]
+
+#: Estimators by their column. "own": Park with the own angle; "held": below 0.3 V of EMF; "printed": the sign of (46).
+NAMES = (
+    "Luenberger",
+    "reduced Luenberger",
+    "EKF3 dq",
+    "EKF4 dq + load",
+    "EKF3 dq, own angle",
+    "feedforward",
+    "feedforward, held",
+    "feedforward, sign as printed",
+    "EKF4 ab",
+    "EKF5 ab",
+    "EKF5 ab, anchored",
+)
+LO, REDUCED, EKF3, EKF4_DQ, EKF3_OWN, FF, FF_HELD, FF_PRINTED, EKF4_AB, EKF5_AB, ANCHORED = range(11)
+#: Further column behind the angles and the speeds: normalised innovation squared of EKF4 dq.
+NIS = 2 * len(NAMES)
+COLUMNS = NIS + 1
+
+#: What the research note has, on a set-up of which it does not give every time: angle rms, mechanical [deg].
+NOTE = (521.0, 318.0, 133.0, 6.1, 141.0, 671.0, 124.0, 1170.0, 2.2, 1.24, float("nan"))
+
+
+class Constants(Record):
+    """Constants of all estimators; EKF3 with its own angle has those of EKF3."""
+
+    lo: luenberger.Const
+    reduced: reduced_luenberger.Const
+    ekf3: ekf_dq.Const
+    ekf4: ekf_dq.Const
+    ff: feedforward.Const
+    ff_held: feedforward.Const
+    ff_printed: feedforward.Const
+    ekf4_ab: ekf_alpha_beta.Const
+    ekf5_ab: ekf_alpha_beta.Const
+    anchored: ekf_alpha_beta.Const
+
+
+class States(Record):
+    """States of all estimators, in the order of :data:`NAMES`."""
+
+    lo: luenberger.State
+    reduced: reduced_luenberger.State
+    ekf3: ekf_dq.State
+    ekf4: ekf_dq.State
+    ekf3_own: ekf_dq.State
+    ff: feedforward.State
+    ff_held: feedforward.State
+    ff_printed: feedforward.State
+    ekf4_ab: ekf_alpha_beta.State
+    ekf5_ab: ekf_alpha_beta.State
+    anchored: ekf_alpha_beta.State
+
+
+@kernel
+def _step_in_rotor_frame(c: Constants, s: States, u_d: float, u_q: float, i_d: float, i_q: float) -> None:
+    """Step the estimators that take Park with the sensor's angle; voltages [V], currents [A]."""
+    luenberger.step(s.lo, c.lo, u_q, i_q)
+    reduced_luenberger.step(s.reduced, c.reduced, u_q, i_q)
+    ekf_dq.step(s.ekf3, c.ekf3, u_d, u_q, i_d, i_q)
+    ekf_dq.step(s.ekf4, c.ekf4, u_d, u_q, i_d, i_q)
+
+
+@kernel
+def _step_own_angle(c: Constants, s: States, z: float, u_a: float, u_b: float, i_a: float, i_b: float) -> None:
+    """Step EKF3 with Park by its own angle; ``z`` pole pairs, voltages [V] and currents [A] alpha and beta."""
+    own = s.ekf3_own
+    o_d, o_q = park(u_a, u_b, z * own.theta)
+    ekf_dq.predict(own, c.ekf3, o_d, o_q)
+    o_d, o_q = park(i_a, i_b, z * own.theta)
+    ekf_dq.correct(own, c.ekf3, o_d, o_q)
+
+
+@kernel
+def _step_feedforward(c: Constants, s: States, u_a: float, u_b: float, i_a: float, i_b: float) -> None:
+    """Step the estimators from the EMF; voltages [V], currents [A], alpha and beta."""
+    feedforward.step(s.ff, c.ff, u_a, u_b, i_a, i_b)
+    feedforward.step(s.ff_held, c.ff_held, u_a, u_b, i_a, i_b)
+    feedforward.step(s.ff_printed, c.ff_printed, u_a, u_b, i_a, i_b)
+
+
+@kernel
+def _step_in_stator_frame(
+    c: Constants, s: States, u_1: float, u_2: float, frame: float, turned: float, i_a: float, i_b: float, sensor: float
+) -> None:  # fmt: skip
+    """Step the estimators with the angle as a state.
+
+    Args:
+        c: constants.
+        s: states.
+        u_1: voltage, d in the frame [V].
+        u_2: voltage, q in the frame [V].
+        frame: electrical angle of the voltages' frame at the step's beginning [rad].
+        turned: by so much it turned within the step [rad].
+        i_a: current, alpha [A].
+        i_b: current, beta [A].
+        sensor: measured angle, mechanical [rad], for the anchored one.
+    """
+    ekf_alpha_beta.step(s.ekf4_ab, c.ekf4_ab, u_1, u_2, frame, turned, i_a, i_b)
+    ekf_alpha_beta.step(s.ekf5_ab, c.ekf5_ab, u_1, u_2, frame, turned, i_a, i_b)
+    ekf_alpha_beta.step(s.anchored, c.anchored, u_1, u_2, frame, turned, i_a, i_b)
+    ekf_alpha_beta.hold(s.anchored, c.anchored, sensor, 1.0)
+
+
+@kernel
+def _write(c: Constants, s: States, r: f8s) -> None:
+    """Write angles, speeds and the NIS of a sample, shape (2 n + 1,)."""
+    n = (len(r) - 1) // 2
+    r[LO], r[n + LO] = s.lo.theta, s.lo.omega
+    r[REDUCED], r[n + REDUCED] = s.reduced.theta, s.reduced.omega
+    r[EKF3], r[n + EKF3] = s.ekf3.theta, s.ekf3.x[2]
+    r[EKF4_DQ], r[n + EKF4_DQ] = s.ekf4.theta, s.ekf4.x[2]
+    r[EKF3_OWN], r[n + EKF3_OWN] = s.ekf3_own.theta, s.ekf3_own.x[2]
+    # The EMF is that of the middle of the step.
+    omega = s.ekf5_ab.x[2]
+    half = 0.5 * omega * c.ekf5_ab.h * c.ekf5_ab.steps
+    r[FF], r[n + FF] = s.ff.theta + half, omega
+    r[FF_HELD], r[n + FF_HELD] = s.ff_held.theta + half, omega
+    r[FF_PRINTED], r[n + FF_PRINTED] = s.ff_printed.theta + half, omega
+    r[EKF4_AB], r[n + EKF4_AB] = s.ekf4_ab.x[3], s.ekf4_ab.x[2]
+    r[EKF5_AB], r[n + EKF5_AB] = s.ekf5_ab.x[3], s.ekf5_ab.x[2]
+    r[ANCHORED], r[n + ANCHORED] = s.anchored.x[3], s.anchored.x[2]
+    r[2 * n] = s.ekf4.nis
+
+
+@kernel
+def _estimate(c: Constants, s: States, x: Any, z: float, mean_dq: bool, out: f8s) -> None:
+    """Run all estimators over samples.
+
+    Args:
+        c: constants.
+        s: states.
+        x: samples, shape (n,) of SAMPLE.
+        z: pole pairs.
+        mean_dq: whether voltages are means in the controller's frame, else in the stator's.
+        out: angles, speeds and the NIS, shape (n, COLUMNS).
+    """
+    last = z * x[0].sensor
+    ekf_alpha_beta.begin(s.ekf4_ab, c.ekf4_ab, x[0].sensor)
+    ekf_alpha_beta.begin(s.ekf5_ab, c.ekf5_ab, x[0].sensor)
+    ekf_alpha_beta.begin(s.anchored, c.anchored, x[0].sensor)
+    for k in range(x.shape[0]):
+        m = x[k]
+        theta = z * m.sensor
+        i_a, i_b = clarke(m.i_u, m.i_v)
+        i_d, i_q = park(i_a, i_b, theta)
+        u_a, u_b = m.u_alpha, m.u_beta
+        frame, turned = 0.0, 0.0
+        u_d, u_q = park(u_a, u_b, 0.5 * (theta + last))
+        u_1, u_2 = u_a, u_b
+        if mean_dq:
+            u_d, u_q = m.u_d, m.u_q
+            u_1, u_2, frame, turned = u_d, u_q, last, theta - last
+        _step_in_rotor_frame(c, s, u_d, u_q, i_d, i_q)
+        _step_own_angle(c, s, z, u_a, u_b, i_a, i_b)
+        _step_feedforward(c, s, u_a, u_b, i_a, i_b)
+        _step_in_stator_frame(c, s, u_1, u_2, frame, turned, i_a, i_b, m.sensor)
+        last = theta
+        _write(c, s, out[k])
+
+
+def _constants(m: Motor, period: float) -> Any:
+    """Return the constants of all estimators, for samples at a period [s]."""
+    c = zeros(1, Constants)[0]
+    luenberger.prepare(c.lo, m, period)
+    reduced_luenberger.prepare(c.reduced, m, period)
+    ekf_dq.prepare(c.ekf3, m, period, load=False, voltage=0.02, torque=1.2, current=0.1)
+    ekf_dq.prepare(c.ekf4, m, period, load=True)
+    feedforward.prepare(c.ff, m, period, held=0.0)
+    feedforward.prepare(c.ff_held, m, period)
+    feedforward.prepare(c.ff_printed, m, period, held=0.0, printed=True)
+    ekf_alpha_beta.prepare(c.ekf4_ab, m, period, load=False, voltage=0.0114, torque=1.35, current=0.44, slow=0.0)
+    ekf_alpha_beta.prepare(c.ekf5_ab, m, period, slow=0.0)
+    ekf_alpha_beta.prepare(c.anchored, m, period)
+    return c
+
+
+def estimate(samples: NDArray[np.void], period: float, *, mean_dq: bool = False) -> Array:
+    """Run all estimators over samples, shape (n,) of SAMPLE.
+
+    Args:
+        samples: of the plant.
+        period: of the samples [s].
+        mean_dq: voltages as means in the controller's frame, as the bus has them; else in the stator's.
+
+    Returns:
+        shape (n, 23): angles [rad] and speeds [rad/s] in the order of :data:`NAMES`, then EKF4 dq's NIS.
+    """
+    m = Motor()
+    s = zeros(1, States)[0]
+    for filtered in (s.ff, s.ff_held, s.ff_printed):  # they begin at the sensor's angle
+        filtered.theta_e = m.pole_pairs * samples["sensor"][0]
+    x = zeros(len(samples), samples.dtype)
+    x[:] = samples
+    out = np.zeros((len(samples), COLUMNS))
+    _estimate(_constants(m, period), s, x, float(m.pole_pairs), mean_dq, out)
+    return out
+
+
+def nominal(seed: int, period: float) -> NDArray[np.void]:
+    """Return the study's course with the nominal motor and all its noise."""
+    course = sweep(times(DURATION))
+    wrong = undisturbed(len(course.motor))
+    rng = np.random.default_rng(seed)
+    return drive(Plant(), course.motor, course.load, wrong, rng, period)
+
+
+@dataclass
+class Accuracy:
+    """Errors of an estimator, means over the seeds.
+
+    ``angle_rms``, ``angle_max`` mechanical [deg]; ``speed_rms``, and ``moving`` of it beyond 5 rad/s [rad/s];
+    ``standstill``: worst drift within a second of rest [deg]; ``note``: angle rms of the research note, 1 ms.
+    """
+
+    estimator: str
+    period_ms: float
+    voltages: str
+    seeds: int
+    angle_rms: float
+    angle_max: float
+    speed_rms: float
+    moving: float
+    standstill: float
+    note: float
+
+
+Job = tuple[int, float, bool]
+
+
+def _work(job: Job) -> list[tuple[Job, list[tuple[float, float, float, float, float]]]]:
+    seed, period, mean_dq = job
+    x = nominal(seed, period)
+    out = estimate(x, period, mean_dq=mean_dq)
+    rows = []
+    moves = np.abs(x["omega"]) > 5.0
+    second = round(1.0 / period)
+    still = np.convolve(moves, np.ones(second), "valid") == 0
+    n = len(NAMES)
+    for j in range(n):
+        angle = np.degrees(out[:, j] - x["theta"])
+        speed = out[:, n + j] - x["omega"]
+        drifted = np.abs(angle[second - 1 :] - angle[: len(angle) - second + 1])[still]
+        rows.append(
+            (
+                float(np.sqrt(np.mean(angle**2))),
+                float(np.abs(angle).max()),
+                float(np.sqrt(np.mean(speed**2))),
+                float(np.sqrt(np.mean(speed[moves] ** 2))),
+                float(drifted.max(initial=0.0)),
+            )
+        )
+    return [(job, rows)]
+
+
+def jobs(seeds: int) -> list[Job]:
+    """Return the jobs of :func:`accuracy`: 1 ms in both forms of the voltages, then 2 and 5 ms."""
+    forms = ((1e-3, False), (1e-3, True), (2e-3, True), (5e-3, True))
+    return [(seed, period, mean) for period, mean in forms for seed in range(seeds)]
+
+
+def accuracy(job_list: list[Job], progress: Progress = lambda: None) -> list[Accuracy]:
+    """Return the errors of all estimators, a row for each form of samples."""
+    if not job_list:
+        return []
+    _work(job_list[0])  # fills the kernels' cache before several processes want it
+    groups: dict[tuple[float, bool], list[Any]] = {}
+    for job, rows in run(_work, job_list, progress):
+        groups.setdefault(job[1:], []).append(rows)
+    found = []
+    for (period, mean), rows in groups.items():
+        means = np.mean(np.array(rows), axis=0)
+        for name, note, values in zip(NAMES, NOTE, means, strict=True):
+            rms, most, speed, moving, standstill = map(float, values)
+            found.append(
+                Accuracy(
+                    estimator=name,
+                    period_ms=1e3 * period,
+                    voltages="dq" if mean else "alpha beta",
+                    seeds=len(rows),
+                    angle_rms=rms,
+                    angle_max=most,
+                    speed_rms=speed,
+                    moving=moving,
+                    standstill=standstill,
+                    note=note if period == 1e-3 and not mean else float("nan"),
+                )
+            )
+    return found

@@ -1,0 +1,70 @@
+"""Reduced Luenberger observer of the speed (paper 001, equations (25) to (33)).
+
+With x_B = omega_hat - K_r I_q, and dI_q/dt and domega/dt from (19) put into (31)::
+
+    dx_B/dt = a x_B + (a K_r + k_t/J + K_r R/L) I_q - K_r/L U_q,   a = -b/J + K_r c_M/L      (32), corrected
+    omega_hat = x_B + K_r I_q                                                                (33), corrected
+
+Corrections: the printed (32) lacks K_r beside c_M/L (twice), has z_p R/L where K_r R/L belongs, and the wrong sign
+before U_q; the printed (33) has a dot on omega_hat. As printed, the pole lies at -b/J + c_M/L, +296 1/s with the
+default motor: unstable. The pole is at a = -p for K_r = (b/J - p) L / c_M. A load M leaves the error -M/(J p).
+"""
+
+from __future__ import annotations
+
+from math import exp
+
+from gateway_fdi.filters.motor import Motor
+from gateway_fdi.jit import Record, f8, kernel
+
+
+class Const(Record):
+    """Constants."""
+
+    a: f8
+    current: f8
+    voltage: f8
+    gain: f8
+    period: f8
+
+
+class State(Record):
+    """State: ``theta``: mechanical angle [rad], the integral of the speed."""
+
+    x: f8
+    omega: f8
+    theta: f8
+    current: f8
+
+
+def printed_pole(motor: Motor) -> float:
+    """Return the pole of (32) as it is printed [1/s]."""
+    return -motor.friction / motor.inertia + motor.emf / motor.lq
+
+
+def prepare(c: Const, motor: Motor, period: float, pole: float = -700.0) -> None:
+    """Fill a record of Const for a continuous pole [1/s], discretised exactly; period [s]."""
+    gain = (motor.friction / motor.inertia + pole) * motor.lq / motor.emf
+    a = pole
+    c.a = exp(a * period)
+    held = (c.a - 1.0) / a
+    c.current = held * (a * gain + motor.torque / motor.inertia + gain * motor.resistance / motor.lq)
+    c.voltage = -held * gain / motor.lq
+    c.gain, c.period = gain, period
+
+
+@kernel
+def step(s: State, c: Const, u_q: float, i_q: float) -> None:
+    """Take one step; the current in between is taken for the mean of both ends.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        u_q: mean voltage over the step that ends now [V].
+        i_q: current now [A].
+    """
+    s.x = c.a * s.x + c.current * 0.5 * (s.current + i_q) + c.voltage * u_q
+    s.current = i_q
+    before = s.omega
+    s.omega = s.x + c.gain * i_q
+    s.theta += 0.5 * (before + s.omega) * c.period

@@ -1,0 +1,1 @@
+"""Plants given as a model of equations: monitor, mathematics, virtual ECU."""

@@ -1,0 +1,188 @@
+"""What a monitor made from a model can report: its faults, the groups that cannot be told apart, and the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gateway.monitors.contract import VAGUE, Blame, Debounce, Fault
+from gateway_fdi.masks import unpack
+from gateway_fdi.structure.model import Model
+from gateway_plants.structural.monitor.decision import AS_BITS, TWO_DIGITS
+from gateway_plants.structural.monitor.plan import Plan, Test
+from gateway_plants.structural.monitor.records import SHOWN
+
+#: Name of what no fault alone, and no group, explains.
+UNISOLATED = "unisolated"
+#: Sizes that the evidence of a group shows.
+MOST_SIZES = 2
+#: Length of a name, beyond which groups have numbers.
+_MOST_NAME = 60
+
+_FOUND = Debounce(failed_after=1, passed_after=1)
+#: What a verdict rests on.
+_LARGEST = "largest test statistic / its threshold"
+
+
+def names_of(plan: Plan) -> tuple[str, ...]:
+    """Return the names of the faults, in the order in which they are reported."""
+    names: list[str] = []
+    for faults in plan.diagnoses:
+        name = "_or_".join(faults)
+        names.append(name if len(name) <= _MOST_NAME else f"group_{len(names) + 1}")
+    return (*names, UNISOLATED)
+
+
+class Shown(NamedTuple):
+    """What the evidence of a result shows.
+
+    Attributes:
+        tests: by their numbers; of each residual and T over J.
+        meters: sizes, by their place in :attr:`Plan.measured`.
+    """
+
+    tests: list[int]
+    meters: list[int]
+
+
+def shown(plan: Plan) -> Iterator[Shown]:
+    """Yield what the evidence of each result shows: up to three tests, or two and the sizes of up to two faults."""
+    place = {fault: k for k, fault in enumerate(plan.measured)}
+    for faults in plan.diagnoses:
+        meters = [place[fault] for fault in faults if fault in place][:MOST_SIZES]
+        tests = [k for k, test in enumerate(plan.tests) if set(faults) <= set(test.faults)]
+        yield Shown(tests[: SHOWN - 1 if meters else SHOWN], meters)
+    yield Shown(list(range(min(SHOWN, len(plan.tests)))), [])
+
+
+def equations_in_words(model: Model, test: Test) -> str:
+    """Return what a test checks, and what it computes that from."""
+    check = model.by_name[test.consistency]
+    said = f"{check.name} ({check.text})" if check.text else check.name
+    relation = f"{said}: {check.relation.text}" if check.relation is not None else said
+    if check.differential:
+        relation = f"{said}: the slope of {check.differential}"
+    used = [name for name in test.equations if name != test.consistency]
+    return f"{relation}, by {', '.join(used)}" if used else relation
+
+
+def _text(model: Model, fault: str) -> str:
+    quantity = model.quantities.get(fault)
+    return quantity.text if quantity is not None and quantity.text else fault
+
+
+def _labels(model: Model, plan: Plan, what: Shown) -> tuple[str, ...]:
+    """Return the names of the evidence."""
+    found = []
+    for k in what.tests:
+        test = plan.tests[k]
+        unit = f" [{test.unit}]" if test.unit else ""
+        found += [f"residual of {test.name}, {equations_in_words(model, test)}{unit}", f"T over J of {test.name}"]
+    faults = list(plan.measured)
+    found += [f"size of {faults[k]}, {_size_in_words(model, faults[k])}" for k in what.meters]
+    if len(plan.tests) <= AS_BITS:
+        bits = ", ".join(f"{test.name} {1 << k}" for k, test in enumerate(plan.tests))
+        fired = f"tests that have fired ({bits})"
+    else:
+        fired = "tests that have fired, the first ones, three digits each, as gateway check numbers them"
+    if len(plan.faults) <= TWO_DIGITS:
+        places = ", ".join(f"{k + 1} {fault}" for k, fault in enumerate(plan.faults))
+        ranked = f"faults that explain them, likeliest first, two digits each ({places})"
+    else:
+        ranked = "faults that explain them, likeliest first, three digits each, as gateway check numbers them"
+    return (*found, fired, ranked)
+
+
+def _size_in_words(model: Model, fault: str) -> str:
+    """Return what the size of a fault is: its text, where it stands, and its unit."""
+    (where,) = (e for e in model.equations if fault in e.faults)
+    quantity = model.quantities.get(fault)
+    unit = f" [{quantity.unit}]" if quantity is not None and quantity.unit not in ("", "1") else ""
+    relation = f", in {where.relation.text}" if where.relation is not None else ""
+    text = _text(model, fault)
+    return f"{text if text != fault else where.name}{relation}{unit}"
+
+
+def faults_of(model: Model, plan: Plan, codes: dict[str, str]) -> tuple[Fault, ...]:
+    """Return what can be reported.
+
+    Args:
+        model: the model.
+        plan: the tests.
+        codes: base code of each.
+    """
+    found = []
+    diagnoses: list[tuple[str, ...]] = [*plan.diagnoses, ()]
+    for name, faults, what in zip(names_of(plan), diagnoses, shown(plan), strict=True):
+        words = " or ".join(_text(model, fault) for fault in faults)
+        if not faults:
+            text, kind = f"{model.name}: a fault that is not isolated (yet), or several", "62"
+        elif len(faults) > 1:
+            text, kind = f"{words}: the tests cannot tell these apart", "62"
+        else:
+            text, kind = words, "64"
+        checks = "; ".join(
+            f"{plan.tests[k].name} checks {equations_in_words(model, plan.tests[k])}" for k in what.tests
+        )
+        remedy = f"{f'look at {words}' if faults else 'look at what the fired tests have in common'}; {checks}"
+        labels = _labels(model, plan, what)
+        found.append(Fault(name, f"{codes[name]}-{kind}", text, labels, _FOUND, remedy=remedy, tested=_LARGEST))
+    return tuple(found)
+
+
+def blames(model: Model, plan: Plan) -> dict[str, list[Blame]]:
+    """Return what each fault blames: the faults of the model that it stands for, and of what is not isolated, all.
+
+    A fault in the equation of a sensor blames the sensor's signal, any other one the part that it is named after.
+    """
+    sensors = _sensors(model)
+    parts = {f: Blame(sensors[f]) if f in sensors else Blame(f, "plant") for f in plan.faults}
+    own = {
+        fault: tuple(other for other, too in zip(plan.faults, row, strict=True) if too)
+        for fault, row in zip(plan.faults, plan.isolability.confused, strict=True)
+    }
+    found = {
+        name: [parts[f] if own[f] == faults else parts[f]._replace(share=VAGUE) for f in faults]
+        for name, faults in zip(names_of(plan), plan.diagnoses, strict=False)
+    }
+    every = [one._replace(share=VAGUE) for one in dict.fromkeys(parts.values())]
+    return found | {UNISOLATED: [*every, Blame("model", "model")]}
+
+
+#: How likely a test fires if a fault is there that it sees: of a large one all do, of a small one few.
+_FIRES = 0.8
+
+
+def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
+    """Return whom the failure of each test blames: the faults that it sees, and the model."""
+    sensors = _sensors(model)
+    parts = {f: Blame(sensors[f]) if f in sensors else Blame(f, "plant") for f in plan.faults}
+    return {
+        test.name: [
+            *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
+            Blame("model", "model"),
+        ]
+        for test in plan.tests
+    }
+
+
+def levels(plan: Plan, state: Any) -> list[float]:
+    """Return the levels of the tests: T over J, 1 at least as long as a test counts as one that has fired."""
+    own = state["own"]
+    fired = unpack(np.asarray(own["fired"])[None, :], len(plan.tests))[0]
+    norms = np.asarray(own["norm"])[: len(plan.tests)]
+    return [max(float(norm), 1.0) if up else min(float(norm), 0.0) for norm, up in zip(norms, fired, strict=True)]
+
+
+def _sensors(model: Model) -> dict[str, str]:
+    """Return the faults that add to what a sensor reads: fault -> its known variable."""
+    found: dict[str, str] = {}
+    for equation in model.equations:
+        if equation.relation is None or len(equation.variables) != 1 or len(equation.knowns) != 1:
+            continue
+        sides = {equation.relation.left.text, equation.relation.right.text}
+        x, z = equation.variables[0], equation.knowns[0]
+        found |= {fault: z for fault in equation.faults if sides == {z, f"{x} + {fault}"}}
+    return found

@@ -1,0 +1,168 @@
+"""Residuals without what the plant's parameters and sensors are off by, as far as that is known.
+
+Each of these is a slow error x_j of :mod:`gateway_fdi.slow.filter`, a share of its bound, in [-1, 1]. What a residual r
+has of them comes from the model's own sensitivities around a point x0, at which the model stands: h_j is by how much
+the residual gets less when the model takes x_j + 1 for x_j. To first order, with v the residual of the true model,
+
+    r + h' x0 = h' x + v
+
+which is a measurement of x. At the beginning x_j may be anywhere between its bounds: variance 1/3. The noise v is not
+white (filters, what the model leaves out): it is taken as independent only once in a time tau, so that its variance is
+tau / dt times what it is, dt the time between two samples.
+
+The residual of the corrected model is r + h' (x0 - x). What is not known of x yet leaves a variance h' P h in it,
+beside that of its noise, sigma^2. The tests have it as a residual of the noise that they were calibrated for:
+
+    r := (r + h' (x0 - x)) sigma / sqrt(sigma^2 + h' P h)
+
+so that their thresholds are as much higher as the parameters are unknown. sigma is what nu says, or, where none is
+known yet (calibration), a running mean.
+
+When x has moved away from x0, the generators go on with the parameters and readings of x, their states carried there
+by their own sensitivities. x0 moves in steps: what a product of two that are off leaves is of second order in x - x0,
+and a model that moved with each sample would run after the filters of its own residual.
+
+A fault that begins moves a residual as a parameter would that jumps, and parameters do not jump: while a test has
+fired, or a residual is too large for noise, x is held to its rate. What ages into an alarm leaves it again; a fault
+that is larger than the bounds stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import exp, isfinite, sqrt
+from typing import Annotated, Any
+
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
+from gateway_fdi.slow import filter as slow
+from gateway_plants.structural.monitor.decision import NU_OF_NOISE
+from gateway_plants.structural.monitor.plan import MOST_TESTS
+
+#: Standard deviations beyond which a residual is no more of what may be off than while a test has fired.
+DOUBTED = 4.0
+#: Share of a bound by which x may be off x0.
+FAR = 0.1
+#: Time over which the noise of a residual is averaged where no nu is known [s].
+AVERAGED_S = 10.0
+
+
+class Const(Record):
+    """Constants: of the filter; of each test the standard deviation of its noise, and the time it is independent in."""
+
+    slow: slow.Const
+    bound: Annotated[f8s, slow.MOST] = means("of what may be off, a share; of a bias in the sensor's unit")
+    sigma: Annotated[f8s, MOST_TESTS] = means("of each healthy residual; not above 0: not known")
+    apart_s: Annotated[f8s, MOST_TESTS] = means("after which its noise is independent", "s")
+
+
+class State(Record):
+    """State."""
+
+    slow: slow.State
+    h: Annotated[f8s, slow.MOST] = means("by which the residual at hand gets less with each share")
+    point: Annotated[f8s, slow.MOST] = means("x0, shares at which the model stands")
+    step: Annotated[f8s, slow.MOST] = means("by which it was moved last")
+    moved_ns: i8 = means("when that was", "ns")
+    corrected: f8 = means("residual of the corrected model, that :func:`correct` has seen last")
+    power: Annotated[f8s, MOST_TESTS] = means("running mean square of each")
+
+
+@kernel
+def moves(s: State, c: Const, own: Any, own_const: Any, begins: bool) -> bool:
+    """Let the time since the last sample pass; returns whether the model is to be moved to x.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        own: State of the monitor.
+        own_const: Const of the monitor.
+        begins: it is the very first sample.
+    """
+    if begins:
+        s.moved_ns = own.at_ns
+        return True
+    slow.wait(s.slow, own.dt)
+    far = 0.0
+    for i in range(c.slow.count):
+        far = max(far, abs(s.slow.taken[i] - s.point[i]))
+    if 10 * (own.at_ns - s.moved_ns) < own_const.settle_ns or far <= FAR:
+        return False
+    for i in range(c.slow.count):
+        s.step[i] = s.slow.taken[i] - s.point[i]
+        s.point[i] = s.slow.taken[i]
+    s.moved_ns = own.at_ns
+    return True
+
+
+@kernel
+def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: float) -> float:
+    """Return a test's residual as the decision takes it; its sensitivities are in ``s.h``.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        own: State of the monitor.
+        own_const: Const of the monitor.
+        k: number of the test.
+        residual: as it was computed.
+    """
+    s.corrected = residual
+    if not isfinite(residual):
+        return residual
+    rest = corrected = residual
+    for i in range(c.slow.count):
+        rest += s.h[i] * s.point[i]
+        corrected += s.h[i] * (s.point[i] - s.slow.taken[i])
+    s.corrected = corrected
+    settled = own.at_ns - own.since_ns >= own_const.settle_ns and own.at_ns - own.from_ns[k] >= own_const.settle_ns
+    sigma = c.sigma[k]
+    if not sigma > 0.0:
+        sigma = _running(s, k, corrected, own.dt, settled)
+    if not sigma > 0.0:
+        return corrected
+    doubt = slow.doubt(s.slow, c.slow, s.h)
+    spread = sqrt(sigma * sigma + doubt * doubt)
+    if settled and own.dt > 0.0:
+        fired = abs(corrected) > DOUBTED * spread
+        for w in range(len(own.fired)):
+            fired = fired or own.fired[w] != 0
+        many = max(c.apart_s[k] / own.dt, 1.0)
+        slow.measure(s.slow, c.slow, s.h, rest, many * sigma * sigma, slow.HELD if fired else slow.LEARNS)
+    return float(corrected * sigma / spread)
+
+
+@kernel
+def _running(s: State, k: int, corrected: float, dt: float, settled: bool) -> float:
+    """Return the root of a residual's running mean square."""
+    if settled:
+        share = 1.0 - exp(-dt / AVERAGED_S)
+        s.power[k] += share * (corrected * corrected - s.power[k]) if s.power[k] > 0.0 else corrected * corrected
+    return sqrt(s.power[k])
+
+
+def prepare(s: State, c: Const, bounds: Sequence[float], seconds: float) -> None:
+    """Fill what is told of all that may be off.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        bounds: of each.
+        seconds: within which it may change by its whole bound.
+    """
+    c.slow.count = n = len(bounds)
+    c.bound[:n], c.slow.group[:n] = bounds, range(n)
+    c.slow.low[:n], c.slow.high[:n], c.slow.prior[:n], c.slow.rate[:n] = -1.0, 1.0, sqrt(1.0 / 3.0), 1.0 / seconds
+    slow.prepare(s.slow, c.slow)
+
+
+def prepare_test(c: Const, k: int, nu: float, apart_s: float) -> None:
+    """Fill the constants of a test.
+
+    Args:
+        c: record of Const.
+        k: number of the test.
+        nu: of its residual; infinite: not known.
+        apart_s: after which its noise is independent [s].
+    """
+    c.sigma[k] = nu / NU_OF_NOISE if isfinite(nu) else 0.0
+    c.apart_s[k] = apart_s

@@ -1,0 +1,1 @@
+"""The hybrid truck: monitor, mathematics, virtual ECU."""

@@ -1,0 +1,56 @@
+"""Residuals that use the gear wait: a gear change, past or to come, takes away those of 200 ms before and behind it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from gateway_fdi.jit import Record, f8s, i8, i8s, kernel
+
+#: Residuals that wait beside each other, and sets that they can wait for.
+LANES, MOST = 2, 64
+
+
+class State(Record):
+    """``held``, ``due``: residuals that wait, and whether they count; ``quiet``: sets until they count again."""
+
+    at: i8
+    gear: i8
+    quiet: i8
+    held: Annotated[f8s, MOST, LANES]
+    due: Annotated[i8s, MOST]
+
+
+@kernel
+def forget(s: State, wait: int) -> None:
+    """Drop what waits, and count nothing for a while."""
+    s.quiet = wait
+    for k in range(MOST):
+        s.due[k] = 0
+
+
+@kernel
+def put(s: State, wait: int, gear: int, counts: bool, first: float, second: float) -> int:
+    """Take a set's residuals; returns the place of those that have waited and count, or -1.
+
+    Args:
+        s: state.
+        wait: sets before and behind a gear change.
+        gear: of this set.
+        counts: whether they may count: the clutch holds, and a gear is in.
+        first: residual of lane 0.
+        second: of lane 1.
+    """
+    if gear != s.gear:
+        s.gear = gear
+        forget(s, wait)
+    now = s.at % MOST
+    s.held[now, 0], s.held[now, 1] = first, second
+    s.due[now] = 1 if counts and s.quiet == 0 else 0
+    s.quiet = max(s.quiet - 1, 0)
+    ready = (s.at - wait) % MOST
+    behind = s.at >= wait and s.due[ready] == 1
+    s.at += 1
+    if behind:
+        s.due[ready] = 0
+        return int(ready)
+    return -1

@@ -1,0 +1,163 @@
+"""Residual generator T4_ICDS of truck: made from its model, not by hand.
+
+Consistency relation e32: omega_gb = omega_w * u_f
+Sequence ({omega_e}, {e36}), ({m_f}, {e1}), ({p_f}, {e3}), ({T_e}, {e2}), ({I_b}, {e33}), ({SoC}, {e4}), ({U_oc}, {e5}), ({U_b}, {e6}), ({U_em}, {e34}), ({I_em}, {e11}), ({k_a}, {e9}), ({u_gb}, {e18}), ({omega_gb}, {e37}), ({omega_mj}, {e23}), ({omega_em}, {e16}), ({T_em}, {e10}), ({T_c}, {e12}), ({T_mj}, {e14}), ({J_mj}, {e15}), ({J_gb}, {e17}), ({T_gbl}, {e20}), ({eta_gb}, {e19}), ({T_gb}, {e21}), ({J_tot}, {e22}), ({m_v}, {e24}), ({T_g}, {e27}), ({T_b}, {e28}), ({T_d, T_r, T_net, omega_w}, {e25, e26, e29, e30})
+"""
+
+from math import sin, isfinite, pi
+from typing import Annotated, Any
+
+from gateway_fdi.structure.generator.runtime import advance, incline, interpolate, root, sign
+from gateway_fdi.jit import Record, f8, f8s, kernel
+
+
+class State(Record):
+    SoC: f8
+    d_SoC: f8
+    m_f: f8
+    d_m_f: f8
+    omega_w: f8
+    d_omega_w: f8
+    jacobian_0: Annotated[f8s, 9]
+    slopes_0: Annotated[f8s, 9]
+    hold_0: Annotated[f8s, 54]
+    shown_I_em: f8
+    shown_u_gb: f8
+
+
+class Const(Record):
+    q_LHV: f8
+    eta_e_i: f8
+    N_cyl: f8
+    B: f8
+    S: f8
+    p_me0_g: f8
+    k_1: f8
+    k_2: f8
+    k_3: f8
+    k_4: f8
+    Pi_bl: f8
+    Q_b: f8
+    R_b: f8
+    k_i: f8
+    eta_em_0: f8
+    c_em_f: f8
+    u_em: f8
+    J_em: f8
+    J_c: f8
+    J_e: f8
+    eta_pos: f8
+    eta_neg: f8
+    u_f: f8
+    m_v0: f8
+    rho: f8
+    C_d: f8
+    A_f: f8
+    C_r: f8
+    r_w: f8
+    g: f8
+    c_w: f8
+    T_l0: f8
+    T_lg: f8
+    T_lw: f8
+    n_g: f8
+    f_1_x: Annotated[f8s, 11]
+    f_1_y: Annotated[f8s, 11]
+    f_2_x: Annotated[f8s, 12]
+    f_2_y: Annotated[f8s, 12]
+    f_3_x: Annotated[f8s, 12]
+    f_3_y: Annotated[f8s, 12]
+    start_SoC: f8
+    start_m_f: f8
+
+
+KNOWNS = ('ice_ctrl', 'u_c', 'gear', 'alpha', 'T_b_ctrl', 'I_b_sens', 'U_em_sens', 'omega_e_sens', 'omega_gb_sens')
+
+
+@kernel
+def reset(s: State, c: Const) -> None:
+    """Let carried states begin at their start values."""
+    s.SoC = c.start_SoC
+    s.m_f = c.start_m_f
+
+
+@kernel
+def start(s: State, c: Const, u: Any) -> None:
+    """Let the other states begin so that the residual does at zero."""
+    s.d_SoC = 0.0
+    s.d_m_f = 0.0
+    s.d_omega_w = 0.0
+    omega_gb = u.omega_gb_sens  # e37
+    s.omega_w = omega_gb/c.u_f
+
+
+@kernel
+def step(s: State, c: Const, u: Any, dt: float) -> float:
+    """Take a sample, dt [s] behind the one before; returns the residual."""
+    s.slopes_0[0] = s.d_SoC
+    s.slopes_0[1] = s.d_m_f
+    s.slopes_0[2] = s.d_omega_w
+    advance(s.jacobian_0, s.slopes_0, s.hold_0, dt)
+    s.SoC += s.slopes_0[6]
+    s.m_f += s.slopes_0[7]
+    s.omega_w += s.slopes_0[8]
+    omega_e = u.omega_e_sens  # e36
+    d_m_f = 0.25*u.ice_ctrl*omega_e/(pi*c.q_LHV)  # e1
+    p_f = c.Pi_bl*c.k_1*root(c.k_4/c.B)*(c.S**2*c.k_3*omega_e**2 + c.k_2)  # e3
+    T_e = 0.0625*c.B**2*c.N_cyl*c.S*(-p_f - c.p_me0_g + 4.0*c.eta_e_i*u.ice_ctrl/(pi*c.B**2*c.N_cyl*c.S))  # e2
+    I_b = u.I_b_sens  # e33
+    d_SoC = -I_b/c.Q_b  # e4
+    U_oc = interpolate(c.f_1_x, c.f_1_y, s.SoC)  # e5
+    U_b = -I_b*c.R_b + U_oc  # e6
+    U_em = u.U_em_sens  # e34
+    I_em = I_b*U_b/U_em  # e11
+    k_a = c.eta_em_0**(sign(I_em))*c.k_i  # e9
+    u_gb = interpolate(c.f_3_x, c.f_3_y, u.gear)  # e18
+    omega_gb = u.omega_gb_sens  # e37
+    omega_mj = omega_gb*u_gb  # e23
+    omega_em = omega_mj*c.u_em  # e16
+    T_em = I_em*k_a - c.c_em_f*omega_em  # e10
+    T_c = T_e*u.u_c  # e12
+    T_mj = T_c + T_em*c.u_em  # e14
+    J_mj = c.J_c + c.J_e + c.J_em*c.u_em**2  # e15
+    J_gb = interpolate(c.f_2_x, c.f_2_y, u.gear)  # e17
+    T_gbl = c.T_l0 + c.T_lg*(-u.gear + c.n_g) + c.T_lw*omega_mj  # e20
+    eta_gb = ((c.eta_pos) if (T_gbl < T_mj) else (c.eta_neg))  # e19
+    T_gb = eta_gb*u_gb*(-T_gbl + T_mj)  # e21
+    J_tot = u_gb**2*(J_gb + J_mj)  # e22
+    m_v = -s.m_f + c.m_v0  # e24
+    T_g = c.g*m_v*c.r_w*sin(u.alpha)  # e27
+    T_b = u.T_b_ctrl  # e28
+    T_d = 0.5*c.A_f*c.C_d*s.omega_w**2*c.r_w**3*c.rho  # e25
+    T_r = max(-c.C_r*c.g*m_v*c.r_w, min(c.c_w*s.omega_w, c.C_r*c.g*m_v*c.r_w))  # e26
+    T_net = -T_b - T_d - T_g + T_gb*c.u_f - T_r  # e29
+    d_omega_w = T_net/(J_tot*c.u_f**2 + m_v*c.r_w**2)  # e30
+    s.shown_I_em = I_em
+    s.shown_u_gb = u_gb
+    s.d_SoC = d_SoC if isfinite(d_SoC) else 0.0
+    s.d_m_f = d_m_f if isfinite(d_m_f) else 0.0
+    s.d_omega_w = d_omega_w if isfinite(d_omega_w) else 0.0
+    U_oc__SoC = incline(c.f_1_x, c.f_1_y, s.SoC)
+    U_b__SoC = U_oc__SoC
+    I_em__SoC = (I_b/U_em) * U_b__SoC
+    k_a__SoC = 0.0
+    T_em__SoC = (k_a) * I_em__SoC + (I_em) * k_a__SoC
+    T_mj__SoC = (c.u_em) * T_em__SoC
+    eta_gb__SoC = 0.0
+    T_gb__SoC = (eta_gb*u_gb) * T_mj__SoC + (u_gb*(-T_gbl + T_mj)) * eta_gb__SoC
+    m_v__m_f = -1.0
+    T_g__m_f = (c.g*c.r_w*sin(u.alpha)) * m_v__m_f
+    T_d__omega_w = c.A_f*c.C_d*s.omega_w*c.r_w**3*c.rho
+    T_r__m_f = (c.C_r*c.g*c.r_w*((1.0) if (c.C_r*c.g*m_v*c.r_w + min(c.c_w*s.omega_w, c.C_r*c.g*m_v*c.r_w) > 0.0) else (0.0))*((1.0) if (c.C_r*c.g*m_v*c.r_w - c.c_w*s.omega_w < 0.0) else (0.0)) - c.C_r*c.g*c.r_w*((1.0) if (c.C_r*c.g*m_v*c.r_w + min(c.c_w*s.omega_w, c.C_r*c.g*m_v*c.r_w) < 0.0) else (0.0))) * m_v__m_f
+    T_r__omega_w = c.c_w*((1.0) if (c.C_r*c.g*m_v*c.r_w - c.c_w*s.omega_w > 0.0) else (0.0))*((1.0) if (c.C_r*c.g*m_v*c.r_w + min(c.c_w*s.omega_w, c.C_r*c.g*m_v*c.r_w) > 0.0) else (0.0))
+    T_net__SoC = (c.u_f) * T_gb__SoC
+    T_net__m_f = (-1.0) * T_g__m_f + (-1.0) * T_r__m_f
+    T_net__omega_w = (-1.0) * T_d__omega_w + (-1.0) * T_r__omega_w
+    d_omega_w__SoC = (1.0 / (J_tot*c.u_f**2 + m_v*c.r_w**2)) * T_net__SoC
+    d_omega_w__m_f = (1.0 / (J_tot*c.u_f**2 + m_v*c.r_w**2)) * T_net__m_f + (-T_net*c.r_w**2/(J_tot*c.u_f**2 + m_v*c.r_w**2)**2) * m_v__m_f
+    d_omega_w__omega_w = (1.0 / (J_tot*c.u_f**2 + m_v*c.r_w**2)) * T_net__omega_w
+    s.jacobian_0[6] = d_omega_w__SoC if isfinite(d_omega_w__SoC) else 0.0
+    s.jacobian_0[7] = d_omega_w__m_f if isfinite(d_omega_w__m_f) else 0.0
+    s.jacobian_0[8] = d_omega_w__omega_w if isfinite(d_omega_w__omega_w) else 0.0
+    r = omega_gb - s.omega_w*c.u_f  # e32
+    return float(r)

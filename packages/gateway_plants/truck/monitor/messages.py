@@ -1,0 +1,74 @@
+"""Messages that the hybrid powertrain's monitor takes, and its inputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from gateway.monitors import contract
+from gateway.monitors.contract import Connection, Signal
+from gateway.monitors.sampling import Sampling
+from gateway_fdi.jit import f8
+from gateway_plants.truck.monitor.params import Params
+
+#: Fields of the inputs by message: signal and unit.
+MESSAGES = {
+    "HEV_CTRL_PT": {
+        "U_em_ctrl": ("U_em_ctrl", "V"),
+        "ice_ctrl": ("ice_ctrl", "J"),
+        "u_c": ("u_c", ""),
+        "gear": ("gear", ""),
+    },
+    "HEV_CTRL_VEH": {
+        "T_b_ctrl": ("T_b_ctrl", "Nm"),
+        "alpha": ("alpha", "rad"),
+    },
+    "HEV_SENS_ELEC": {
+        "I_b_sens": ("I_b_sens", "A"),
+        "U_em_sens": ("U_em_sens", "V"),
+        "I_em_sens": ("I_em_sens", "A"),
+    },
+    "HEV_SENS_MECH": {
+        "omega_e_sens": ("w_e_sens", "rad/s"),
+        "omega_gb_sens": ("w_gb_sens", "rad/s"),
+        "charge": ("SoC_start", ""),
+    },
+}
+
+
+#: Sets that are collected at once: ECUs send at their own times, and a bus lets some wait; and periods after which what
+#: was collected of a set is given up: its counter may have come round.
+DEPTH, OLD = 4, 64
+
+
+class Inputs(contract.SampledInputs):
+    """The signals above, in their order."""
+
+    U_em_ctrl: f8
+    ice_ctrl: f8
+    u_c: f8
+    gear: f8
+    T_b_ctrl: f8
+    alpha: f8
+    I_b_sens: f8
+    U_em_sens: f8
+    I_em_sens: f8
+    omega_e_sens: f8
+    omega_gb_sens: f8
+    charge: f8
+
+
+def connect(_: Params) -> Mapping[str, Connection]:
+    """Return what the inputs are connected to."""
+    return {
+        name: Signal(f"{message}.{signal}", unit or None, triggers=True)
+        for message, fields in MESSAGES.items()
+        for name, (signal, unit) in fields.items()
+    }
+
+
+def sampling(p: Params) -> Sampling:
+    """Return how frames become sets: by their counters, in whatever order they come; only whole sets count."""
+    counters = tuple(f"{message}.FrameCnt" for message in MESSAGES)
+    oldest_ms = OLD * p.period_ms
+    return Sampling("counter", p.period_ms, math.inf, oldest_ms, counters, depth=DEPTH)

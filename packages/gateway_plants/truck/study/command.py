@@ -1,0 +1,146 @@
+"""``gateway evaluate truck``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from functools import partial
+from math import inf, isinf
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+
+from gateway.cli.present import print_json, wide_console
+from gateway_plants.truck.ecu.params import TruckFault
+from gateway_plants.truck.study.conditions import CHARGE, CONDITIONS, NOISE, Compared, compare
+from gateway_plants.truck.study.table import (
+    DISTURBANCES,
+    FAULTS,
+    ONSETS,
+    SYSTEMS,
+    TRUCK,
+    Row,
+    disturbed,
+    firing,
+)
+
+
+def _delay(seconds: float) -> str:
+    return "-" if isinf(seconds) else f"{seconds:.1f}"
+
+
+def _firing_table(rows: list[Row]) -> Table:
+    table = Table(title="Isolated, of the runs with each onset; median delay to the DTC [s]")
+    for name in ("fault", "onset [s]", "runs"):
+        table.add_column(name)
+    for system in SYSTEMS:
+        table.add_column(system, justify="right")
+        table.add_column("delay", justify="right")
+    for fault in (None, *FAULTS):
+        for onset in ONSETS if fault else (0.0,):
+            mine = [r for r in rows if (r.fault, r.onset) == (fault, onset)]
+            cells = [fault or "none: silent", f"{onset:g}" if fault else "-", str(mine[0].runs)]
+            for system in SYSTEMS:
+                row = next(r for r in mine if r.system == system)
+                cells += [str(row.right), _delay(row.delay_s)]
+            table.add_row(*cells)
+    return table
+
+
+def _told(rows: list[Row]) -> str:
+    """Say which faults a system does not isolate on a truck, and whether it is silent without one."""
+    parts = []
+    healthy = next(r for r in rows if r.fault is None)
+    if healthy.right < healthy.runs:
+        parts.append(f"false alarm in {healthy.runs - healthy.right} of {healthy.runs}")
+    lost = [r.fault or "" for r in rows if r.fault is not None and r.right < r.runs]
+    if len(lost) == len(FAULTS):
+        parts.append("isolates none")
+    elif lost:
+        parts.append("lost: " + ", ".join(name.replace("machine_", "") for name in lost))
+    return "; ".join(parts) or "all, silent without"
+
+
+def _disturbed_table(rows: list[Row], title: str) -> Table:
+    table = Table(title=title)
+    table.add_column("truck")
+    for system in SYSTEMS:
+        table.add_column(system, max_width=34)
+    for name in DISTURBANCES:
+        mine = [r for r in rows if r.disturbance == name]
+        table.add_row(name, *(_told([r for r in mine if r.system == s]) for s in SYSTEMS))
+    return table
+
+
+def _conditions_table(compared: list[Compared]) -> Table:
+    table = Table(title=f"T4 of ICDS, voltage sensor 20 V off, noise {NOISE:g} times, J_1 {CHARGE:g} As")
+    table.add_column("condition")
+    for name in ("largest T_norm", "share above 1 behind the first alarm", "decrease / increase"):
+        table.add_column(f"{name}, each seed", justify="right")
+    for k, name in enumerate(CONDITIONS):
+        table.add_row(
+            name,
+            " ".join(f"{c.norm[:, k].max():.1f}" for c in compared),
+            " ".join(f"{c.on[k]:.2f}" for c in compared),
+            " ".join(f"{c.down[k]:.2f}" for c in compared),
+        )
+    return table
+
+
+def _finite(row: Row) -> dict[str, object]:
+    return {key: None if value == inf else value for key, value in asdict(row).items()}
+
+
+def truck(*, seeds: int, seed: int, json: bool, plot: Path | None) -> int:
+    """Evaluate the tests of the hybrid powertrain; returns the exit code."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        cases = 1 + len(FAULTS) * len(ONSETS)
+        task = bar.add_task("firing", total=cases)
+        fired = firing(seeds, seed, partial(bar.advance, task))
+        names = tuple(DISTURBANCES)
+        told: list[list[Row]] = []
+        for what, relearn in (("disturbed", 0), ("learned anew", 1)):
+            each = bar.add_task(what, total=len(names) * (1 + len(FAULTS)))
+            step = partial(bar.advance, each)
+            told.append(disturbed(names, seeds, seed, relearn=relearn, progress=step))
+    noisy = TRUCK.model_copy(update={"noise_factor": NOISE})
+    fault = TruckFault(kind="machine_voltage_sensor")
+    compared = [
+        compare(noisy, fault, seed=k, healthy=k + 10_000, first_charge=CHARGE) for k in range(seed, seed + seeds)
+    ]
+    files: list[Path] = []
+    if plot is not None:
+        from gateway_plants.truck.study.figures import draw  # noqa: PLC0415 - slow to load
+
+        files = draw(plot, seed)
+    if json:
+        print_json(
+            {
+                "study": "hybrid",
+                "seeds": seeds,
+                "first_seed": seed,
+                "firing": [_finite(row) for row in fired],
+                "disturbed": [_finite(row) for rows in told for row in rows],
+                "conditions": [
+                    {"condition": name, "on": [c.on[k] for c in compared]} for k, name in enumerate(CONDITIONS)
+                ],
+                "files": [str(file) for file in files],
+            }
+        )
+        return 0
+    console = wide_console()
+    console.print(_firing_table(fired))
+    console.print(_disturbed_table(told[0], "Trucks that differ from the model; onset 400 s"))
+    title = "The same, thresholds learned from a healthy drive of that truck"
+    console.print(_disturbed_table(told[1], title))
+    console.print(_conditions_table(compared))
+    console.print(
+        "isolated: the fault's own DTC, no other fault's, nothing before the onset; ICDS and MCDS:"
+        " the paper's systems; RDS:"
+        "\nT1, T2, T5, T6 and the observer T7"
+    )
+    for file in files:
+        console.print(f"drawn: {file}")
+    return 0

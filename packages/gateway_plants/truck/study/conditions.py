@@ -1,0 +1,104 @@
+"""When T4 of ICDS is updated, by (39), (41), (45), and always (paper 004, Figs. 5, 6, 9)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway_fdi import cusum
+from gateway_fdi.jit import kernel, zeros
+from gateway_plants.truck.ecu.params import TruckFault, TruckParams
+from gateway_plants.truck.monitor.params import Params
+from gateway_plants.truck.monitor.records import T4_ABSOLUTE, T4_FIXED, T4_SIGNED
+from gateway_plants.truck.study.follow import Trace, calibrated, follow, inputs
+
+Array = NDArray[np.float64]
+
+CONDITIONS = ("(39)", "(41)", "(45)", "always")
+#: Where residuals are noisy enough for the conditions to matter: noise, and J_1 [As] that stands out of it.
+NOISE, CHARGE = 5.0, 6000.0
+#: Place of T4 of ICDS among the residuals.
+_T4 = 3
+#: T is not limited here, as in the paper.
+_UNLIMITED = 1e12
+
+
+@dataclass(frozen=True)
+class Compared:
+    """T4 of ICDS with four conditions.
+
+    Attributes:
+        trace: of the drive.
+        norm: T_norm, J by (46) without a floor, shape (n, 4).
+    """
+
+    trace: Trace
+    norm: Array
+
+    @property
+    def on(self) -> tuple[float, ...]:
+        """Share of the drive behind the first alarm in which T_norm is above 1; 0 without an alarm."""
+        return tuple(_share(column) for column in self.norm.T)
+
+    @property
+    def down(self) -> tuple[float, ...]:
+        """Sum of T's decreases over that of its increases."""
+        steps = np.diff(self.norm, axis=0)
+        rise = np.maximum(steps, 0.0).sum(axis=0)
+        fall = np.maximum(-steps, 0.0).sum(axis=0)
+        return tuple(float(f / r) if r else 0.0 for f, r in zip(fall, rise, strict=True))
+
+
+def _share(norm: Array) -> float:
+    alarmed = np.flatnonzero(norm > 1.0)
+    return float((norm[alarmed[0] :] > 1.0).mean()) if len(alarmed) else 0.0
+
+
+@kernel
+def _sum(s: Any, c: Any, residual: Any, wanted: Any, out: Any) -> None:
+    for k in range(residual.shape[0]):
+        if wanted[k] and residual[k] == residual[k]:
+            cusum.update(s, c, residual[k])
+        out[k] = s.value
+
+
+def _always(trace: Trace, nu: float) -> Array:
+    """Return T of a quantity that is updated whenever the residual is there."""
+    s, c = zeros(1, cusum.State), zeros(1, cusum.Const)
+    cusum.prepare(c[0], nu, 1.0, _UNLIMITED)
+    out = np.empty(len(trace.t))
+    _sum(s[0], c[0], np.ascontiguousarray(trace.residual[:, _T4]), trace.settled, out)
+    return out
+
+
+def _traced(u: NDArray[np.void], params: Params) -> Trace:
+    trace = follow(u, params, keep=True).trace
+    if trace is None:
+        raise AssertionError("a trace was asked for")
+    return trace
+
+
+def compare(
+    truck: TruckParams, fault: TruckFault, *, seed: int, healthy: int, first_charge: float = 4000.0
+) -> Compared:
+    """Compare the conditions on FTP75.
+
+    Args:
+        truck: with its noise.
+        fault: that it has.
+        seed: of the noise.
+        healthy: seed of the healthy drive that gives nu and J.
+        first_charge: J_1 of (41) [As].
+    """
+    params = Params(system="ICDS", limit=_UNLIMITED, signed_charge=first_charge)
+    quiet = inputs(truck, None, healthy)
+    params = calibrated(params, [quiet], floor=1.0)
+    nu = params.nu.T4_ICDS
+    still = _traced(quiet, params)
+    most = max(float(_always(still, nu).max()), nu) / cusum.MARGIN
+    trace = _traced(inputs(truck, fault, seed), params)
+    conditioned = trace.norm[:, [T4_FIXED, T4_SIGNED, T4_ABSOLUTE]]
+    return Compared(trace, np.column_stack([conditioned, _always(trace, nu) / most]))

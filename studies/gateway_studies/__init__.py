@@ -1,1 +1,0 @@
-"""How good the methods are: the papers' figures and tables from our own data, beside named peers."""

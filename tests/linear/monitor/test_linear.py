@@ -1,0 +1,272 @@
+"""Monitors of linear plants by configuration: banks of PI observers and plain observers."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
+from gateway.monitors.contract import FAILED
+from gateway.runtime.app import Gateway
+from gateway.runtime.replay import replay
+from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError, InputErrors
+from gateway_fdi.jit import COMPILED, zeros
+from gateway_plants.linear.ecu.ecu import linear_frames
+from gateway_plants.linear.ecu.params import LinearFault
+from gateway_plants.linear.ecu.plant import simulate
+from gateway_plants.linear.monitor import observer as linear_observer
+from gateway_plants.linear.monitor import plant as linear_plant
+from gateway_plants.linear.monitor.pi_bank import MONITOR as BANK
+from gateway_plants.linear.monitor.pi_bank.params import Params
+from gateway_plants.linear.study import example
+from gateway_plants.linear.study.bank import FEEDBACK, drive, noise
+
+compiled = pytest.mark.skipif(not COMPILED, reason="thousands of steps of a whole bank")
+
+
+def entry(config, name=None):
+    document = tomllib.loads(shipped(f"configs/linear_{config}.toml").read_text())
+    (found,) = [m for m in document["monitor"] if name in (None, m["name"])]
+    return {k: v for k, v in found.items() if k not in ("name", "type")}
+
+
+def written(tmp_path, config, *changes):
+    text = shipped(f"configs/linear_{config}.toml").read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = tmp_path / f"{config}.toml"
+    path.write_text(text)
+    return path
+
+
+def refused(path):
+    with pytest.raises((InputError, InputErrors)) as caught:
+        Gateway(load_config(path), None, file=path)
+    return str(caught.value)
+
+
+def test_the_study_s_plant_is_the_shipped_configuration_s():
+    p = Params(**entry("aircraft"))
+    np.testing.assert_array_equal(p.plant.phi, example.plant().phi)
+    np.testing.assert_array_equal(p.plant.gamma, example.plant().gamma)
+    for ours, theirs in zip(
+        (p.noise.outputs, p.noise.states, p.noise.faults),
+        (noise().outputs, noise().states, noise().faults),
+        strict=True,
+    ):
+        np.testing.assert_allclose(ours, theirs)
+    assert (p.actuator_limits == example.ACTUATOR_LIMIT).all()
+    assert (p.sensor_limits == example.SENSOR_LIMIT).all()
+    for name in ("healthy", "faults", "both"):
+        (ecu,) = load_scenario(shipped(f"scenarios/linear_aircraft_{name}.toml")).ecu
+        assert (ecu.a, ecu.b, ecu.c, ecu.feedback) == (example.A, example.B, example.C, FEEDBACK)
+
+
+def test_faults_are_named_by_the_user_s_parts():
+    faults = BANK.faults(Params(**entry("belt", "belt")))
+    assert [fault.name for fault in faults] == [
+        "unexplained", "actuator_voltage", "sensor_motor_speed", "sensor_load_speed", "sensor_current",
+    ]  # fmt: skip
+    assert [fault.dtc for fault in faults] == [
+        "C1B10-62",
+        "P1A30-64",
+        "P1A31-64",
+        "P1A32-64",
+        "P1A33-64",
+    ]
+    assert BANK.faults(Params(**entry("aircraft")))[2].dtc == "C1B12-64"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ('unit = "rad"', 'unit = "deg"', 'its unit is "rad" in the database, the plant wants "deg"'),
+        ("[0.0, 1.0],", "[0.0, 0.0],", "Theorem 1 does not hold for i = 1 (roll)"),
+        ("[-7.8013, -1.1160],", "[-7.8013],", "b: its rows are not of one length"),
+        ("sample_ms = 100.0", "sample_ms = 0.0", "sample_ms"),
+        ('states = ["roll", "roll rate", "yaw rate", "sideslip"]', 'states = ["x"]',
+         "states has 1 entries, the plant 4 states"),
+        ('name = "rudder"', 'name = "aileron"', "two inputs or outputs share a name"),
+        ("Aircraft_Command.Rudder", "Aircraft_Command.Ruder", "no signal 'Ruder'"),
+        ("sample_ms = 100.0", "sample_ms = 100.0\npoles = [-1.0, -2.0]", "6 poles are needed, 2 are given"),
+        ("sample_ms = 100.0", "sample_ms = 100.0\npoles = [1.0, -2.0, -3.0, -4.0, -5.0, -6.0]",
+         "outside the unit circle"),
+        ("sample_ms = 100.0", "sample_ms = 100.0\nstate_noise = -1.0", "not negative"),
+        ("sample_ms = 100.0", "sample_ms = 100.0\nwrong = 1", "wrong"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_with_its_key(tmp_path, old, new, says):
+    said = refused(written(tmp_path, "aircraft", (old, new)))
+    assert says in said
+    assert "monitor" in said
+
+
+def test_a_plant_that_is_not_observable_is_said_to_be_so(tmp_path):
+    # The load turns no wheel that anybody sees: neither belt nor load reach motor and current.
+    bare = entry("belt", "model")
+    bare["states"] = ["current", "motor speed", "load speed", "twist"]
+    bare["a"] = [
+        [-500.0, -25.0, 0, 0],
+        [500.0, -1.0, 0, 0],
+        [0, 0, -22.0, 4000.0],
+        [0, 1.0, -1.0, 0],
+    ]
+    bare["c"] = [[0, 1.0, 0, 0], [0, 0, 0, 0], [1.0, 0, 0, 0]]
+    with pytest.raises(ValueError, match="the sensors do not show .*load speed.*twist|twist.*load speed"):
+        linear_observer.Params(**bare)
+
+
+def test_check_tells_what_hides_what():
+    warnings = BANK.warnings(Params(**entry("aircraft")))
+    assert any("actuator rudder off by 0.05 is hidden in the observer without roll_rate" in w
+               and "sensor roll of 0.561 to 0.842" in w for w in warnings)  # fmt: skip
+
+
+def inputs(y, u, **options):
+    rows = zeros(len(y), linear_plant.Inputs)
+    rows["y"][:, : y.shape[1]], rows["u"][:, : u.shape[1]] = y, u
+    rows["t_ns"] = np.arange(len(y)) * 100_000_000
+    rows["which"], rows["gap"] = linear_plant.OUTPUTS, 1
+    for name, value in options.items():
+        rows[name] = value
+    return rows
+
+
+def walked(rows, monitor=BANK, config="aircraft", **options):
+    """Step a monitor through inputs; returns its state and, for each fault, the rows in which it failed."""
+    p = monitor.params(**{**entry(config), **options})
+    s, c, out = zeros(1, monitor.state), zeros(1, monitor.const), zeros(1, monitor.results)
+    monitor.prepare(p, s[0], c[0])
+    names = [fault.name for fault in monitor.faults(p)]
+    failed = {name: [] for name in names}
+    rows["gap"][1:] = np.round(np.diff(rows["t_ns"]) / 1e8)  # as the engine tells it
+    for k in range(len(rows)):
+        out[0]["n"] = 0
+        monitor.step(s[0], c[0], rows[k], out[0])
+        for r in out[0]["results"][: out[0]["n"]]:
+            if r["result"] == FAILED:
+                failed[names[r["fault"]]].append(k)
+    return s[0], failed
+
+
+def flight(faults=(), seconds=40.0, seed=2):
+    return simulate(drive(0.01, stable=True), faults, seconds, np.random.default_rng(seed))
+
+
+ACTUATOR = LinearFault(kind="actuator_offset", place=1, from_s=15.0, to_s=30.0, size=0.08)
+
+
+@compiled
+def test_lost_samples_are_predicted_and_many_of_them_begin_anew():
+    rows = inputs(*flight((ACTUATOR,)))
+    keep = np.ones(len(rows), bool)
+    keep[100:140:3] = False  # counted
+    s, failed = walked(rows[keep])
+    assert s["missing"] == 14
+    assert s["restarts"] == 0
+    assert failed["actuator_rudder"]
+    assert not any(failed[name] for name in failed if name != "actuator_rudder")
+    keep[60:80] = False  # more than the counter can tell
+    s, failed = walked(rows[keep])
+    assert s["restarts"] == 1
+    assert not any(failed[name] for name in failed if name != "actuator_rudder")
+
+
+@compiled
+def test_without_a_counter_time_tells_what_is_lost():
+    rows = inputs(*flight())
+    rows["t_ns"] += np.random.default_rng(1).integers(-20_000_000, 20_000_000, len(rows))
+    keep = np.ones(len(rows), bool)
+    keep[100:110:2] = False
+    s, failed = walked(rows[keep], counter=None)
+    assert s["missing"] == 5
+    assert not any(failed.values())
+
+
+def test_the_paper_s_own_logic_says_where_it_is(tmp_path):
+    path = written(tmp_path, "aircraft", ('type = "pi_bank"', 'type = "pi_bank"\nlogic = "products"'))
+    assert "logic = 'products': the paper's own decision is in the study (gateway evaluate linear)" in refused(path)
+
+
+@compiled
+def test_evidence_has_the_size():
+    p = Params(**entry("aircraft"))
+    s, c, out = zeros(1, BANK.state), zeros(1, BANK.const), zeros(1, BANK.results)
+    BANK.prepare(p, s[0], c[0])
+    sizes = []
+    for row in inputs(*flight((ACTUATOR,))):
+        out[0]["n"] = 0
+        BANK.step(s[0], c[0], row, out[0])
+        sizes += [r["evidence"][0] for r in out[0]["results"][: out[0]["n"]] if r["result"] == FAILED]
+    assert np.median(sizes) == pytest.approx(0.08, abs=0.01)
+
+
+@compiled
+def test_frames_lost_on_the_bus_cause_no_false_fault():
+    (ecu,) = load_scenario(shipped("scenarios/linear_aircraft_healthy.toml")).ecu
+    frames, _ = linear_frames(ecu, (), 100.0, bus=0, rng=np.random.default_rng(5))
+    rng = np.random.default_rng(6)
+    print("seed 6")
+    gateway = Gateway(load_config(shipped("configs/linear_aircraft.toml")))
+    events = []
+    gateway.listen(events.append)
+    replay(gateway, [frames[rng.random(len(frames)) > 0.05]])
+    gateway.close()
+    assert not [e for e in events if e["event"] == "dtc" and e["fault"].startswith("aircraft.")]
+
+
+@pytest.mark.long
+@compiled
+@pytest.mark.parametrize("rule", ["direct", "cusum"])
+def test_one_observer_detects_at_the_rate_it_promises(rule):
+    """100 000 healthy samples and three sensors, a false alarm in 1000 s asked for: 30 expected."""
+    monitor = linear_observer.MONITOR
+    options = {"rule": rule, "mtfa_s": 1000.0, "start_s": 20.0}
+    y, u = flight(seconds=10_000.0, seed=9)
+    p = monitor.params(**{**entry("aircraft"), **options})
+    s, c, out = zeros(1, monitor.state), zeros(1, monitor.const), zeros(1, monitor.results)
+    monitor.prepare(p, s[0], c[0])
+    alarms, before = 0, np.zeros(4, bool)
+    for row in inputs(y, u):
+        out[0]["n"] = 0
+        monitor.step(s[0], c[0], row, out[0])
+        now = np.zeros(4, bool)
+        for r in out[0]["results"][: out[0]["n"]]:
+            now[r["fault"]] = r["result"] == FAILED
+        alarms += int((now & ~before)[1:].sum())
+        before = now
+    print(rule, alarms)
+    assert 2 <= alarms <= 30
+    _, failed = walked(inputs(*flight((ACTUATOR,))), monitor, start_s=10.0, rule=rule)
+    assert failed["innovation_roll_rate"]
+    assert failed["innovation_roll_rate"][0] >= 150
+
+
+def test_levels_of_rules():
+    assert linear_observer.level_for("direct", 1e6) == pytest.approx(4.891638, abs=1e-5)
+    # Montgomery's table: k = 0.5, h = 4: 168 samples between two-sided alarms; h = 5: 465.
+    assert linear_observer.level_for("cusum", 168) == pytest.approx(4.0, abs=0.05)
+    assert linear_observer.level_for("cusum", 465) == pytest.approx(5.0, abs=0.05)
+
+
+def test_own_levels_and_poles_are_taken():
+    options = {
+        **entry("belt", "model"),
+        "level": 7.0,
+        "poles": [-50.0, -60.0, [-70.0, 20.0], [-70.0, -20.0]],
+    }
+    p = linear_observer.Params(**options)
+    assert p.threshold == 7.0
+    got = np.linalg.eigvals(p.plant.phi - p.observer.gain @ p.plant.c)
+    expected = np.exp(0.01 * np.array([-50, -60, -70 + 20j, -70 - 20j]))
+    np.testing.assert_allclose(np.sort(np.abs(got)), np.sort(np.abs(expected)), rtol=1e-6)
+
+
+def test_the_configuration_names_the_type():
+    config = load_config(shipped("configs/linear_belt.toml"))
+    kinds = [monitor_of(m)[0].type for m in config.monitor]
+    assert kinds == ["pi_bank", "linear_observer"]
