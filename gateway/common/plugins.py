@@ -47,20 +47,26 @@ def _plugin(place: str) -> Plugin:
     return found
 
 
+def _entries(group: str) -> dict[str, str]:
+    """Return name -> place of our own distribution's entry points; none where it is not installed."""
+    try:
+        found = distribution(OURS).entry_points.select(group=group)
+    except PackageNotFoundError:
+        return {}
+    return {entry.name: entry.value for entry in found}
+
+
 @cache
 def _our_plugins() -> tuple[Plugin, ...]:
     """Return the plug-ins of our own distribution; a package that was taken out brings nothing."""
-    try:
-        entries = distribution(OURS).entry_points.select(group=PLUGINS)
-    except PackageNotFoundError:
-        return ()
-    return tuple(_plugin(entry.value) for entry in entries if find_spec(entry.value.partition(".")[0]) is not None)
+    places = _entries(PLUGINS).values()
+    return tuple(_plugin(place) for place in places if find_spec(place.partition(".")[0]) is not None)
 
 
 @cache
 def _foreign_plugins() -> tuple[dict[str, Plugin], dict[str, InputError]]:
     """Return the plug-ins of other packages by their places, and what is wrong with those that cannot be used."""
-    ours = {entry.value for entry in distribution(OURS).entry_points.select(group=PLUGINS)}
+    ours = set(_entries(PLUGINS).values())
     found: dict[str, Plugin] = {}
     wrong: dict[str, InputError] = {}
     for entry in entry_points(group=PLUGINS):
@@ -83,11 +89,7 @@ def _ours(group: str) -> dict[str, str]:
     found: dict[str, str] = {}
     for plugin in _our_plugins():
         found |= getattr(plugin, DOORS[group])
-    try:
-        entries = distribution(OURS).entry_points.select(group=group)
-    except PackageNotFoundError:
-        return found
-    return found | {entry.name: entry.value for entry in entries}
+    return found | _entries(group)
 
 
 @cache
