@@ -308,20 +308,9 @@ def leave_out(T: Any, t_ns: int, row: int, verdict: int) -> None:
 
 
 @kernel
-def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) -> None:
-    """Handle one frame: vector table, decode, check, mailbox, monitors."""
-    clock = T.clock[0]
-    if can_id & _ERROR:
-        on_error_frame(T, t_ns, bus, can_id, int(np.int64(words[0])))
-        return
-    if can_id & _REMOTE:
-        clock.remote += 1
-        return
-    row = lookup(T.keys, T.rows, bus, can_id)
-    if row < 0:
-        clock.unknown += 1
-        return
-    v = T.vectors[row]
+def accepted(T: Any, t_ns: int, row: int, length: int, words: Any) -> int:
+    """Decode a frame and check it; returns ACCEPT, IN_PART or REJECT."""
+    v, clock = T.vectors[row], T.clock[0]
     status = decode(words, length, row, T.messages, T.signals, T.mux_ids, T.values, T.present)
     if status == TOO_SHORT:
         clock.too_short += 1
@@ -338,11 +327,30 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
         verdict = IN_PART
     if v.check >= 0:
         verdict = check_message(T, t_ns, T.checks[v.check], words, length, status, bad)
+    if verdict != ACCEPT and status == INVALID_VALUE:
+        v.arrived_ns = -1  # until it carries a value again, monitors that use it are not tested
+    return int(verdict)
+
+
+@kernel
+def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) -> None:
+    """Handle one frame: vector table, decode, check, mailbox, monitors."""
+    clock = T.clock[0]
+    if can_id & _ERROR:
+        on_error_frame(T, t_ns, bus, can_id, int(np.int64(words[0])))
+        return
+    if can_id & _REMOTE:
+        clock.remote += 1
+        return
+    row = lookup(T.keys, T.rows, bus, can_id)
+    if row < 0:
+        clock.unknown += 1
+        return
+    verdict = accepted(T, t_ns, row, length, words)
     if verdict != ACCEPT:
-        if status == INVALID_VALUE:
-            v.arrived_ns = -1  # until it carries a value again, monitors that use it are not tested
         leave_out(T, t_ns, row, verdict)
         return
+    v = T.vectors[row]
     clock.decoded += 1
     commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)
     if v.page >= 0:
@@ -404,6 +412,27 @@ def advance(T: Any, t_ns: int) -> None:
 
 
 @kernel
+def take(T: Any, frame: Any, words: Any, own: int) -> None:
+    """Handle a frame at the present time; one of our own is neither evidence that the bus works, nor traffic."""
+    clock = T.clock[0]
+    decoded = clock.decoded
+    if own == 0 and frame["can_id"] & _ERROR == 0:
+        on_sign_of_life(T, frame["t_ns"], frame["bus"])
+    dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], frame["length"], words)
+    if own == 1:
+        clock.decoded = decoded
+
+
+@kernel
+def advance_to(T: Any, frame: Any, words: Any) -> None:
+    """Move the clock to a frame."""
+    if frame["can_id"] & _ERROR and tells_loss(frame["can_id"], int(np.int64(words[0]))):
+        # Before the deadlines in the gap: the frame that tells of a loss comes after the gap.
+        restart_supervision(T, frame["t_ns"], frame["bus"], LOSS)
+    advance(T, frame["t_ns"])
+
+
+@kernel
 def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
     """Walk a batch from frame ``start``; returns the first frame not handled yet.
 
@@ -442,10 +471,7 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
             if frame["t_ns"] < clock.now_ns:
                 clock.late += 1
             else:
-                if frame["can_id"] & _ERROR and tells_loss(frame["can_id"], int(np.int64(words[0]))):
-                    # Before the deadlines that lie in what was not heard: it is told behind the gap.
-                    restart_supervision(T, frame["t_ns"], frame["bus"], LOSS)
-                advance(T, frame["t_ns"])
+                advance_to(T, frame, words)
                 if clock.stop == 1:
                     return i
                 if clock.fed < clock.sent:
@@ -459,13 +485,7 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
             continue
         else:
             return count
-        decoded = clock.decoded
-        if own == 0 and frame["can_id"] & _ERROR == 0:  # frames we sent ourselves are not evidence that the bus works
-            on_sign_of_life(T, frame["t_ns"], frame["bus"])
-        dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], frame["length"], words)
-        if own == 1:  # frames we sent ourselves are not traffic
-            clock.decoded = decoded
-        if clock.stop == 1:
-            return i
-        if clock.fed == clock.sent and (clock.events >= room or clock.sent >= outbox_room):
+        take(T, frame, words, own)
+        full = clock.fed == clock.sent and (clock.events >= room or clock.sent >= outbox_room)
+        if clock.stop == 1 or full:
             return i

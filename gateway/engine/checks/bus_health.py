@@ -235,6 +235,27 @@ def _note_condition(h: Any, t_ns: int, word: int) -> None:
 
 
 @kernel
+def _note_controller(h: Any, t_ns: int, controller: int, heard: int) -> int:
+    """Take the state of the controller that an error frame tells; returns what is heard, as :func:`note`."""
+    if controller & (RX_PASSIVE | TX_PASSIVE):
+        h.failed |= 1 << PASSIVE
+        h.limit = 127.0
+    elif controller & (ACTIVE | RX_WARNING | TX_WARNING):
+        h.passed |= 1 << PASSIVE  # both are below error passive
+    if controller & ACTIVE:
+        h.passed |= 1 << OFF
+        if h.bad & (1 << OFF):
+            h.bad &= 0xFF ^ (1 << OFF)
+            heard = RUNNING
+    if controller & RX_OVERFLOW and heard == 0:
+        heard = LOSS
+    if controller & (RX_OVERFLOW | TX_OVERFLOW):
+        h.failed |= 1 << OVERFLOW
+        _wait(h, OVERFLOW, t_ns)
+    return heard
+
+
+@kernel
 def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
     """Take an error frame; its verdicts are in ``h.failed`` and ``h.passed``.
 
@@ -266,21 +287,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
         h.bad &= 1 << SILENT
         heard = RUNNING
     if classes & CONTROLLER:
-        if controller & (RX_PASSIVE | TX_PASSIVE):
-            h.failed |= 1 << PASSIVE
-            h.limit = 127.0
-        elif controller & (ACTIVE | RX_WARNING | TX_WARNING):
-            h.passed |= 1 << PASSIVE  # both are below error passive
-        if controller & ACTIVE:
-            h.passed |= 1 << OFF
-            if h.bad & (1 << OFF):
-                h.bad &= 0xFF ^ (1 << OFF)
-                heard = RUNNING
-        if controller & RX_OVERFLOW and heard == 0:
-            heard = LOSS
-        if controller & (RX_OVERFLOW | TX_OVERFLOW):
-            h.failed |= 1 << OVERFLOW
-            _wait(h, OVERFLOW, t_ns)
+        heard = _note_controller(h, t_ns, controller, heard)
     if classes & BUS_OFF:
         h.failed |= 1 << OFF
         h.bad |= 1 << OFF

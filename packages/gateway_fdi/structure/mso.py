@@ -138,6 +138,15 @@ def _only_kept(rows: Masks, ids: Masks, state: i8s, size: int, tried: int, kept:
 
 
 @kernel
+def _write_all(ids: Masks, size: int, found: Masks) -> None:
+    """Write all equations of a level."""
+    found[:] = 0
+    for i in range(size):
+        for w in range(len(found)):
+            found[w] |= ids[i, w]
+
+
+@kernel
 def _search(
     rows: Masks, ids: Masks, state: i8s, mate: i8s, owner: i8s, kept_mate: i8s, kept_owner: i8s, size: i8s, at: i8s,
     came: i8s, queue: i8s, reached: Flags, seen: Masks, done: Flags, everything: Masks, found: Masks,
@@ -151,11 +160,7 @@ def _search(
     level, count = at[0], 0
     while level >= 0 and count < found.shape[0]:
         if level == levels - 1:
-            for w in range(found.shape[1]):
-                found[count, w] = 0
-            for i in range(size[level]):
-                for w in range(found.shape[1]):
-                    found[count, w] |= ids[level, i, w]
+            _write_all(ids[level], size[level], found[count])
             count += 1
             level -= 1
             continue
