@@ -11,7 +11,7 @@ from gateway.config.monitor_types import monitor_of
 from gateway.faults.settings import POWER
 from gateway.servers.access_review import wrong_rules
 from gateway.servers.identifiers import check_unique
-from gateway_fdi.errors import InputError, InputErrors, nearest
+from gateway_fdi.errors import InputError, InputErrors, nearest, under
 
 
 def cross_check(config: Config) -> Iterator[InputError]:
@@ -46,9 +46,10 @@ def _monitors(config: Config) -> Iterator[InputError]:
         except InputError as error:
             yield error
         try:
-            config.bus_index(entry.bus)
+            with under(f"monitor[{k}].bus", entry.bus):
+                config.bus_index(entry.bus)
         except InputError as error:
-            yield InputError(error.message, key=f"monitor[{k}].bus", value=error.value)
+            yield error
 
 
 def _reporters(config: Config) -> Iterator[InputError]:
@@ -124,9 +125,10 @@ def _outputs(config: Config) -> Iterator[InputError]:
         if output is None:
             continue
         try:
-            config.bus_index(output.bus)
+            with under(f"output.{name}.bus", output.bus):
+                config.bus_index(output.bus)
         except InputError as error:
-            yield InputError(error.message, key=f"output.{name}.bus", value=error.value)
+            yield error
     named = {bus.name for bus in config.bus}
     servers = [entry for entry in (config.output.uds, config.output.obd) if entry is not None]
     if all(entry.bus in named or (entry.bus is None and len(named) == 1) for entry in servers):

@@ -10,7 +10,7 @@ from gateway.monitors.conformance import made
 from gateway.monitors.contract import Family, Monitor, MonitorParams
 from gateway.monitors.registry import MONITORS
 from gateway_fdi.common.tomlfile import validate
-from gateway_fdi.errors import InputError, InputErrors, nearest
+from gateway_fdi.errors import InputError, nearest, under
 
 
 def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor[Any], MonitorParams]:
@@ -40,17 +40,5 @@ def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor[Any], Monit
         with author_of(monitor, "params"):
             return monitor, validate(given, monitor.params, None, key)
     params: MonitorParams = validate(given, monitor.params, None, key)
-    try:
+    with under(key):
         return made(monitor, params, entry.folder), params
-    except InputError as error:
-        raise _placed(error, key) from error
-    except InputErrors as errors:
-        raise InputErrors([_placed(error, key) for error in errors.errors]) from errors
-
-
-def _placed(error: InputError, key: str) -> InputError:
-    """Return an error of a family with the whole path of its key, unless it is in a file of its own, as a model is."""
-    if error.file is not None:
-        return error
-    own = ".".join(part for part in (key, error.key) if part) or None
-    return InputError(error.message, key=own, value=error.value)

@@ -9,7 +9,7 @@ from gateway.engine.gate import NOW, Condition
 from gateway.faults.settings import ConditionSettings
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
-from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.errors import InputError, nearest, under
 
 
 class Names:
@@ -42,10 +42,8 @@ class Names:
             InputError: there is none; names the key.
         """
         if name not in self.found:
-            try:
+            with under(key, name):
                 self.found[name] = self._resolve(name)
-            except InputError as error:
-                raise InputError(error.message, key=key, value=name) from error
         return self.found[name]
 
     def find_shown(self, name: str, key: str) -> None:

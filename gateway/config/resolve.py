@@ -31,7 +31,7 @@ from gateway.signals.protection.auto import automatic
 from gateway.signals.protection.params import ProtectionParams
 from gateway.signals.tables import SignalRef
 from gateway_fdi.common.resources import shipped
-from gateway_fdi.errors import Gathered, InputError, InputErrors, each_of, named, nearest
+from gateway_fdi.errors import Gathered, InputError, InputErrors, each_of, named, nearest, under
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -185,10 +185,8 @@ def _automatic(database: Database, name: str, key: str) -> tuple[ProtectionParam
     Raises:
         InputError: there is no such message.
     """
-    try:
+    with under(f"{key}.message", name):
         return automatic(database.message(name), database.file_of(name))
-    except InputError as error:
-        raise InputError(error.message, key=f"{key}.message", value=name) from error
 
 
 def protections(config: Config) -> dict[tuple[int, str], ProtectionParams]:
@@ -240,11 +238,8 @@ def _monitors(
 
         wrong = Gathered()
         for name, other in entry.signals.items():
-            try:
+            with wrong, under(f'{key}.signals."{name}"', other):
                 find(name)
-            except InputError as error:
-                with wrong:
-                    raise InputError(error.message, key=f'{key}.signals."{name}"', value=other) from error
         wrong.check()
         try:
             several = dict(parts.of(params, find, partial(codes.give, config.bus[bus].name)))

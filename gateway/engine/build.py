@@ -44,7 +44,7 @@ from gateway.monitors.sampling import MOST_MESSAGES
 from gateway.signals.database import Database
 from gateway.signals.protection import protection
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
-from gateway_fdi.errors import Gathered, InputError, named
+from gateway_fdi.errors import Gathered, InputError, named, under
 from gateway_fdi.jit import Record
 
 
@@ -194,14 +194,8 @@ def _prepare(m: MonitorInstance, state: Any, const: Any) -> None:
         InputError: parameters that only show there that they are wrong; the key is that of the configuration.
     """
     try:
-        with author_of(m.monitor, "prepare"):
+        with under(m.key or f'monitor "{m.name}"'), author_of(m.monitor, "prepare"):
             m.monitor.prepare(m.params, state, const)
-    except InputError as error:
-        if error.file is not None:  # of the monitor itself
-            raise
-        place = m.key or f'monitor "{m.name}"'
-        key = f"{place}.{error.key}" if error.key else place
-        raise InputError(error.message, key=key, value=error.value) from error
     except (ArithmeticError, ValueError) as error:
         # What a design of gains or a number of nanoseconds makes of numbers that no plant has.
         key = m.key or f'monitor "{m.name}"'

@@ -14,7 +14,7 @@ from gateway.monitors.sampling import Sampling
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
 from gateway_fdi.common.tomlfile import key_path
-from gateway_fdi.errors import Gathered, InputError, nearest
+from gateway_fdi.errors import Gathered, InputError, nearest, under
 
 
 class Wired(NamedTuple):
@@ -83,11 +83,9 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
     wrong.check()
     triggers |= {places.get(name, (m.bus, name)) for name in connected.messages}
     for bus, name in triggers:
-        try:
+        own = written(m.params, name)
+        with under(f"{key}.{own}" if own else key, name):
             databases[bus].message(name)
-        except InputError as error:
-            own = written(m.params, name)
-            raise InputError(error.message, key=f"{key}.{own}" if own else key, value=name) from error
     given = [signal for _, signal in connected.inputs if signal is not None]
     takes_nan = bool(given) and all(signal.may_be_nan for signal in given)
     names = [name.partition("[")[0] for name, _ in connected.inputs]
@@ -115,15 +113,13 @@ def _found(
         InputError: it is not there, or has another unit; the key is where the configuration says it, or can.
     """
     asked = m.signals.get(signal.name, signal.name)
-    try:
+    own = None if signal.name in m.signals else written(m.params, signal.name)
+    mapping = f'signals."{signal.name}"'
+    with under(f"{key}.{own or mapping}", asked):
         place = _split(asked, m.bus, buses)
         told = databases[place.bus].signal(place.message, place.signal).unit or ""
         if signal.unit is not None and signal.unit != told:
             raise InputError(f'its unit is "{told}" in the database, the plant wants "{signal.unit}"')
-    except InputError as error:
-        own = None if signal.name in m.signals else written(m.params, signal.name)
-        mapping = f'signals."{signal.name}"'
-        raise InputError(error.message, key=f"{key}.{own or mapping}", value=asked) from error
     return place
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -84,6 +85,37 @@ class InputErrors(GatewayError):
 def each_of(error: InputError | InputErrors) -> list[InputError]:
     """Return the single errors of an error."""
     return error.errors if isinstance(error, InputErrors) else [error]
+
+
+@contextmanager
+def under(key: str, value: object = None, *, whole: bool | None = None) -> Iterator[None]:
+    """Put the path of a table before the keys of all errors raised within; their files and lines stay.
+
+    An error that names both a file and a key is of a file of its own, such as a model, and stays as it is.
+
+    Args:
+        key: path of the table or the key, e.g. ``monitor[0]``.
+        value: shown where an error has none.
+        whole: the key is the whole path, because what is wrong is its own value; None: where there is a value.
+
+    Raises:
+        InputError, InputErrors: what was raised within, with its path.
+    """
+    whole = value is not None if whole is None else whole
+    try:
+        yield
+    except InputErrors as errors:
+        raise InputErrors([_under(error, key, value, whole) for error in errors.errors]) from errors
+    except InputError as error:
+        raise _under(error, key, value, whole) from error
+
+
+def _under(error: InputError, key: str, value: object, whole: bool) -> InputError:
+    if error.file is not None and error.key is not None:
+        return error
+    path = key if whole else ".".join(part for part in (key, error.key) if part) or None
+    shown = value if error.value is None else error.value
+    return InputError(error.message, file=error.file, line=error.line, key=path, value=shown)
 
 
 class Gathered:

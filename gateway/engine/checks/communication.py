@@ -26,7 +26,7 @@ from gateway.signals.protection import protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables
 from gateway.signals.tables import DecodePlan, SignalRef
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import under
 from gateway_fdi.jit import Record, i4, i4s, i8, means, u1, u8, u8s
 
 if TYPE_CHECKING:
@@ -291,18 +291,13 @@ def _key(check: CheckInstance) -> str:
 
 
 def _message(check: CheckInstance, database: Database) -> Message:
-    try:
+    with under(f"{_key(check)}.message", check.params.message):
         return database.message(check.params.message)
-    except InputError as error:
-        raise InputError(error.message, key=f"{_key(check)}.message", value=check.params.message) from error
 
 
 def _protection(check: CheckInstance, database: Database) -> Protection:
-    try:
+    with under(_key(check)):
         return protection_for(_message(check, database), check.params)
-    except InputError as error:
-        key = f"{_key(check)}.{error.key}" if error.key else _key(check)
-        raise InputError(error.message, key=key, value=error.value) from error
 
 
 def fill(

@@ -30,7 +30,7 @@ from gateway.monitors.rule.params import Params, PartParams, Rule
 from gateway.monitors.rule.program import MOST_SIGNALS, Program
 from gateway.monitors.rule.residual import blames, residual_of
 from gateway.monitors.rule.text import compile_text, is_relation
-from gateway_fdi.errors import Gathered, InputError
+from gateway_fdi.errors import Gathered, InputError, under
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel
 
 
@@ -125,12 +125,10 @@ def _part(rule: Rule, code: str, find: Callable[[str], Any], key: str) -> PartPa
     for name, text in (("holds", rule.holds), ("when", rule.when)):
         if text is None:
             continue
-        try:
+        with under(f"{key}.{name}", text):
             made[name] = compile_text(text, unit_of)
             if not is_relation(text):
                 raise InputError("this says nothing that is true or false: compare it with something", value=text)
-        except InputError as error:
-            raise InputError(error.message, key=f"{key}.{name}", value=error.value or text) from error
     signals = tuple(dict.fromkeys(name for program in made.values() for name in program.signals))
     if not signals:
         raise InputError("there is no signal in it", key=f"{key}.holds", value=rule.holds)

@@ -19,7 +19,7 @@ from gateway.monitors.signal.params import (
     PartParams,
     Watched,
 )
-from gateway_fdi.errors import Gathered, InputError, nearest
+from gateway_fdi.errors import Gathered, InputError, nearest, under
 
 #: Texts of values that stand for no value, in capitals.
 _NONE = ("SNA", "INVALID", "NOT AVAILABLE", "NOT_AVAILABLE", "UNAVAILABLE", "NOT VALID", "UNDEFINED", "INIT", "ERROR")
@@ -164,10 +164,8 @@ def _one(limits: Limits, find: Callable[[str], Signal], code: str, key: str) -> 
     Raises:
         InputError: as :func:`parts`.
     """
-    try:
+    with under(f"{key}.signal", limits.signal):
         signal = find(limits.signal)
-    except InputError as error:
-        raise InputError(error.message, key=f"{key}.signal", value=limits.signal) from error
     _refuse_unknown(limits, find, key)
     watched = _watched(limits, signal, code, _levels(limits, signal, find, key), key)
     if watched.codes or watched.values or watched.ones is not None or _asks(limits):
@@ -180,10 +178,8 @@ def _refuse_unknown(limits: Limits, find: Callable[[str], Signal], key: str) -> 
     for name in ("during", "moving"):
         other = None if limits.stuck is None else getattr(limits.stuck, name)
         if other is not None:
-            try:
+            with under(f"{key}.stuck.{name}", other):
                 find(other)
-            except InputError as error:
-                raise InputError(error.message, key=f"{key}.stuck.{name}", value=other) from error
 
 
 def _asks(p: Limits) -> bool:

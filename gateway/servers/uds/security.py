@@ -12,7 +12,7 @@ from typing import cast
 from gateway.common.plugins import Registry
 from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
 from gateway.servers.uds.params import SecurityLevel
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import InputError, under
 
 #: Takes seed, secret and level; returns the key.
 KeyFunction = Callable[[bytes, bytes, int], bytes]
@@ -88,10 +88,8 @@ class Security:
     ) -> None:
         self._levels: dict[int, _Level] = {}
         for k, params in enumerate(levels):
-            try:
+            with under(f"output.uds.security[{k}].key"):
                 self._levels[params.level] = _Level(params, key_function(params.key))
-            except InputError as error:
-                raise InputError(error.message, key=f"output.uds.security[{k}].key", value=error.value) from error
         self._random = random
         self._keep: Keep = lambda level, wrong: None
         self._started = [False]  # one for all testers

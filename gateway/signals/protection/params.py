@@ -14,7 +14,7 @@ from gateway.signals.protection.e2e import Header, protection_of
 from gateway.signals.protection.protection import Counter, Protection, Window
 from gateway.signals.protection.rules import OTHERS, RULES, Frame, rule_of
 from gateway_fdi.common.tomlfile import StrictModel
-from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.errors import InputError, nearest, under
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -304,10 +304,8 @@ def protection_for(message: Message, asked: ProtectionParams) -> Protection:
         InputError: signals that it does not have, a checksum of another width, ...; the key is that of the table.
     """
     if asked.e2e is not None:
-        try:
+        with under("e2e"):
             return asked.e2e.protection(message)
-        except InputError as error:
-            raise InputError(error.message, key=f"e2e.{error.key}", value=error.value) from error
     counter = None if asked.counter is None else _counter(message, asked.counter)
     for table in ("crc", "checksum"):
         over = getattr(getattr(asked, table), "over", None)

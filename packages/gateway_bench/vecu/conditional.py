@@ -18,7 +18,7 @@ from gateway_bench.vecu.contract import EcuFault
 from gateway_bench.vecu.message_faults import MessageFault
 from gateway_bench.vecu.registry import VIRTUAL_ECUS
 from gateway_bench.vecu.scenario import Scenario
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import InputError, under
 
 #: Place in the scenario, fault.
 Placed = tuple[int, EcuFault]
@@ -70,10 +70,8 @@ def resolved(
     found: list[Placed] = []
     for place, fault in waiting:
         key, text, bus = f"fault[{place}].when", str(fault.when), buses[fault.ecu]
-        try:
+        with under(key, text):
             condition = Condition(text, bus, databases[bus])
-        except InputError as error:
-            raise InputError(error.message, key=key, value=error.value or text) from error
         there = set(frames["can_id"][frames["bus"] == bus].tolist())
         for name in condition.messages:
             message = databases[bus].message(name)

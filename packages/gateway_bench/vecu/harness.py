@@ -27,7 +27,7 @@ from gateway_bench.vecu.contract import Truth
 from gateway_bench.vecu.databases import database_of
 from gateway_bench.vecu.message_faults import EcuKind, Effect, MessageFault, SignalKind
 from gateway_bench.vecu.wire_faults import WireKind, disturbed
-from gateway_fdi.errors import InputError, named
+from gateway_fdi.errors import InputError, named, under
 
 Mask = NDArray[np.bool_]
 #: Kind -> what the wire calls it.
@@ -347,9 +347,9 @@ class Harness:
             condition = None if fault.when is None else Condition(fault.when, sender.bus, sender.database)
             key = "signal" if fault.of_signal else "message"
             self._faults.append(_made(fault, condition, sender, self._rng))
-        except InputError as error:
-            given = getattr(fault, key)
-            raise InputError(error.message, key=f"{place}.{key}", value=error.value or given) from error
+        except InputError:
+            with under(f"{place}.{key}", getattr(fault, key)):
+                raise
         self._faults.sort(key=_stage)
 
     def end(self, now_ns: int) -> None:

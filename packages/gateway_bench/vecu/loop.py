@@ -27,7 +27,7 @@ from gateway_bench.vecu.restbus.params import RestbusParams
 from gateway_bench.vecu.restbus.selection import Sent, sent
 from gateway_bench.vecu.restbus.signals import start_value
 from gateway_fdi.common.tomlfile import key_path
-from gateway_fdi.errors import InputError, named
+from gateway_fdi.errors import InputError, named, under
 
 
 class Model(Protocol):
@@ -110,10 +110,8 @@ class _Actuator:
         self._effect = Effect(ACTUATOR[fault.kind], fault.size or 0.0, run.rng)
         self._condition = None
         if fault.when is not None:
-            try:
+            with under(key, fault.when):
                 self._condition = Condition(fault.when, run.bus, database)
-            except InputError as error:
-                raise InputError(error.message, key=key, value=error.value or fault.when) from error
         self._first_ns, self._count, self._noted = -1, 0, False
 
     def hear(self, frames: Frames) -> None:
@@ -185,13 +183,11 @@ class Loop:
         """
         text = self._params.inputs[name]
         message, _, signal = text.rpartition(".")
-        try:
+        with under(key_path(("inputs", name)), text):
             if not message:
                 raise InputError('a signal is named "Message.Signal"', value=text)
             found = ChangedSignal(self._run.bus, database, message, signal)
             return _Input(ChangedMessage(self._run.bus, database, message, Protection()), found)
-        except InputError as error:
-            raise InputError(error.message, key=key_path(("inputs", name)), value=text) from error
 
     def step(self, end_ns: int, heard: Frames) -> Frames:
         """Go on until a time [ns], after what was heard; returns what it sends."""
@@ -265,10 +261,8 @@ def _check(params: LoopParams, database: Database) -> None:
             message, _, signal = own.rpartition(".")
             if not message:
                 raise InputError('a signal is named "Message.Signal"', key=key, value=own)
-            try:
+            with under(key, own):
                 database.signal(message, signal)
-            except InputError as error:
-                raise InputError(error.message, key=key, value=own) from error
     for k, one in enumerate(params.message):
         if not any(known.name == one.name for known in database):
             text = named("the messages are", one.name, [known.name for known in database])

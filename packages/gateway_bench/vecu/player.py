@@ -26,7 +26,7 @@ from gateway_bench.vecu.registry import VIRTUAL_ECUS
 from gateway_bench.vecu.scenario import Scenario
 from gateway_bench.vecu.wire_faults import Wire
 from gateway_fdi.common.tomlfile import validate
-from gateway_fdi.errors import InputError, named
+from gateway_fdi.errors import InputError, named, under
 
 #: Steps of a run whose ECUs hear nobody [ns].
 STEP_NS = 10_000_000
@@ -100,11 +100,8 @@ class _Source:
     def take(self, end_ns: int, heard: Frames) -> Frames:
         """Return its frames until a time [ns], without faults."""
         if self.running is not None:
-            try:
+            with under(self._key):
                 return self.running.step(end_ns, heard[heard["bus"] == self.bus])
-            except InputError as error:
-                key = f"{self._key}.{error.key}" if error.key else self._key
-                raise InputError(error.message, key=key, value=error.value) from error
         last = int(np.searchsorted(self.frames["t_ns"], end_ns))
         frames, self._taken = self.frames[self._taken : last], last
         return frames
@@ -242,10 +239,9 @@ class Player:
             source.truth = truth
             source.begin(faults, run)
         except InputError as error:
-            if error.key is None or error.key.startswith("fault["):
+            of_scenario = error.key is None or error.key.startswith("fault[")
+            with under("" if of_scenario else f"ecu[{k}]"):
                 raise
-            key = f"ecu[{k}].{error.key}"
-            raise InputError(error.message, file=error.file, line=error.line, key=key, value=error.value) from error
         return source
 
     def _known(self, bus: int, database: Database, name: str) -> Protection:

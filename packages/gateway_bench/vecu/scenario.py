@@ -16,7 +16,7 @@ from gateway_bench.vecu.registry import RENAMED, VIRTUAL_ECUS
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.resources import beside_or_shipped
 from gateway_fdi.common.tomlfile import StrictModel, load, validate
-from gateway_fdi.errors import InputError, InputErrors, nearest
+from gateway_fdi.errors import InputError, InputErrors, nearest, under
 
 T = TypeVar("T")
 
@@ -34,13 +34,11 @@ def _of_type(type_: str, key: str) -> VirtualEcu[Any, Any]:
     Raises:
         InputError: there is none.
     """
-    try:
+    with under(f"{key}.type", type_):
         found = VIRTUAL_ECUS.get(type_)
         if found is None:
             known = list(VIRTUAL_ECUS)
             raise InputError(f"there are {', '.join(known)}{nearest(type_, known)}", value=type_)
-    except InputError as error:
-        raise InputError(error.message, key=f"{key}.type", value=type_) from error
     return found
 
 

@@ -27,7 +27,7 @@ from gateway_bench.vecu.responder.uds import UdsResponder
 from gateway_bench.vecu.restbus.selection import usual
 from gateway_bench.vecu.restbus.signals import start_value
 from gateway_fdi.common.tomlfile import key_path
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import InputError, under
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -48,10 +48,8 @@ def _protection(
 
 def _named(key: str, make: Callable[[], T]) -> T:
     """Return what is made; a mistake in it is one of a key."""
-    try:
+    with under(key):
         return make()
-    except InputError as error:
-        raise InputError(error.message, key=key, value=error.value) from error
 
 
 def _raw(value: float, signal: ChangedSignal, size: int) -> bytes:
@@ -140,11 +138,8 @@ class _Responder:
         database = database_of(run.databases)
         self._repliers = []
         for k, reply in enumerate(params.reply):
-            try:
+            with under(f"reply[{k}]"):
                 self._repliers.append(_Replier(reply, run.bus, database, params.checked))
-            except InputError as error:
-                key = f"reply[{k}].{error.key}" if error.key else f"reply[{k}]"
-                raise InputError(error.message, key=key, value=error.value) from error
         self._messages = {replier.message.can_id: replier.message for replier in self._repliers}
         self._sent: Counter[int] = Counter()
         self._uds, self._values = None, dict[str, tuple[ChangedMessage, ChangedSignal]]()
@@ -168,10 +163,8 @@ class _Responder:
             except ValueError as error:
                 raise InputError("bytes in hex", key=f"uds.identifiers.{name}", value=text) from error
         elif message and any(one.name == message for one in database):
-            try:
+            with under(f"uds.identifiers.{name}", text):
                 found = ChangedSignal(bus, database, message, signal)
-            except InputError as error:
-                raise InputError(error.message, key=f"uds.identifiers.{name}", value=text) from error
             self._values[name] = ChangedMessage(bus, database, message, Protection()), found
             self._bytes[name] = bytes((int(found.row.length) + 7) // 8)
         else:

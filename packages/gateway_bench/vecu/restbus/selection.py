@@ -13,7 +13,7 @@ from gateway.signals.protection.protection import Protection
 from gateway.signals.tables import sticks_out
 from gateway_bench.vecu.restbus.params import RestbusMessage, RestbusParams
 from gateway_fdi.common.log import get_logger
-from gateway_fdi.errors import InputError, named
+from gateway_fdi.errors import InputError, named, under
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -152,8 +152,8 @@ def _protection(
         return protection_for(message, asked)
     except InputError as error:
         if own:
-            key = f"message[{k}].{error.key}" if error.key else f"message[{k}]"
-            raise InputError(error.message, key=key, value=error.value) from error
+            with under(f"message[{k}]"):
+                raise
         if tell:
             _log.warning("sent without a protection", ecu=params.name, message=message.name, why=error.message)
         return Protection()

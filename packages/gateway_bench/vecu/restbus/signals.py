@@ -15,7 +15,7 @@ from gateway_bench.vecu.restbus.courses import Course, Short, course_of, resampl
 from gateway_bench.vecu.restbus.expression import evaluated
 from gateway_bench.vecu.restbus.recorded import points_of
 from gateway_fdi.common.tomlfile import key_path
-from gateway_fdi.errors import InputError, named
+from gateway_fdi.errors import InputError, named, under
 
 if TYPE_CHECKING:
     from cantools.database.can.signal import Signal
@@ -50,7 +50,7 @@ class Courses:
         self._programs: dict[str, Program] = {}
         for name, short in given.items():
             key = key_path(("signals", name))
-            try:
+            with under(key, name, whole=False):
                 signal = self.signal(name)
                 message = name.rpartition(".")[0]
                 if message not in sent:
@@ -60,9 +60,6 @@ class Courses:
                     self.signal(course.log.signal)
                 if course.expression is not None:
                     self._programs[name] = compile_text(course.expression, self._unit)
-            except InputError as error:
-                inner = f"{key}.{error.key}" if error.key else key
-                raise InputError(error.message, key=inner, value=error.value or name) from error
         for name in self._programs:
             self._without_circle(name, ())
 
@@ -117,11 +114,8 @@ class Courses:
             program = self._programs[name]
             values = evaluated(program, times, [self.at(other, times) for other in program.signals])
             return np.where(np.isnan(values), start, values)
-        try:
+        with under(key_path(("signals", name))):
             found = None if course is None else self._found(name, course, times)
-        except InputError as error:
-            key = key_path(("signals", name)) + (f".{error.key}" if error.key else "")
-            raise InputError(error.message, file=error.file, line=error.line, key=key, value=error.value) from error
         return np.full(len(times), start) if found is None else found
 
     def _found(self, name: str, course: Course, times: Values) -> Values | None:

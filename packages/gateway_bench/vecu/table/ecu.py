@@ -12,7 +12,7 @@ from gateway.signals.database import Database, load_database
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
 from gateway_bench.vecu.sending import sent
 from gateway_bench.vecu.table.params import Course, TableFault, TableMessage, TableParams
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import InputError, under
 
 
 def _course(course: Course, times: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -81,11 +81,8 @@ def _frames(params: TableParams, faults: Sequence[TableFault], run: Run) -> tupl
     made: list[Frames] = []
     truth: list[Truth] = []
     for k, message in enumerate(params.message):
-        try:
+        with under(f"message[{k}]"):
             made.append(_message(message, database, faults, run, truth))
-        except InputError as error:
-            key = f"message[{k}]" + (f".{error.key}" if error.key else "")
-            raise InputError(error.message, key=key, value=error.value) from error
     frames = np.concatenate(made)
     return frames[np.argsort(frames["t_ns"], kind="stable")], truth
 

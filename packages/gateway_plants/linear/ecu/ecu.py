@@ -15,7 +15,7 @@ from gateway.signals.database import Database, load_database
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
 from gateway_bench.vecu.protection import protect
 from gateway_fdi.common.resources import all_shipped, shipped
-from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.errors import InputError, nearest, under
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams
 from gateway_plants.linear.ecu.plant import simulate
 
@@ -99,7 +99,7 @@ def linear_frames(
         (0, "commands", params.commands, commands),
         (1, "sensors", params.sensors, outputs),
     ):
-        try:
+        with under(key, name):
             message = database.message(name)
             signals = _signals(message, columns.shape[1])
             can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
@@ -108,8 +108,6 @@ def linear_frames(
                 stamp = round(k * period) + first * _AFTER + round(late[2 * k + first])
                 flags = FD if message.is_fd else 0
                 put(frames, 2 * k + first, stamp, can_id, data, bus=bus, flags=flags)
-        except InputError as error:
-            raise InputError(error.message, key=key, value=name) from error
     truth = []
     for fault in faults:
         end = duration_s if fault.to_s is None else min(fault.to_s, duration_s)

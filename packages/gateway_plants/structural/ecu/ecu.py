@@ -15,7 +15,7 @@ from gateway.common.extras import need
 from gateway.signals.database import load_database
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
 from gateway_bench.vecu.sending import sent
-from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.errors import InputError, nearest, under
 from gateway_fdi.structure.file import find_model, load_own_model
 from gateway_fdi.structure.model import Model, Quantity
 from gateway_fdi.structure.units import differ
@@ -170,15 +170,12 @@ def _frames(params: StructuralParams, faults: Sequence[StructuralFault], run: Ru
     ]
     made = []
     for k, (params_of, own) in enumerate(zip(params.message, each, strict=True)):
-        try:
+        with under(f"message[{k}]"):
             message = database.message(params_of.name)
             _units(message, {s: n for s, n in params_of.signals.items() if isinstance(n, str)}, model)
             columns, done = _columns(params, params_of, found, np.searchsorted(times, own), faults, run)
             made.append(sent(message, columns, own, params_of, bus=run.bus))
             truth += done
-        except InputError as error:
-            key = f"message[{k}]" + (f".{error.key}" if error.key else "")
-            raise InputError(error.message, key=key, value=error.value) from error
     frames = np.concatenate(made)
     return frames[np.argsort(frames["t_ns"], kind="stable")], truth
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.common.extras import need
 from gateway_fdi.common import progress
-from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.errors import InputError, nearest, under
 from gateway_fdi.masks import Sets
 from gateway_fdi.structure.analysis import Analysis, analyse
 from gateway_fdi.structure.generator.code import correctable, write
@@ -107,10 +107,8 @@ def _named(model: Model, p: Params) -> Iterator[Test]:
             raise InputError(text, key=key, value=name)
         if choice is None:
             analysis = analysis or analyse(model)
-            try:
+            with under(key, name):
                 choice = analysis.choice(name)
-            except InputError as error:
-                raise InputError(error.message, key=key, value=name) from error
         try:
             yield _test(model, p, name.replace(":", "_"), choice)
         except (NotSolvableError, ValueError) as error:

@@ -30,7 +30,7 @@ from gateway.monitors.contract import (
 from gateway.monitors.rule.machine import load
 from gateway.monitors.rule.program import Program
 from gateway.monitors.rule.text import compile_text, is_relation
-from gateway_fdi.errors import Gathered, InputError
+from gateway_fdi.errors import Gathered, InputError, under
 from gateway_fdi.masks import pack
 from gateway_fdi.structure.file import find_model, load_own_model
 from gateway_fdi.structure.generator.records import FEED, FEED_SLOPE, fill
@@ -287,12 +287,10 @@ def _condition(model: Model, p: Params) -> Program | None:
     def unit_of(name: str) -> str | None:
         return model.quantities.get(name, Known()).unit or None
 
-    try:
+    with under("active", p.active):
         program = compile_text(p.active, unit_of, named=names)
         if not is_relation(p.active):
             raise InputError("this says nothing that is true or false: compare it with something", value=p.active)
-    except InputError as error:
-        raise InputError(error.message, key="active", value=p.active) from error
     program.signals[:] = [measured.get(name, name) for name in program.signals]
     return program
 
