@@ -257,6 +257,22 @@ def test_a_package_brings_a_command_a_log_format_a_checksum_and_a_key_function(t
     assert made.stdout == f"{0x01 + 0xA0} {bytes([97 ^ 107 ^ 1, 98 ^ 107 ^ 1]).hex()}\n", made.stderr
 
 
+@pytest.mark.long
+def test_a_plant_that_is_installed_is_named_in_any_folder(tmp_path):
+    site, place = installed("motor_load", tmp_path), tmp_path / "car"
+    place.mkdir()
+    for name in ("gateway.toml", "jam.toml", "motor.dbc"):
+        text = (tmp_path / "motor_load" / name).read_text()
+        text = text.replace('"motor_load:MONITOR"', '"motor_load"').replace('"motor_ecu:ECU"', '"motor"')
+        (place / name).write_text(text)
+    assert "motor_load.py" not in {path.name for path in place.iterdir()}
+    made = run("demo", "jam.toml", "--speed", "0", cwd=place, path=site)
+    assert made.returncode == 0, made.stdout + made.stderr
+    assert "NOT as expected" not in made.stdout
+    told = json.loads(run("doctor", "--json", cwd=place, path=site).stdout)["plugins"]
+    assert {door: list(names) for door, names in told.items() if names} == {"monitor": ["motor_load"], "ecu": ["motor"]}
+
+
 BAD_PLUGINS = {
     "does not import": ("1 / 0", "cannot be imported: ZeroDivisionError"),
     "is none": ("PLUGIN = 1", "no Plugin, but int"),
