@@ -5,6 +5,7 @@ import os
 
 import pytest
 from amount import SMALL, examples
+from present import missing
 
 from gateway_fdi.common import log
 from gateway_fdi.jit import BOUNDSCHECK, COMPILED
@@ -26,6 +27,11 @@ def pytest_configure(config):
             stateful_step_count=20,
         )
     settings.load_profile(("ci" if os.environ.get("CI") else "local") + ("-small" if SMALL else ""))
+
+
+def pytest_ignore_collect(collection_path):
+    """A file that uses a package or a plant that is not in this checkout is left out (scripts/without)."""
+    return True if missing(collection_path) else None
 
 
 def pytest_collection_modifyitems(config, items):
