@@ -189,7 +189,9 @@ def _valid_range(signal: Signal) -> tuple[float, float]:
     return max(float(low) - span, -LARGEST), min(float(high) + span, LARGEST)
 
 
-def _fill(row: Any, signal: Signal) -> None:
+def signal_row(signal: Signal) -> Any:
+    """Return the record of SIGNAL of one signal, not multiplexed, for the encode kernel."""
+    row = np.zeros(1, SIGNAL)[0]
     place(row, signal.start, signal.length, big=signal.byte_order == "big_endian")
     if signal.is_float:
         row["kind"] = _FLOATS[signal.length]
@@ -198,6 +200,7 @@ def _fill(row: Any, signal: Signal) -> None:
         row["kind"] = SIGNED if signal.is_signed else UNSIGNED
     row["scale"], row["offset"] = signal.scale, signal.offset
     row["slot"], row["parent"] = -1, -1
+    return row
 
 
 def _by_pgn(message: Message, whole_bus: bool) -> bool:
@@ -355,8 +358,7 @@ class _Rows:
 
     def _signal(self, message: Message, signal: Signal, place: Mapping[str, int]) -> Any:
         """Return the row of a signal, its multiplexing resolved to places of the message's other signals."""
-        entry = np.zeros(1, SIGNAL)[0]
-        _fill(entry, signal)
+        entry = signal_row(signal)
         if signal.multiplexer_signal is not None:
             ids = signal.multiplexer_ids or []
             entry["parent"] = place[signal.multiplexer_signal]
@@ -386,7 +388,5 @@ def encode_rows(message: Message, names: Sequence[str]) -> list[Any]:
                 "a signal to be sent is an integer of at most 64 bits that is always there",
                 key=f"{message.name}.{name}",
             )
-        row = np.zeros(1, SIGNAL)[0]
-        _fill(row, signal)
-        rows.append(row)
+        rows.append(signal_row(signal))
     return rows

@@ -114,7 +114,7 @@ def _under(error: InputError, key: str, value: object, whole: bool) -> InputErro
     if error.file is not None and error.key is not None:
         return error
     path = key if whole else ".".join(part for part in (key, error.key) if part) or None
-    shown = value if error.value is None else error.value
+    shown = value if error.value in (None, "") else error.value
     return InputError(error.message, file=error.file, line=error.line, key=path, value=shown)
 
 

@@ -8,10 +8,11 @@ from amount import amount, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway_bench.vecu.packing import pack
+from gateway.bus.frames import payload
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.protection import message_of, protect
 from gateway_bench.vecu.scenario import load_scenario
+from gateway_bench.wire import encode
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputErrors
 from gateway_fdi.jit import COMPILED
@@ -214,17 +215,15 @@ def test_packed_frames_are_those_of_cantools(data):
         for s in message.signals:
             if s.name in row:
                 row[s.name] = round(row[s.name] / s.scale) * s.scale
-    packed = pack(message, {n: [row[n] for row in rows] for n in rows[0]})
-    assert [bytes(p) for p in packed] == [protect(message, row) for row in rows]
+    packed = encode.frames_of(message, {n: [row[n] for row in rows] for n in rows[0]}, np.arange(len(rows)))
+    assert [payload(frame) for frame in packed] == [protect(message, row) for row in rows]
 
 
-def test_what_cannot_be_packed_is_said():
+def test_what_a_signal_cannot_carry_is_clipped():
     message = message_of(DATABASE, "HEV_CTRL_VEH")
-    with pytest.raises(ValueError, match=r"HEV_CTRL_VEH.alpha: no values"):
-        pack(message, {"T_b_ctrl": [1.0], "FrameCnt": [1]})
-    clipped = pack(message, {"T_b_ctrl": [1e9], "alpha": [-9.0], "FrameCnt": [1]})
-    assert message.decode(bytes(clipped[0]))["T_b_ctrl"] == 65535
-    assert message.decode(bytes(clipped[0]))["alpha"] == pytest.approx(-0.32768)
+    clipped = encode.frames_of(message, {"T_b_ctrl": [1e9], "alpha": [-9.0], "FrameCnt": [1]}, np.zeros(1))
+    assert message.decode(payload(clipped[0]))["T_b_ctrl"] == 65535
+    assert message.decode(payload(clipped[0]))["alpha"] == pytest.approx(-0.32768)
 
 
 def test_noise_is_that_of_the_sensors():

@@ -1,74 +1,165 @@
-"""Columns of values to CAN frames, many at once; the same bytes as cantools makes one by one (`test_encode.py`)."""
+"""Columns of values to CAN frames, many at once: any message of a database, protected as the gateway checks it.
+
+The same bytes as cantools makes one by one (tests/vecu/test_encode.py).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from cantools.database import Message
-from numpy.typing import NDArray
+from cantools.database.can import Message
+from cantools.database.can.signal import Signal
+from numpy.typing import ArrayLike, NDArray
 
-from gateway.bus.frames import Frames, empty
+from gateway.bus.frames import EXTENDED, FD, Frames, empty
+from gateway.signals.columns import put_column
+from gateway.signals.protection.own import own_protection
+from gateway.signals.protection.params import ProtectionParams, protection_for
+from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill, protect_all
+from gateway.signals.tables import signal_row
+from gateway_fdi.errors import InputError
 
-
-def _crc_table() -> NDArray[np.uint8]:
-    """CRC-8 SAE J1850: polynomial 1D, bit by bit."""
-    table = np.arange(256, dtype=np.uint8)
-    for _ in range(8):
-        table = np.where(table & 0x80, (table.astype(np.uint16) << 1 ^ 0x1D) & 0xFF, table.astype(np.uint16) << 1)
-        table = table.astype(np.uint8)
-    return table
-
-
-_TABLE = _crc_table()
-
-
-def crc(columns: Sequence[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    """CRC of rows, given as columns of bytes in their order."""
-    value = np.full(len(columns[0]), 0xFF, np.uint8)
-    for column in columns:
-        value = _TABLE[value ^ column]
-    return np.asarray(value ^ 0xFF, np.uint8)
+Columns = Mapping[str, NDArray[np.float64]]
+Flags = NDArray[np.bool_]
+#: Bits of the longest signal that has a number.
+_LONGEST = 64
 
 
-def payloads(message: Message, columns: Mapping[str, NDArray[Any]], crc_name: str) -> NDArray[np.uint8]:
-    """Bytes of a message, shape (n, 8): values clipped to their signals' ranges and rounded; with its CRC.
+def in_range(message: Message, columns: Mapping[str, ArrayLike]) -> dict[str, NDArray[np.float64]]:
+    """Return values clipped to the ranges that the database gives to their signals, each of shape (frames,)."""
+    found = {}
+    for name, values in columns.items():
+        signal = message.get_signal_by_name(name)
+        low = -np.inf if signal.minimum is None else float(signal.minimum)
+        high = np.inf if signal.maximum is None else float(signal.maximum)
+        found[name] = np.clip(np.asarray(values, np.float64), low, high)
+    return found
+
+
+def carried(message: Message, columns: Mapping[str, ArrayLike]) -> dict[str, NDArray[np.float64]]:
+    """Return values as a receiver decodes them: in their signals' ranges and rounded, each of shape (frames,)."""
+    found = in_range(message, columns)
+    for name, values in found.items():
+        signal = message.get_signal_by_name(name)
+        raw = np.rint((values - signal.offset) / signal.scale)
+        found[name] = np.asarray(raw * signal.scale + signal.offset, np.float64)
+    return found
+
+
+def parents_first(message: Message) -> list[Signal]:
+    """Return the signals of at most 64 bits, each multiplexer before the signals that it selects."""
+    left = [signal for signal in message.signals if signal.length <= _LONGEST]
+    found: dict[str, Signal] = {}
+    while left:
+        ready = [one for one in left if one.multiplexer_signal is None or one.multiplexer_signal in found]
+        if not ready:
+            break  # of a multiplexer that cannot be sent
+        found |= {one.name: one for one in ready}
+        left = [one for one in left if one.name not in found]
+    return list(found.values())
+
+
+def _there(signal: Signal, message: Message, columns: Columns, there: Mapping[str, Flags], count: int) -> Flags:
+    """Return which frames carry a signal."""
+    if signal.multiplexer_signal is None:
+        return np.ones(count, np.bool_)
+    outer = message.get_signal_by_name(signal.multiplexer_signal)
+    raw = np.rint((columns[outer.name] - outer.offset) / outer.scale)
+    return there[outer.name] & np.isin(raw, signal.multiplexer_ids or [])
+
+
+def payloads(message: Message, columns: Columns, count: int, last: frozenset[str] = frozenset()) -> NDArray[np.uint64]:
+    """Return payloads without their protection, shape (frames, 8), zero beyond the message's length.
 
     Args:
-        message: of cantools; 8 bytes, little-endian integers.
-        columns: name -> values, shape (n,); what is not named is 0.
-        crc_name: of the signal with the CRC: its own byte, the first or the last.
+        message: of the database.
+        columns: values of its signals, each of shape (frames,), as near as a signal can carry them; others: 0.
+        count: frames.
+        last: signals that are written after the others: where signals of a database overlap, they are what is sent.
+
+    Raises:
+        InputError: it has no such signal, or one that has no number.
     """
-    assert message.length == 8, "the plants' messages"
-    word = np.zeros(len(next(iter(columns.values()))), np.uint64)
-    for signal in message.signals:
-        if signal.name not in columns:
-            continue
-        assert signal.byte_order == "little_endian", "the plants' messages"
-        raw = np.rint((np.clip(columns[signal.name], signal.minimum, signal.maximum) - signal.offset) / signal.scale)
-        mask = np.uint64((1 << signal.length) - 1)
-        word |= (raw.astype(np.int64).astype(np.uint64) & mask) << np.uint64(signal.start)
-    data = word.view(np.uint8).reshape(-1, 8)
-    if crc_name:
-        place = message.get_signal_by_name(crc_name).start // 8
-        low, high = (np.full(len(data), message.frame_id >> k & 0xFF, np.uint8) for k in (0, 8))
-        kept = [data[:, k] for k in range(8) if k != place]
-        data[:, place] = crc([*kept, low, high])
-    return data
+    signals = {signal.name: signal for signal in parents_first(message)}
+    for name in columns:
+        if name not in signals:
+            raise InputError(f"{message.name} has no such signal; it has {', '.join(sorted(signals))}", value=name)
+    every = {name: columns[name] if name in columns else np.zeros(count) for name in signals}
+    there: dict[str, Flags] = {}
+    for name, signal in signals.items():
+        there[name] = _there(signal, message, every, there, count)
+    words = np.zeros((count, 8), np.uint64)
+    for signal in sorted(signals.values(), key=lambda one: (one.name in last, one.is_multiplexer)):
+        put_column(words, signal_row(signal), every[signal.name], there[signal.name])
+    return words
 
 
-def frames_of(
-    message: Message, columns: Mapping[str, NDArray[Any]], t_ns: NDArray[np.int64], crc_name: str = "", bus: int = 0
+def framed(
+    message: Message, words: NDArray[np.uint64], t_ns: NDArray[Any], protection: Protection, *, bus: int
 ) -> Frames:
-    """Frames of a message at times [ns]; arguments as of :func:`payloads`."""
-    frames = empty(len(t_ns))
-    frames["t_ns"], frames["can_id"], frames["bus"], frames["length"] = t_ns, message.frame_id, bus, 8
-    frames["data"][:, :8] = payloads(message, columns, crc_name)
+    """Return payloads as frames, with their protection.
+
+    Args:
+        message: of the database.
+        words: payloads, shape (frames, 8).
+        t_ns: times of the frames [ns].
+        protection: of the message.
+        bus: index of its bus.
+    """
+    tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
+    fill(rows[0], protection, tables)
+    protect_all(words, np.full(len(words), message.length), rows.view(np.recarray)[0], tables.array(), 0)
+    frames = empty(len(words))
+    frames["t_ns"] = np.rint(t_ns).astype(np.int64)
+    frames["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+    frames["bus"], frames["length"] = bus, message.length
+    frames["flags"] = FD if message.is_fd else 0
+    frames["data"] = words.view(np.uint8)
+    frames["data"][:, message.length :] = 0
     return frames
 
 
+def sent(
+    message: Message, columns: Columns, times: NDArray[np.float64], protection: ProtectionParams, *, bus: int
+) -> Frames:
+    """Return the frames of a message, protected as a configuration says it.
+
+    Args:
+        message: of the database.
+        columns: as of :func:`payloads`.
+        times: of the frames [s].
+        protection: how the message is protected.
+        bus: index of its bus.
+
+    Raises:
+        InputError: it has no such signal, or cannot be protected so.
+    """
+    words = payloads(message, columns, len(times))
+    return framed(message, words, times * 1e9, protection_for(message, protection), bus=bus)
+
+
+def frames_of(
+    message: Message, columns: Mapping[str, ArrayLike], t_ns: NDArray[Any], crc: str = "Crc", *, bus: int = 0
+) -> Frames:
+    """Return the frames of a message of ours: values in their signals' ranges, and the CRC of virtual ECUs.
+
+    Args:
+        message: of the database.
+        columns: values of its signals, each of shape (frames,); others: 0.
+        t_ns: times of the frames [ns].
+        crc: name of the CRC's signal; none if the message has no such signal.
+        bus: index of its bus.
+
+    Raises:
+        InputError: as of :func:`payloads`; a CRC that has not 8 bits on a byte boundary.
+    """
+    words = payloads(message, in_range(message, columns), len(t_ns))
+    return framed(message, words, t_ns, own_protection(message, crc=crc, counter=None), bus=bus)
+
+
 def merged(*batches: Frames) -> Frames:
-    """Frames of several messages in the order of their times; of equal times the first batch comes first."""
+    """Return frames of several messages in the order of their times; of equal times the first batch comes first."""
     frames = np.concatenate(batches)
     return frames[np.argsort(frames["t_ns"], kind="stable")]

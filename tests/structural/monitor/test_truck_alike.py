@@ -8,8 +8,8 @@ from amount import amount
 from gateway.bus.frames import empty
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway_bench.vecu.packing import pack
 from gateway_bench.vecu.protection import message_of
+from gateway_bench.wire import encode
 from gateway_fdi.common.resources import shipped
 from gateway_plants.truck.ecu.ecu import DATABASE, MESSAGES
 from gateway_plants.truck.monitor.messages import MESSAGES as INPUTS
@@ -30,11 +30,9 @@ def frames_of(rows):
     frames = empty(4 * count)
     for place, name in enumerate(MESSAGES):
         message = message_of(DATABASE, name)
-        data = pack(message, {s.name: columns[s.name] for s in message.signals if s.name != "Crc"})
-        mine = frames[place::4]
-        mine["t_ns"] = BEGIN + np.arange(count) * 10_000_000 + place * 300_000
-        mine["can_id"], mine["length"] = message.frame_id, message.length
-        mine["data"][:, : message.length] = data
+        values = {s.name: columns[s.name] for s in message.signals if s.name != "Crc"}
+        stamps = BEGIN + np.arange(count) * 10_000_000 + place * 300_000
+        frames[place::4] = encode.frames_of(message, values, stamps)
     return frames
 
 

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import EXTENDED, FD, Frames, empty
+from gateway.bus.frames import Frames
 from gateway.signals.bits import mask_of
-from gateway.signals.columns import limits, put_column
-from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill, protect_all
-from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
+from gateway.signals.columns import limits
+from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill
+from gateway.signals.tables import signal_row
 from gateway_bench.vecu.contract import EcuFault, Run, Truth, VirtualEcu
 from gateway_bench.vecu.databases import database_of
 from gateway_bench.vecu.restbus.courses import Course
 from gateway_bench.vecu.restbus.params import RestbusParams
-from gateway_bench.vecu.restbus.selection import sent
+from gateway_bench.vecu.restbus.selection import Sent, sent
 from gateway_bench.vecu.restbus.signals import Courses
+from gateway_bench.wire.encode import framed, parents_first, payloads
 from gateway_fdi.common.tomlfile import key_path
 from gateway_fdi.errors import InputError
 
@@ -46,13 +47,6 @@ class _Senders:
         self.sent = sent(params, database)
         names = {one.message.name: one for one in self.sent}
         self._courses = Courses(params.signals, database, names)
-        refs = [
-            SignalRef(run.bus, one.message.name, signal.name)
-            for one in self.sent
-            for signal in one.message.signals
-            if signal.length <= 64
-        ]
-        self._plan: DecodePlan = compile_plan([(run.bus, database)], refs, messages=[(run.bus, name) for name in names])
 
     def frames(self, place: int) -> Frames:
         """Return the frames of one message.
@@ -63,18 +57,7 @@ class _Senders:
         one = self.sent[place]
         message, run = one.message, self._run
         times = self._times(one.period_s, place * _SPREAD % 1.0)
-        tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
-        fill(rows[0], one.protection, tables)
-        row, crcs = rows.view(np.recarray)[0], tables.array()
-        words = self._payloads(message, times, row)
-        protect_all(words, np.full(len(times), message.length), row, crcs, 0)
-        frames = empty(len(times))
-        frames["t_ns"] = np.rint(times * 1e9)
-        frames["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        frames["bus"], frames["length"] = run.bus, message.length
-        frames["flags"] = FD if message.is_fd else 0
-        frames["data"] = words.view(np.uint8)
-        return frames
+        return framed(message, self._payloads(one, times), times * 1e9, one.protection, bus=run.bus)
 
     def _times(self, period_s: float, phase: float) -> Values:
         """Return when the frames of a message are sent [s]."""
@@ -85,28 +68,18 @@ class _Senders:
             times = times + self._run.rng.normal(0.0, self._params.jitter_ms * 1e-3, len(times))
         return np.sort(np.maximum(times, 0.0))
 
-    def _row(self, message: Message, signal: Signal) -> Any:
-        ref = SignalRef(self._run.bus, message.name, signal.name)
-        row = self._plan.message(self._run.bus, message.name)
-        return self._plan.signals[int(self._plan.messages["first"][row]) + self._plan.position(*ref)]
-
-    def _payloads(self, message: Message, times: Values, row: Any) -> NDArray[np.uint64]:
+    def _payloads(self, one: Sent, times: Values) -> NDArray[np.uint64]:
         """Return payloads before their protection, shape (frames, 8), zero beyond the message's length.
 
         Signals with a course are written last: in databases whose signals overlap they are what is sent.
         """
-        owned = int.from_bytes(np.ascontiguousarray(row.owned).tobytes(), "little")
-        there: dict[str, NDArray[np.bool_]] = {}
-        columns: dict[str, Values] = {}
-        for signal in _parents_first(message):
-            columns[signal.name] = self._values(message, signal, times, owned)
-            there[signal.name] = _carried(signal, message, columns, there, len(times))
-        words = np.zeros((len(times), 8), np.uint64)
-        asked = {name for name in columns if self._courses.given(f"{message.name}.{name}")}
-        for signal in sorted(message.signals, key=lambda signal: (signal.name in asked, signal.is_multiplexer)):
-            if signal.name in columns:
-                put_column(words, self._row(message, signal), columns[signal.name], there[signal.name])
-        return words
+        message = one.message
+        rows = np.zeros(1, ProtectionConst.dtype)
+        fill(rows[0], one.protection, Tables())
+        owned = int.from_bytes(np.ascontiguousarray(rows[0]["owned"]).tobytes(), "little")
+        columns = {signal.name: self._values(message, signal, times, owned) for signal in parents_first(message)}
+        asked = frozenset(name for name in columns if self._courses.given(f"{message.name}.{name}"))
+        return payloads(message, columns, len(times), asked)
 
     def _values(self, message: Message, signal: Signal, times: Values, owned: int) -> Values:
         """Return the values of a signal.
@@ -114,7 +87,7 @@ class _Senders:
         Raises:
             InputError: it cannot carry them, or its protection makes it.
         """
-        name, row = f"{message.name}.{signal.name}", self._row(message, signal)
+        name, row = f"{message.name}.{signal.name}", signal_row(signal)
         if not self._courses.given(name) and signal.is_multiplexer:
             return self._turns(message, signal, len(times))
         values = self._courses.at(name, times)
@@ -148,30 +121,6 @@ def _ids(message: Message, multiplexer: str) -> list[int]:
     """Return the values of a multiplexer that signals belong to."""
     selected = [one for one in message.signals if one.multiplexer_signal == multiplexer]
     return sorted({i for one in selected for i in one.multiplexer_ids or ()})
-
-
-def _parents_first(message: Message) -> list[Signal]:
-    """Return the signals of at most 64 bits, each multiplexer before what it selects."""
-    left = [signal for signal in message.signals if signal.length <= 64]
-    found: dict[str, Signal] = {}
-    while left:
-        ready = [one for one in left if one.multiplexer_signal is None or one.multiplexer_signal in found]
-        if not ready:
-            break  # of a multiplexer that cannot be sent
-        found |= {one.name: one for one in ready}
-        left = [one for one in left if one.name not in found]
-    return list(found.values())
-
-
-def _carried(
-    signal: Signal, message: Message, columns: dict[str, Values], there: dict[str, NDArray[np.bool_]], count: int
-) -> NDArray[np.bool_]:
-    """Return which frames carry a signal."""
-    if signal.multiplexer_signal is None:
-        return np.ones(count, np.bool_)
-    outer = message.get_signal_by_name(signal.multiplexer_signal)
-    raw = np.rint((columns[outer.name] - outer.offset) / outer.scale)
-    return there[outer.name] & np.isin(raw, signal.multiplexer_ids or [])
 
 
 def _frames(params: RestbusParams, _faults: Sequence[EcuFault], run: Run) -> tuple[Frames, list[Truth]]:

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from gateway.bus.frames import EXTENDED, FD, Frames, empty, put
+from gateway.bus.frames import Frames, empty
 from gateway.signals.database import Database, load_database
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
-from gateway_bench.vecu.protection import protect
+from gateway_bench.wire import encode
 from gateway_fdi.common.resources import all_shipped, shipped
 from gateway_fdi.errors import InputError, nearest, under
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams
@@ -54,19 +54,6 @@ def _signals(message: Message, count: int) -> list[Signal]:
     return found
 
 
-def _encoded(message: Message, signals: Sequence[Signal], row: NDArray[np.float64], k: int) -> bytes:
-    """Return the payload of sample k; alive counter and CRC go in where the message has them."""
-    values: dict[str, float] = {}
-    for signal, value in zip(signals, row, strict=True):
-        low = -np.inf if signal.minimum is None else signal.minimum
-        high = np.inf if signal.maximum is None else signal.maximum
-        values[signal.name] = float(np.clip(value, low, high))
-    for signal in message.signals:
-        if signal.name == _COUNTER:
-            values[_COUNTER] = k % 2**signal.length
-    return protect(message, values)
-
-
 def linear_frames(
     params: LinearParams,
     faults: Iterable[LinearFault],
@@ -102,12 +89,11 @@ def linear_frames(
         with under(key, name):
             message = database.message(name)
             signals = _signals(message, columns.shape[1])
-            can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-            for k, row in enumerate(columns):
-                data = _encoded(message, signals, row, k)
-                stamp = round(k * period) + first * _AFTER + round(late[2 * k + first])
-                flags = FD if message.is_fd else 0
-                put(frames, 2 * k + first, stamp, can_id, data, bus=bus, flags=flags)
+            values: dict[str, ArrayLike] = {signal.name: columns[:, k] for k, signal in enumerate(signals)}
+            for counter in (one for one in message.signals if one.name == _COUNTER):
+                values[_COUNTER] = np.arange(len(columns)) % 2.0**counter.length
+            stamps = np.round(np.arange(len(columns)) * period) + first * _AFTER + np.round(late[first::2])
+            frames[first::2] = encode.frames_of(message, values, stamps, bus=bus)
     truth = []
     for fault in faults:
         end = duration_s if fault.to_s is None else min(fault.to_s, duration_s)

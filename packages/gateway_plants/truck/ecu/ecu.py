@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
-from gateway_bench.vecu.packing import pack
 from gateway_bench.vecu.protection import message_of
+from gateway_bench.wire import encode
 from gateway_plants.truck.ecu.control import PERIOD
 from gateway_plants.truck.ecu.drive import Drive, drive
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams
@@ -73,12 +73,9 @@ def frames_of(params: TruckParams, driven: Drive, *, bus: int, rng: np.random.Ge
     late = np.clip(np.abs(rng.normal(0.0, params.jitter_us * 1e3, len(frames))), 0.0, 0.3 * _BETWEEN)
     for place, name in enumerate(MESSAGES):
         message = message_of(DATABASE, name)
-        data = pack(message, {s.name: columns[s.name] for s in message.signals if s.name != "Crc"})
-        mine = frames[place :: len(MESSAGES)]
-        stamps = np.round(np.arange(count) * PERIOD * 1e9).astype(np.int64) + place * _BETWEEN
-        mine["t_ns"] = stamps + np.round(late[place :: len(MESSAGES)]).astype(np.int64)
-        mine["can_id"], mine["bus"], mine["length"] = message.frame_id, bus, message.length
-        mine["data"][:, : message.length] = data
+        stamps = np.round(np.arange(count) * PERIOD * 1e9) + place * _BETWEEN + np.round(late[place :: len(MESSAGES)])
+        of_message = {s.name: columns[s.name] for s in message.signals if s.name != "Crc"}
+        frames[place :: len(MESSAGES)] = encode.frames_of(message, of_message, stamps, bus=bus)
     return frames
 
 
