@@ -61,9 +61,7 @@ class LearnedWheel(Record):
     whole: f8 = means("pitches of a turn")
     nominal: Annotated[f8s, MOST_TEETH] = means("nominal pitches", "pitch")
     gap: Annotated[u1s, MOST_TEETH] = means("1: the slot is a gap, or follows one")
-    cosine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means(
-        "in the middle of each slot; order k + 1 begins at ``k * MOST_TEETH``"
-    )
+    cosine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("in the middle of each slot, order by order")
     sine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("likewise")
 
 

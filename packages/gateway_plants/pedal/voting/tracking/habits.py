@@ -35,8 +35,8 @@ FORGETS = 0.95
 class State(Record):
     """State, of each channel.
 
-    Lengths are in the unit of the readings. A leap is what it does since it left its way. Arrays of pairs have channel j
-    beside channel i at ``i * 3 + j``.
+    Lengths are in the unit of the readings. A leap is what it does since it left its way. Arrays of pairs have channel
+    j beside channel i at ``i * 3 + j``.
     """
 
     last: Annotated[f8s, MOST_CHANNELS] = means("this reading")
@@ -68,13 +68,9 @@ class State(Record):
     calm: Annotated[i8s, MOST_CHANNELS] = means("samples of the leap without a bend", "samples")
     leapt: Annotated[i8s, MOST_CHANNELS] = means("1: it bent to and fro")
     left: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("where channel j was when the leap began")
-    along_with: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means(
-        "by how much channel j left its way while i jumped"
-    )
+    along_with: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("what channel j left its way by while i jumped")
     anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("reading of channel j when channel i began to repeat")
-    away: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means(
-        "time for which channel j has been off its anchor", "periods"
-    )
+    away: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("for how long j has been off its anchor", "periods")
     strayed: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("how far channel j has been from its anchor")
 
 

@@ -49,9 +49,7 @@ class Const(Record):
     tolerance: f8 = means("slow mismatch that is usual")
     creep: f8 = means("largest change of a drift in a sample")
     common: i8 = means("1: a supply may move all channels")
-    lean: Annotated[f8s, MOST_CHANNELS] = means(
-        "reading at rest over the slope; a supply moves it by this and the level"
-    )
+    lean: Annotated[f8s, MOST_CHANNELS] = means("reading at rest over slope; a supply moves it by this and the level")
     widest: f8 = means("largest standard deviation of the level")
 
 
