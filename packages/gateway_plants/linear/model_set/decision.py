@@ -106,9 +106,7 @@ class State(Record):
     suspect: followed.State = means("whether the size of the named fault counts")
     misfit: i8 = means("samples in a row that the named hypothesis does not explain", "samples")
     unexplained: i8 = means("1: what came is not isolated")
-    jolted: i8 = means(
-        "1: since the alarm entries that vary have once not explained what came, it was no gradual change"
-    )
+    jolted: i8 = means("1: since the alarm VARYING has once not explained what came: it was no gradual change")
     agreed: i8 = means("samples since unexplained that a healthy plant explains, within what was told", "samples")
     astray: i8 = means("samples since unexplained that it explains, beyond what was told", "samples")
     tested: i8 = means("1: the last sample was judged")

@@ -91,7 +91,7 @@ class Const(Record):
 
 
 class State(Record):
-    """State of all filters."""
+    """State of all filters; ``own`` and ``square`` are of the filter that was asked last."""
 
     z: Annotated[f8s, MOST_HYPOTHESES, MOST] = means("z of each hypothesis")
     cov: Annotated[f8s, MOST_HYPOTHESES, MOST, MOST] = means("P of each hypothesis")
@@ -100,10 +100,8 @@ class State(Record):
     left: Annotated[f8s, MOST_HYPOTHESES] = means("normalised innovation squared of the newest sample")
     told: Annotated[f8s, MOST_HYPOTHESES] = means("log density of the newest sample")
     e: Annotated[f8s, MOST_HYPOTHESES, MOST_OUTPUTS] = means("innovations of the newest sample")
-    own: Annotated[f8s, MOST_OUTPUTS] = means(
-        "variance of each innovation by itself, of the filter that was asked last"
-    )
-    square: f8 = means("normalised innovation squared, of the filter that was asked last")
+    own: Annotated[f8s, MOST_OUTPUTS] = means("variance of each innovation by itself")
+    square: f8 = means("normalised innovation squared")
     varies: i8 = means("1: the plant's entries vary, under every hypothesis")
     past: Annotated[f8s, BACK, MOST_INPUTS] = means("commands of the samples before, newest first")
     work: Annotated[f8s, MOST_STATES, MOST] = means("scratch")

@@ -45,13 +45,14 @@ class Const(Record):
 
 
 class State(Record):
-    """State, of each filter."""
+    """State, of each filter.
 
-    now: Annotated[f8s, MOST_HYPOTHESES, MOST_STATES, BLOCK] = means("[Phi, Gamma], computed for the errors at")
+    ``now`` is computed for the errors ``at``, ``by_entry`` for the errors ``derived``.
+    """
+
+    now: Annotated[f8s, MOST_HYPOTHESES, MOST_STATES, BLOCK] = means("[Phi, Gamma]")
     at: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES] = means("errors of the entries")
-    by_entry: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES, MOST_STATES, BLOCK] = means(
-        "derivatives of now by each entry, for the errors derived"
-    )
+    by_entry: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES, MOST_STATES, BLOCK] = means("its derivatives by each entry")
     derived: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES] = means("errors of the entries")
     block: Annotated[f8s, BLOCK, BLOCK] = means("scratch: the matrix")
     term: Annotated[f8s, BLOCK, BLOCK] = means("scratch: a term of the series")

@@ -49,17 +49,13 @@ class Const(Record):
     """Constants, of each observer."""
 
     weighted: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_OUTPUTS] = means("(C G(d))^T V^-1")
-    inverse: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_INPUTS] = means(
-        "inverse of the information up to d"
-    )
+    inverse: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_INPUTS] = means("inverse information up to d")
     inverse_v: Annotated[f8s, BANK, MOST_OUTPUTS, MOST_OUTPUTS] = means("V^-1")
     limit: Annotated[f8s, BANK, WINDOW + 1] = means("of the energy left in so many samples")
     variance: Annotated[f8s, BANK, MOST_INPUTS] = means("of omega, stationary")
     prior: Annotated[f8s, MOST_INPUTS] = means("information on a beforehand, diagonal")
-    sensor_weighted: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS, MOST_OUTPUTS] = means(
-        "likewise of an offset of each sensor: weighted"
-    )
-    sensor_inverse: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS] = means("likewise of an offset of each sensor: inverse")
+    sensor_weighted: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS, MOST_OUTPUTS] = means("weighted, of sensors' offsets")
+    sensor_inverse: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS] = means("inverse, of sensors' offsets")
 
 
 class State(Record):
