@@ -69,7 +69,7 @@ _CELLS = FRAME.itemsize // 8
 class Load(Record):
     """One bus since the start."""
 
-    frames: i8 = means("frames received or sent")
+    frames: i8 = means("frames since the start")
     errors: i8 = means("error frames, and conditions")
     nominal_bits: i8 = means("sent at the nominal bit rate, the whole of a frame without bit rate switch")
     data_bits: i8 = means("sent at the data bit rate")
