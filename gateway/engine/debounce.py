@@ -58,7 +58,7 @@ class DebounceState(Record):
 
     last: u1 = means("last result")
     verdict: u1 = means("last verdict")
-    direction: u1 = means("of a time debounce: PASSED or FAILED, where it runs to")
+    direction: u1 = means("where a time debounce runs to: PASSED or FAILED")
     active: u1 = means("1: the fault is there, like testFailed")
     triggered: u1 = means("1: the freeze frame was wanted in this episode")
     missed: u1 = means("1: the episode is a near miss, if it ends now")
@@ -68,9 +68,9 @@ class DebounceState(Record):
     episode: i8 = means("greatest counter since it was last 0")
     peak: i8 = means("greatest counter since :func:`fold`")
     near: i8 = means("near misses since :func:`fold`")
-    value: f8 = means("of the last result")
-    limit: f8 = means("of the last result")
-    evidence: Annotated[f8s, EVIDENCE] = means("of the last result, for a verdict that time brings")
+    value: f8 = means("what the last result tested")
+    limit: f8 = means("what it was tested against")
+    evidence: Annotated[f8s, EVIDENCE] = means("its evidence, for a verdict that time brings")
 
 
 #: What a result touches that changes nothing: one line of the cache.

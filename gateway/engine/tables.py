@@ -129,8 +129,8 @@ class ClockPass(Record):
     stepping: i8 = means("timer of the monitor that is being stepped, and one; 0: none is")
     events: i8 = means("events of this pass")
     sent: i8 = means("frames sent")
-    fed: i8 = means("of these, that went through the engine themselves")
-    taken: i8 = means("of these, that have left")
+    fed: i8 = means("first of these that went through the engine themselves")
+    taken: i8 = means("first of these that have left")
 
 
 class ClockState(Record):

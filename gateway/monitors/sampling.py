@@ -131,7 +131,7 @@ class Numbers(Record):
 
 
 class State(Record, lengths={"messages": 1}):
-    """State. From ``have`` on by counter, from ``tick_ns`` on by the clock."""
+    """State. By counter: ``have`` to ``apart``; by the clock: ``tick_ns``, ``known``, ``more``."""
 
     numbers: Annotated[list[Numbers], "messages"] = means("which sample each message's newest frame carries")
     taken: Annotated[i8s, "messages"] = means("number that each message had in the last sample")
@@ -147,7 +147,7 @@ class State(Record, lengths={"messages": 1}):
     overtaken: i8 = means("frames that came too late to be one")
     have: Annotated[i8s, MOST_DEPTH] = means("bits of the messages that have come of each set")
     number: Annotated[i8s, MOST_DEPTH] = means("number of each set")
-    place: i8 = means("of the frame's set among them")
+    place: i8 = means("place of the frame's set among them")
     last: i8 = means("number of the newest sample")
     begun: i8 = means("1: there is a set")
     newest: i8 = means("number of the newest of all frames")

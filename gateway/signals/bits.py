@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 class Field(Record):
     """Where a field of at most 64 bits lies; records of SIGNAL have the same names."""
 
-    word: u1 = means("word that it begins in")
-    shift: u1 = means("its first bit there", "bit")
+    word: u1 = means("word of its lowest bit")
+    shift: u1 = means("place of that bit in the word", "bit")
     length: u1 = means("its length", "bit")
     big: u1 = means("1: big-endian")
     spill: u1 = means("1: it goes on in the next word, of a big-endian field in the one before")

@@ -35,7 +35,7 @@ class Const(Record):
     """Constants."""
 
     rule: i8 = means("place in RULES")
-    threshold: f8 = means("of the level")
+    threshold: f8 = means("level from which on it alarms")
     share: f8 = means("1 - lambda")
     drift: f8 = means("nu")
     shift: f8 = means("mu")
@@ -49,9 +49,9 @@ class State(Record):
     """State."""
 
     level: f8 = means("g")
-    up: f8 = means("up; of gma, m")
+    up: f8 = means("up; m of gma; the sum of chi_square")
     down: f8 = means("down")
-    ring: Annotated[f8s, WINDOW] = means("symptoms of the window")
+    ring: Annotated[f8s, WINDOW] = means("(x/sigma)^2 of the last samples")
     at: i8 = means("place of the next of them")
     peak: f8 = means("largest level since somebody set it to 0")
 

@@ -52,8 +52,8 @@ class Const(Record):
 class State(Record):
     """What both remember."""
 
-    holds: Machine = means("of the relation")
-    when: Machine = means("of when it is tested")
+    holds: Machine = means("machine of the relation")
+    when: Machine = means("machine of when it is tested")
 
 
 class Evidence(Record):

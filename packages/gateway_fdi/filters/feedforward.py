@@ -25,8 +25,8 @@ class Const(Record):
 
     resistance: f8 = means("R", "Ohm")
     inductance: f8 = means("L", "H")
-    period: f8 = means("of a step", "s")
-    sign: f8 = means("of L dI/dt: 1, or -1 as printed")
+    period: f8 = means("length of a step", "s")
+    sign: f8 = means("sign of L dI/dt: 1, or -1 as printed")
     held: f8 = means("EMF below which the angle is held", "V")
     pole_pairs: f8 = means("pole pairs")
 

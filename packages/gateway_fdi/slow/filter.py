@@ -93,9 +93,9 @@ class State(Record):
 class Block(Record):
     """Sums over the sets of an equation that wait."""
 
-    h: Annotated[f8s, MOST] = means("of h")
-    rest: f8 = means("of rest")
-    variance: f8 = means("of the noise's variance")
+    h: Annotated[f8s, MOST] = means("h")
+    rest: f8 = means("rest")
+    variance: f8 = means("variance of the noise")
     sets: i8 = means("sets")
 
 

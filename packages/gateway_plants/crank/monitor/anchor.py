@@ -61,7 +61,7 @@ class State(Record):
     shift: i4 = means("shift that won last")
     wins: i4 = means("wins of that shift in a row")
     verified: u1 = means("1: the gap was seen where it is expected since the last test")
-    intervals: Annotated[f8s, MOST_TEETH] = means("of the last turn; 0: not known", "us")
+    intervals: Annotated[f8s, MOST_TEETH] = means("intervals of the last turn; 0: not known", "us")
     logs: Annotated[f8s, MOST_TEETH] = means("c_k, contrasts of those intervals")
 
 

@@ -26,7 +26,7 @@ class Const(Record):
 
     edges: i4 = means("edges of the cam")
     tells: u1 = means("1: edges are told nearer than half a tooth, so that they tell one from the next")
-    tolerance: f8 = means("of an edge's angle", "deg")
+    tolerance: f8 = means("what an edge's angle may be off", "deg")
     tooth_0: f8 = means("crank angle of tooth 0", "deg")
     angles: Annotated[f8s, MOST_EDGES] = means("crank angle of each edge, 0 to 720", "deg")
     levels: Annotated[u1s, MOST_EDGES] = means("level after each edge")

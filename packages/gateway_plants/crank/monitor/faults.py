@@ -148,20 +148,20 @@ class WrongWheel(Record):
 class Evidence(Record, overlay=True):
     """Evidence of a fault: one of these."""
 
-    pulses: Shape = means("of pulses missed or added")
-    sync_lost: SyncLost = means("of a lost place")
-    doubled: Doubled = means("of doubled edges")
-    no_gap: NoGap = means("of a gap that never comes")
-    runout: Runout = means("of runout")
-    reversed: Reversed = means("of an engine that has turned back")
-    cam_correlation: CamCorrelation = means("of a cam that does not fit the crank")
-    cam_silent: CamSilent = means("of a silent cam sensor")
-    relocated: Relocated = means("of a place that was wrong")
-    damaged: Damaged = means("of a tooth that is not where it belongs")
-    unwatched: Unwatched = means("of too many lost frames")
-    noise: Noise = means("of a burst of pulses")
-    two_places: TwoPlaces = means("of two equal gaps")
-    wrong_wheel: WrongWheel = means("of another wheel")
+    pulses: Shape = means("pulses missed or added")
+    sync_lost: SyncLost = means("a lost place")
+    doubled: Doubled = means("doubled edges")
+    no_gap: NoGap = means("a gap that never comes")
+    runout: Runout = means("runout")
+    reversed: Reversed = means("an engine that has turned back")
+    cam_correlation: CamCorrelation = means("a cam that does not fit the crank")
+    cam_silent: CamSilent = means("a silent cam sensor")
+    relocated: Relocated = means("a place that was wrong")
+    damaged: Damaged = means("a tooth that is not where it belongs")
+    unwatched: Unwatched = means("too many lost frames")
+    noise: Noise = means("a burst of pulses")
+    two_places: TwoPlaces = means("two equal gaps")
+    wrong_wheel: WrongWheel = means("another wheel")
 
 
 #: What the parts of the monitor report into.

@@ -32,7 +32,7 @@ class State(Record):
     counted: u1 = means("1: count is known")
     owed: u1 = means("1: the last CTW_BASE told of frames that are not here yet")
     owed_pulses: i8 = means("pulses that it told")
-    owed_teeth: i8 = means("last digits of the counter of the frame that it told of")
+    owed_teeth: i8 = means("counter of the frame that it told of, modulo 16")
     stray: i8 = means("place after the last frame that came late; -1: none")
     intervals: Annotated[f8s, MOST_INTERVALS] = means("intervals of the frame at hand", "us")
     stalls_ns: i8 = means("when the engine stands, without another pulse", "ns")
@@ -61,7 +61,7 @@ class Inputs(contract.Inputs):
 
     counter: f8 = means("counter of the frame of pulses")
     pulses: f8 = means("pulses sent so far, modulo 65536")
-    valid: f8 = means("intervals in the frame; of CTW_BASE, the last digits of a counter")
+    valid: f8 = means("intervals in the frame; of CTW_BASE, the counter modulo 16 of the last frame that it counts")
     shift: f8 = means("intervals are in units of 2 to the power of this", "us")
     base_counter: f8 = means("counter of CTW_BASE")
     cam_counter: f8 = means("counter of the cam's frame")

@@ -29,8 +29,8 @@ class Search(Record):
     seen: i8 = means("intervals so far")
     logs: Annotated[f8s, WINDOW] = means("logarithms of the last intervals, the latest at ``(seen - 1) % WINDOW``")
     period: f8 = means("time of a pitch", "us")
-    growth: f8 = means("of the squared speed", "1/pitch")
-    variance: f8 = means("of the logarithms")
+    growth: f8 = means("growth of the squared speed", "1/pitch")
+    variance: f8 = means("variance of the logarithms")
 
 
 @kernel

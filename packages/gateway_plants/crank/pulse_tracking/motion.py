@@ -28,7 +28,7 @@ class Hypothesis(Record):
 
     elapsed: f8 = means("time since its last tooth, filtered", "us")
     period: f8 = means("time of a pitch", "us")
-    growth: f8 = means("of the squared speed", "1/pitch")
+    growth: f8 = means("growth of the squared speed", "1/pitch")
     p11: f8 = means("covariance, of the position with itself")
     p12: f8 = means("covariance, of position and ln T")
     p13: f8 = means("covariance, of position and growth")

@@ -81,10 +81,7 @@ def harmonics(wh: LearnedWheel, middle: NDArray[np.float64]) -> None:
 
 
 class Profile(Record):
-    """Profile.
-
-    While the revolution before has ``ended`` and is not decided, the intervals of this one are of ``ahead``.
-    """
+    """Profile."""
 
     intervals: Annotated[f8s, MOST_TEETH] = means("intervals of this revolution", "us")
     before: Annotated[f8s, MOST_TEETH] = means("ln(pitch / nominal) of the last revolution")

@@ -37,7 +37,7 @@ class Tracker(Record):
     banks: Annotated[list[Hypothesis], 2 * MOST] = means("hypotheses, in one half or the other")
     spare: Annotated[list[Hypothesis], 1] = means("room for one hypothesis")
     variance: f8 = means("variance of an edge", "pitch^2")
-    wander: f8 = means("process noise of the growth", "1/pitch^3")
+    wander: f8 = means("process noise of the growth")
     residual: f8 = means("residual of the best hypothesis, if the latest pulse was its next tooth", "pitch")
     last: f8 = means("that residual of the pulse before", "pitch")
     mean_cost: f8 = means("cost of a pulse lately", "nat")

@@ -57,7 +57,7 @@ class Const(Record):
     turn: f8 = means("pitches of a turn")
     gap: f8 = means("largest pitch", "pitch")
     gain: f8 = means("D")
-    threshold: f8 = means("of the residual", "pitch")
+    threshold: f8 = means("threshold of the residual", "pitch")
     step: f8 = means("delta, the gap's step", "pitch")
     pitches: Annotated[f8s, MOST_TEETH] = means("a, the wheel's pitches", "pitch")
 

@@ -75,11 +75,11 @@ class Const(Record):
     """Constants."""
 
     filters: filters.Const = means("filters of the plant under each hypothesis")
-    level: f8 = means("of the evidence")
+    level: f8 = means("evidence beyond which something is wrong")
     fits: f8 = means("largest moving mean of left of a hypothesis that is right, with all sensors")
     fits_less: f8 = means("likewise, with one sensor less")
-    bounds: f8 = means("of what is slow, squared")
-    told: f8 = means("of what is slow, squared, behind what was not isolated")
+    bounds: f8 = means("bound of what is slow, squared")
+    told: f8 = means("bound of what is slow, squared, behind what was not isolated")
     actuator: Annotated[f8s, MOST_INPUTS] = means("size of an actuator's fault that counts, in the command's unit")
     sensor: Annotated[f8s, MOST_OUTPUTS] = means("size of a sensor's fault that counts, in the reading's unit")
     task: i8 = means("ISOLATING, LEARNING or WATCHING")
@@ -110,7 +110,7 @@ class State(Record):
     agreed: i8 = means("samples since unexplained that a healthy plant explains, within what was told", "samples")
     astray: i8 = means("samples since unexplained that it explains, beyond what was told", "samples")
     tested: i8 = means("1: the last sample was judged")
-    magnitude: f8 = means("of the fault")
+    magnitude: f8 = means("size of the fault")
     fit: f8 = means("sum of left of the healthy hypothesis while it alone runs")
     fitted: i8 = means("samples in that sum", "samples")
     forgiven: i8 = means("alarms that nothing came of")

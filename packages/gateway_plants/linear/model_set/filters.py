@@ -73,7 +73,7 @@ class Const(Record):
     plant: matrices.Const = means("the plant's matrices")
     hypotheses: i8 = means("hypotheses")
     kind: Annotated[i8s, MOST_HYPOTHESES] = means("what each hypothesis says")
-    place: Annotated[i8s, MOST_HYPOTHESES] = means("of which actuator or sensor")
+    place: Annotated[i8s, MOST_HYPOTHESES] = means("actuator or sensor that each hypothesis is of")
     relative: Annotated[f8s, MOST_ENTRIES] = means("1 over the square of each entry")
     c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES] = means("C")
     noise: Annotated[f8s, MOST_STATES] = means("variance of w")
@@ -86,8 +86,8 @@ class Const(Record):
     free: Annotated[f8s, MOST_SLOW] = means("variance of a jump of a slow state that a hypothesis lets go")
     command: Annotated[f8s, MOST_INPUTS] = means("variance of a command that is not known")
     loose: f8 = means("share of free that a fault which is followed changes by in a sample")
-    gate: f8 = means("of left of one sample, beyond which something jumped")
-    range: Annotated[f8s, MOST_OUTPUTS] = means("of a silent sensor's reading, as log density")
+    gate: f8 = means("left of a sample beyond which something jumped")
+    range: Annotated[f8s, MOST_OUTPUTS] = means("density of a silent sensor's reading, as logarithm")
 
 
 class State(Record):

@@ -38,10 +38,10 @@ class Const(Record):
     q: i8 = means("uncertain entries")
     discrete: i8 = means("1: the matrices are of discrete time")
     matrix: Annotated[f8s, MOST_STATES, BLOCK] = means("[[A, B], [0, 0]] T, or [Phi, Gamma]")
-    row: Annotated[i8s, MOST_ENTRIES] = means("of each entry in matrix")
-    column: Annotated[i8s, MOST_ENTRIES] = means("of each entry in matrix")
-    scale: f8 = means("of each entry in matrix")
-    bound: Annotated[f8s, MOST_ENTRIES] = means("of each entry, squared")
+    row: Annotated[i8s, MOST_ENTRIES] = means("row of each entry in matrix")
+    column: Annotated[i8s, MOST_ENTRIES] = means("column of each entry in matrix")
+    scale: f8 = means("what an entry's error is taken by in matrix")
+    bound: Annotated[f8s, MOST_ENTRIES] = means("bound of each entry, squared")
 
 
 class State(Record):

@@ -54,7 +54,7 @@ class State(Record):
     t_ns: i8 = means("when the last sample was due", "ns")
     before_ns: i8 = means("when the sample before it was due", "ns")
     steps: i8 = means("samples since one that was whole")
-    value: Annotated[f8s, MOST_INPUTS, _COMMANDS] = means("of the last frames")
+    value: Annotated[f8s, MOST_INPUTS, _COMMANDS] = means("values of the last frames")
     came_ns: Annotated[i8s, MOST_INPUTS, _COMMANDS] = means("when they came", "ns")
     heard: Annotated[i8s, MOST_INPUTS] = means("frames in all")
     since: Annotated[i8s, MOST_INPUTS] = means("frames since the last sample")

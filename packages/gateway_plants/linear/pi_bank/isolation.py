@@ -63,9 +63,9 @@ class Const(Record):
     sensor: Annotated[f8s, MOST_OUTPUTS] = means("thresholds of the sensors' faults, in the reading's unit")
     spread: Annotated[f8s, MOST_OUTPUTS] = means("standard deviation of each sensor's offset")
     sure: f8 = means("quantile beyond which an estimate is no noise")
-    window_alarm: f8 = means("of the window's log likelihood ratio, doubled")
-    sample_alarm: Annotated[f8s, BANK] = means("of a sample's energy, by observer")
-    persistence: i8 = means("samples in a row", "samples")
+    window_alarm: f8 = means("largest log likelihood ratio of the window, doubled")
+    sample_alarm: Annotated[f8s, BANK] = means("largest energy of a sample, by observer")
+    persistence: i8 = means("samples in a row beyond a threshold, for an actuator's fault", "samples")
     hold: i8 = means("samples after which a sensor's fault is gone", "samples")
 
 

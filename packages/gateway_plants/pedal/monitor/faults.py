@@ -52,9 +52,9 @@ class SupplyEvidence(Record):
 class Evidence(Record, overlay=True):
     """Evidence of a fault: one of these."""
 
-    channel: ChannelEvidence = means("of a channel's fault")
-    common: CommonEvidence = means("of what all channels have in common")
-    supply: SupplyEvidence = means("of a wrong supply")
+    channel: ChannelEvidence = means("a channel's fault")
+    common: CommonEvidence = means("what all channels have in common")
+    supply: SupplyEvidence = means("a wrong supply")
 
 
 _ELECTRIC = Debounce(failed_after=20, passed_after=200)

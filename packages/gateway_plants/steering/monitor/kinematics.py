@@ -28,7 +28,7 @@ class Const(Record):
     wheel_ratio: f8 = means("steering wheel over pinion")
     delay_ns: i8 = means("what the steering wheel's angle is older than its frame", "ns")
     age_ns: i8 = means("longest time between frames of motor and pinion, or behind the last, that is bridged", "ns")
-    leak: f8 = means("of the sum of wheel, forgotten", "1/s")
+    leak: f8 = means("share of the sum of wheel that is forgotten", "1/s")
     jitter: f8 = means("what a steering wheel's frame may be late", "s")
     angle_ns: f8 = means("period of motor and pinion angle", "ns")
     wheel_ns: f8 = means("period of the steering wheel's angle", "ns")

@@ -26,7 +26,7 @@ class State(Record):
     value: f8 = means("motor angle to send", "deg")
     speed: f8 = means("motor speed", "rad/s")
     load: f8 = means("load torque", "N m")
-    quality: i8 = means("of the motor angle: STARTING to INVALID")
+    quality: i8 = means("quality of the motor angle: STARTING to INVALID")
     pairs: i8 = means("pairs of motor frames taken")
     unpaired: i8 = means("motor frames without their pair")
     found: i8 = means("number of the fault found; NONE: none")
@@ -81,6 +81,6 @@ class Outputs(Record):
 
     value: f8 = means("motor angle", "deg")
     speed: f8 = means("motor speed", "rad/s")
-    quality: f8 = means("of the motor angle: STARTING to INVALID")
+    quality: f8 = means("quality of the motor angle: STARTING to INVALID")
     found: f8 = means("number of the fault found, from 1")
     load: f8 = means("load torque", "Nm")

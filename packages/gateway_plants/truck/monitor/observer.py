@@ -47,7 +47,7 @@ class Const(Record):
     forget: Annotated[f8s, ERRORS] = means("what errors lose [1/s], slope and curve [1/m]")
     own: f8 = means("diagonal of Sigma_0")
     least: f8 = means("torque of a machine that is used", "Nm")
-    threshold: f8 = means("of the statistic")
+    threshold: f8 = means("threshold of the statistic")
 
 
 class State(Record):

@@ -94,10 +94,10 @@ class Block(Record):
 
     count: i8 = means("samples")
     age: f8 = means("time since the first", "periods")
-    t: f8 = means("of times", "periods")
-    tt: f8 = means("of squares of times", "periods^2")
-    y: Annotated[f8s, MOST_CHANNELS] = means("of readings", "%")
-    ty: Annotated[f8s, MOST_CHANNELS] = means("of readings by times", "% periods")
+    t: f8 = means("times", "periods")
+    tt: f8 = means("squares of times", "periods^2")
+    y: Annotated[f8s, MOST_CHANNELS] = means("readings", "%")
+    ty: Annotated[f8s, MOST_CHANNELS] = means("readings by times", "% periods")
 
 
 class State(Record):
@@ -117,7 +117,7 @@ class State(Record):
     blocks: i8 = means("blocks in these sums")
     up: f8 = means("movement upwards, squares over those of noise")
     down: f8 = means("movement downwards, likewise")
-    rate: f8 = means("of the last block", "%/period")
+    rate: f8 = means("rate of the last block", "%/period")
     behind: Annotated[f8s, MOST_CHANNELS] = means("lag behind the first channel", "periods")
     variance: Annotated[f8s, MOST_CHANNELS] = means("variance of behind", "periods^2")
     doubt: Annotated[f8s, MOST_CHANNELS] = means("a measurement of behind that contradicted it", "periods")

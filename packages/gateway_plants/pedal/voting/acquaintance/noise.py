@@ -31,7 +31,7 @@ MOST = 5.0
 class Const(Record):
     """Constants, in the unit of the readings."""
 
-    unit: f8 = means("of the classes")
+    unit: f8 = means("width of PER_UNIT classes")
     noise: f8 = means("standard deviation of a reading, as told")
     step: f8 = means("resolution, as told")
     widest: f8 = means("largest resolution")

@@ -26,7 +26,7 @@ class Const(Record):
     a: Annotated[f8s, 4] = means("A_d")
     b: Annotated[f8s, 2] = means("B_d")
     k: Annotated[f8s, 2] = means("K")
-    period: f8 = means("of the measurements", "s")
+    period: f8 = means("time between measurements", "s")
 
 
 class State(Record):

@@ -22,10 +22,10 @@ class Const(Record):
     """Constants."""
 
     a: f8 = means("transition of x_B over a period")
-    current: f8 = means("of a mean current, in x_B", "rad/s/A")
-    voltage: f8 = means("of a mean voltage, in x_B", "rad/s/V")
+    current: f8 = means("share of a mean current in x_B", "rad/s/A")
+    voltage: f8 = means("share of a mean voltage in x_B", "rad/s/V")
     gain: f8 = means("K_r", "rad/s/A")
-    period: f8 = means("of the measurements", "s")
+    period: f8 = means("time between measurements", "s")
 
 
 class State(Record):
