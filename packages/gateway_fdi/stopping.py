@@ -48,9 +48,9 @@ class Const(Record):
 class State(Record):
     """State."""
 
-    level: f8 = means("g")
-    up: f8 = means("up; m of gma; the sum of chi_square")
-    down: f8 = means("down")
+    level: f8 = means("the level g")
+    up: f8 = means("sum upwards; m of gma; the sum of chi_square")
+    down: f8 = means("sum downwards")
     ring: Annotated[f8s, WINDOW] = means("(x/sigma)^2 of the last samples")
     at: i8 = means("place of the next of them")
     peak: f8 = means("largest level since somebody set it to 0")

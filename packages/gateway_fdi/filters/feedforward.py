@@ -28,7 +28,7 @@ class Const(Record):
     period: f8 = means("length of a step", "s")
     sign: f8 = means("sign of L dI/dt: 1, or -1 as printed")
     held: f8 = means("EMF below which the angle is held", "V")
-    pole_pairs: f8 = means("pole pairs")
+    pole_pairs: f8 = means("z_p")
 
 
 class State(Record):

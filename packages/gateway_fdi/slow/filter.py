@@ -93,10 +93,10 @@ class State(Record):
 class Block(Record):
     """Sums over the sets of an equation that wait."""
 
-    h: Annotated[f8s, MOST] = means("h")
-    rest: f8 = means("rest")
-    variance: f8 = means("variance of the noise")
-    sets: i8 = means("sets")
+    h: Annotated[f8s, MOST] = means("sum of h")
+    rest: f8 = means("sum of rest")
+    variance: f8 = means("sum of the noise's variances")
+    sets: i8 = means("number of sets")
 
 
 def prepare(s: State, c: Const) -> None:

@@ -27,13 +27,13 @@ SPREAD, TURNS = 0.2, 20.0
 class Law(Record):
     """Fading sums over the turns."""
 
-    weight: f8 = means("weights")
-    x: f8 = means("x")
-    xx: f8 = means("x^2")
-    even: f8 = means("even part of u")
-    odd: f8 = means("odd part of u")
-    x_even: f8 = means("even part of x u")
-    x_odd: f8 = means("odd part of x u")
+    weight: f8 = means("sum of weights")
+    x: f8 = means("sum of x")
+    xx: f8 = means("sum of x^2")
+    even: f8 = means("sum of u, even part")
+    odd: f8 = means("sum of u, odd part")
+    x_even: f8 = means("sum of x u, even part")
+    x_odd: f8 = means("sum of x u, odd part")
 
 
 @kernel

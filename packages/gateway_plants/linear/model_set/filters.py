@@ -71,7 +71,7 @@ class Const(Record):
     total: i8 = means("states with slow ones")
     gains: i8 = means("1: with the sensors' gains")
     plant: matrices.Const = means("the plant's matrices")
-    hypotheses: i8 = means("hypotheses")
+    hypotheses: i8 = means("number of hypotheses")
     kind: Annotated[i8s, MOST_HYPOTHESES] = means("what each hypothesis says")
     place: Annotated[i8s, MOST_HYPOTHESES] = means("actuator or sensor that each hypothesis is of")
     relative: Annotated[f8s, MOST_ENTRIES] = means("1 over the square of each entry")
@@ -86,7 +86,7 @@ class Const(Record):
     free: Annotated[f8s, MOST_SLOW] = means("variance of a jump of a slow state that a hypothesis lets go")
     command: Annotated[f8s, MOST_INPUTS] = means("variance of a command that is not known")
     loose: f8 = means("share of free that a fault which is followed changes by in a sample")
-    gate: f8 = means("left of a sample beyond which something jumped")
+    gate: f8 = means("normalised innovation squared of one sample, beyond which something jumped")
     range: Annotated[f8s, MOST_OUTPUTS] = means("density of a silent sensor's reading, as logarithm")
 
 

@@ -80,9 +80,9 @@ class State(Record):
 
     sampling: linear_plant.State = means("samples off the bus")
     models: decision.State = means("with model_error: the healthy hypothesis")
-    x: Annotated[f8s, MOST_STATES] = means("x")
+    x: Annotated[f8s, MOST_STATES] = means("the observer's estimate")
     next: Annotated[f8s, MOST_STATES] = means("scratch: x of the next sample")
-    e: Annotated[f8s, MOST_OUTPUTS] = means("innovations")
+    e: Annotated[f8s, MOST_OUTPUTS] = means("what it leaves of each sensor")
     rules: Annotated[list[stopping.State], MOST_OUTPUTS] = means("stopping rule of each innovation")
     nis: f8 = means("normalised innovation squared")
     samples: i8 = means("samples taken since the start")

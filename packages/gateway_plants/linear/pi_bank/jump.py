@@ -69,7 +69,7 @@ class State(Record):
     g: Annotated[f8s, BANK, MOST, MOST_INPUTS] = means("G(d)")
     j: Annotated[f8s, BANK, MOST_INPUTS, MOST_INPUTS] = means("information on a")
     h: Annotated[f8s, BANK, MOST_INPUTS] = means("information by a")
-    a: Annotated[f8s, BANK, MOST_INPUTS] = means("a")
+    a: Annotated[f8s, BANK, MOST_INPUTS] = means("estimate of the actuators' faults")
     sigma: Annotated[f8s, BANK, MOST_INPUTS] = means("standard deviation of the corrected omega")
     factor: Annotated[f8s, MOST_INPUTS, MOST_INPUTS] = means("scratch: j, decomposed")
     work: Annotated[f8s, MOST_INPUTS] = means("scratch")

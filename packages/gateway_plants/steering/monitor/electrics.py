@@ -42,7 +42,7 @@ GAP, MOVING = 8.0, 100.0
 class Const(Record):
     """Constants."""
 
-    pole_pairs: f8 = means("pole pairs")
+    pole_pairs: f8 = means("z_p")
     emf: f8 = means("c_M: EMF per mechanical speed", "V s")
     period: f8 = means("period of the motor's messages", "s")
     resistance: f8 = means("resistance of a winding, cold", "Ohm")

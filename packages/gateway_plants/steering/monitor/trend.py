@@ -17,7 +17,7 @@ class State(Record):
 
     at: i8 = means("place of the next one")
     held: i8 = means("parities that there are")
-    parity: Annotated[f8s, HISTORY] = means("parity", "deg")
+    parity: Annotated[f8s, HISTORY] = means("parity of the gear", "deg")
     motor: Annotated[f8s, HISTORY] = means("motor angle", "deg")
 
 
