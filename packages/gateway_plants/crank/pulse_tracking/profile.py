@@ -53,7 +53,7 @@ SPEED_STEP = 1.1
 
 
 class LearnedWheel(Record):
-    """What the profile has to know of the wheel."""
+    """What the profile has to know of the wheel; ``cosine`` and ``sine`` of order k + 1 begin at ``k * MOST_TEETH``."""
 
     pulses: i4 = means("pulses of a turn")
     orders: i4 = means("orders of ripple")
@@ -61,8 +61,8 @@ class LearnedWheel(Record):
     whole: f8 = means("pitches of a turn")
     nominal: Annotated[f8s, MOST_TEETH] = means("nominal pitches", "pitch")
     gap: Annotated[u1s, MOST_TEETH] = means("1: the slot is a gap, or follows one")
-    cosine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("in the middle of each slot, order by order")
-    sine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("likewise")
+    cosine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("cosine of each order in the middle of each slot")
+    sine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("sine likewise")
 
 
 def harmonics(wh: LearnedWheel, middle: NDArray[np.float64]) -> None:

@@ -68,7 +68,7 @@ class State(Record):
     open: Annotated[i8s, BANK] = means("1: a fault is estimated")
     g: Annotated[f8s, BANK, MOST, MOST_INPUTS] = means("G(d)")
     j: Annotated[f8s, BANK, MOST_INPUTS, MOST_INPUTS] = means("information on a")
-    h: Annotated[f8s, BANK, MOST_INPUTS] = means("information by a")
+    h: Annotated[f8s, BANK, MOST_INPUTS] = means("information times a")
     a: Annotated[f8s, BANK, MOST_INPUTS] = means("estimate of the actuators' faults")
     sigma: Annotated[f8s, BANK, MOST_INPUTS] = means("standard deviation of the corrected omega")
     factor: Annotated[f8s, MOST_INPUTS, MOST_INPUTS] = means("scratch: j, decomposed")
