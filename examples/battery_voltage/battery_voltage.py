@@ -43,9 +43,9 @@ class State(Record):
 class Const(Record):
     """What stays."""
 
-    low: f8
-    high: f8
-    hysteresis: f8
+    low: f8 = means("below it the battery is too low", "V")
+    high: f8 = means("above it the battery is charged too much", "V")
+    hysteresis: f8 = means("back by so much it is good again", "V")
 
 
 class Inputs(contract.Inputs):

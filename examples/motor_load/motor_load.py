@@ -53,20 +53,20 @@ class State(Record):
 
     speed: f8 = means(unit="rad/s")
     load: f8 = means(unit="N m")
-    samples: f8
+    samples: f8 = means("samples so far")
 
 
 class Const(Record):
     """What stays: Phi, Gamma, L, and the limits."""
 
-    phi_ww: f8
-    phi_wt: f8
-    gamma: f8
-    gain_w: f8
-    gain_t: f8
+    phi_ww: f8 = means("speed by the speed before")
+    phi_wt: f8 = means("speed by the load", "rad/s/(N m)")
+    gamma: f8 = means("speed by the current", "rad/s/A")
+    gain_w: f8 = means("speed by the innovation")
+    gain_t: f8 = means("load by the innovation", "N m/(rad/s)")
     spread: f8 = means("of the innovation", "rad/s")
-    gate: f8
-    most_load: f8
+    gate: f8 = means("of the innovation, in standard deviations")
+    most_load: f8 = means("more is a jam", "N m")
 
 
 class Inputs(contract.Inputs):

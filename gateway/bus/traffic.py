@@ -69,7 +69,7 @@ _CELLS = FRAME.itemsize // 8
 class Load(Record):
     """One bus since the start."""
 
-    frames: i8
+    frames: i8 = means("frames since the start")
     errors: i8 = means("error frames, and conditions")
     nominal_bits: i8 = means("sent at the nominal bit rate, the whole of a frame without bit rate switch")
     data_bits: i8 = means("sent at the data bit rate")
@@ -79,14 +79,14 @@ class Load(Record):
 class Seen(Record):
     """One identifier of one bus; gaps are since the last look."""
 
-    used: u1
-    bus: u1
-    length: u1
+    used: u1 = means("1: the place is taken")
+    bus: u1 = means("number of the bus")
+    length: u1 = means("bytes of the latest frame", "byte")
     form: u1 = means("flags of the latest frame: FD, BRS, ...")
-    can_id: u4
-    count: i8
+    can_id: u4 = means("identifier")
+    count: i8 = means("frames since the start")
     last_ns: i8 = means(unit="ns")
-    gaps: i8
+    gaps: i8 = means("gaps between two frames")
     shortest_ns: i8 = means(unit="ns")
     longest_ns: i8 = means(unit="ns")
     sum_ns: i8 = means(unit="ns")

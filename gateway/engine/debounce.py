@@ -29,52 +29,48 @@ class DebouncePlace(Record):
     trigger: i8 = means("counter at which the freeze frame is wanted; 0: never")
     timer: i4 = means("of a debounce by time; -1: it counts results")
     cycle: i4 = means("operation cycle; -1: the gateway's run")
-    first_condition: i4
-    conditions: i4
-    first_root: i4
-    roots: i4
-    jump_up_to: i8
-    jump_down_to: i8
-    jump_up: u1
-    jump_down: u1
-    gated: u1
+    first_condition: i4 = means("conditions[first_condition:+conditions]: enable conditions")
+    conditions: i4 = means("how many these are")
+    first_root: i4 = means("roots[first_root:+roots]: root causes")
+    roots: i4 = means("how many these are")
+    jump_up_to: i8 = means("counter that a failed result jumps up to")
+    jump_down_to: i8 = means("counter that a passed result jumps down to")
+    jump_up: u1 = means("1: a failed result jumps")
+    jump_down: u1 = means("1: a passed result jumps")
+    gated: u1 = means("1: gates may hold it")
     resets: u1 = means("whether it is reset while it is held")
     is_root: u1 = means("whether it closes the gates of other faults")
-    bus: u1
+    bus: u1 = means("number of the bus")
 
 
 class DebounceConst(Record):
     """What the state is counted in: results, or ns if ``timed``."""
 
-    failed_after: i8
-    passed_after: i8
-    failed_step: i8
-    passed_step: i8
-    timed: u1
+    failed_after: i8 = means("counter at which it is failed")
+    passed_after: i8 = means("minus the counter at which it is passed")
+    failed_step: i8 = means("what a failed result adds")
+    passed_step: i8 = means("what a passed result takes off")
+    timed: u1 = means("1: the counter is in ns")
 
 
 class DebounceState(Record):
-    """Counter, last result, last verdict; of a time debounce where it runs to and since when.
+    """Counter, last result, last verdict."""
 
-    ``active``: whether the fault is there, like testFailed; ``peak``, ``near``: greatest counter and near misses since
-    :func:`fold`; ``value`` and ``limit``: of the last result; ``evidence``: likewise, for a verdict that time brings.
-    """
-
-    last: u1
-    verdict: u1
-    direction: u1
-    active: u1
-    triggered: u1
-    missed: u1
-    counter: i8
+    last: u1 = means("last result")
+    verdict: u1 = means("last verdict")
+    direction: u1 = means("where a time debounce runs to: PASSED or FAILED")
+    active: u1 = means("1: the fault is there, like testFailed")
+    triggered: u1 = means("1: the freeze frame was wanted in this episode")
+    missed: u1 = means("1: the episode is a near miss, if it ends now")
+    counter: i8 = means("the counter")
     since_ns: i8 = means(unit="ns")
     deadline_ns: i8 = means(unit="ns")
-    episode: i8
-    peak: i8
-    near: i8
-    value: f8
-    limit: f8
-    evidence: Annotated[f8s, EVIDENCE]
+    episode: i8 = means("greatest counter since it was last 0")
+    peak: i8 = means("greatest counter since :func:`fold`")
+    near: i8 = means("near misses since :func:`fold`")
+    value: f8 = means("what the last result tested")
+    limit: f8 = means("what it was tested against")
+    evidence: Annotated[f8s, EVIDENCE] = means("its evidence, for a verdict that time brings")
 
 
 #: What a result touches that changes nothing: one line of the cache.

@@ -29,19 +29,19 @@ MOST_FRAMES = 1024
 class EmitPlace(Record):
     """One message: identity, its signals ``signals[first:first + count]``."""
 
-    can_id: u4
-    can_flags: u1
-    bus: u1
+    can_id: u4 = means("identifier")
+    can_flags: u1 = means("flags of the frame")
+    bus: u1 = means("number of the bus")
     local: u1 = means("whether the engine itself decodes it")
-    length: i4
-    first: i4
-    count: i4
+    length: i4 = means("bytes of the frame", "byte")
+    first: i4 = means("its first signal")
+    count: i4 = means("its signals")
 
 
 class EmitConst(Record):
     """How it is protected."""
 
-    protection: ProtectionConst
+    protection: ProtectionConst = means("checksum, alive counter, header")
 
 
 class EmitState(Record):

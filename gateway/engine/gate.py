@@ -26,37 +26,37 @@ NOW, AWAKE, SUPPLIED = range(3)
 
 
 class ConditionRow(Record):
-    """One enable condition: a mailbox slot, the row of its message, and the closed range it must be in."""
+    """One enable condition."""
 
     counts: u1 = means("NOW, AWAKE or SUPPLIED")
 
-    slot: i4
-    row: i4
-    low: f8
-    high: f8
+    slot: i4 = means("mailbox slot of its signal")
+    row: i4 = means("row of its message")
+    low: f8 = means("least value that meets it")
+    high: f8 = means("greatest value that meets it")
 
 
 class WatchPlace(Record):
     """Places in other tables."""
 
-    cycle: i4
-    slot: i4
-    bus: u1
+    cycle: i4 = means("operation cycle")
+    slot: i4 = means("mailbox slot of its signal")
+    bus: u1 = means("number of the bus")
 
 
 class WatchConst(Record):
     """When: the slot is in the closed range, and has risen by ``rise`` above its lowest value since it last was so."""
 
     begins: u1 = means("1: the operation cycle begins; 0: it ends")
-    low: f8
-    high: f8
-    rise: f8
+    low: f8 = means("least value")
+    high: f8 = means("greatest value")
+    rise: f8 = means("what it has to rise by")
 
 
 class WatchState(Record):
     """What has come."""
 
-    lowest: f8
+    lowest: f8 = means("lowest value since it last was so")
 
 
 class Watch(WatchState, WatchConst, WatchPlace):

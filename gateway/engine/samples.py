@@ -26,7 +26,7 @@ class Samples(sampling.State, lengths={"messages": MOST_MESSAGES}):
 class SamplerPlace(Record):
     """How the frames of some messages of a monitor become samples."""
 
-    const: sampling.Const
+    const: sampling.Const = means("constants of the sampling")
     which: i4 = means("of the monitor's samplings it is")
     first: i4 = means("of its messages, of sampled[first : first + messages]")
     held: i4 = means("first of the cells that hold what has come of samples that are not there yet")
@@ -36,7 +36,7 @@ class SamplerPlace(Record):
 class SamplerState(Record):
     """What has come."""
 
-    samples: Samples
+    samples: Samples = means("state of the sampling")
 
 
 class Sampler(SamplerState, SamplerPlace):
@@ -51,7 +51,7 @@ class Sampled(Record):
     sampler: i4 = means("whose message it is")
     message: i4 = means("its number there, from 0")
     first: i4 = means("carried[first : first + carries] are the inputs that it carries, by their numbers")
-    carries: i4
+    carries: i4 = means("how many these are")
 
 
 def fill(

@@ -31,10 +31,10 @@ class VectorPlace(Record):
     """What a message does, for each message of the decode plan."""
 
     first: i4 = means("of the monitors that it triggers, handlers[first:first + count], by priority")
-    count: i4
+    count: i4 = means("how many these are")
     check: i4 = means("its communication check; -1: none")
     first_watch: i4 = means("of the operation cycles that it may begin or end")
-    watches: i4
+    watches: i4 = means("how many these are")
     page: i4 = means("first of its pages; -1: none")
 
 
@@ -53,7 +53,7 @@ class PagePlace(Record):
 
     place: i4 = means("among the signals of its message")
     after: i4 = means("the next page of its message; -1: none")
-    slot: i4
+    slot: i4 = means("mailbox slot of the signal")
 
 
 class PageState(Record):
@@ -69,26 +69,26 @@ class Page(PageState, PagePlace):
 class HandlerPlace(Record):
     """One configured monitor: addresses of its kernel and records, and its places in other tables."""
 
-    entry: i8
-    state: i8
-    const: i8
-    inputs_address: i8
+    entry: i8 = means("address of its kernel")
+    state: i8 = means("address of its state")
+    const: i8 = means("address of its constants")
+    inputs_address: i8 = means("address of its inputs")
     inputs: i4 = means("first of its cells in the pool")
     cells: i4 = means("first of those that are connected")
     first_sampled: i4 = means("sampled[first_sampled:+sampled]: messages that make samples; none: each frame steps it")
-    sampled: i4
+    sampled: i4 = means("how many these are")
     samplings: i4 = means("how many different ones these are of")
     first_loose: i4 = means("carried[first_loose:+loose]: inputs of no sample, whose newest value is taken")
-    loose: i4
+    loose: i4 = means("how many these are")
     first_slot: i4 = means("slots[first_slot:+slots] go to its inputs")
-    slots: i4
+    slots: i4 = means("how many these are")
     first_source: i4 = means("sources[first_source:+sources]: what its inputs come from; a message, or -1 - a page")
-    sources: i4
-    fault: i4
-    faults: i4
+    sources: i4 = means("how many these are")
+    fault: i4 = means("the engine's index of its first fault")
+    faults: i4 = means("its faults")
     emit: i4 = means("the message that it sends; -1: none")
     timer: i4 = means("that wakes it")
-    bus: u1
+    bus: u1 = means("number of the bus")
     ticks: u1 = means("1: it samples at the ticks of a clock, which wake it")
     takes_nan: u1 = means("1: it steps with a message whose values are not valid; they are NaN")
 
@@ -96,12 +96,12 @@ class HandlerPlace(Record):
 class HandlerState(Record):
     """What it has done, and when it wants to be woken."""
 
-    tested: u1
+    tested: u1 = means("1: its faults were tested last")
     slips: u1 = means("slips of its author that were put right, as bits: NO_NUMBER, ...")
     off: i8 = means("why it is stepped no more, as call_entry tells it; 0: it is stepped")
     wake_ns: i8 = means(unit="ns")
-    steps: i8
-    skipped: i8
+    steps: i8 = means("times that it was stepped")
+    skipped: i8 = means("times that it was not")
 
 
 class Handler(HandlerState, HandlerPlace):
@@ -111,29 +111,26 @@ class Handler(HandlerState, HandlerPlace):
 class Report(Record):
     """A test result that is none of a monitor's: of the gateway itself, or of another process."""
 
-    fault: i4
+    fault: i4 = means("the engine's index of the fault")
     result: u1 = means("PASSED, FAILED or NOT_TESTED")
     at_once: u1 = means("whether it qualifies at once, without debounce")
-    value: f8
-    limit: f8
-    evidence: Annotated[f8s, EVIDENCE]
+    value: f8 = means("what was tested")
+    limit: f8 = means("what it was tested against")
+    evidence: Annotated[f8s, EVIDENCE] = means("evidence of the result")
 
 
 class ClockPass(Record):
-    """What one pass of the loop needs.
+    """What one pass of the loop needs; frames are those of the outbox, in its order."""
 
-    Of the outbox's ``sent`` frames the first ``fed`` went through the engine themselves, the first ``taken`` have left.
-    """
-
-    stop: u1
+    stop: u1 = means("1: the pass ends here")
     held: u1 = means("whether test results do not count at present")
     reported: i8 = means("results of the gateway itself that wait")
     gate_changes: i8 = means("what gates ask for, but for signals: cycles that began or ended, failed results of roots")
     stepping: i8 = means("timer of the monitor that is being stepped, and one; 0: none is")
-    events: i8
-    sent: i8
-    fed: i8
-    taken: i8
+    events: i8 = means("events of this pass")
+    sent: i8 = means("frames sent")
+    fed: i8 = means("first of these that went through the engine themselves")
+    taken: i8 = means("first of these that have left")
 
 
 class ClockState(Record):
@@ -142,28 +139,28 @@ class ClockState(Record):
     now_ns: i8 = means(unit="ns")
     offset_ns: i8 = means("what the wall clock is ahead of the engine's", "ns")
     deadline_ns: i8 = means("lower bound of every timer's deadline", "ns")
-    started: u1
-    events_lost: i8
-    frames: i8
-    decoded: i8
-    unknown: i8
-    remote: i8
-    error: i8
-    late: i8
+    started: u1 = means("1: there is a time")
+    events_lost: i8 = means("events that there was no room for")
+    frames: i8 = means("frames taken")
+    decoded: i8 = means("frames of known messages that were decoded")
+    unknown: i8 = means("frames of unknown identifiers")
+    remote: i8 = means("remote frames")
+    error: i8 = means("error frames, and conditions")
+    late: i8 = means("frames older than the one before")
     clock_steps: i8 = means("how often the wall clock was set")
-    too_short: i8
-    unknown_mux: i8
-    invalid_values: i8
-    crc_failed: i8
-    repeated: i8
+    too_short: i8 = means("frames shorter than their message")
+    unknown_mux: i8 = means("frames whose multiplexer selects nothing")
+    invalid_values: i8 = means("frames with a value that is none")
+    crc_failed: i8 = means("frames whose checksum is wrong")
+    repeated: i8 = means("frames whose alive counter stands still")
     wrong_sequence: i8 = means("frames of E2E out of sequence, not used")
     window_rejected: i8 = means("right frames of E2E not used, too few of the last ones were right")
-    timeouts: i8
+    timeouts: i8 = means("messages that stayed away")
     results_lost: i8 = means("results that there was no room for")
     results_unknown: i8 = means("results of a fault that the monitor does not have")
     results_no_number: i8 = means("results whose value or threshold is no number: not tested")
     wakes_moved: i8 = means("wishes to be woken too early, which were put off")
-    sent_lost: i8
+    sent_lost: i8 = means("messages of monitors that there was no room for")
 
 
 class Clock(ClockState, ClockPass):

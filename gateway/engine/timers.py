@@ -38,7 +38,7 @@ class Noted(Record):
     """One place of the heap."""
 
     noted_ns: i8 = means("lower bound of the deadline of the timer's owner", "ns")
-    timer: i4
+    timer: i4 = means("number of the timer")
 
 
 @kernel

@@ -135,7 +135,7 @@ class SampledInputs(Inputs):
 class Evidence(Record):
     """Evidence of a monitor that has no record of its own for it."""
 
-    value: Annotated[f8s, EVIDENCE]
+    value: Annotated[f8s, EVIDENCE] = means("value")
 
 
 @kernel

@@ -96,12 +96,12 @@ class Sampling:
 class Const(Record):
     """Constants."""
 
-    messages: i8
+    messages: i8 = means("messages of a sample")
     period_ns: i8 = means(unit="ns")
     window_ns: i8 = means(unit="ns")
     oldest: i8 = means("samples further from each other do not follow each other", "periods")
     counted: i8 = means("1: counters are looked at")
-    modulo: i8
+    modulo: i8 = means("values that a counter has")
     every: i8 = means("bits of all messages")
     early_ns: f8 = means("a frame that follows the one before is looked at no further if it waits for no less", "ns")
     late_ns: f8 = means("and for less", "ns")
@@ -113,67 +113,50 @@ class Const(Record):
 
 
 class Numbers(Record):
-    """Which sample a message's newest frame carries.
+    """Which sample a message's newest frame carries."""
 
-    ``number`` of that sample; ``date_ns``: when it was due, by the frames that waited least; ``counter`` of its frame,
-    ``top``: largest one so far of ``seen`` frames; ``least``: what frames of this window have waited at least [ns], of
-    ``window`` of them; ``overtaken``, ``stands``: frames in a row that were, or had the same counter; ``settled``:
-    frames since the periods were found anew; ``rounds``: how often the counter seems to have gone round unseen, when
-    the frame of ``doubt_ns`` came.
-    """
-
-    seen: i8
-    number: i8
-    date_ns: f8
-    arrived_ns: i8
-    counter: i8
-    top: i8
-    least: f8
-    window: i8
-    overtaken: i8
-    stands: i8
-    settled: i8
-    rounds: i8
-    doubt_ns: i8
+    seen: i8 = means("frames so far")
+    number: i8 = means("number of that sample")
+    date_ns: f8 = means("when it was due, by the frames that waited least", "ns")
+    arrived_ns: i8 = means("when the frame came", "ns")
+    counter: i8 = means("counter of the frame")
+    top: i8 = means("largest counter so far")
+    least: f8 = means("what frames of this window have waited at least", "ns")
+    window: i8 = means("frames of this window")
+    overtaken: i8 = means("frames in a row that were overtaken")
+    stands: i8 = means("frames in a row that had the same counter")
+    settled: i8 = means("frames since the periods were found anew")
+    rounds: i8 = means("how often the counter seems to have gone round unseen")
+    doubt_ns: i8 = means("when the frame came that rounds was counted at", "ns")
 
 
 class State(Record, lengths={"messages": 1}):
-    """State.
+    """State. By counter: ``have`` to ``apart``; by the clock: ``tick_ns``, ``known``, ``more``."""
 
-    ``fresh``: bits of the messages that have come since the last sample; ``taken``: number that each had in it;
-    ``came_ns``: when each came last. ``missing``: bits of the messages that are missing in the sample, ``away``:
-    until they come again; ``gap``: periods from the sample before to this one; ``overtaken``: frames that came too late
-    to be one.
-
-    By counter: ``have``: bits of the messages that have come of each set, whose ``number`` it is; ``place``: of the
-    frame's set among them; ``last``: number of the newest sample, ``newest``: of all frames, which have ``begun`` to
-    come; ``shift``: a number less its counter; ``apart``: sets that were given up.
-    """
-
-    numbers: Annotated[list[Numbers], "messages"]
-    taken: Annotated[i8s, "messages"]
-    came_ns: Annotated[i8s, "messages"]
-    heard_ns: i8
-    begun_ns: i8
-    last_ns: i8
-    fresh: i8
-    missing: i8
-    away: i8
-    gap: i8
-    samples: i8
-    overtaken: i8
-    have: Annotated[i8s, MOST_DEPTH]
-    number: Annotated[i8s, MOST_DEPTH]
-    place: i8
-    last: i8
-    begun: i8
-    newest: i8
-    shift: i8
-    apart: i8
-    tick_ns: i8
-    at_ns: i8
-    known: Annotated[i8s, "messages"]
-    more: i8
+    numbers: Annotated[list[Numbers], "messages"] = means("which sample each message's newest frame carries")
+    taken: Annotated[i8s, "messages"] = means("number that each message had in the last sample")
+    came_ns: Annotated[i8s, "messages"] = means("when each message came last; 0: never", "ns")
+    heard_ns: i8 = means("when any message came last", "ns")
+    begun_ns: i8 = means("when the first frame came; 0: none has", "ns")
+    last_ns: i8 = means("when the last sample was taken", "ns")
+    fresh: i8 = means("bits of the messages that have come since the last sample")
+    missing: i8 = means("bits of the messages that are missing in the sample")
+    away: i8 = means("bits of missing messages, until they come again")
+    gap: i8 = means("periods from the sample before to this one")
+    samples: i8 = means("samples so far")
+    overtaken: i8 = means("frames that came too late to be one")
+    have: Annotated[i8s, MOST_DEPTH] = means("bits of the messages that have come of each set")
+    number: Annotated[i8s, MOST_DEPTH] = means("number of each set")
+    place: i8 = means("place of the frame's set among them")
+    last: i8 = means("number of the newest sample")
+    begun: i8 = means("1: there is a set")
+    newest: i8 = means("number of the newest of all frames")
+    shift: i8 = means("a number less its counter")
+    apart: i8 = means("sets that were given up")
+    tick_ns: i8 = means("next tick; 0: the clock stands", "ns")
+    at_ns: i8 = means("time of the sample", "ns")
+    known: Annotated[i8s, "messages"] = means("bits of the ticks at which each message has a value")
+    more: i8 = means("1: another sample may be due at once")
 
 
 def prepare(c: Const, sampling: Sampling, messages: int) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gateway_fdi.jit import Record, kernel, u1
+from gateway_fdi.jit import Record, kernel, means, u1
 
 if TYPE_CHECKING:
     from cantools.database.can.signal import Signal
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 class Field(Record):
     """Where a field of at most 64 bits lies; records of SIGNAL have the same names."""
 
-    word: u1
-    shift: u1
-    length: u1
-    big: u1
-    spill: u1
+    word: u1 = means("word of its lowest bit")
+    shift: u1 = means("place of that bit in the word", "bit")
+    length: u1 = means("its length", "bit")
+    big: u1 = means("1: big-endian")
+    spill: u1 = means("1: it goes on in the next word, of a big-endian field in the one before")
 
 
 def place(row: Any, start: int, length: int, *, big: bool) -> None:

@@ -14,25 +14,25 @@ from math import inf, sqrt
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8, f8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, kernel, means
 
 
 class Const(Record):
     """Constants."""
 
-    nu: f8
-    threshold: f8
-    most: f8
+    nu: f8 = means("drift")
+    threshold: f8 = means("J")
+    most: f8 = means("largest T")
 
 
 class State(Record):
-    """For calibration: ``peak``, the largest T_norm; ``samples``, ``total`` and ``squares`` of |r|."""
+    """State; all but ``value`` is for calibration."""
 
-    value: f8
-    peak: f8
-    samples: f8
-    total: f8
-    squares: f8
+    value: f8 = means("T")
+    peak: f8 = means("largest T_norm")
+    samples: f8 = means("residuals so far")
+    total: f8 = means("sum of abs(r)")
+    squares: f8 = means("sum of r^2")
 
 
 #: Limit of T in units of J.

@@ -21,7 +21,7 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 
 from gateway_fdi.cusum import grown
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 from gateway_fdi.quantiles import chi2_above
 
 Rule = Literal["direct", "gma", "cusum", "sprt", "chi_square"]
@@ -34,26 +34,26 @@ WINDOW = 64
 class Const(Record):
     """Constants."""
 
-    rule: i8
-    threshold: f8
-    share: f8
-    drift: f8
-    shift: f8
-    variance: f8
-    low: f8
-    most: f8
-    window: i8
+    rule: i8 = means("place in RULES")
+    threshold: f8 = means("level from which on it alarms")
+    share: f8 = means("1 - lambda")
+    drift: f8 = means("nu")
+    shift: f8 = means("mu")
+    variance: f8 = means("sigma^2")
+    low: f8 = means("where the SPRT accepts that all is well")
+    most: f8 = means("largest level of CUSUM and SPRT")
+    window: i8 = means("N", "samples")
 
 
 class State(Record):
-    """State: ``peak``: largest level since somebody set it to 0."""
+    """State."""
 
-    level: f8
-    up: f8
-    down: f8
-    ring: Annotated[f8s, WINDOW]
-    at: i8
-    peak: f8
+    level: f8 = means("the level g")
+    up: f8 = means("sum upwards; m of gma; the sum of chi_square")
+    down: f8 = means("sum downwards")
+    ring: Annotated[f8s, WINDOW] = means("(x/sigma)^2 of the last samples")
+    at: i8 = means("place of the next of them")
+    peak: f8 = means("largest level since somebody set it to 0")
 
 
 def prepare(

@@ -218,7 +218,7 @@ def running_source(type_: str, *, loops: bool = False) -> str:
         FIRST: f"{FIRST}from typing import Annotated\n\nfrom gateway_fdi.jit import f8s, i8\n",
         "class State(Record):": "class TooMuch(Exception):\n    pass\n\n\nclass State(Record):",
         STATE: f"{STATE}    cells: Annotated[f8s, 3]\n    count: i8\n    nothing: i8\n",
-        "    hysteresis: f8\n": "    hysteresis: f8\n    nan: f8\n    inf: f8\n    above: f8\n    slip: i8\n",
+        "    hysteresis: f8": "    nan: f8\n    inf: f8\n    above: f8\n    slip: i8\n    hysteresis: f8",
         PARAMS: f"{PARAMS}    slip: int = -1\n    above: float = 20.0\n",
         PREPARE: f'{PREPARE}    c.slip, c.above, c.nan, c.inf = p.slip, p.above, float("nan"), float("inf")\n',
         "    if u.trigger == TIMER:\n        return\n": (

@@ -160,8 +160,8 @@ class HealthPlace(Record):
     """Places in other tables, and settings that the state does not depend on."""
 
     fault: Annotated[i4s, len(FAULTS) + len(OWN_FAULTS)] = means("the engine's index of each fault; -1: not judged")
-    timer: i4
-    most: i8
+    timer: i4 = means("its timer")
+    most: i8 = means("errors in window_ns that are too many; of the gateway itself, us that the clock may be off")
     window_ns: i8 = means(unit="ns")
     quiet_ns: i8 = means("it is silent as a whole after so long without a frame; 0: not judged", "ns")
     gap_ns: i8 = means("a gap between two frames is unusual from here on", "ns")
@@ -174,19 +174,19 @@ class HealthState(Record):
     failed: i4 = means("verdicts of the last frame, a bit for each fault")
     passed: i4 = means("likewise")
     bad: u1 = means("faults that any frame received disproves")
-    count: i8
+    count: i8 = means("errors in the window")
     since_ns: i8 = means(unit="ns")
     deadline_ns: i8 = means(unit="ns")
     until: Annotated[i8s, len(FAULTS) + len(OWN_FAULTS)] = means("when a fault heals by silence", "ns")
-    lost: i8
+    lost: i8 = means("frames lost in a queue")
     heard_ns: i8 = means("when a frame was last received", "ns")
     talks_ns: i8 = means("when the last silence that was unusual ended", "ns")
     silence: u1 = means("SPOKEN, AWAITED: messages wait for a frame of anybody, WHOLE: it is silent as a whole")
     asleep: u1 = means("whether it may be silent: nobody is awake")
-    counts: Annotated[i8s, len(COUNTED)]
-    value: f8
-    limit: f8
-    evidence: Annotated[f8s, 3]
+    counts: Annotated[i8s, len(COUNTED)] = means("conditions so far, by COUNTED")
+    value: f8 = means("value of the verdicts")
+    limit: f8 = means("limit of the verdicts")
+    evidence: Annotated[f8s, 3] = means("evidence of the verdicts")
 
 
 class Health(HealthState, HealthPlace):

@@ -155,8 +155,8 @@ class CheckPlace(Record):
 
     fault: Annotated[i4s, len(FAULTS)] = means("the engine's index of each fault; -1: not asked for")
     presence: i4 = means("place of a multiplexed signal of the protection among the message's; -1: always there")
-    timer: i4
-    bus: u1
+    timer: i4 = means("its timer")
+    bus: u1 = means("number of the bus")
 
 
 class CheckConst(Record):
@@ -165,10 +165,10 @@ class CheckConst(Record):
     timeout_ns: i8 = means(unit="ns")
     wake_ns: i8 = means("time to come after the bus was silent as a whole", "ns")
     first_ns: i8 = means("time to come since there is something to hear", "ns")
-    length: i4
+    length: i4 = means("least length", "byte")
     cycle_ns: i8 = means("of E2E's state machine: so long without a frame is no new data; 0: not looked at", "ns")
     rule: i8 = means("digest of the checksum's rule; 0: there is none")
-    protection: ProtectionConst
+    protection: ProtectionConst = means("checksum, alive counter, header")
 
 
 class CheckState(Record):
@@ -180,19 +180,19 @@ class CheckState(Record):
     parked_ns: i8 = means("when its time was over while nobody was heard; 0: it was not", "ns")
     parks: i4 = means("how often that was so since it came")
     asleep: u1 = means("whether its time was over while all slept")
-    last_counter: i8
+    last_counter: i8 = means("alive counter of the last frame")
     passed: i8 = means("frames whose checksum was right since the rule was proven")
     weighed: u8 = means("hash of the last right payload before the rule was proven")
     proof: i4 = means("what speaks for the rule of the checksum, -PROVEN to PROVEN", "half bit")
     unread: i4 = means("frames rejected since the counter was last read")
     misfits: i4 = means("frames whose checksum was wrong before the rule was proven")
-    seen: u1
+    seen: u1 = means("1: last_counter is known")
     window: u1 = means("of E2E: NO_DATA, STARTING, VALID, INVALID")
     came_ns: i8 = means("when a frame was last taken into it; 0: never", "ns")
     ok: u8 = means("bit k: the frame k frames ago was right")
     wrong: u8 = means("bit k: its checksum was not")
     samples: Annotated[u8s, SAMPLES, 8] = means("payloads of misfits")
-    lengths: Annotated[i4s, SAMPLES]
+    lengths: Annotated[i4s, SAMPLES] = means("lengths of misfits", "byte")
 
 
 _COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus", "protection.first")
@@ -215,7 +215,7 @@ class CheckRun(Record):
     steady: u1 = means("whether a frame that passes with the usual results goes on with it")
     counted: u1 = means("whether the alive counter is tested")
     summed: u1 = means("whether a checksum is tested")
-    usual_length: i4
+    usual_length: i4 = means("length of its frames", "byte")
     usual_step: i4 = means("of the alive counter")
     gate_changes: i8 = means("of the clock, when the gates of its tests were last asked")
     run: i8 = means("frames that the buckets have not been told of")

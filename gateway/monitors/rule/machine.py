@@ -52,33 +52,33 @@ from gateway_fdi.jit import Record, f8, f8s, i4s, i8, i8s, kernel, means
 class Code(Record):
     """A program."""
 
-    length: i8
-    op: Annotated[i4s, MOST_OPS]
-    argument: Annotated[i4s, MOST_OPS]
-    number: Annotated[f8s, MOST_NUMBERS]
+    length: i8 = means("its operations")
+    op: Annotated[i4s, MOST_OPS] = means("operations")
+    argument: Annotated[i4s, MOST_OPS] = means("their arguments: a number's, an input's or a memory's place")
+    number: Annotated[f8s, MOST_NUMBERS] = means("numbers of the program")
     seconds: Annotated[f8s, MOST_MEMORIES] = means("of each memory: delay or time constant", "s")
 
 
 class Memory(Record):
     """What rate, delay and lowpass remember."""
 
-    samples: i8
-    value: f8
-    result: f8
+    samples: i8 = means("values so far")
+    value: f8 = means("last value")
+    result: f8 = means("what is made of them")
     since_ns: i8 = means(unit="ns")
     apart_ns: i8 = means("between the last two changes", "ns")
     at: i8 = means("place of the newest delayed sample")
     times: Annotated[i8s, MOST_DELAYED] = means(unit="ns")
-    values: Annotated[f8s, MOST_DELAYED]
+    values: Annotated[f8s, MOST_DELAYED] = means("delayed values")
 
 
 class Machine(Record):
     """Stack, memories, and what the last comparison compared."""
 
-    stack: Annotated[f8s, MOST_STACK]
-    memory: Annotated[list[Memory], MOST_MEMORIES]
-    left: f8
-    right: f8
+    stack: Annotated[f8s, MOST_STACK] = means("the stack")
+    memory: Annotated[list[Memory], MOST_MEMORIES] = means("memories")
+    left: f8 = means("left side of the last comparison")
+    right: f8 = means("right side of the last comparison")
     unknown: i8 = means("1: something compared has no value yet")
 
 

@@ -31,35 +31,35 @@ from gateway.monitors.rule.program import MOST_SIGNALS, Program
 from gateway.monitors.rule.residual import blames, residual_of
 from gateway.monitors.rule.text import compile_text, is_relation
 from gateway_fdi.errors import Gathered, InputError, under
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
 
 class Inputs(Event):
     """The signals of a relation."""
 
-    value: Annotated[f8s, MOST_SIGNALS]
+    value: Annotated[f8s, MOST_SIGNALS] = means("value of each signal")
 
 
 class Const(Record):
     """A relation, and when it is tested."""
 
-    holds: Code
-    when: Code
-    tolerance: f8
-    signals: i8
+    holds: Code = means("the relation")
+    when: Code = means("when it is tested")
+    tolerance: f8 = means("by which it may be broken")
+    signals: i8 = means("how many it has")
 
 
 class State(Record):
     """What both remember."""
 
-    holds: Machine
-    when: Machine
+    holds: Machine = means("machine of the relation")
+    when: Machine = means("machine of when it is tested")
 
 
 class Evidence(Record):
     """The signals' values."""
 
-    value: Annotated[f8s, EVIDENCE]
+    value: Annotated[f8s, EVIDENCE] = means("value")
 
 
 @kernel

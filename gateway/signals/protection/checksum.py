@@ -67,28 +67,28 @@ class Checksum:
 class ChecksumConst(Record):
     """A checksum as the kernel computes it."""
 
-    kind: u1
+    kind: u1 = means("CRC, SUM or XOR")
     width: u1 = means("of the result", "bit")
     reflected: u1 = means("bytes go in with their least significant bit first")
     turned: u1 = means("the result's bits are reversed")
-    nibbles: u1
-    backwards: u1
-    plus_length: u1
-    negative: u1
+    nibbles: u1 = means("1: of half bytes instead of bytes")
+    backwards: u1 = means("1: from the last byte to the first")
+    plus_length: u1 = means("1: the frame's length is added, too")
+    negative: u1 = means("1: the sum is taken from plus")
     listed: u1 = means("where a byte of the list goes in: NOWHERE, BEFORE, AFTER")
     before: u1 = means("how many bytes go in before")
-    after: u1
+    after: u1 = means("how many bytes go in after")
     table: i4 = means("place of its table among the tables of CRCs")
-    first: i4
+    first: i4 = means("byte that it begins with")
     last: i4 = means("-1: the frame's length")
-    plus: i8
-    init: u8
-    xorout: u8
+    plus: i8 = means("added to a sum, or first value of an exclusive or")
+    init: u8 = means("first value of a CRC")
+    xorout: u8 = means("applied to the result")
     skipped: u8 = means("bit k: byte k of the payload is the checksum's own")
     cleared: Annotated[u8s, 8] = means("bits of the payload that count as zero: the checksum's own")
-    before_bytes: Annotated[u1s, MOST_EXTRA]
-    after_bytes: Annotated[u1s, MOST_EXTRA]
-    list_bytes: Annotated[u1s, LIST]
+    before_bytes: Annotated[u1s, MOST_EXTRA] = means("bytes that go in before")
+    after_bytes: Annotated[u1s, MOST_EXTRA] = means("bytes that go in after")
+    list_bytes: Annotated[u1s, LIST] = means("the list: the byte of the counter's value goes in")
 
 
 def fill_checksum(row: Any, asked: Checksum, field: Any, table: int) -> None:

@@ -95,24 +95,24 @@ def digest(asked: Protection, can_id: int) -> int:
 class ProtectionConst(Record):
     """The protection of a message as the kernels want it."""
 
-    counter: Field
-    has_counter: u1
-    strict: u1
-    windowed: u1
-    constants: u1
-    modulus: i8
-    first: i8
-    max_step: i4
-    has_checksum: u1
+    counter: Field = means("where the alive counter lies")
+    has_counter: u1 = means("1: there is an alive counter")
+    strict: u1 = means("1: a frame out of sequence is not used (E2E)")
+    windowed: u1 = means("1: a frame is used by E2E's state machine")
+    constants: u1 = means("how many constants the header has")
+    modulus: i8 = means("values that the counter has")
+    first: i8 = means("first value of the counter")
+    max_step: i4 = means("largest step of the counter that is not a failure")
+    has_checksum: u1 = means("1: there is a checksum")
     field: Field = means("of the checksum")
-    checksum: ChecksumConst
+    checksum: ChecksumConst = means("how it is computed")
     window: Annotated[i4s, 3] = means("frames looked back at: starting, valid, invalid")
-    min_ok: Annotated[i4s, 3]
-    max_error: Annotated[i4s, 3]
+    min_ok: Annotated[i4s, 3] = means("right frames of these that are enough")
+    max_error: Annotated[i4s, 3] = means("wrong frames of these that are too many")
     constant: Annotated[u8s, 8] = means("bits of the header that are always the same")
     is_constant: Annotated[u8s, 8] = means("which these are")
     header: Annotated[list[Field], MOST_CONSTANTS] = means("the same, one by one")
-    expected: Annotated[u8s, MOST_CONSTANTS]
+    expected: Annotated[u8s, MOST_CONSTANTS] = means("values of these")
     owned: Annotated[u8s, 8] = means("all bits that the protection makes")
 
 

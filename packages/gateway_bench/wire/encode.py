@@ -156,7 +156,12 @@ def frames_of(
         InputError: as of :func:`payloads`; a CRC that has not 8 bits on a byte boundary.
     """
     words = payloads(message, in_range(message, columns), len(t_ns))
-    return framed(message, words, t_ns, own_protection(message, crc=crc, counter=None), bus=bus)
+    try:
+        protection = own_protection(message, crc=crc, counter=None)
+    except InputError as error:
+        text = f"its signal {crc} is no CRC of 8 bits on a byte boundary, which virtual ECUs send"
+        raise InputError(text, value=message.name) from error
+    return framed(message, words, t_ns, protection, bus=bus)
 
 
 def merged(*batches: Frames) -> Frames:

@@ -25,35 +25,35 @@ from gateway_fdi.filters import gaussian, motor
 from gateway_fdi.filters.gaussian import ENTRIES, STATES
 from gateway_fdi.filters.motor import Motor
 from gateway_fdi.filters.transforms import inverse_park, wrap
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
 
 class Const(Record):
     """Constants."""
 
-    motor: motor.Const
-    n: i8
-    steps: i8
-    h: f8
-    inductance: f8
-    q: Annotated[f8s, ENTRIES]
-    r: f8
-    start: Annotated[f8s, STATES]
-    slow: f8
-    sensor: f8
+    motor: motor.Const = means("the motor")
+    n: i8 = means("states in use: 4, or 5 with the load")
+    steps: i8 = means("Euler sub-steps in a period")
+    h: f8 = means("length of a sub-step", "s")
+    inductance: f8 = means("L", "H")
+    q: Annotated[f8s, ENTRIES] = means("process noise of a sub-step")
+    r: f8 = means("variance of a current", "A^2")
+    start: Annotated[f8s, STATES] = means("variances at the start")
+    slow: f8 = means("speed below which the angle is anchored; 0: never", "rad/s")
+    sensor: f8 = means("variance of the angle it is anchored at", "rad^2")
 
 
 class State(Record):
-    """``resistance``: as warm as it is [Ohm], may be set between steps; ``held``: anchored in the last step."""
+    """State."""
 
-    x: Annotated[f8s, STATES]
-    p: Annotated[f8s, ENTRIES]
-    f: Annotated[f8s, ENTRIES]
-    w: Annotated[f8s, ENTRIES]
-    resistance: f8
-    nis: f8
-    held: i8
-    started: i8
+    x: Annotated[f8s, STATES] = means("I_alpha, I_beta [A], omega [rad/s], theta [rad], M [N m]")
+    p: Annotated[f8s, ENTRIES] = means("covariance of x")
+    f: Annotated[f8s, ENTRIES] = means("Jacobian")
+    w: Annotated[f8s, ENTRIES] = means("room for products")
+    resistance: f8 = means("R, as warm as it is; may be set between steps", "Ohm")
+    nis: f8 = means("normalised innovation squared")
+    held: i8 = means("1: anchored in the last step")
+    started: i8 = means("1: it has begun")
 
 
 def prepare(

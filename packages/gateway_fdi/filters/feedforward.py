@@ -17,30 +17,30 @@ from math import atan2, hypot, pi
 
 from gateway_fdi.filters.motor import Motor
 from gateway_fdi.filters.transforms import wrap
-from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_fdi.jit import Record, f8, i8, kernel, means
 
 
 class Const(Record):
     """Constants."""
 
-    resistance: f8
-    inductance: f8
-    period: f8
-    sign: f8
-    held: f8
-    pole_pairs: f8
+    resistance: f8 = means("R", "Ohm")
+    inductance: f8 = means("L", "H")
+    period: f8 = means("length of a step", "s")
+    sign: f8 = means("sign of L dI/dt: 1, or -1 as printed")
+    held: f8 = means("EMF below which the angle is held", "V")
+    pole_pairs: f8 = means("z_p")
 
 
 class State(Record):
-    """EMF and angles at the middle of the step; ``theta``: mechanical, counted over the half turns [rad]."""
+    """EMF and angles at the middle of the step."""
 
-    alpha: f8
-    beta: f8
-    e_alpha: f8
-    e_beta: f8
-    theta_e: f8
-    theta: f8
-    started: i8
+    alpha: f8 = means("I_alpha at its end", "A")
+    beta: f8 = means("I_beta at its end", "A")
+    e_alpha: f8 = means("E_alpha", "V")
+    e_beta: f8 = means("E_beta", "V")
+    theta_e: f8 = means("electrical angle, counted over the half turns", "rad")
+    theta: f8 = means("mechanical angle, likewise", "rad")
+    started: i8 = means("1: there is a step before")
 
 
 def prepare(c: Const, motor: Motor, period: float, *, held: float = 0.3, printed: bool = False) -> None:

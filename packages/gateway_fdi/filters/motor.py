@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8, kernel
+from gateway_fdi.jit import Record, f8, kernel, means
 
 #: Temperature coefficient of copper's resistance, at 20 degC [1/K].
 COPPER = 0.0039
@@ -26,13 +26,13 @@ COPPER = 0.0039
 class Const(Record):
     """Constants."""
 
-    pole_pairs: f8
-    flux: f8
-    resistance: f8
-    ld: f8
-    lq: f8
-    inertia: f8
-    friction: f8
+    pole_pairs: f8 = means("z_p")
+    flux: f8 = means("psi", "Wb")
+    resistance: f8 = means("R", "Ohm")
+    ld: f8 = means("L_d", "H")
+    lq: f8 = means("L_q", "H")
+    inertia: f8 = means("J", "kg m^2")
+    friction: f8 = means("b", "N m s/rad")
 
 
 @dataclass(frozen=True)

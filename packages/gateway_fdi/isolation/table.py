@@ -26,9 +26,9 @@ NOTHING, OPEN = -1, -2
 class Const(Record, lengths=LENGTHS):
     """Constants: the table."""
 
-    tests: i8
-    faults: i8
-    groups: i8
+    tests: i8 = means("number of tests")
+    faults: i8 = means("number of faults")
+    groups: i8 = means("number of ambiguity groups")
     may: Annotated[i8s, "faults", "words"] = means("tests that each fault may make fire, a mask")
     must: Annotated[i8s, "faults", "words"] = means("tests that it is not told without, a mask")
     group: Annotated[i8s, "groups", "words"] = means("faults that are told as one, a mask")

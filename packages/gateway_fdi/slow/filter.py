@@ -38,7 +38,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 
 #: Most errors of a filter.
 MOST = 24
@@ -65,44 +65,38 @@ LONG = 300.0
 
 
 class Const(Record):
-    """Constants: ``count`` of errors; bounds, rates [1/s], standard deviations beforehand.
+    """Constants, of each error."""
 
-    ``group``: errors of one are refused together.
-    """
-
-    count: i8
-    group: Annotated[i8s, MOST]
-    low: Annotated[f8s, MOST]
-    high: Annotated[f8s, MOST]
-    rate: Annotated[f8s, MOST]
-    prior: Annotated[f8s, MOST]
+    count: i8 = means("errors")
+    group: Annotated[i8s, MOST] = means("errors of one group are refused together")
+    low: Annotated[f8s, MOST] = means("lower bound")
+    high: Annotated[f8s, MOST] = means("upper bound")
+    rate: Annotated[f8s, MOST] = means("largest change", "1/s")
+    prior: Annotated[f8s, MOST] = means("standard deviation beforehand")
 
 
 class State(Record):
-    """State: ``error`` found, ``taken`` of it, covariance ``p``; ``now`` and ``since``: when each was followed [s].
+    """State, of each error."""
 
-    ``refused``: 1: beyond its bound for sure; the rest is scratch.
-    """
-
-    error: Annotated[f8s, MOST]
-    taken: Annotated[f8s, MOST]
-    p: Annotated[f8s, MOST, MOST]
-    now: f8
-    since: Annotated[f8s, MOST]
-    refused: Annotated[i8s, MOST]
-    wanted: Annotated[f8s, MOST]
-    passed: Annotated[f8s, MOST]
-    before: Annotated[f8s, MOST]
-    gain: Annotated[f8s, MOST]
+    error: Annotated[f8s, MOST] = means("what is found")
+    taken: Annotated[f8s, MOST] = means("what is taken of it")
+    p: Annotated[f8s, MOST, MOST] = means("covariance of error")
+    now: f8 = means("time", "s")
+    since: Annotated[f8s, MOST] = means("when it was followed last", "s")
+    refused: Annotated[i8s, MOST] = means("1: beyond its bound for sure")
+    wanted: Annotated[f8s, MOST] = means("scratch: the most likely one within the bounds")
+    passed: Annotated[f8s, MOST] = means("scratch: time since it was followed", "s")
+    before: Annotated[f8s, MOST] = means("scratch: standard deviation before this equation")
+    gain: Annotated[f8s, MOST] = means("scratch")
 
 
 class Block(Record):
-    """Sums over the sets of an equation that wait: ``h``, ``rest``, ``variance`` of the noise, ``sets``."""
+    """Sums over the sets of an equation that wait."""
 
-    h: Annotated[f8s, MOST]
-    rest: f8
-    variance: f8
-    sets: i8
+    h: Annotated[f8s, MOST] = means("sum of h")
+    rest: f8 = means("sum of rest")
+    variance: f8 = means("sum of the noise's variances")
+    sets: i8 = means("number of sets")
 
 
 def prepare(s: State, c: Const) -> None:

@@ -22,7 +22,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
 #: Largest lag of either sign [sets]; so many are compared.
 MOST = 4
@@ -44,25 +44,22 @@ MOVES = 2.0
 
 
 class State(Record):
-    """State: increments, newest first; sums; ``sets`` in a row; ``due``: since a decision.
+    """State: increments are newest first."""
 
-    ``lag`` [sets], positive: y is behind; ``known``: it is; ``left``: of the movement.
-    """
-
-    x: f8
-    y: f8
-    dx: Annotated[f8s, PLACES + 1]
-    dy: Annotated[f8s, MOST + 1]
-    c: Annotated[f8s, PLACES]
-    r_0: f8
-    r_1: f8
-    yy: f8
-    counted: f8
-    lag: f8
-    left: f8
-    known: i8
-    sets: i8
-    due: i8
+    x: f8 = means("last x")
+    y: f8 = means("last y")
+    dx: Annotated[f8s, PLACES + 1] = means("increments of x")
+    dy: Annotated[f8s, MOST + 1] = means("increments of y")
+    c: Annotated[f8s, PLACES] = means("C_j")
+    r_0: f8 = means("R_0")
+    r_1: f8 = means("R_1")
+    yy: f8 = means("sum of dy^2")
+    counted: f8 = means("sets in the sums, forgetting", "sets")
+    lag: f8 = means("positive: y is behind", "sets")
+    left: f8 = means("what the best lag leaves, a share of the movement")
+    known: i8 = means("1: lag is known")
+    sets: i8 = means("sets in a row", "sets")
+    due: i8 = means("sets of movement since a decision", "sets")
 
 
 @kernel

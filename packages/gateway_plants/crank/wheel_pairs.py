@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from math import exp, log
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
 #: An interval is like the one two before it within this share, and unlike the one before it from this ratio on
 #: (logarithm).
@@ -19,19 +19,14 @@ LEAST = 96
 
 
 class Pairs(Record):
-    """What alternates.
+    """What alternates."""
 
-    ``one`` and ``two``: the last interval and the one before it [us], 0: not known; ``count`` intervals in a row that
-    alternated, ``total`` the sum of the logarithms of their ratios; ``most`` the highest count so far, and its mean
-    ``ratio`` of the longer to the shorter pitch.
-    """
-
-    one: f8
-    two: f8
-    total: f8
-    ratio: f8
-    count: i8
-    most: i8
+    one: f8 = means("last interval; 0: not known", "us")
+    two: f8 = means("interval before that; 0: not known", "us")
+    total: f8 = means("sum of the logarithms of the ratios")
+    ratio: f8 = means("mean ratio of the longer to the shorter pitch, at the highest count")
+    count: i8 = means("intervals in a row that alternated")
+    most: i8 = means("highest count so far")
 
 
 @kernel

@@ -30,6 +30,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, kernel
+from gateway_fdi.jit import means as says  # a field is called means
 from gateway_plants.crank.wheel import MOST_GAPPED
 
 #: Turns in a row that have to be the same before a wheel is claimed.
@@ -76,38 +77,29 @@ EVEN = 2 * MOST_GAPPED
 class Seen(Record):
     """What the pulses have shown.
 
-    ``pitch`` just before [us] (0: none); ``square`` sum of the squared changes in the ``run`` of regular pulses since
-    the last mark; ``variance`` of these changes, a share of the pitch, and its ``weight`` in pulses; ``open`` intervals
-    behind the last regular one, ``intervals``, that the next regular one will measure; ``marks`` in a row, ``steps``
-    pulses from mark to mark, ``widths`` their logarithms, the latest at ``(marks - 1) % RING``; ``linked`` whether the
-    latest is the beginning of a step; ``period`` marks of a turn (0: none that repeats), ``matched`` marks in a row
-    that were as those a turn before, with that turn; ``even`` most regular pulses in a row; ``draft`` and ``means``
-    are scratch.
-
-    Claimed: ``pulses`` of a turn (0: no wheel), their ``pitches``, the last one the largest, ``turns`` in a row that
-    showed them (0: the last turn did not), ``total`` in all.
+    Claimed are ``pulses``, ``pitches``, ``turns`` and ``total``.
     """
 
-    pitch: f8
-    square: f8
-    weight: f8
-    run: i8
-    open: i4
-    linked: i4
-    variance: f8
-    even: i8
-    marks: i8
-    period: i4
-    pulses: i4
-    matched: i8
-    turns: i8
-    total: i8
-    intervals: Annotated[f8s, MOST_OPEN]
-    pitches: Annotated[f8s, MOST_GAPPED]
-    draft: Annotated[f8s, MOST_GAPPED]
-    means: Annotated[f8s, MOST_GAPPED]
-    widths: Annotated[f8s, RING]
-    steps: Annotated[i4s, RING]
+    pitch: f8 = says("time of a pitch just before; 0: none", "us")
+    square: f8 = says("sum of the squared changes in the run", "us^2")
+    weight: f8 = says("weight of variance, in pulses")
+    run: i8 = says("regular pulses since the last mark")
+    open: i4 = says("intervals behind the last regular one")
+    linked: i4 = says("1: the latest mark is the beginning of a step")
+    variance: f8 = says("variance of the changes, a share of the pitch squared")
+    even: i8 = says("most regular pulses in a row")
+    marks: i8 = says("marks in a row")
+    period: i4 = says("marks of a turn; 0: none that repeats")
+    pulses: i4 = says("pulses of a turn; 0: no wheel")
+    matched: i8 = says("marks in a row that were as those a turn before, with that turn")
+    turns: i8 = says("turns in a row that showed the wheel; 0: the last turn did not")
+    total: i8 = says("turns that showed the wheel in all")
+    intervals: Annotated[f8s, MOST_OPEN] = says("open intervals, which the next regular one will measure", "us")
+    pitches: Annotated[f8s, MOST_GAPPED] = says("pitches of the wheel, the last one the largest", "pitch")
+    draft: Annotated[f8s, MOST_GAPPED] = says("scratch")
+    means: Annotated[f8s, MOST_GAPPED] = says("scratch")
+    widths: Annotated[f8s, RING] = says("logarithms of the marks' widths, the latest at ``(marks - 1) % RING``")
+    steps: Annotated[i4s, RING] = says("pulses from mark to mark, likewise")
 
 
 @kernel

@@ -8,20 +8,20 @@ from __future__ import annotations
 from math import pi
 
 from gateway_fdi.filters.transforms import wrap
-from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_fdi.jit import Record, f8, i8, kernel, means
 
 
 class Increment(Record):
-    """Of an increment: what was measured last; of a leaky sum: the sum."""
+    """What is remembered of an increment."""
 
-    last: f8
-    started: i8
+    last: f8 = means("angle measured last", "rad")
+    started: i8 = means("1: there is one")
 
 
 class Leaky(Record):
-    """Leaky."""
+    """What is remembered of a leaky sum."""
 
-    total: f8
+    total: f8 = means("the sum")
 
 
 @kernel

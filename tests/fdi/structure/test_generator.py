@@ -400,7 +400,7 @@ def test_the_code_is_plain_python(truck):
             node.func.id for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
         }
         assert called <= {
-            "record",
+            "means",
             "interpolate",
             "incline",
             "advance",

@@ -39,7 +39,7 @@ from gateway_fdi.structure.generator.records import (
     field_name,
 )
 from gateway_fdi.structure.generator.symbols import Algebra
-from gateway_fdi.structure.model import der
+from gateway_fdi.structure.model import Quantity, der
 from gateway_fdi.structure.relation import identifier
 from gateway_fdi.structure.sequence import shown
 
@@ -69,6 +69,7 @@ _LOCALS = {
         "f8",
         "f8s",
         "kernel",
+        "means",
         "interpolate",
         "incline",
         "advance",
@@ -86,6 +87,11 @@ _LOCALS = {
 def _shown(variable: str) -> str:
     """Return the field of STATE that shows a computed variable."""
     return f"shown_{identifier(variable)}"
+
+
+def _field(name: str, form: str, text: str, unit: str = "") -> str:
+    """Return the line of a record's field."""
+    return f"{name}: {form} = means({text!r}{f', {unit!r}' if unit else ''})"
 
 
 def _last(variable: str, first: str) -> str:
@@ -507,39 +513,69 @@ class _Writer:
     # Module -----------------------------------------------------------------------------------------------------------
 
     def records(self) -> list[str]:
-        form = f"Annotated[f8s, {self.r.branches}]" if self.several else "f8"
-        states = [f"{name}: {form}" for x in self.r.integrated for name in (field_name(x), f"d_{field_name(x)}")]
-        states += [f"{DEAD}: {form}"] * bool(self.of_sensors)
-        states += [f"{HELD}{field_name(z)}: f8" for z in self.held]
-        for number, one in enumerate(self.components):
-            n = len(one.states)
-            rows = f"{self.r.branches}, " if self.several else ""
-            for name, length in ((JACOBIAN, n * n), (SLOPES, 3 * n), (HOLD, 6 * n * n)):
-                states += [f"{name}{number}: Annotated[f8s, {rows}{length}]"] * one.coupled
-        if self.r.transformed:
-            first = next(iter(self.r.transformed))
-            lasts = [_last(x, first) for x in self.r.transformed]
-            states += [f"{name}: {form}" for name in (FILTERED, *lasts, DRIVE)]
-        states += [f"{GAIN}: f8"] * self.sized + [f"{GAIN_DRIVE}: f8"] * (self.sized and bool(self.r.transformed))
-        states += [f"low_{field_name(x)}: {form}" for x in self.r.differentiated]
-        states += [f"{_shown(v)}: {form}" for v in self.r.outputs]
-        used = self.used()
-        const = [f"{field_name(p)}: f8" for p in self.model.parameters if self.of[p] in used]
-        for name in self.tables():
-            points, field = len(self.model.tables[name].x), field_name(name)
-            const += [f"{field}_{axis}: Annotated[f8s, {points}]" for axis in "xy"]
-        const += [f"start_{field_name(x)}: f8" for x in self.r.carried]
-        fed = [f"{feed}{field_name(x)}: f8" for x in self.r.integrated for feed in (FEED, FEED_SLOPE)]
-        const += fed if self.observed else []
-        const += [f"{FILTER}: f8"] * bool(self.r.transformed)
-        const += [f"{DIFFERENTIATOR}: f8"] * bool(self.r.differentiated)
-        # A record has a field at least: there are generators without states, and without parameters.
         lines = []
-        for title, fields in (("State", states), ("Const", const)):
-            lines += ["", f"class {title}(Record):"]
-            lines += [f"    {one}" for one in fields or ["unused_: f8"]]
-            lines.append("")
+        for title, fields in (("State", [*self.states()]), ("Const", [*self.constants()])):
+            # A record has a field at least: there are generators without states, and without parameters.
+            written = fields or [_field("unused_", "f8", "nothing")]
+            lines += ["", f"class {title}(Record):", *(f"    {one}" for one in written), ""]
         return lines
+
+    def states(self) -> Iterator[str]:
+        r, form = self.r, f"Annotated[f8s, {self.r.branches}]" if self.several else "f8"
+        for x in r.integrated:
+            text, unit = self.meaning(x)
+            yield _field(field_name(x), form, text, unit)
+            yield _field(f"d_{field_name(x)}", form, f"derivative of {x}", f"{unit or 1}/s")
+        if self.of_sensors:
+            yield _field(DEAD, form, "1: the sample before had no derivatives")
+        for z in self.held:
+            yield _field(f"{HELD}{field_name(z)}", "f8", f"{z} at the sample before", self.meaning(z)[1])
+        for number, one in enumerate(self.components):
+            if one.coupled:
+                n, group = len(one.states), ", ".join(one.states)
+                rows = f"{r.branches}, " if self.several else ""
+                yield _field(f"{JACOBIAN}{number}", f"Annotated[f8s, {rows}{n * n}]", f"Jacobian of {group}")
+                yield _field(f"{SLOPES}{number}", f"Annotated[f8s, {rows}{3 * n}]", "slopes, changes, what is moved")
+                yield _field(f"{HOLD}{number}", f"Annotated[f8s, {rows}{6 * n * n}]", "functions of the Jacobian")
+        if r.transformed:
+            yield _field(FILTERED, form, "residual by (20)")
+            first = next(iter(r.transformed))
+            for x in r.transformed:
+                yield _field(_last(x, first), form, f"{x} at the sample before", self.meaning(x)[1])
+            yield _field(DRIVE, form, "b of (20) at the sample before")
+        if self.sized:
+            yield _field(GAIN, "f8", f"gain of {r.fault}")
+            if r.transformed:
+                yield _field(GAIN_DRIVE, "f8", f"gain of {r.fault} at the sample before, not filtered")
+        for x in r.differentiated:
+            yield _field(f"low_{field_name(x)}", form, f"{x}, low-pass filtered", self.meaning(x)[1])
+        for v in r.outputs:
+            yield _field(_shown(v), form, *self.meaning(v))
+
+    def constants(self) -> Iterator[str]:
+        used = self.used()
+        for p in self.model.parameters:
+            if self.of[p] in used:
+                yield _field(field_name(p), "f8", *self.meaning(p))
+        for name in self.tables():
+            table = self.model.tables[name]
+            for axis, text in (("x", "points"), ("y", "values")):
+                form = f"Annotated[f8s, {len(table.x)}]"
+                yield _field(f"{field_name(name)}_{axis}", form, f"{table.text or name}: {text}")
+        for x in self.r.carried:
+            yield _field(f"start_{field_name(x)}", "f8", f"{x} at the start", self.meaning(x)[1])
+        if self.observed:
+            for x in self.r.integrated:
+                yield _field(f"{FEED}{field_name(x)}", "f8", f"what the residual adds to {x}")
+                yield _field(f"{FEED_SLOPE}{field_name(x)}", "f8", f"what the residual adds to the derivative of {x}")
+        if self.r.transformed:
+            yield _field(FILTER, "f8", "alpha of (20)", "rad/s")
+        if self.r.differentiated:
+            yield _field(DIFFERENTIATOR, "f8", "bandwidth of the filters that differentiate", "rad/s")
+
+    def meaning(self, name: str) -> tuple[str, str]:
+        told = self.model.quantities.get(name, Quantity())
+        return told.text or name, "" if told.unit == "1" else told.unit
 
     def knowns(self) -> tuple[str, ...]:
         used = self.used()
@@ -566,7 +602,7 @@ class _Writer:
             f"from typing import {', '.join(['Annotated'] * arrays + ['Any'])}",
             "",
             *ours,
-            f"from gateway_fdi.jit import Record, f8, {'f8s, ' * arrays}kernel",
+            f"from gateway_fdi.jit import Record, f8, {'f8s, ' * arrays}kernel, means",
             "",
             *records,
             "",

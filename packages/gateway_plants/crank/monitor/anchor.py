@@ -24,7 +24,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway_fdi.jit import Record, f8, f8s, i4, kernel, u1
+from gateway_fdi.jit import Record, f8, f8s, i4, kernel, means, u1
 from gateway_plants.crank.wheel import MOST_TEETH
 
 #: [nat] by which a shift has to be likelier than the present place, and than any other shift.
@@ -45,32 +45,24 @@ ABSENT, UNDECIDED, HERE = -2, -1, 0
 
 
 class Const(Record):
-    """Contrasts of the wheel's slots, the ``largest`` of them, and the ``width`` of the largest gap [pitch].
+    """Constants."""
 
-    ``ratio``: that gap squared over its neighbours (0: not distinct).
-    """
-
-    ratio: f8
-    width: f8
-    largest: f8
-    contrast: Annotated[f8s, MOST_TEETH]
+    ratio: f8 = means("largest gap squared over its neighbours; 0: not distinct")
+    width: f8 = means("largest gap", "pitch")
+    largest: f8 = means("largest contrast")
+    contrast: Annotated[f8s, MOST_TEETH] = means("p_i, contrasts of the wheel's slots")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``intervals`` the last turn's [us], 0: not known, the next one goes to ``at``; ``age`` pulses since the gap was
-    seen where it is expected, or since the last test; ``verified`` whether it was seen there since the last test;
-    ``shift`` that won last, ``wins`` of it in a row.
-    """
-
-    at: i4
-    age: i4
-    shift: i4
-    wins: i4
-    verified: u1
-    intervals: Annotated[f8s, MOST_TEETH]
-    logs: Annotated[f8s, MOST_TEETH]
+    at: i4 = means("place of the next interval")
+    age: i4 = means("pulses since the gap was seen where it is expected, or since the last test")
+    shift: i4 = means("shift that won last")
+    wins: i4 = means("wins of that shift in a row")
+    verified: u1 = means("1: the gap was seen where it is expected since the last test")
+    intervals: Annotated[f8s, MOST_TEETH] = means("intervals of the last turn; 0: not known", "us")
+    logs: Annotated[f8s, MOST_TEETH] = means("c_k, contrasts of those intervals")
 
 
 def prepare(c: Const, pitches: NDArray[np.float64]) -> None:

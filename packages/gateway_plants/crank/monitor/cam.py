@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway.monitors.contract import report
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, u1, u1s
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1, u1s
 from gateway_plants.crank.monitor.faults import CAM_CORRELATION, CAM_SILENT, Reports
 
 #: Edges that a cam can have in a working cycle.
@@ -22,27 +22,24 @@ PATIENCE = 4
 
 
 class Const(Record):
-    """Constants; ``tells``: its edges are told nearer than half a tooth, so that they tell one from the next."""
+    """Constants."""
 
-    edges: i4
-    tells: u1
-    tolerance: f8
-    tooth_0: f8
-    angles: Annotated[f8s, MOST_EDGES]
-    levels: Annotated[u1s, MOST_EDGES]
+    edges: i4 = means("edges of the cam")
+    tells: u1 = means("1: edges are told nearer than half a tooth, so that they tell one from the next")
+    tolerance: f8 = means("what an edge's angle may be off", "deg")
+    tooth_0: f8 = means("crank angle of tooth 0", "deg")
+    angles: Annotated[f8s, MOST_EDGES] = means("crank angle of each edge, 0 to 720", "deg")
+    levels: Annotated[u1s, MOST_EDGES] = means("level after each edge")
 
 
 class State(Record):
-    """State: ``half`` 0 or 1 of the working cycle, -1: not known; ``quiet`` revolutions since the last edge.
+    """State."""
 
-    ``misfits``: edges in a row that did not fit.
-    """
-
-    half: i4
-    quiet: i4
-    misfits: i4
-    counter: i8
-    seen: i8
+    half: i4 = means("half of the working cycle, 0 or 1; -1: not known")
+    quiet: i4 = means("revolutions since the last edge")
+    misfits: i4 = means("edges in a row that did not fit")
+    counter: i8 = means("counter of the cam's last frame; -1: none")
+    seen: i8 = means("edges that were judged")
 
 
 def prepare(

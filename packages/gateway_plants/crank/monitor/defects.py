@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, i4, i4s, i8s, kernel
+from gateway_fdi.jit import Record, i4, i4s, i8s, kernel, means
 
 #: Teeth that have a fault in each turn, at most.
 MOST = 16
@@ -20,19 +20,14 @@ NEAR, MOST_LATE = 3, 6
 
 
 class Defects(Record):
-    """Faults of one turn in their order.
+    """Faults of one turn in their order."""
 
-    ``count`` of them, their ``teeth``, their ``nets`` (pulses missed less those added) and the number of the ``pulses``
-    at which they came last; ``next`` one that has to come again, -1: the first turn is not over; ``turns`` that have
-    shown all of them again.
-    """
-
-    count: i4
-    next: i4
-    turns: i4
-    teeth: Annotated[i4s, MOST]
-    nets: Annotated[i4s, MOST]
-    pulses: Annotated[i8s, MOST]
+    count: i4 = means("faults")
+    next: i4 = means("the one that has to come again; -1: the first turn is not over")
+    turns: i4 = means("turns that have shown all of them again")
+    teeth: Annotated[i4s, MOST] = means("tooth of each")
+    nets: Annotated[i4s, MOST] = means("pulses missed less those added, of each")
+    pulses: Annotated[i8s, MOST] = means("number of the pulse at which each came last")
 
 
 @kernel

@@ -35,12 +35,11 @@ RESIDUALS = 5
 class Shape(Record):
     """Evidence of missed and added pulses.
 
-    How many, the first tooth concerned, the speed, and the shape of the residual, five values in order of time.
-    paper: from the first exceedance on; adaptive: up to the decision.
+    The residual has five values in order of time. paper: from the first exceedance on; adaptive: up to the decision.
     """
 
-    count: f8
-    tooth: f8
+    count: f8 = means("count")
+    tooth: f8 = means("tooth")
     speed: f8 = means(unit="rpm")
     residual: Annotated[f8s, RESIDUALS] = means(unit="pitch")
 
@@ -48,8 +47,8 @@ class Shape(Record):
 class SyncLost(Record):
     """Evidence of a lost place."""
 
-    teeth: f8
-    index: f8
+    teeth: f8 = means("teeth")
+    index: f8 = means("index")
     speed: f8 = means(unit="rpm")
     cost: f8 = means(unit="nat")
 
@@ -58,14 +57,14 @@ class Doubled(Record):
     """Evidence of doubled edges."""
 
     share: f8 = means("share of teeth")
-    teeth: f8
+    teeth: f8 = means("teeth")
     speed: f8 = means(unit="rpm")
 
 
 class NoGap(Record):
     """Evidence of a gap that never comes."""
 
-    teeth: f8
+    teeth: f8 = means("teeth")
     widest: f8 = means("largest interval / its neighbours")
     speed: f8 = means(unit="rpm")
 
@@ -73,15 +72,15 @@ class NoGap(Record):
 class Runout(Record):
     """Evidence of runout."""
 
-    amplitude: f8
-    tooth: f8
+    amplitude: f8 = means("amplitude")
+    tooth: f8 = means("tooth")
     speed: f8 = means(unit="rpm")
 
 
 class Reversed(Record):
     """Evidence of an engine that has turned back."""
 
-    tooth: f8
+    tooth: f8 = means("tooth")
     pulses: f8 = means("pulses until the gap")
 
 
@@ -90,13 +89,13 @@ class CamCorrelation(Record):
 
     angle: f8 = means("crank angle", "deg")
     off: f8 = means(unit="deg")
-    level: f8
+    level: f8 = means("level")
 
 
 class CamSilent(Record):
     """Evidence of a silent cam sensor."""
 
-    revolutions: f8
+    revolutions: f8 = means("revolutions")
 
 
 class Relocated(Record):
@@ -110,7 +109,7 @@ class Relocated(Record):
 class Damaged(Record):
     """Evidence of a tooth that is not where it belongs."""
 
-    tooth: f8
+    tooth: f8 = means("tooth")
     off: f8 = means("later than the others say", "pitch")
     speed: f8 = means(unit="rpm")
 
@@ -119,7 +118,7 @@ class Unwatched(Record):
     """Evidence of too many lost frames."""
 
     share: f8 = means("share of pulses that no frame brought")
-    teeth: f8
+    teeth: f8 = means("teeth")
 
 
 class Noise(Record):
@@ -149,20 +148,20 @@ class WrongWheel(Record):
 class Evidence(Record, overlay=True):
     """Evidence of a fault: one of these."""
 
-    pulses: Shape
-    sync_lost: SyncLost
-    doubled: Doubled
-    no_gap: NoGap
-    runout: Runout
-    reversed: Reversed
-    cam_correlation: CamCorrelation
-    cam_silent: CamSilent
-    relocated: Relocated
-    damaged: Damaged
-    unwatched: Unwatched
-    noise: Noise
-    two_places: TwoPlaces
-    wrong_wheel: WrongWheel
+    pulses: Shape = means("pulses missed or added")
+    sync_lost: SyncLost = means("a lost place")
+    doubled: Doubled = means("doubled edges")
+    no_gap: NoGap = means("a gap that never comes")
+    runout: Runout = means("runout")
+    reversed: Reversed = means("an engine that has turned back")
+    cam_correlation: CamCorrelation = means("a cam that does not fit the crank")
+    cam_silent: CamSilent = means("a silent cam sensor")
+    relocated: Relocated = means("a place that was wrong")
+    damaged: Damaged = means("a tooth that is not where it belongs")
+    unwatched: Unwatched = means("too many lost frames")
+    noise: Noise = means("a burst of pulses")
+    two_places: TwoPlaces = means("two equal gaps")
+    wrong_wheel: WrongWheel = means("another wheel")
 
 
 #: What the parts of the monitor report into.

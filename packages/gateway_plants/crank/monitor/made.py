@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8s, i4, i4s, kernel
+from gateway_fdi.jit import Record, f8s, i4, i4s, kernel, means
 from gateway_plants.crank.wheel import MOST_GAPPED, Wheel
 from gateway_plants.crank.wheel_seen import WHOLE, Seen
 
@@ -28,11 +28,11 @@ SAME = 0.01
 
 
 class Const(Record):
-    """``count`` wheels, the ``pulses`` of each, and their ``pitches`` one wheel after the other."""
+    """Constants."""
 
-    count: i4
-    pulses: Annotated[i4s, MOST]
-    pitches: Annotated[f8s, ROOM]
+    count: i4 = means("wheels")
+    pulses: Annotated[i4s, MOST] = means("pulses of each wheel")
+    pitches: Annotated[f8s, ROOM] = means("pitches of the wheels, one wheel after the other", "pitch")
 
 
 def prepare(c: Const, wheel: Wheel) -> None:

@@ -10,7 +10,7 @@ it. The place is then doubted until the gap comes where it is expected; else it 
 from __future__ import annotations
 
 from gateway.monitors.contract import report
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, u1
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1
 from gateway_plants.crank.monitor.faults import NOISE, Reports
 from gateway_plants.crank.pulse_tracking.motion import Hypothesis, travel
 
@@ -27,24 +27,18 @@ MOST_TEETH_PASSED, NEAR = 10, 0.3
 
 
 class Burst(Record):
-    """A burst that is not told yet.
+    """A burst that is not told yet."""
 
-    ``count`` of its pulses so far (0: there is none), ``tooth`` behind which it began, ``named`` the same as it is
-    told, ``us`` since that tooth, ``period`` of a pitch [us] and ``rpm`` before it, ``known`` whether the place was
-    proven before it. ``crowd`` pulses that came sooner than half a pitch, one behind the other, the latest of them as
-    pulse number ``crowded``; ``told`` the pulse at which a burst was last told.
-    """
-
-    count: i4
-    tooth: i4
-    named: i4
-    us: f8
-    period: f8
-    rpm: f8
-    known: u1
-    crowd: i4
-    crowded: i8
-    told: i8
+    count: i4 = means("its pulses so far; 0: there is none")
+    tooth: i4 = means("tooth behind which it began")
+    named: i4 = means("that tooth as it is told")
+    us: f8 = means("time since that tooth", "us")
+    period: f8 = means("time of a pitch before the burst", "us")
+    rpm: f8 = means("speed before the burst", "rpm")
+    known: u1 = means("1: the place was proven before the burst")
+    crowd: i4 = means("pulses that came sooner than half a pitch, one behind the other")
+    crowded: i8 = means("number of the latest of these pulses")
+    told: i8 = means("pulse at which a burst was last told")
 
 
 @kernel

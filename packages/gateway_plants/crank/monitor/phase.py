@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8s, i4, kernel, u1s
+from gateway_fdi.jit import Record, f8s, i4, kernel, means, u1s
 from gateway_plants.crank.monitor import cam
 from gateway_plants.crank.wheel import MOST_TEETH
 
@@ -26,20 +26,15 @@ NONE = -1
 
 
 class Phase(Record):
-    """What the cam's edges have left.
+    """What the cam's edges have left."""
 
-    ``possible``: for each pulse that the first of the cycle, as it is counted, may be, whether it still may;
-    ``edges`` that were taken. ``numbers`` of the pulses at the last edges, with the part of a pitch behind them;
-    ``at`` the next of these, ``known`` how many are; ``cycle`` pulses of the last one, ``same`` cycles in a row.
-    """
-
-    edges: i4
-    at: i4
-    known: i4
-    cycle: i4
-    same: i4
-    possible: Annotated[u1s, 2 * MOST_TEETH]
-    numbers: Annotated[f8s, cam.MOST_EDGES]
+    edges: i4 = means("edges that were taken")
+    at: i4 = means("place of the next of numbers")
+    known: i4 = means("how many of numbers are known")
+    cycle: i4 = means("pulses of the last cycle")
+    same: i4 = means("cycles in a row of so many pulses")
+    possible: Annotated[u1s, 2 * MOST_TEETH] = means("1: this pulse may be the first of the cycle, as it is counted")
+    numbers: Annotated[f8s, cam.MOST_EDGES] = means("pulses at the last edges, with the part of a pitch behind them")
 
 
 @kernel

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, u1
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1
 from gateway_plants.crank.monitor import anchor, defects, made, noise, rival, waiting
 from gateway_plants.crank.monitor.faults import RESIDUALS, Shape
 from gateway_plants.crank.monitor.reversal import Reversal
@@ -59,123 +59,100 @@ KICK = 2.0
 class Const(Record):
     """Constants.
 
-    ``longest_us`` interval of a regular pulse: a longer one may be of an engine that turns back, or stands;
-    ``firing_us`` time of a pitch at the least speed of an engine that fires; ``turn_us`` least time over one pitch of
-    one that turns back; ``told`` whether that is reported; ``short`` share of the wheel's own pitches that are much
-    shorter than the one before.
-
-    ``pulses`` are those of the wheel as it is laid out: over ``turns`` turns, each of ``teeth`` pulses and ``turn``
-    pitches (see :attr:`gateway_plants.crank.wheel.Wheel.laid_out`). ``even``: its pitches are equal; ``seen``: its
-    pulses alone show it (:mod:`gateway_plants.crank.wheel_seen`). ``rest``: growth's process noise that one of ripple
-    which is not learned needs. ``proof_us``: longest turn by which a place is proven; on a wheel of few pulses a slower
-    engine's ripple may be as large as what tells the places from each other.
+    The wheel is as it is laid out (see :attr:`gateway_plants.crank.wheel.Wheel.laid_out`). In an interval
+    longer than ``longest_us`` the engine may turn back, or stand. No turn longer than ``proof_us`` proves a place: on a
+    wheel of few pulses a slower engine's ripple may be as large as what tells the places from each other.
     """
 
-    pulses: i4
-    teeth: i4
-    turns: i4
-    turn: f8
-    even: u1
-    seen: u1
-    rest: f8
-    proof_us: f8
-    repeats: i4
-    acceleration: f8
-    ripple: f8
-    unlearned: f8
-    unlearned_us: f8
-    usual: f8
-    runout: f8
-    slowest_us: f8
-    longest_us: f8
-    turn_us: f8
-    told: u1
-    short: f8
-    gap: f8
-    turning_us: f8
-    firing_us: f8
-    wheel: LearnedWheel
-    made: made.Const
-    anchor: anchor.Const
-    logs: Annotated[f8s, MOST_TEETH]
-    slack: Annotated[f8s, MOST_TEETH]
+    pulses: i4 = means("pulses of the wheel")
+    teeth: i4 = means("pulses of a turn")
+    turns: i4 = means("turns that the wheel is laid out over")
+    turn: f8 = means("pitches of a turn")
+    even: u1 = means("1: its pitches are equal")
+    seen: u1 = means("1: its pulses alone show it (:mod:`gateway_plants.crank.wheel_seen`)")
+    rest: f8 = means("process noise of the growth that ripple needs while it is not learned, by its amplitude squared")
+    proof_us: f8 = means("longest turn by which a place is proven", "us")
+    repeats: i4 = means("pulses after which the pattern repeats")
+    acceleration: f8 = means("that the engine can have", "pitch/s^2")
+    ripple: f8 = means("growth that torsional ripple can have", "1/pitch")
+    unlearned: f8 = means("process noise of the growth while ripple is not learned")
+    unlearned_us: f8 = means("time of a pitch at which unlearned holds", "us")
+    usual: f8 = means("process noise of the growth, at least")
+    runout: f8 = means("amplitude that is a fault, a share of the pitch")
+    slowest_us: f8 = means("time of a pitch from which on the engine may have turned back", "us")
+    longest_us: f8 = means("longest interval of a regular pulse", "us")
+    turn_us: f8 = means("least time over one pitch of an engine that turns back", "us")
+    told: u1 = means("1: an engine that turns back is reported")
+    short: f8 = means("share of the wheel's own pitches that are much shorter than the one before")
+    gap: f8 = means("largest pitch", "pitch")
+    turning_us: f8 = means("time of a pitch below which an engine does not come to rest in a silence", "us")
+    firing_us: f8 = means("time of a pitch at the least speed of an engine that fires", "us")
+    wheel: LearnedWheel = means("what the profile knows of the wheel")
+    made: made.Const = means("wheels that are made")
+    anchor: anchor.Const = means("the gap as an anchor")
+    logs: Annotated[f8s, MOST_TEETH] = means("logarithms of the pitches")
+    slack: Annotated[f8s, MOST_TEETH] = means("variance of the pitches while they are not learned", "pitch^2")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``index`` of the latest tooth; ``since`` pulses tracked without a doubt; ``held`` what a tentative place found,
-    ``suspects`` how often what does not come in each turn, ``defects`` what may, ``recurring`` whether it does;
-    ``refused`` places since one was proven; ``sure`` whether the gap was seen where the place was found; ``hole``
-    frames were lost, and the gap was not seen since;
-    ``unseen`` pulses that no frame brought, lately; ``silent`` teeth that may still tell whether a silence was one of
-    the sensor, ``silent_us`` the period before it; ``unclean`` revolutions in a row with a defect;
-    ``doubted`` the pulse at which a proven place was, ``named`` the one at which pulses were last reported, ``uneven``
-    the one at which pulses were last found missed or added;
-    ``looks`` whether the wheel is looked at, as it is ``seen`` (see :mod:`.wrong_wheel`), whether it is a ``wrong``
-    one, and whether its gap is ``filled`` each turn; ``known`` whether it was once shown to be the configured one,
-    ``fitted`` turns in a row without a fault,
-    ``looked`` pulses that were looked at before; ``pairs`` intervals that alternate;
-    ``placed`` how the place is told, once it is (:data:`NOT_TOLD`,
-    :data:`BY_CAM`, :data:`BY_GAP`).
-    """
-
-    phase: i4
-    placed: u1
-    index: i4
-    since: i8
-    teeth: i8
-    revolutions: i8
-    suspects: i4
-    defects: defects.Defects
-    recurring: u1
-    refused: i4
-    sure: u1
-    held_fault: i4
-    held: Shape
-    residuals: Annotated[f8s, RESIDUALS]
-    missed: i8
-    added: i8
-    corrections: i8
-    losses: i8
-    recent_missed: i8
-    recent_added: i8
-    doubled: i8
-    doubling: u1
-    silent: i4
-    silent_us: f8
-    hole: i4
-    burst: noise.Burst
-    rival: rival.Rival
-    seen: Seen
-    looks: u1
-    wrong: u1
-    filled: u1
-    known: u1
-    fitted: i4
-    looked: i8
-    pairs: Pairs
-    unseen: f8
-    decided: i8
-    burst_missed: i4
-    burst_added: i4
-    burst_tooth: i4
-    unclean: i4
-    doubted: i8
-    named: i8
-    uneven: i8
-    speed_rpm: f8
-    slowest_rpm: f8
-    fastest_rpm: f8
-    y1: f8
-    y2: f8
-    reversal: Reversal
-    anchor: anchor.State
-    waiting: waiting.Waiting
-    law: Law
-    tracker: Tracker
-    search: Search
-    profile: Profile
+    phase: i4 = means("what is known of the place: SEARCHING to CONFIRMED")
+    placed: u1 = means("how the place is told, once it is: NOT_TOLD, BY_CAM, BY_GAP")
+    index: i4 = means("latest tooth")
+    since: i8 = means("pulses tracked without a doubt")
+    teeth: i8 = means("pulses so far")
+    revolutions: i8 = means("turns so far")
+    suspects: i4 = means("how often came what does not come in each turn")
+    defects: defects.Defects = means("what may come in each turn")
+    recurring: u1 = means("1: it does")
+    refused: i4 = means("places since one was proven")
+    sure: u1 = means("1: the gap was seen where the place was found")
+    held_fault: i4 = means("fault that a tentative place found; -1: none")
+    held: Shape = means("its evidence")
+    residuals: Annotated[f8s, RESIDUALS] = means("residuals of the last pulses", "pitch")
+    missed: i8 = means("pulses missed at proven places")
+    added: i8 = means("pulses added at proven places")
+    corrections: i8 = means("pulses missed less those added")
+    losses: i8 = means("places lost")
+    recent_missed: i8 = means("pulses missed since the last clean turn, at other teeth than each turn")
+    recent_added: i8 = means("pulses added since the last clean turn, at other teeth than each turn")
+    doubled: i8 = means("teeth of this turn with a second pulse")
+    doubling: u1 = means("1: the last turn had many of these")
+    silent: i4 = means("teeth that may still tell whether a silence was one of the sensor")
+    silent_us: f8 = means("time of a pitch before that silence", "us")
+    hole: i4 = means("1: frames were lost, and the gap was not seen since")
+    burst: noise.Burst = means("pulses within one tooth")
+    rival: rival.Rival = means("another place that explains missing teeth as well")
+    seen: Seen = means("wheel that the pulses show")
+    looks: u1 = means("1: the wheel is looked at, as it is seen (:mod:`.wrong_wheel`)")
+    wrong: u1 = means("1: it is a wrong one")
+    filled: u1 = means("1: its gap is filled each turn")
+    known: u1 = means("1: the wheel was once shown to be the configured one")
+    fitted: i4 = means("turns in a row without a fault")
+    looked: i8 = means("pulses that were looked at before")
+    pairs: Pairs = means("intervals that alternate")
+    unseen: f8 = means("pulses that no frame brought, lately")
+    decided: i8 = means("pulse at which missed or added ones were last decided")
+    burst_missed: i4 = means("pulses missed that were decided together")
+    burst_added: i4 = means("pulses added that were decided together")
+    burst_tooth: i4 = means("tooth of the first of these")
+    unclean: i4 = means("revolutions in a row with a defect")
+    doubted: i8 = means("pulse at which a proven place was doubted")
+    named: i8 = means("pulse at which pulses were last reported")
+    uneven: i8 = means("pulse at which pulses were last found missed or added")
+    speed_rpm: f8 = means("speed of the last turn", "rpm")
+    slowest_rpm: f8 = means("slowest speed so far; 0: none", "rpm")
+    fastest_rpm: f8 = means("fastest speed so far", "rpm")
+    y1: f8 = means("interval before this one; 0: not known", "us")
+    y2: f8 = means("interval before that; 0: not known", "us")
+    reversal: Reversal = means("whether the engine may have turned back")
+    anchor: anchor.State = means("the gap as an anchor")
+    waiting: waiting.Waiting = means("pulses without a proven place")
+    law: Law = means("runout against torque")
+    tracker: Tracker = means("hypotheses about the latest pulse")
+    search: Search = means("which place the last intervals show")
+    profile: Profile = means("pitches as the engine shows them")
 
 
 def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float, reversal_rpm: float) -> None:

@@ -20,24 +20,19 @@ a wheel that turns back each tooth comes at the wrong time.
 from __future__ import annotations
 
 from gateway.monitors.contract import report
-from gateway_fdi.jit import Record, f8, i4, i8, kernel, u1
+from gateway_fdi.jit import Record, f8, i4, i8, kernel, means, u1
 from gateway_plants.crank.monitor.faults import REVERSED, Reports
 
 
 class Reversal(Record):
-    """Reversal.
+    """What is known of an engine that may turn back."""
 
-    ``index`` of the tooth before the slowest interval (-1: none), ``count`` pulses since, ``slowest`` that
-    interval [us]; ``before`` a sudden interval, the one before it [us a pitch], 0: none; ``stood``: the engine may have
-    turned back, and the place was not proven since; ``total`` of reversals told.
-    """
-
-    index: i4
-    count: i4
-    slowest: f8
-    before: f8
-    stood: u1
-    total: i8
+    index: i4 = means("tooth before the slowest interval; -1: none")
+    count: i4 = means("pulses since")
+    slowest: f8 = means("slowest interval", "us")
+    before: f8 = means("the interval before a sudden one, by its pitches; 0: none", "us")
+    stood: u1 = means("1: the engine may have turned back, and the place was not proven since")
+    total: i8 = means("reversals told")
 
 
 #: Pulses that the two counts must differ by, and that a count may be off.

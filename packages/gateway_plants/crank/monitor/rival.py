@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8s, i4, kernel, u1s
+from gateway_fdi.jit import Record, f8s, i4, kernel, means, u1s
 from gateway_plants.crank.monitor import anchor
 from gateway_plants.crank.pulse_tracking.profile import LearnedWheel
 from gateway_plants.crank.wheel import MOST_TEETH
@@ -30,20 +30,15 @@ NONE = -1
 
 
 class Rival(Record):
-    """A rival.
+    """A rival."""
 
-    ``tooth`` is the first one missing by the present place, ``number`` how many are, and ``gone`` which; ``other`` is
-    the first one missing by the rival place, which has ``first`` for the first tooth left behind ``tooth``. ``other``
-    is :data:`NONE` while there is no rival. ``here``, ``there``: edges of the cam that fitted one of them alone.
-    """
-
-    tooth: i4
-    number: i4
-    other: i4
-    first: i4
-    here: i4
-    there: i4
-    gone: Annotated[u1s, MOST_TEETH]
+    tooth: i4 = means("first tooth that is missing by the present place")
+    number: i4 = means("how many teeth are")
+    other: i4 = means("first tooth that is missing by the rival place; :data:`NONE`: there is no rival")
+    first: i4 = means("by the rival place, the first tooth left behind tooth")
+    here: i4 = means("edges of the cam that fitted the present place alone")
+    there: i4 = means("edges of the cam that fitted the rival place alone")
+    gone: Annotated[u1s, MOST_TEETH] = means("1: the tooth is missing by the present place")
 
 
 @kernel

@@ -12,7 +12,7 @@ the line of least squares over the turns, older ones counted less. Where the spe
 
 from __future__ import annotations
 
-from gateway_fdi.jit import Record, f8, kernel
+from gateway_fdi.jit import Record, f8, kernel, means
 
 #: Ripple of the first order that an engine may have at :data:`ALLOWED_RPM`; it falls with the square of the speed.
 ALLOWED, ALLOWED_RPM = 0.14, 850.0
@@ -25,15 +25,15 @@ SPREAD, TURNS = 0.2, 20.0
 
 
 class Law(Record):
-    """Law: fading sums over the turns, of weight, x, x^2, u (even, odd) and x u."""
+    """Fading sums over the turns."""
 
-    weight: f8
-    x: f8
-    xx: f8
-    even: f8
-    odd: f8
-    x_even: f8
-    x_odd: f8
+    weight: f8 = means("sum of weights")
+    x: f8 = means("sum of x")
+    xx: f8 = means("sum of x^2")
+    even: f8 = means("sum of u, even part")
+    odd: f8 = means("sum of u, odd part")
+    x_even: f8 = means("sum of x u, even part")
+    x_odd: f8 = means("sum of x u, odd part")
 
 
 @kernel

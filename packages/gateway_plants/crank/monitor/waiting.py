@@ -13,7 +13,7 @@ from math import sqrt
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8, i4, i8, kernel
+from gateway_fdi.jit import Record, f8, i4, i8, kernel, means
 from gateway_plants.crank.monitor import anchor
 
 #: An interval this share of the one before is short: there was a pulse too many.
@@ -31,23 +31,17 @@ UNDECIDED, AGAINST = -1, -2
 
 
 class Waiting(Record):
-    """What the pulses have shown since synchronisation was last proven, or a reason was last given.
+    """What the pulses have shown since synchronisation was last proven, or a reason was last given."""
 
-    ``pulses`` since, how many of them ``short`` (less than half of the one before), ``widest`` interval over its
-    neighbours; ``turns`` asked, ``place`` that the last one showed, how many showed the ``same`` place as the one
-    before, how many another one (``moved``, of these ``shifted`` in an even turn), and how many were ``against`` the
-    wheel.
-    """
-
-    pulses: i8
-    short: i8
-    widest: f8
-    turns: i4
-    place: i4
-    same: i4
-    moved: i4
-    shifted: i4
-    against: i4
+    pulses: i8 = means("pulses since")
+    short: i8 = means("pulses whose interval is less than half of the one before")
+    widest: f8 = means("widest interval over its neighbours")
+    turns: i4 = means("turns asked")
+    place: i4 = means("place that the last turn showed")
+    same: i4 = means("turns that showed the same place as the one before")
+    moved: i4 = means("turns that showed another place")
+    shifted: i4 = means("moved ones that were even")
+    against: i4 = means("turns that speak against the wheel")
 
 
 @kernel

@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import exp, log, sqrt
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
 WINDOW = 8
 #: Least deviation that is assumed of ln(interval).
@@ -24,13 +24,13 @@ ODDS = 6.0
 
 
 class Search(Record):
-    """Search: ``logs`` of the last intervals, the latest at ``(seen - 1) % WINDOW``; what the last call found."""
+    """Search, and what the last call found."""
 
-    seen: i8
-    logs: Annotated[f8s, WINDOW]
-    period: f8
-    growth: f8
-    variance: f8
+    seen: i8 = means("intervals so far")
+    logs: Annotated[f8s, WINDOW] = means("logarithms of the last intervals, the latest at ``(seen - 1) % WINDOW``")
+    period: f8 = means("time of a pitch", "us")
+    growth: f8 = means("growth of the squared speed", "1/pitch")
+    variance: f8 = means("variance of the logarithms")
 
 
 @kernel

@@ -20,38 +20,30 @@ from __future__ import annotations
 
 from math import sqrt
 
-from gateway_fdi.jit import Record, f8, i4, kernel, u1
+from gateway_fdi.jit import Record, f8, i4, kernel, means, u1
 
 
 class Hypothesis(Record):
-    """Hypothesis.
+    """One hypothesis about which pulse was which tooth."""
 
-    One hypothesis about which pulse was which tooth.  ``elapsed`` since its last tooth (filtered) [us];
-    ``period`` [us]; ``growth`` [1/pitch]; ``p..`` covariance; ``cost`` minus log likelihood above the best;
-    ``index`` of its last tooth; ``missed``, ``added`` pulses since all hypotheses agreed, ``missed_at`` the first tooth
-    missed and ``added_at`` the tooth before the first pulse added; ``clutter`` pulses held for spurious since its last
-    tooth; ``associated`` the latest pulse is its last tooth; ``outlier`` it took that for
-    an edge far off.
-    """
-
-    elapsed: f8
-    period: f8
-    growth: f8
-    p11: f8
-    p12: f8
-    p13: f8
-    p22: f8
-    p23: f8
-    p33: f8
-    cost: f8
-    index: i4
-    missed: i4
-    added: i4
-    missed_at: i4
-    added_at: i4
-    clutter: i4
-    associated: u1
-    outlier: u1
+    elapsed: f8 = means("time since its last tooth, filtered", "us")
+    period: f8 = means("time of a pitch", "us")
+    growth: f8 = means("growth of the squared speed", "1/pitch")
+    p11: f8 = means("covariance, of the position with itself")
+    p12: f8 = means("covariance, of position and ln T")
+    p13: f8 = means("covariance, of position and growth")
+    p22: f8 = means("covariance, of ln T with itself")
+    p23: f8 = means("covariance, of ln T and growth")
+    p33: f8 = means("covariance, of the growth with itself")
+    cost: f8 = means("minus log likelihood above the best", "nat")
+    index: i4 = means("its last tooth")
+    missed: i4 = means("pulses missed since all hypotheses agreed")
+    added: i4 = means("pulses added since all hypotheses agreed")
+    missed_at: i4 = means("first tooth missed")
+    added_at: i4 = means("tooth before the first pulse added")
+    clutter: i4 = means("pulses held for spurious since its last tooth")
+    associated: u1 = means("1: the latest pulse is its last tooth")
+    outlier: u1 = means("1: it took that pulse for an edge far off")
 
 
 @kernel

@@ -27,7 +27,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, u1, u1s
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1, u1s
 from gateway_plants.crank.wheel import MOST_TEETH
 
 #: Share of a new revolution in the profile, once it is old.
@@ -53,21 +53,16 @@ SPEED_STEP = 1.1
 
 
 class LearnedWheel(Record):
-    """Wheel.
+    """What the profile has to know of the wheel; ``cosine`` and ``sine`` of order k + 1 begin at ``k * MOST_TEETH``."""
 
-    What the profile has to know of the wheel: pulses, nominal pitches, their sum, orders of ripple, whether the last
-    slot is its only gap (``lone``), which slots are or follow a gap, and cosine and sine of each order in the middle of
-    each slot, those of order k + 1 from ``k * MOST_TEETH`` on.
-    """
-
-    pulses: i4
-    orders: i4
-    lone: u1
-    whole: f8
-    nominal: Annotated[f8s, MOST_TEETH]
-    gap: Annotated[u1s, MOST_TEETH]
-    cosine: Annotated[f8s, MOST_ORDERS * MOST_TEETH]
-    sine: Annotated[f8s, MOST_ORDERS * MOST_TEETH]
+    pulses: i4 = means("pulses of a turn")
+    orders: i4 = means("orders of ripple")
+    lone: u1 = means("1: the last slot is the only gap")
+    whole: f8 = means("pitches of a turn")
+    nominal: Annotated[f8s, MOST_TEETH] = means("nominal pitches", "pitch")
+    gap: Annotated[u1s, MOST_TEETH] = means("1: the slot is a gap, or follows one")
+    cosine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("cosine of each order in the middle of each slot")
+    sine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("sine likewise")
 
 
 def harmonics(wh: LearnedWheel, middle: NDArray[np.float64]) -> None:
@@ -86,47 +81,37 @@ def harmonics(wh: LearnedWheel, middle: NDArray[np.float64]) -> None:
 
 
 class Profile(Record):
-    """Profile.
+    """Profile."""
 
-    ``intervals`` of this revolution [us], ``turn_us`` their sum, ``clean`` this revolution so far. While the revolution
-    before has ``ended`` and is not decided, those are of ``ahead``; of it are ``ended_clean`` and ``ended_us``.
-    ``before`` ln(pitch / nominal) of the last one if it is ``paired``, ``logs`` the learned ln(pitch / nominal),
-    ``ripple`` its low orders, ``turns`` pairs learned from, ``period`` [us] at which it was learned, ``first``
-    amplitude of the first order, ``even`` and ``odd`` its parts in the last turn, ``rest`` amplitude of the ripple
-    that the last turn had and the profile did not expect, ``share`` of the ripple applied, ``slow``, ``fast``
-    between which the pitches hold, as they are. ``worst`` slot, whose pitch is farthest from nominal; ``bent`` tooth,
-    that is ``off`` most [pitch], and ``scatter``, the standard deviation of the others.
-    """
-
-    intervals: Annotated[f8s, MOST_TEETH]
-    before: Annotated[f8s, MOST_TEETH]
-    logs: Annotated[f8s, MOST_TEETH]
-    ripple: Annotated[f8s, MOST_TEETH]
-    ahead: Annotated[f8s, MOST_TEETH]
-    turn_us: f8
-    ended_us: f8
-    last_us: f8
-    trend: f8
-    period: f8
-    slow: f8
-    fast: f8
-    first: f8
-    even: f8
-    odd: f8
-    rest: f8
-    evens: Annotated[f8s, MOST_ORDERS]
-    odds: Annotated[f8s, MOST_ORDERS]
-    share: f8
-    off: f8
-    scatter: f8
-    worst: i4
-    bent: i4
-    clean: u1
-    ended: u1
-    ended_clean: u1
-    paired: u1
-    resting: i4
-    turns: i8
+    intervals: Annotated[f8s, MOST_TEETH] = means("intervals of this revolution", "us")
+    before: Annotated[f8s, MOST_TEETH] = means("ln(pitch / nominal) of the last revolution")
+    logs: Annotated[f8s, MOST_TEETH] = means("learned ln(pitch / nominal)")
+    ripple: Annotated[f8s, MOST_TEETH] = means("low orders of logs")
+    ahead: Annotated[f8s, MOST_TEETH] = means("intervals of this revolution while the one before is not decided", "us")
+    turn_us: f8 = means("sum of the intervals of this revolution", "us")
+    ended_us: f8 = means("that sum of the revolution before", "us")
+    last_us: f8 = means("that sum of the last clean revolution; 0: none", "us")
+    trend: f8 = means("relative change of the squared speed from turn to turn")
+    period: f8 = means("time of a pitch at which the profile was learned", "us")
+    slow: f8 = means("longest time of a pitch for which the pitches hold as they are", "us")
+    fast: f8 = means("shortest time of a pitch for which the pitches hold as they are", "us")
+    first: f8 = means("amplitude of the first order")
+    even: f8 = means("even part of the first order in the last turn")
+    odd: f8 = means("odd part of the first order in the last turn")
+    rest: f8 = means("amplitude of the ripple that the last turn had and the profile did not expect")
+    evens: Annotated[f8s, MOST_ORDERS] = means("even part of each order")
+    odds: Annotated[f8s, MOST_ORDERS] = means("odd part of each order")
+    share: f8 = means("share of the ripple applied")
+    off: f8 = means("what the tooth ``bent`` is off", "pitch")
+    scatter: f8 = means("standard deviation of the other teeth", "pitch")
+    worst: i4 = means("slot whose pitch is farthest from nominal")
+    bent: i4 = means("tooth that is off most")
+    clean: u1 = means("1: this revolution is clean so far")
+    ended: u1 = means("1: the revolution before has ended and is not decided")
+    ended_clean: u1 = means("1: that revolution is clean so far")
+    paired: u1 = means("1: before is known")
+    resting: i4 = means("clean turns until one is learned from again")
+    turns: i8 = means("pairs of turns learned from")
 
 
 @kernel

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import exp
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means
 from gateway_plants.crank.pulse_tracking.motion import LEAST_SQUARE, MOST_GROWTH, Hypothesis, copy
 from gateway_plants.crank.wheel import MOST_TEETH
 
@@ -28,33 +28,29 @@ LEAST_VARIANCE, MOST_VARIANCE = 0.008**2, 0.3**2
 class Tracker(Record):
     """Tracker.
 
-    ``banks`` holds the hypotheses and those being made of them; ``bank`` tells which half is which. ``variance`` of
-    an edge [pitch^2]; ``pitches`` as learned, ``slack`` their variance while they are not [pitch^2]; ``residual`` of
-    the best hypothesis if the latest pulse was its next tooth; ``mean_cost`` of a pulse lately [nat]; ``open`` pulses
-    since there was one hypothesis only, ``took`` the same without this pulse's pruning: so long has what is decided
-    now been open; ``steady`` regular pulses over one pitch in a row, from which on the gains
-    ``k1`` to ``k3``, the ``spread`` v / variance and the ``gate`` for e^2 / variance are those of the steady state.
+    ``banks`` holds the hypotheses and those being made of them. From so many ``steady`` pulses on gains, ``spread`` and
+    ``gate`` are those of the steady state.
     """
 
-    bank: i4
-    count: i4
-    banks: Annotated[list[Hypothesis], 2 * MOST]
-    spare: Annotated[list[Hypothesis], 1]
-    variance: f8
-    wander: f8
-    residual: f8
-    last: f8
-    mean_cost: f8
-    open: i8
-    took: i8
-    pitches: Annotated[f8s, MOST_TEETH]
-    slack: Annotated[f8s, MOST_TEETH]
-    steady: i4
-    k1: f8
-    k2: f8
-    k3: f8
-    spread: f8
-    gate: f8
+    bank: i4 = means("half of banks that has the hypotheses")
+    count: i4 = means("hypotheses")
+    banks: Annotated[list[Hypothesis], 2 * MOST] = means("hypotheses, in one half or the other")
+    spare: Annotated[list[Hypothesis], 1] = means("room for one hypothesis")
+    variance: f8 = means("variance of an edge", "pitch^2")
+    wander: f8 = means("process noise of the growth")
+    residual: f8 = means("residual of the best hypothesis, if the latest pulse was its next tooth", "pitch")
+    last: f8 = means("that residual of the pulse before", "pitch")
+    mean_cost: f8 = means("cost of a pulse lately", "nat")
+    open: i8 = means("pulses since there was one hypothesis only")
+    took: i8 = means("open without this pulse's pruning: so long has what is decided now been open")
+    pitches: Annotated[f8s, MOST_TEETH] = means("pitches as learned", "pitch")
+    slack: Annotated[f8s, MOST_TEETH] = means("variance of the pitches while they are not learned", "pitch^2")
+    steady: i4 = means("regular pulses over one pitch in a row")
+    k1: f8 = means("gain of the position")
+    k2: f8 = means("gain of ln T")
+    k3: f8 = means("gain of the growth")
+    spread: f8 = means("v / variance")
+    gate: f8 = means("for e^2 / variance")
 
 
 @kernel

@@ -36,7 +36,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway.monitors.contract import report
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, u1
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1
 from gateway_plants.crank.monitor.faults import ADDED, MISSED, RESIDUALS, SYNC_LOST, Reports
 from gateway_plants.crank.wheel import MOST_TEETH, Wheel
 
@@ -52,44 +52,44 @@ SEARCH, LEARN, TRACK = range(3)
 class Const(Record):
     """Constants."""
 
-    pulses: i4
-    follow_speed: u1
-    turn: f8
-    gap: f8
-    gain: f8
-    threshold: f8
-    step: f8
-    pitches: Annotated[f8s, MOST_TEETH]
+    pulses: i4 = means("pulses of a turn")
+    follow_speed: u1 = means("1: alpha is learned anew after every clean revolution")
+    turn: f8 = means("pitches of a turn")
+    gap: f8 = means("largest pitch", "pitch")
+    gain: f8 = means("D")
+    threshold: f8 = means("threshold of the residual", "pitch")
+    step: f8 = means("delta, the gap's step", "pitch")
+    pitches: Annotated[f8s, MOST_TEETH] = means("a, the wheel's pitches", "pitch")
 
 
 class State(Record):
     """State."""
 
-    phase: i4
-    index: i4
-    revolutions: i8
-    teeth: i8
-    speed_rpm: f8
-    slowest_rpm: f8
-    fastest_rpm: f8
-    missed: i8
-    added: i8
-    unexplained: i8
-    alarms: i8
-    x: f8
-    alpha: f8
-    y1: f8
-    y2: f8
-    turn_us: f8
-    clean: u1
-    hole: u1
-    searched: i8
-    recent: i8
-    filled: i4
-    at: i4
-    scale: f8
-    residuals: Annotated[f8s, WINDOW]
-    intervals: Annotated[f8s, WINDOW]
+    phase: i4 = means("SEARCH, LEARN or TRACK")
+    index: i4 = means("latest tooth")
+    revolutions: i8 = means("turns so far")
+    teeth: i8 = means("pulses so far")
+    speed_rpm: f8 = means("speed of the last clean turn", "rpm")
+    slowest_rpm: f8 = means("slowest speed so far; 0: none", "rpm")
+    fastest_rpm: f8 = means("fastest speed so far", "rpm")
+    missed: i8 = means("pulses missed")
+    added: i8 = means("pulses added")
+    unexplained: i8 = means("alarms that no count explains")
+    alarms: i8 = means("first exceedances of the threshold")
+    x: f8 = means("xh, the interval that is expected", "us")
+    alpha: f8 = means("time of one pitch", "us")
+    y1: f8 = means("last interval; 0: not known", "us")
+    y2: f8 = means("interval before that; 0: not known", "us")
+    turn_us: f8 = means("sum of the intervals of this turn", "us")
+    clean: u1 = means("1: this turn has no exceedance so far")
+    hole: u1 = means("1: frames were lost within this turn")
+    searched: i8 = means("pulses of the search")
+    recent: i8 = means("faults since the last clean turn")
+    filled: i4 = means("values in the window")
+    at: i4 = means("tooth of the first exceedance")
+    scale: f8 = means("time of one pitch before a fault", "us")
+    residuals: Annotated[f8s, WINDOW] = means("residuals of the window", "pitch")
+    intervals: Annotated[f8s, WINDOW] = means("intervals of the window", "us")
 
 
 def prepare(s: State, c: Const, wheel: Wheel, gain: float, threshold: float | None, follow_speed: bool) -> None:

@@ -25,7 +25,7 @@ from math import log, sqrt
 from typing import Annotated
 
 from gateway_fdi.isolation import followed
-from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.model_set import design, filters
 from gateway_plants.linear.model_set.filters import (
@@ -72,69 +72,52 @@ NONE, PLANT = -1, -2
 
 
 class Const(Record):
-    """Constants.
+    """Constants."""
 
-    ``level``: of the evidence; ``fits``: largest moving mean of the normalised innovation squared of a hypothesis that
-    is right, with all sensors, ``fits_less``: with one less; ``bounds``: of what is slow, squared, ``told``: likewise,
-    behind what was not isolated; ``actuator``, ``sensor``: sizes that count; ``task``; ``doubt``: normalised innovation
-    squared of one sample beyond which it is not learned from while watching; ``found``: x is known, ``start``,
-    ``hold``, ``patience`` [samples].
-    """
-
-    filters: filters.Const
-    level: f8
-    fits: f8
-    fits_less: f8
-    bounds: f8
-    told: f8
-    actuator: Annotated[f8s, MOST_INPUTS]
-    sensor: Annotated[f8s, MOST_OUTPUTS]
-    task: i8
-    doubt: f8
-    found: i8
-    start: i8
-    hold: i8
-    patience: i8
+    filters: filters.Const = means("filters of the plant under each hypothesis")
+    level: f8 = means("evidence beyond which something is wrong")
+    fits: f8 = means("largest normalised innovation squared, averaged, of a right hypothesis with all sensors")
+    fits_less: f8 = means("likewise, with one sensor less")
+    bounds: f8 = means("bound of what is slow, squared")
+    told: f8 = means("bound of what is slow, squared, behind what was not isolated")
+    actuator: Annotated[f8s, MOST_INPUTS] = means("size of an actuator's fault that counts, in the command's unit")
+    sensor: Annotated[f8s, MOST_OUTPUTS] = means("size of a sensor's fault that counts, in the reading's unit")
+    task: i8 = means("ISOLATING, LEARNING or WATCHING")
+    doubt: f8 = means("normalised innovation squared of a sample that is not learned from while watching")
+    found: i8 = means("samples of the start after which x is known", "samples")
+    start: i8 = means("samples in which nothing is judged", "samples")
+    hold: i8 = means("samples after which a fault is gone", "samples")
+    patience: i8 = means("samples in which a fault has to be isolated", "samples")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``done``: samples of the start; ``active``: hypothesis in use, 0: healthy; ``evidence``, ``misfits``: of each
-    hypothesis, samples ``waited`` since its jump, and ``jumps`` lately; ``undecided``: samples since an alarm;
-    ``ahead``: of these, in which ``first`` was named; ``suspect``: whether the size of the named fault counts;
-    ``jolted``: since the alarm entries that vary have once not explained what came, it was no gradual change;
-    ``unexplained``; ``agreed``, ``astray``: samples since then that a healthy plant explains, within what was told, and
-    beyond it; ``tested``: the last sample was judged; ``magnitude``: of the fault; ``fit``: sum of normalised
-    innovations squared of the healthy hypothesis while it alone runs, of ``fitted`` samples; ``forgiven``: alarms that
-    nothing came of; ``kept``, ``kept_cov``: slow states of a calm time, two of them, the older at ``older``.
-    """
-
-    filters: filters.State
-    done: i8
-    active: i8
-    evidence: Annotated[f8s, MOST_HYPOTHESES]
-    misfits: Annotated[f8s, MOST_HYPOTHESES]
-    waited: Annotated[i8s, MOST_HYPOTHESES]
-    jumps: Annotated[i8s, MOST_HYPOTHESES]
-    undecided: i8
-    ahead: i8
-    first: i8
-    suspect: followed.State
-    misfit: i8
-    unexplained: i8
-    jolted: i8
-    agreed: i8
-    astray: i8
-    tested: i8
-    magnitude: f8
-    fit: f8
-    fitted: i8
-    forgiven: i8
-    calm: i8
-    keeps: i8
-    kept: Annotated[f8s, 2, MOST_SLOW]
-    kept_cov: Annotated[f8s, 2, MOST_SLOW, MOST_SLOW]
+    filters: filters.State = means("filters of the plant under each hypothesis")
+    done: i8 = means("samples of the start", "samples")
+    active: i8 = means("hypothesis in use; 0: healthy")
+    evidence: Annotated[f8s, MOST_HYPOTHESES] = means("g_h of each hypothesis")
+    misfits: Annotated[f8s, MOST_HYPOTHESES] = means("normalised innovation squared of each hypothesis, averaged")
+    waited: Annotated[i8s, MOST_HYPOTHESES] = means("samples since the jump of each hypothesis", "samples")
+    jumps: Annotated[i8s, MOST_HYPOTHESES] = means("jumps of each hypothesis, lately")
+    undecided: i8 = means("samples since an alarm", "samples")
+    ahead: i8 = means("samples of these in which first was named", "samples")
+    first: i8 = means("part that was named last; NONE: none")
+    suspect: followed.State = means("whether the size of the named fault counts")
+    misfit: i8 = means("samples in a row that the named hypothesis does not explain", "samples")
+    unexplained: i8 = means("1: what came is not isolated")
+    jolted: i8 = means("1: since the alarm VARYING has once not explained what came: it was no gradual change")
+    agreed: i8 = means("samples since unexplained that a healthy plant explains, within what was told", "samples")
+    astray: i8 = means("samples since unexplained that it explains, beyond what was told", "samples")
+    tested: i8 = means("1: the last sample was judged")
+    magnitude: f8 = means("size of the fault")
+    fit: f8 = means("sum of normalised innovations squared of the healthy hypothesis while it alone runs")
+    fitted: i8 = means("samples in that sum", "samples")
+    forgiven: i8 = means("alarms that nothing came of")
+    calm: i8 = means("samples without an alarm since slow states were kept", "samples")
+    keeps: i8 = means("times that slow states were kept")
+    kept: Annotated[f8s, 2, MOST_SLOW] = means("slow states of two calm times, the older at ``keeps % 2``")
+    kept_cov: Annotated[f8s, 2, MOST_SLOW, MOST_SLOW] = means("their covariance")
 
 
 def prepare(

@@ -38,7 +38,7 @@ from __future__ import annotations
 from math import log, pi, sqrt
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_plants.linear.model_set import matrices
 from gateway_plants.linear.model_set.matrices import MOST_ENTRIES, MOST_HYPOTHESES
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
@@ -62,71 +62,54 @@ SECOND_ORDER = 4.0
 
 
 class Const(Record):
-    """Constants.
+    """Constants."""
 
-    ``n``, ``m``, ``p``, ``q``: states, inputs, outputs, uncertain entries; ``total``: states with slow ones; ``gains``:
-    1: with the sensors' gains.
-    ``relative``: 1 over the square of each entry. ``keep``, ``prior``: of slow states, what a sample leaves of them and
-    their variance; ``vary``: what a sample leaves of entries that vary; ``drive``, ``free``: of a slow state that a
-    hypothesis lets go: variance of a sample's change, and of a jump; ``loose``: share of the latter that a fault which
-    is followed changes by in a sample. ``gate``: of the normalised innovation squared of one sample, beyond which
-    something jumped; ``range``: of a silent sensor's reading, as log density.
-    """
-
-    n: i8
-    m: i8
-    p: i8
-    q: i8
-    total: i8
-    gains: i8
-    plant: matrices.Const
-    hypotheses: i8
-    kind: Annotated[i8s, MOST_HYPOTHESES]
-    place: Annotated[i8s, MOST_HYPOTHESES]
-    relative: Annotated[f8s, MOST_ENTRIES]
-    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES]
-    noise: Annotated[f8s, MOST_STATES]
-    r: Annotated[f8s, MOST_OUTPUTS]
-    unknown: Annotated[f8s, MOST_STATES]
-    keep: Annotated[f8s, MOST_SLOW]
-    vary: f8
-    prior: Annotated[f8s, MOST_SLOW]
-    drive: Annotated[f8s, MOST_SLOW]
-    free: Annotated[f8s, MOST_SLOW]
-    command: Annotated[f8s, MOST_INPUTS]
-    loose: f8
-    gate: f8
-    range: Annotated[f8s, MOST_OUTPUTS]
+    n: i8 = means("states")
+    m: i8 = means("inputs")
+    p: i8 = means("outputs")
+    q: i8 = means("uncertain entries")
+    total: i8 = means("states with slow ones")
+    gains: i8 = means("1: with the sensors' gains")
+    plant: matrices.Const = means("the plant's matrices")
+    hypotheses: i8 = means("number of hypotheses")
+    kind: Annotated[i8s, MOST_HYPOTHESES] = means("what each hypothesis says")
+    place: Annotated[i8s, MOST_HYPOTHESES] = means("actuator or sensor that each hypothesis is of")
+    relative: Annotated[f8s, MOST_ENTRIES] = means("1 over the square of each entry")
+    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES] = means("C")
+    noise: Annotated[f8s, MOST_STATES] = means("variance of w")
+    r: Annotated[f8s, MOST_OUTPUTS] = means("variance of v")
+    unknown: Annotated[f8s, MOST_STATES] = means("variance of x while nothing is known of it")
+    keep: Annotated[f8s, MOST_SLOW] = means("what a sample leaves of each slow state")
+    vary: f8 = means("what a sample leaves of entries that vary")
+    prior: Annotated[f8s, MOST_SLOW] = means("variance of each slow state")
+    drive: Annotated[f8s, MOST_SLOW] = means("variance of a sample's change of a slow state that a hypothesis lets go")
+    free: Annotated[f8s, MOST_SLOW] = means("variance of a jump of a slow state that a hypothesis lets go")
+    command: Annotated[f8s, MOST_INPUTS] = means("variance of a command that is not known")
+    loose: f8 = means("share of free that a fault which is followed changes by in a sample")
+    gate: f8 = means("normalised innovation squared of one sample, beyond which something jumped")
+    range: Annotated[f8s, MOST_OUTPUTS] = means("density of a silent sensor's reading, as logarithm")
 
 
 class State(Record):
-    """State of all filters.
+    """State of all filters; ``own`` and ``square`` are of the filter that was asked last."""
 
-    ``z``, ``cov``; ``plant``: [Phi, Gamma] of each, and what derives from them.
-
-    ``jumped``: at the newest sample; ``left``: its normalised innovation squared, ``told``: its log density; ``e``: its
-    innovations; ``own``, ``square``: variance of each innovation by itself, and the normalised innovation squared, of
-    the filter that was asked last. ``past``: commands of the samples before, newest first. ``varies``: 1: the plant's
-    entries vary, under every hypothesis.
-    """
-
-    z: Annotated[f8s, MOST_HYPOTHESES, MOST]
-    cov: Annotated[f8s, MOST_HYPOTHESES, MOST, MOST]
-    plant: matrices.State
-    jumped: Annotated[i8s, MOST_HYPOTHESES]
-    left: Annotated[f8s, MOST_HYPOTHESES]
-    told: Annotated[f8s, MOST_HYPOTHESES]
-    e: Annotated[f8s, MOST_HYPOTHESES, MOST_OUTPUTS]
-    own: Annotated[f8s, MOST_OUTPUTS]
-    square: f8
-    varies: i8
-    past: Annotated[f8s, BACK, MOST_INPUTS]
-    work: Annotated[f8s, MOST_STATES, MOST]
-    by_slow: Annotated[f8s, MOST_STATES, MOST_SLOW]
-    second: Annotated[f8s, MOST_STATES]
-    gain: Annotated[f8s, MOST]
-    spread: Annotated[f8s, MOST_OUTPUTS, MOST_OUTPUTS]
-    rest: Annotated[f8s, MOST_OUTPUTS]
+    z: Annotated[f8s, MOST_HYPOTHESES, MOST] = means("z of each hypothesis")
+    cov: Annotated[f8s, MOST_HYPOTHESES, MOST, MOST] = means("P of each hypothesis")
+    plant: matrices.State = means("[Phi, Gamma] of each, and what derives from them")
+    jumped: Annotated[i8s, MOST_HYPOTHESES] = means("1: it jumped at the newest sample")
+    left: Annotated[f8s, MOST_HYPOTHESES] = means("normalised innovation squared of the newest sample")
+    told: Annotated[f8s, MOST_HYPOTHESES] = means("log density of the newest sample")
+    e: Annotated[f8s, MOST_HYPOTHESES, MOST_OUTPUTS] = means("innovations of the newest sample")
+    own: Annotated[f8s, MOST_OUTPUTS] = means("variance of each innovation by itself")
+    square: f8 = means("normalised innovation squared")
+    varies: i8 = means("1: the plant's entries vary, under every hypothesis")
+    past: Annotated[f8s, BACK, MOST_INPUTS] = means("commands of the samples before, newest first")
+    work: Annotated[f8s, MOST_STATES, MOST] = means("scratch")
+    by_slow: Annotated[f8s, MOST_STATES, MOST_SLOW] = means("derivatives of the next x by the slow states")
+    second: Annotated[f8s, MOST_STATES] = means("variance of the next x that errors of the entries make")
+    gain: Annotated[f8s, MOST] = means("covariance of z and the sensor at hand; of a jump, what it has done to z")
+    spread: Annotated[f8s, MOST_OUTPUTS, MOST_OUTPUTS] = means("covariance of the innovations, decomposed")
+    rest: Annotated[f8s, MOST_OUTPUTS] = means("innovations, solved by spread")
 
 
 @kernel

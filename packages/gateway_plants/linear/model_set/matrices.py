@@ -14,7 +14,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 
 #: Uncertain entries of A and B.
@@ -31,37 +31,32 @@ TERMS = 12
 
 
 class Const(Record):
-    """Constants.
+    """Constants."""
 
-    ``n``, ``m``, ``q``: states, inputs, uncertain entries; ``matrix``: [[A, B], [0, 0]] T (or [Phi, Gamma]); ``row``,
-    ``column``, ``scale``: of each entry in it; ``bound``: of each, squared.
-    """
-
-    n: i8
-    m: i8
-    q: i8
-    discrete: i8
-    matrix: Annotated[f8s, MOST_STATES, BLOCK]
-    row: Annotated[i8s, MOST_ENTRIES]
-    column: Annotated[i8s, MOST_ENTRIES]
-    scale: f8
-    bound: Annotated[f8s, MOST_ENTRIES]
+    n: i8 = means("states")
+    m: i8 = means("inputs")
+    q: i8 = means("uncertain entries")
+    discrete: i8 = means("1: the matrices are of discrete time")
+    matrix: Annotated[f8s, MOST_STATES, BLOCK] = means("[[A, B], [0, 0]] T, or [Phi, Gamma]")
+    row: Annotated[i8s, MOST_ENTRIES] = means("row of each entry in matrix")
+    column: Annotated[i8s, MOST_ENTRIES] = means("column of each entry in matrix")
+    scale: f8 = means("what an entry's error is taken by in matrix")
+    bound: Annotated[f8s, MOST_ENTRIES] = means("bound of each entry, squared")
 
 
 class State(Record):
-    """State.
+    """State, of each filter.
 
-    ``now``: [Phi, Gamma] of each filter, computed for the errors ``at``; ``by_entry``: its derivatives by each entry,
-    for the errors ``derived``.
+    ``now`` is computed for the errors ``at``, ``by_entry`` for the errors ``derived``.
     """
 
-    now: Annotated[f8s, MOST_HYPOTHESES, MOST_STATES, BLOCK]
-    at: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES]
-    by_entry: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES, MOST_STATES, BLOCK]
-    derived: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES]
-    block: Annotated[f8s, BLOCK, BLOCK]
-    term: Annotated[f8s, BLOCK, BLOCK]
-    next: Annotated[f8s, BLOCK, BLOCK]
+    now: Annotated[f8s, MOST_HYPOTHESES, MOST_STATES, BLOCK] = means("[Phi, Gamma]")
+    at: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES] = means("errors of the entries")
+    by_entry: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES, MOST_STATES, BLOCK] = means("its derivatives by each entry")
+    derived: Annotated[f8s, MOST_HYPOTHESES, MOST_ENTRIES] = means("errors of the entries")
+    block: Annotated[f8s, BLOCK, BLOCK] = means("scratch: the matrix")
+    term: Annotated[f8s, BLOCK, BLOCK] = means("scratch: a term of the series")
+    next: Annotated[f8s, BLOCK, BLOCK] = means("scratch")
 
 
 @kernel

@@ -54,54 +54,50 @@ from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_S
 
 
 class Const(Record):
-    """Constants.
+    """Constants."""
 
-    ``uncertain``: 1: by ``models``. ``blind``: samples that are not judged behind so many missing ones in a row;
-    ``blind_command``: behind a lost command.
-    """
-
-    sampling: linear_plant.Const
-    uncertain: i8
-    models: decision.Const
-    blind: Annotated[i8s, MOST_MISSING + 1]
-    blind_command: i8
-    n: i8
-    m: i8
-    p: i8
-    phi: Annotated[f8s, MOST_STATES, MOST_STATES]
-    gamma: Annotated[f8s, MOST_STATES, MOST_INPUTS]
-    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES]
-    gain: Annotated[f8s, MOST_STATES, MOST_OUTPUTS]
-    weight: Annotated[f8s, MOST_OUTPUTS, MOST_OUTPUTS]
-    spread: Annotated[f8s, MOST_OUTPUTS]
-    rule: stopping.Const
-    total: f8
-    start: i8
+    sampling: linear_plant.Const = means("samples off the bus")
+    uncertain: i8 = means("1: by models")
+    models: decision.Const = means("with model_error: the healthy hypothesis")
+    blind: Annotated[i8s, MOST_MISSING + 1] = means("samples that are not judged behind so many missing ones in a row")
+    blind_command: i8 = means("samples that are not judged behind a lost command")
+    n: i8 = means("states")
+    m: i8 = means("inputs")
+    p: i8 = means("outputs")
+    phi: Annotated[f8s, MOST_STATES, MOST_STATES] = means("Phi")
+    gamma: Annotated[f8s, MOST_STATES, MOST_INPUTS] = means("Gamma")
+    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES] = means("C")
+    gain: Annotated[f8s, MOST_STATES, MOST_OUTPUTS] = means("L")
+    weight: Annotated[f8s, MOST_OUTPUTS, MOST_OUTPUTS] = means("V^-1")
+    spread: Annotated[f8s, MOST_OUTPUTS] = means("standard deviation of each innovation")
+    rule: stopping.Const = means("stopping rule of each innovation")
+    total: f8 = means("threshold of e^T V^-1 e")
+    start: i8 = means("samples in which nothing is judged")
 
 
 class State(Record):
     """State."""
 
-    sampling: linear_plant.State
-    models: decision.State
-    x: Annotated[f8s, MOST_STATES]
-    next: Annotated[f8s, MOST_STATES]
-    e: Annotated[f8s, MOST_OUTPUTS]
-    rules: Annotated[list[stopping.State], MOST_OUTPUTS]
-    nis: f8
-    samples: i8
-    missing: i8
+    sampling: linear_plant.State = means("samples off the bus")
+    models: decision.State = means("with model_error: the healthy hypothesis")
+    x: Annotated[f8s, MOST_STATES] = means("the observer's estimate")
+    next: Annotated[f8s, MOST_STATES] = means("scratch: x of the next sample")
+    e: Annotated[f8s, MOST_OUTPUTS] = means("what it leaves of each sensor")
+    rules: Annotated[list[stopping.State], MOST_OUTPUTS] = means("stopping rule of each innovation")
+    nis: f8 = means("normalised innovation squared")
+    samples: i8 = means("samples taken since the start")
+    missing: i8 = means("samples that did not come")
     commands_lost: i8 = means("samples whose command did not come")
-    restarts: i8
+    restarts: i8 = means("times that all began anew")
     untested: i8 = means("samples that were not judged")
     reason: i8 = means("why the last sample was not judged, see monitors/linear/plant.py; 0: it was")
-    blind: i8
+    blind: i8 = means("samples that are still not judged")
 
 
 class Evidence(Record):
     """Evidence of each fault."""
 
-    innovation: f8
+    innovation: f8 = means("innovation")
     nis: f8 = means("normalised innovation squared")
 
 

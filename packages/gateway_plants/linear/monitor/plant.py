@@ -14,7 +14,7 @@ from gateway.monitors.accuracy import Accuracy
 from gateway.monitors.contract import Connection, MonitorParams, Signal
 from gateway.monitors.sampling import Sampling
 from gateway_fdi.common.tomlfile import StrictModel
-from gateway_fdi.jit import Record, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
 from gateway_fdi.structure.units import differ
 from gateway_plants.linear.mathematics.plant import LinearPlant, discretised
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
@@ -39,46 +39,40 @@ _ANEW = 64
 
 
 class Const(Record):
-    """Constants; ``completing``: the message that completes a sample, by its place in it."""
+    """Constants."""
 
-    period_ns: i8
-    inputs: i8
-    completing: i8
-    command_counted: Annotated[i8s, MOST_INPUTS]
+    period_ns: i8 = means("period of the samples", "ns")
+    inputs: i8 = means("commands")
+    completing: i8 = means("the message that completes a sample, by its place in it")
+    command_counted: Annotated[i8s, MOST_INPUTS] = means("1: the command's message has an alive counter")
 
 
 class State(Record):
-    """State: ``t_ns``: when the last sample was due; ``steps``: samples since one that was whole.
+    """State; of each command where it is an array."""
 
-    Of each command: ``value`` and ``came_ns`` of the last frames, ``heard`` of them in all, and since the last sample;
-    ``lead_ns``: before its sample; ``share``: of the samples before which one came; ``told``: its alive counter. What
-    holds from the present sample on: ``u``; ``unsure``: 1: the frame that would say so is lost. ``gap``: a command that
-    is not cyclic was lost, some time since it was heard last.
-    """
-
-    started: i8
-    t_ns: i8
-    before_ns: i8
-    steps: i8
-    value: Annotated[f8s, MOST_INPUTS, _COMMANDS]
-    came_ns: Annotated[i8s, MOST_INPUTS, _COMMANDS]
-    heard: Annotated[i8s, MOST_INPUTS]
-    since: Annotated[i8s, MOST_INPUTS]
-    lead_ns: Annotated[f8s, MOST_INPUTS]
-    share: Annotated[f8s, MOST_INPUTS]
-    listened: i8
-    told: Annotated[i8s, MOST_INPUTS]
-    u: Annotated[f8s, MOST_INPUTS]
-    unsure: Annotated[i8s, MOST_INPUTS]
-    gap: i8
+    started: i8 = means("1: there is a sample")
+    t_ns: i8 = means("when the last sample was due", "ns")
+    before_ns: i8 = means("when the sample before it was due", "ns")
+    steps: i8 = means("samples since one that was whole")
+    value: Annotated[f8s, MOST_INPUTS, _COMMANDS] = means("values of the last frames")
+    came_ns: Annotated[i8s, MOST_INPUTS, _COMMANDS] = means("when they came", "ns")
+    heard: Annotated[i8s, MOST_INPUTS] = means("frames in all")
+    since: Annotated[i8s, MOST_INPUTS] = means("frames since the last sample")
+    lead_ns: Annotated[f8s, MOST_INPUTS] = means("time of its frame before its sample", "ns")
+    share: Annotated[f8s, MOST_INPUTS] = means("share of the samples before which a frame came")
+    listened: i8 = means("samples in these averages")
+    told: Annotated[i8s, MOST_INPUTS] = means("its last alive counter")
+    u: Annotated[f8s, MOST_INPUTS] = means("what holds from the present sample on")
+    unsure: Annotated[i8s, MOST_INPUTS] = means("1: the frame that would say so is lost")
+    gap: i8 = means("1: a command that is not cyclic was lost, some time since it was heard last")
 
 
 class Inputs(contract.SampledInputs):
     """Inputs."""
 
-    u: Annotated[f8s, MOST_INPUTS]
-    y: Annotated[f8s, MOST_OUTPUTS]
-    command_counter: Annotated[f8s, MOST_INPUTS]
+    u: Annotated[f8s, MOST_INPUTS] = means("commands")
+    y: Annotated[f8s, MOST_OUTPUTS] = means("readings")
+    command_counter: Annotated[f8s, MOST_INPUTS] = means("alive counter of each command")
 
 
 class Input(StrictModel):

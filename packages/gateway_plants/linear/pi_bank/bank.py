@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8s, i8, kernel, means
 from gateway_plants.linear.mathematics.plant import LinearPlant
 from gateway_plants.linear.pi_bank.design import Observer, augmented
 
@@ -23,25 +23,21 @@ MOST, BANK = MOST_STATES + MOST_INPUTS, MOST_OUTPUTS + 1
 class Const(Record):
     """Constants."""
 
-    n: i8
-    m: i8
-    p: i8
-    phi: Annotated[f8s, MOST, MOST]
-    gamma: Annotated[f8s, MOST_STATES, MOST_INPUTS]
-    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES]
-    gain: Annotated[f8s, BANK, MOST, MOST_OUTPUTS]
+    n: i8 = means("states")
+    m: i8 = means("inputs")
+    p: i8 = means("outputs")
+    phi: Annotated[f8s, MOST, MOST] = means("[[Phi, Gamma], [0, 1]]")
+    gamma: Annotated[f8s, MOST_STATES, MOST_INPUTS] = means("Gamma")
+    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES] = means("C")
+    gain: Annotated[f8s, BANK, MOST, MOST_OUTPUTS] = means("[K_k; H_k] of each observer")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``z``: state and fault of each observer; ``e``: what it left of each sensor, 0 for the one that it does not
-    take.
-    """
-
-    z: Annotated[f8s, BANK, MOST]
-    e: Annotated[f8s, BANK, MOST_OUTPUTS]
-    work: Annotated[f8s, MOST]
+    z: Annotated[f8s, BANK, MOST] = means("[x_k; omega_k] of each observer")
+    e: Annotated[f8s, BANK, MOST_OUTPUTS] = means("what each observer left of each sensor; 0: it does not take it")
+    work: Annotated[f8s, MOST] = means("scratch")
 
 
 def prepare(c: Const, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:

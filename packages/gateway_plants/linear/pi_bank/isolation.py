@@ -28,7 +28,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway_fdi.isolation import followed
-from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.quantiles import chi2_above, normal_above
 from gateway_plants.linear.mathematics.plant import LinearPlant
 from gateway_plants.linear.pi_bank import bank, jump, start
@@ -54,53 +54,42 @@ PRIOR = 100.0
 
 
 class Const(Record):
-    """Constants.
+    """Constants."""
 
-    Thresholds of the ``actuator`` and the ``sensor`` faults; ``spread``: standard deviation of a sensor's offset;
-    ``sure``: quantile beyond which an estimate is no noise; ``window_alarm``: of the window's log likelihood ratio,
-    doubled, ``sample_alarm``: of a sample's energy, by observer; ``persistence``, ``hold`` [samples].
-    """
-
-    bank: bank.Const
-    jump: jump.Const
-    start: start.Const
-    actuator: Annotated[f8s, MOST_INPUTS]
-    sensor: Annotated[f8s, MOST_OUTPUTS]
-    spread: Annotated[f8s, MOST_OUTPUTS]
-    sure: f8
-    window_alarm: f8
-    sample_alarm: Annotated[f8s, BANK]
-    persistence: i8
-    hold: i8
+    bank: bank.Const = means("the bank")
+    jump: jump.Const = means("faults that begin at once")
+    start: start.Const = means("first samples")
+    actuator: Annotated[f8s, MOST_INPUTS] = means("thresholds of the actuators' faults, in the command's unit")
+    sensor: Annotated[f8s, MOST_OUTPUTS] = means("thresholds of the sensors' faults, in the reading's unit")
+    spread: Annotated[f8s, MOST_OUTPUTS] = means("standard deviation of each sensor's offset")
+    sure: f8 = means("quantile beyond which an estimate is no noise")
+    window_alarm: f8 = means("largest log likelihood ratio of the window, doubled")
+    sample_alarm: Annotated[f8s, BANK] = means("largest energy of a sample, by observer")
+    persistence: i8 = means("samples in a row beyond a threshold, for an actuator's fault", "samples")
+    hold: i8 = means("samples after which a sensor's fault is gone", "samples")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``active``: the observer in use; ``latched``: the sensor at fault, ``suspect``: whether its offset is beyond its
-    threshold; ``undecided``: samples since an alarm; ``unexplained``: what happened is not isolated; ``tested``: the
-    last sample was judged. ``actuator``: flags, with ``count`` samples beyond; ``fault``: their sizes, ``offset``: the
-    sensors'. ``blind``: samples until a command that was lost has been estimated.
-    """
-
-    bank: bank.State
-    jump: jump.State
-    start: start.State
-    started: i8
-    active: i8
-    latched: i8
-    suspect: followed.State
-    undecided: i8
-    unexplained: i8
-    tested: i8
-    actuator: Annotated[i8s, MOST_INPUTS]
-    count: Annotated[i8s, MOST_INPUTS]
-    fault: Annotated[f8s, MOST_INPUTS]
-    limit: Annotated[f8s, MOST_INPUTS]
-    offset: Annotated[f8s, MOST_OUTPUTS]
-    blind: i8
-    agreed: i8
-    explains: Annotated[i8s, BANK]
+    bank: bank.State = means("the bank")
+    jump: jump.State = means("faults that begin at once")
+    start: start.State = means("first samples")
+    started: i8 = means("1: the first samples are over")
+    active: i8 = means("the observer in use")
+    latched: i8 = means("the sensor at fault; NONE: none")
+    suspect: followed.State = means("whether its offset is beyond its threshold")
+    undecided: i8 = means("samples since an alarm", "samples")
+    unexplained: i8 = means("1: what happened is not isolated")
+    tested: i8 = means("1: the last sample was judged")
+    actuator: Annotated[i8s, MOST_INPUTS] = means("1: the actuator is at fault")
+    count: Annotated[i8s, MOST_INPUTS] = means("samples that the actuator's fault is beyond its threshold", "samples")
+    fault: Annotated[f8s, MOST_INPUTS] = means("size of each actuator's fault")
+    limit: Annotated[f8s, MOST_INPUTS] = means("what that size is tested against")
+    offset: Annotated[f8s, MOST_OUTPUTS] = means("size of each sensor's offset")
+    blind: i8 = means("samples until a command that was lost has been estimated", "samples")
+    agreed: i8 = means("samples in a row that a healthy plant explains", "samples")
+    explains: Annotated[i8s, BANK] = means("1: actuators explain what this observer leaves")
 
 
 def settled(plant: LinearPlant, observer: Observer) -> float:

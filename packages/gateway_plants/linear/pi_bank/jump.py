@@ -29,7 +29,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway_fdi import likelihood
-from gateway_fdi.jit import Record, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.plant import Array, LinearPlant
 from gateway_plants.linear.mathematics.solve import decompose, solve
@@ -46,49 +46,39 @@ REFUSED = 1e-6
 
 
 class Const(Record):
-    """Constants.
+    """Constants, of each observer."""
 
-    ``weighted``: (C G(d))^T V^-1; ``inverse``: of the information up to d; ``inverse_v``: V^-1; ``limit``: of the
-    energy left in so many samples; ``variance``: of omega, stationary; ``prior``: information on a beforehand,
-    diagonal. ``sensor_weighted``, ``sensor_inverse``: likewise of an offset of each sensor.
-    """
-
-    weighted: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_OUTPUTS]
-    inverse: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_INPUTS]
-    inverse_v: Annotated[f8s, BANK, MOST_OUTPUTS, MOST_OUTPUTS]
-    limit: Annotated[f8s, BANK, WINDOW + 1]
-    variance: Annotated[f8s, BANK, MOST_INPUTS]
-    prior: Annotated[f8s, MOST_INPUTS]
-    sensor_weighted: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS, MOST_OUTPUTS]
-    sensor_inverse: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS]
+    weighted: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_OUTPUTS] = means("(C G(d))^T V^-1")
+    inverse: Annotated[f8s, BANK, PHASES, WINDOW, MOST_INPUTS, MOST_INPUTS] = means("inverse information up to d")
+    inverse_v: Annotated[f8s, BANK, MOST_OUTPUTS, MOST_OUTPUTS] = means("V^-1")
+    limit: Annotated[f8s, BANK, WINDOW + 1] = means("largest energy left in so many samples")
+    variance: Annotated[f8s, BANK, MOST_INPUTS] = means("variance of omega, stationary")
+    prior: Annotated[f8s, MOST_INPUTS] = means("information on a beforehand, diagonal")
+    sensor_weighted: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS, MOST_OUTPUTS] = means("weighted, of sensors' offsets")
+    sensor_inverse: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS] = means("inverse, of sensors' offsets")
 
 
 class State(Record):
-    """State.
+    """State, of each observer."""
 
-    ``r``: innovations that the present estimate leaves, newest at ``at``; ``b``: of each beginning in the window,
-    for the observer in use. Of each observer: whether a fault is ``open``, its ``g``, information
-    ``j``, ``h``, and estimate ``a`` with standard deviation ``sigma`` of the corrected omega.
-    """
-
-    r: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS]
-    at: i8
-    kept: i8
-    b: Annotated[f8s, WINDOW, MOST_INPUTS]
-    open: Annotated[i8s, BANK]
-    g: Annotated[f8s, BANK, MOST, MOST_INPUTS]
-    j: Annotated[f8s, BANK, MOST_INPUTS, MOST_INPUTS]
-    h: Annotated[f8s, BANK, MOST_INPUTS]
-    a: Annotated[f8s, BANK, MOST_INPUTS]
-    sigma: Annotated[f8s, BANK, MOST_INPUTS]
-    factor: Annotated[f8s, MOST_INPUTS, MOST_INPUTS]
-    work: Annotated[f8s, MOST_INPUTS]
-    shown: Annotated[f8s, MOST_OUTPUTS, MOST_INPUTS]
-    next: Annotated[f8s, MOST, MOST_INPUTS]
-    age: Annotated[i8s, BANK]
-    phase: Annotated[i8s, BANK]
-    left: Annotated[f8s, BANK]
-    gained: Annotated[f8s, BANK]
+    r: Annotated[f8s, BANK, WINDOW, MOST_OUTPUTS] = means("innovations that the present estimate leaves")
+    at: i8 = means("place of the newest of them")
+    kept: i8 = means("samples in the window")
+    b: Annotated[f8s, WINDOW, MOST_INPUTS] = means("sums of each beginning in the window, for the observer in use")
+    open: Annotated[i8s, BANK] = means("1: a fault is estimated")
+    g: Annotated[f8s, BANK, MOST, MOST_INPUTS] = means("G(d)")
+    j: Annotated[f8s, BANK, MOST_INPUTS, MOST_INPUTS] = means("information on a")
+    h: Annotated[f8s, BANK, MOST_INPUTS] = means("information times a")
+    a: Annotated[f8s, BANK, MOST_INPUTS] = means("estimate of the actuators' faults")
+    sigma: Annotated[f8s, BANK, MOST_INPUTS] = means("standard deviation of the corrected omega")
+    factor: Annotated[f8s, MOST_INPUTS, MOST_INPUTS] = means("scratch: j, decomposed")
+    work: Annotated[f8s, MOST_INPUTS] = means("scratch")
+    shown: Annotated[f8s, MOST_OUTPUTS, MOST_INPUTS] = means("scratch: C G(d)")
+    next: Annotated[f8s, MOST, MOST_INPUTS] = means("scratch: G(d + 1)")
+    age: Annotated[i8s, BANK] = means("samples from the beginning to the newest", "samples")
+    phase: Annotated[i8s, BANK] = means("share of a sample by which it began later, in PHASES")
+    left: Annotated[f8s, BANK] = means("energy that the best beginning leaves")
+    gained: Annotated[f8s, BANK] = means("energy that it explains")
 
 
 def prepare(c: Const, s: State, plant: LinearPlant, bank: tuple[Observer, ...], largest: np.ndarray) -> None:

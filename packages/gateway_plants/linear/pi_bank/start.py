@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8s, i8, kernel, means
 from gateway_plants.linear.mathematics.plant import LinearPlant
 from gateway_plants.linear.pi_bank.bank import BANK, MOST, MOST_OUTPUTS
 from gateway_plants.linear.pi_bank.bank import Const as Bank
@@ -24,20 +24,20 @@ from gateway_plants.linear.pi_bank.design import Noise, covariances
 class Const(Record):
     """Constants."""
 
-    samples: i8
-    q: Annotated[f8s, MOST]
-    r: Annotated[f8s, MOST_OUTPUTS]
-    unknown: Annotated[f8s, MOST]
+    samples: i8 = means("samples that the start takes", "samples")
+    q: Annotated[f8s, MOST] = means("variance of the noise that is added")
+    r: Annotated[f8s, MOST_OUTPUTS] = means("r of each sensor")
+    unknown: Annotated[f8s, MOST] = means("variance beforehand")
 
 
 class State(Record):
     """State."""
 
-    done: i8
-    p: Annotated[f8s, BANK, MOST, MOST]
-    gain: Annotated[f8s, MOST]
-    work: Annotated[f8s, MOST, MOST]
-    next: Annotated[f8s, MOST]
+    done: i8 = means("samples of the start", "samples")
+    p: Annotated[f8s, BANK, MOST, MOST] = means("P of each observer")
+    gain: Annotated[f8s, MOST] = means("K")
+    work: Annotated[f8s, MOST, MOST] = means("scratch")
+    next: Annotated[f8s, MOST] = means("scratch")
 
 
 def prepare(c: Const, plant: LinearPlant, noise: Noise, samples: int, unknown: np.ndarray) -> None:

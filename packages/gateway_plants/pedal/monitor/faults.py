@@ -21,7 +21,7 @@ CORRELATION, DRIFT, JUMP, INVALID, DRIFTS = range(5)
 class ChannelEvidence(Record):
     """Evidence of a channel's fault."""
 
-    reading: f8
+    reading: f8 = means("reading")
     position: f8 = means(unit="%")
     voted: f8 = means(unit="%")
     innovation: f8 = means(unit="%")
@@ -44,7 +44,7 @@ class CommonEvidence(Record):
 class SupplyEvidence(Record):
     """Evidence of a wrong supply of all channels."""
 
-    reading: Annotated[f8s, MOST_CHANNELS]
+    reading: Annotated[f8s, MOST_CHANNELS] = means("reading")
     voted: f8 = means(unit="%")
     share: f8 = means("supply, of what it should be", "%")
 
@@ -52,9 +52,9 @@ class SupplyEvidence(Record):
 class Evidence(Record, overlay=True):
     """Evidence of a fault: one of these."""
 
-    channel: ChannelEvidence
-    common: CommonEvidence
-    supply: SupplyEvidence
+    channel: ChannelEvidence = means("a channel's fault")
+    common: CommonEvidence = means("what all channels have in common")
+    supply: SupplyEvidence = means("a wrong supply")
 
 
 _ELECTRIC = Debounce(failed_after=20, passed_after=200)

@@ -15,30 +15,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 
 
 class Const(Record):
-    """Constants: ``lower`` 1: the interval has its lower bound, as printed; 0: repaired."""
+    """Constants."""
 
-    channels: i8
-    beta: f8
-    lower: i8
-    floor: f8
-    low: f8
-    high: f8
+    channels: i8 = means("channels, 2 or 3")
+    beta: f8 = means("width of the interval, a share of FT")
+    lower: i8 = means("1: the interval has its lower bound, as printed; 0: repaired")
+    floor: f8 = means("least FT")
+    low: f8 = means("least output")
+    high: f8 = means("largest output")
 
 
 class State(Record):
-    """State: ``value`` is r(k), ``before`` r(k-1), ``change`` FT(k); ``exception`` 1 while no reading was believed."""
+    """State."""
 
-    value: f8
-    used: i8
-    before: f8
-    change: f8
-    exception: i8
-    started: i8
+    value: f8 = means("r(k)")
+    used: i8 = means("bits of the channels voted")
+    before: f8 = means("r(k-1)")
+    change: f8 = means("FT(k)")
+    exception: i8 = means("1: no reading is believed")
+    started: i8 = means("1: there is an output")
 
 
 def prepare(

@@ -11,26 +11,26 @@ difference. The change it is here, because that is what the detector needs.
 
 from __future__ import annotations
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 from gateway_plants.pedal.study import hybrid
 
 
 class Const(Record):
     """Constants."""
 
-    hybrid: hybrid.Const
-    q: f8
-    r: f8
+    hybrid: hybrid.Const = means("detector and handler")
+    q: f8 = means("Q")
+    r: f8 = means("R")
 
 
 class State(Record):
-    """State: ``x``, ``p``: estimate of the change and its variance."""
+    """State."""
 
-    value: f8
-    used: i8
-    hybrid: hybrid.State
-    x: f8
-    p: f8
+    value: f8 = means("the output")
+    used: i8 = means("bits of the channels voted")
+    hybrid: hybrid.State = means("detector and handler")
+    x: f8 = means("estimate of the change")
+    p: f8 = means("its variance")
 
 
 def prepare(c: Const, *, q: float = 1.0, r: float = 0.5) -> None:

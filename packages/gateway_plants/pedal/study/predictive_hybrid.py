@@ -7,25 +7,25 @@ double exponential smoothing, ``level + trend`` one sample ahead. The smoothing 
 
 from __future__ import annotations
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 from gateway_plants.pedal.study import hybrid
 
 
 class Const(Record):
     """Constants."""
 
-    hybrid: hybrid.Const
-    alpha: f8
+    hybrid: hybrid.Const = means("detector and handler")
+    alpha: f8 = means("smoothing constant")
 
 
 class State(Record):
-    """State: ``once``, ``twice``: the change smoothed once and twice."""
+    """State."""
 
-    value: f8
-    used: i8
-    hybrid: hybrid.State
-    once: f8
-    twice: f8
+    value: f8 = means("the output")
+    used: i8 = means("bits of the channels voted")
+    hybrid: hybrid.State = means("detector and handler")
+    once: f8 = means("the change, smoothed once")
+    twice: f8 = means("the change, smoothed twice")
 
 
 def prepare(c: Const, *, alpha: float) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
 #: Readings that any voter can take.
 MOST_CHANNELS = 3
@@ -11,14 +11,14 @@ MOST_CHANNELS = 3
 class Const(Record):
     """Constants."""
 
-    channels: i8
+    channels: i8 = means("channels, 2 or 3")
 
 
 class State(Record):
     """State."""
 
-    value: f8
-    used: i8
+    value: f8 = means("the value voted")
+    used: i8 = means("bits of the channels voted")
 
 
 def prepare(c: Const, channels: int) -> None:

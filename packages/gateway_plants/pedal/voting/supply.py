@@ -14,7 +14,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 
 #: Samples of agreement that a disagreement must follow, those in which it is decided what it is, and least periods.
@@ -32,39 +32,32 @@ APART = 0.2
 
 
 class Const(Record):
-    """Constants: ``possible`` 1: channels tell; ``rest``, ``way``: of each, a and b [unit of the signal]."""
+    """Constants."""
 
-    possible: i8
-    channels: i8
-    rest: Annotated[f8s, MOST_CHANNELS]
-    way: Annotated[f8s, MOST_CHANNELS]
-    bend: f8
+    possible: i8 = means("1: channels tell")
+    channels: i8 = means("channels, 2 or 3")
+    rest: Annotated[f8s, MOST_CHANNELS] = means("a, in the unit of the signal")
+    way: Annotated[f8s, MOST_CHANNELS] = means("b over the whole travel, in the unit of the signal")
+    bend: f8 = means("standard deviation of the change of slope in a period", "%/period")
 
 
 class State(Record):
-    """State.
+    """State. From ``age`` on, but for ``agreed``, it is of the disagreement that is looked at."""
 
-    ``share``: of the supply, 1: as it should be; ``active`` 1: it is not. ``calm``: samples for which it has been right
-    again. Of the disagreement that is looked at: ``age`` [samples], ``elapsed`` [periods], ``level``, ``slope`` and
-    ``variance`` of the pedal before it; sums of what it is off by if the supply is wrong: ``common``, and if all but
-    one channel are right: ``single``. ``agreed``: samples of agreement before. ``now``, ``travel``: share and travel
-    [%] of this sample, ``seen``: share when it was looked at first.
-    """
-
-    share: f8
-    active: i8
-    calm: i8
-    age: i8
-    elapsed: f8
-    agreed: i8
-    level: f8
-    slope: f8
-    variance: f8
-    common: f8
-    single: Annotated[f8s, MOST_CHANNELS]
-    seen: f8
-    now: f8
-    travel: f8
+    share: f8 = means("supply, a share of what it should be")
+    active: i8 = means("1: it is not what it should be")
+    calm: i8 = means("samples for which it has been right again")
+    age: i8 = means("samples of disagreement", "samples")
+    elapsed: f8 = means("time of disagreement", "periods")
+    agreed: i8 = means("samples of agreement before", "samples")
+    level: f8 = means("the pedal before it", "%")
+    slope: f8 = means("its change in a period", "%/period")
+    variance: f8 = means("variance of level", "%^2")
+    common: f8 = means("sum of what the pedal is off by if the supply is wrong", "%")
+    single: Annotated[f8s, MOST_CHANNELS] = means("sum of what the pedal is off by if this channel is right", "%")
+    seen: f8 = means("share when it was looked at first")
+    now: f8 = means("share of this sample")
+    travel: f8 = means("travel of this sample", "%")
 
 
 def tells(rest: list[float], way: list[float]) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gateway_fdi.filters import motor
-from gateway_fdi.jit import Record, f8, kernel
+from gateway_fdi.jit import Record, f8, kernel, means
 
 #: Period [s].
 CONTROL = 1e-4
@@ -17,29 +17,21 @@ CURRENT_LOOP, SPEED_LOOP, SPEED_INTEGRAL, TRACKER, POSITION = 1900.0, 190.0, 40.
 
 
 class Const(Record):
-    """What the controller knows.
+    """What the controller knows."""
 
-    ``believed``: the motor as it believes it to be; ``voltage``: the largest [V]; ``current``: the largest asked for
-        [A].
-    """
-
-    believed: motor.Const
-    voltage: f8
-    current: f8
+    believed: motor.Const = means("the motor as it believes it to be")
+    voltage: f8 = means("largest voltage", "V")
+    current: f8 = means("largest current asked for", "A")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``seen``, ``speed``: angle [rad] and speed [rad/s] of the loop that tracks the measured angle; ``wound``: integral
-    of the speed loop [rad/s]; ``held_d``, ``held_q``: of the current loops [V].
-    """
-
-    seen: f8
-    speed: f8
-    wound: f8
-    held_d: f8
-    held_q: f8
+    seen: f8 = means("angle of the loop that tracks the measured angle", "rad")
+    speed: f8 = means("speed of that loop", "rad/s")
+    wound: f8 = means("integral of the speed loop", "rad/s")
+    held_d: f8 = means("integral of the current loop, d", "V")
+    held_q: f8 = means("integral of the current loop, q", "V")
 
 
 @kernel

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from gateway_fdi.filters import motor
 from gateway_fdi.filters.motor import Motor
 from gateway_fdi.filters.transforms import clarke, inverse_clarke, inverse_park, park
-from gateway_fdi.jit import Record, f8, f8s, kernel, record, zeros
+from gateway_fdi.jit import Record, f8, f8s, kernel, means, record, zeros
 from gateway_plants.steering.ecu import controller
 from gateway_plants.steering.ecu.controller import CONTROL, advanced, control
 
@@ -29,37 +29,29 @@ CREEP, ZERO_CURRENT = 0.05, 0.3
 
 
 class Const(Record):
-    """The drive, for kernels.
+    """The drive, for kernels."""
 
-    ``motor``: as it is; ``coulomb``: friction [N m]; ``dead``: voltage lost to dead time in a phase [V]; ``lsb``: of
-    the angle sensor [rad], ``current_lsb``: of the current sensors [A], 0: not digitised.
-    """
-
-    motor: motor.Const
-    controller: controller.Const
-    coulomb: f8
-    dead: f8
-    lsb: f8
-    current_lsb: f8
+    motor: motor.Const = means("the motor as it is")
+    controller: controller.Const = means("what the controller knows")
+    coulomb: f8 = means("friction", "N m")
+    dead: f8 = means("voltage lost to dead time in a phase", "V")
+    lsb: f8 = means("step of the angle sensor, 0: not digitised", "rad")
+    current_lsb: f8 = means("step of the current sensors, 0: not digitised", "A")
 
 
 class State(Record):
-    """State of the drive.
+    """State of the drive."""
 
-    ``x``: i_alpha, i_beta [A], omega [rad/s], theta [rad]; ``slope``, ``middle``: of a step of integration, likewise.
-    ``angle`` [rad], ``current`` of U [A]: last readings; ``sum_..``: voltages since the last frame [V].
-    """
-
-    x: Annotated[f8s, 4]
-    slope: Annotated[f8s, 4]
-    middle: Annotated[f8s, 4]
-    controller: controller.State
-    angle: f8
-    current: f8
-    sum_d: f8
-    sum_q: f8
-    sum_alpha: f8
-    sum_beta: f8
+    x: Annotated[f8s, 4] = means("i_alpha, i_beta [A], omega [rad/s], theta [rad]")
+    slope: Annotated[f8s, 4] = means("derivative of x, in a step of integration")
+    middle: Annotated[f8s, 4] = means("x in the middle of that step")
+    controller: controller.State = means("the controller's state")
+    angle: f8 = means("last reading of the angle", "rad")
+    current: f8 = means("last reading of the current of U", "A")
+    sum_d: f8 = means("sum of voltages since the last frame, d", "V")
+    sum_q: f8 = means("sum of voltages since the last frame, q", "V")
+    sum_alpha: f8 = means("sum of voltages since the last frame, alpha", "V")
+    sum_beta: f8 = means("sum of voltages since the last frame, beta", "V")
 
 
 #: What may go wrong, sample by sample of the controller: added to the angle [rad], its scale, the angle stands still;

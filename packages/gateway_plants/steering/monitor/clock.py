@@ -8,7 +8,7 @@ seems to have waited: its sender may have started anew. What compares messages b
 
 from __future__ import annotations
 
-from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_fdi.jit import Record, f8, i8, kernel, means
 
 #: A sender's clock is not faster or slower than ours by more than this.
 DRIFT = 2e-4
@@ -23,19 +23,15 @@ SETTLES = 20
 
 
 class Clock(Record):
-    """Clock.
+    """What is known of when the frames of a message were sampled."""
 
-    ``t_ns``: date of the last frame, which ``arrived_ns``; ``since_ns``: when the periods were last found anew.
-    ``least``: what frames have waited at least since ``window_ns`` [ns].
-    """
-
-    started: i8
-    t_ns: f8
-    arrived_ns: i8
-    counter: i8
-    since_ns: i8
-    least: f8
-    window_ns: i8
+    started: i8 = means("1: a frame has come")
+    t_ns: f8 = means("date of the last frame", "ns")
+    arrived_ns: i8 = means("when the last frame came", "ns")
+    counter: i8 = means("its alive counter")
+    since_ns: i8 = means("when the periods were last found anew", "ns")
+    least: f8 = means("what frames have waited at least since window_ns", "ns")
+    window_ns: i8 = means("begin of the window of least", "ns")
 
 
 @kernel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
 
 #: Frames that are kept; of one that is further back than its counter goes round nobody knows which it is.
 KEPT = 64
@@ -12,19 +12,16 @@ MODULO = 16
 
 
 class State(Record):
-    """State: of the last ``kept`` frames each one's place is its number modulo KEPT; ``next``: number of the next one.
+    """State: of the last frames each one's place is its number modulo KEPT."""
 
-    ``behind``: number of the first that no voltage has come for.
-    """
-
-    next: i8
-    behind: i8
-    counter: Annotated[i8s, KEPT]
-    i_u: Annotated[f8s, KEPT]
-    i_v: Annotated[f8s, KEPT]
-    theta: Annotated[f8s, KEPT]
-    valid: Annotated[i8s, KEPT]
-    t_ns: Annotated[i8s, KEPT]
+    next: i8 = means("number of the next frame")
+    behind: i8 = means("number of the first frame that no voltage has come for")
+    counter: Annotated[i8s, KEPT] = means("alive counter")
+    i_u: Annotated[f8s, KEPT] = means("phase current", "A")
+    i_v: Annotated[f8s, KEPT] = means("phase current", "A")
+    theta: Annotated[f8s, KEPT] = means("electrical angle used for Park", "deg")
+    valid: Annotated[i8s, KEPT] = means("1: the sender calls the frame valid")
+    t_ns: Annotated[i8s, KEPT] = means("when the frame came", "ns")
 
 
 @kernel

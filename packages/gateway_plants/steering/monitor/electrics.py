@@ -17,7 +17,7 @@ from math import atan2, exp, hypot, nan, pi, sin
 from gateway_fdi.filters import ekf_alpha_beta, feedforward
 from gateway_fdi.filters.motor import warm_resistance
 from gateway_fdi.filters.transforms import clarke, inverse_park, park, wrap
-from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_fdi.jit import Record, f8, i8, kernel, means
 from gateway_plants.steering.monitor.params import Params
 
 #: Share of a new value in the EMF's average, per millisecond.
@@ -42,71 +42,60 @@ GAP, MOVING = 8.0, 100.0
 class Const(Record):
     """Constants."""
 
-    pole_pairs: f8
-    emf: f8
-    period: f8
-    resistance: f8
-    warm: i8
-    gate: f8
-    share: f8
-    resistance_error: f8
-    flux_error: f8
-    dead: f8
-    noise: f8
-    input_gain: f8
-    quiet: f8
-    silent: i8
-    filter: ekf_alpha_beta.Const
-    forward: feedforward.Const
+    pole_pairs: f8 = means("z_p")
+    emf: f8 = means("c_M: EMF per mechanical speed", "V s")
+    period: f8 = means("period of the motor's messages", "s")
+    resistance: f8 = means("resistance of a winding, cold", "Ohm")
+    warm: i8 = means("1: the resistance follows the winding's temperature")
+    gate: f8 = means("EMF from which on its angle is used", "V")
+    share: f8 = means("share of a new value in the averages")
+    resistance_error: f8 = means("share that the resistance may be off")
+    flux_error: f8 = means("share that c_M may be off")
+    dead: f8 = means("voltage lost to dead time", "V")
+    noise: f8 = means("voltage that is noise", "V")
+    input_gain: f8 = means("current that a voltage makes in a period", "A/V")
+    quiet: f8 = means("speed below which the motor rests", "rad/s")
+    silent: i8 = means("frames from which on a repeated reading counts", "frames")
+    filter: ekf_alpha_beta.Const = means("alpha-beta filter")
+    forward: feedforward.Const = means("feedforward of the EMF")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``theta``: electrical angle of the last frame [rad]; ``turned``: since then [rad]; ``speed`` of the sensor
-    [rad/s]. ``increment`` [rad, mechanical]. ``strength`` of the EMF [V]; ``e_d``, ``e_q``: it, in the
-    controller's frame, averaged [V]; ``angle``: error of the sensor [rad, mechanical], NaN where the EMF is too
-    small to tell; ``strict``: it is larger than what a wrong resistance makes, too. ``residual_d``, ``residual_q``: EMF
-    that the sensor's speed does not explain, of the last frame alone [V], in the frame at ``middle``;
-    ``balance``: averaged, in units of what parameter errors explain. ``repeated``: frames for which the sensor
-    has said the same, ``longest`` of its life, ``still``: what it should have moved meanwhile [rad]; of the
-    ``slow`` frames so many were ``lively``: it turned back, by more than its resolution. ``step``: its resolution
-    [rad, electrical], by ``steps`` that it has made, ``least`` of them, ``made``: the last. ``restarts`` of the filter.
-    """
-
-    started: i8
-    frames: i8
-    theta: f8
-    turned: f8
-    speed: f8
-    increment: f8
-    strength: f8
-    lost: i8
-    restarts: i8
-    e_d: f8
-    e_q: f8
-    angle: f8
-    r_d: f8
-    r_q: f8
-    balance: f8
-    nis: f8
-    repeated: i8
-    longest: i8
-    slow: i8
-    lively: i8
-    still: f8
-    step: f8
-    steps: i8
-    least: f8
-    made: f8
-    strict: i8
-    i_alpha: f8
-    i_beta: f8
-    residual_d: f8
-    residual_q: f8
-    middle: f8
-    filter: ekf_alpha_beta.State
-    forward: feedforward.State
+    started: i8 = means("1: a pair of frames has come")
+    frames: i8 = means("pairs of frames since the start", "frames")
+    theta: f8 = means("electrical angle of the last frame", "rad")
+    turned: f8 = means("electrical angle since then", "rad")
+    speed: f8 = means("speed of the sensor", "rad/s")
+    increment: f8 = means("increment residual, mechanical", "rad")
+    strength: f8 = means("size of the EMF, averaged", "V")
+    lost: i8 = means("frames in a row in which the filter's speed asks for an EMF that is not there", "frames")
+    restarts: i8 = means("restarts of the filter")
+    e_d: f8 = means("EMF in the controller's frame, averaged", "V")
+    e_q: f8 = means("likewise", "V")
+    angle: f8 = means("error of the sensor, mechanical; NaN: the EMF is too small to tell", "rad")
+    r_d: f8 = means("EMF that the sensor's speed does not explain, averaged", "V")
+    r_q: f8 = means("likewise", "V")
+    balance: f8 = means("size of (r_d, r_q), in units of what parameter errors explain")
+    nis: f8 = means("normalised innovation squared")
+    repeated: i8 = means("frames for which the sensor has said the same", "frames")
+    longest: i8 = means("largest number of repeated in its life", "frames")
+    slow: i8 = means("frames at rest that were looked at", "frames")
+    lively: i8 = means("slow frames in which it turned back, by more than its resolution", "frames")
+    still: f8 = means("what the sensor should have moved while it repeats, mechanical", "rad")
+    step: f8 = means("resolution of the sensor, electrical", "rad")
+    steps: i8 = means("steps that the sensor has made")
+    least: f8 = means("smallest step, electrical", "rad")
+    made: f8 = means("last step, electrical", "rad")
+    strict: i8 = means("1: the EMF is larger than what a wrong resistance makes, too")
+    i_alpha: f8 = means("current of the last frame", "A")
+    i_beta: f8 = means("likewise", "A")
+    residual_d: f8 = means("EMF that the sensor's speed does not explain, of the last frame alone", "V")
+    residual_q: f8 = means("likewise", "V")
+    middle: f8 = means("electrical angle of the frame that residual_d and residual_q are in", "rad")
+    filter: ekf_alpha_beta.State = means("alpha-beta filter")
+    forward: feedforward.State = means("feedforward of the EMF")
 
 
 def prepare(s: State, c: Const, p: Params) -> None:

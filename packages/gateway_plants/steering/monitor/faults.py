@@ -30,12 +30,12 @@ class Evidence(Record):
 
     increment: f8 = means("increment residual", "rad")
     angle: f8 = means("angle of the EMF", "rad")
-    parity: f8 = means(unit="deg")
-    balance: f8
+    parity: f8 = means("parity", "deg")
+    balance: f8 = means("balance")
     wheel: f8 = means("steering wheel against its rate", "deg")
     nis: f8 = means("normalised innovation squared")
     speed: f8 = means("speed, estimated", "rad/s")
-    repeated: f8 = means(unit="frames")
+    repeated: f8 = means("repeated", "frames")
 
 
 _FOUND = Debounce(failed_after=1, passed_after=200)

@@ -6,32 +6,26 @@ It opens with an increment beyond its threshold, or with an alarm of their mean 
 
 from __future__ import annotations
 
-from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_fdi.jit import Record, f8, i8, kernel, means
 
 #: A first increment beyond so many thresholds is sudden.
 SUDDEN = 3.0
 
 
 class State(Record):
-    """State, of the window that is open, or of the last.
+    """State, of the window that is open, or of the last."""
 
-    ``left``: frames that are left of it. ``exceedances``: increments beyond the threshold, of these ``up`` and
-    ``down`` by their sign, ``second_half``: in the second half of the window. ``net``: sum of all increments [rad];
-    ``largest`` exceedance [rad], ``opposite``: the largest one against its sign [rad]. ``sudden``: how it began.
-    ``parity_before``: parity when it began [deg]. ``nis_alarms``: frames with an alarm of the innovation.
-    """
-
-    left: i8
-    exceedances: i8
-    up: i8
-    down: i8
-    second_half: i8
-    nis_alarms: i8
-    sudden: i8
-    net: f8
-    largest: f8
-    opposite: f8
-    parity_before: f8
+    left: i8 = means("frames that are left of it", "frames")
+    exceedances: i8 = means("increments beyond the threshold")
+    up: i8 = means("exceedances above zero")
+    down: i8 = means("exceedances below zero")
+    second_half: i8 = means("exceedances in the second half of the window")
+    nis_alarms: i8 = means("frames with an alarm of the innovation", "frames")
+    sudden: i8 = means("1: it began far beyond the threshold, without an alarm of the innovation")
+    net: f8 = means("sum of all increments", "rad")
+    largest: f8 = means("largest exceedance, with its sign", "rad")
+    opposite: f8 = means("largest exceedance against that sign", "rad")
+    parity_before: f8 = means("parity when it began", "deg")
 
 
 @kernel

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_plants.steering.monitor import clock
 from gateway_plants.steering.monitor.params import Params
 
@@ -24,59 +24,51 @@ KNOWN, NEARLY = 480, 1_500_000.0
 class Const(Record):
     """Constants."""
 
-    motor_ratio: f8
-    wheel_ratio: f8
-    delay_ns: i8
-    age_ns: i8
-    leak: f8
-    jitter: f8
-    angle_ns: f8
-    wheel_ns: f8
-    stale_ns: i8
-    unsure: f8
-    most_ns: f8
-    step: f8
+    motor_ratio: f8 = means("motor over pinion")
+    wheel_ratio: f8 = means("steering wheel over pinion")
+    delay_ns: i8 = means("what the steering wheel's angle is older than its frame", "ns")
+    age_ns: i8 = means("longest time between frames of motor and pinion, or behind the last, that is bridged", "ns")
+    leak: f8 = means("share of the sum of wheel that is forgotten", "1/s")
+    jitter: f8 = means("what a steering wheel's frame may be late", "s")
+    angle_ns: f8 = means("period of motor and pinion angle", "ns")
+    wheel_ns: f8 = means("period of the steering wheel's angle", "ns")
+    stale_ns: i8 = means("after so long (1) is not tested", "ns")
+    unsure: f8 = means("what delay_ns may be wrong", "s")
+    most_ns: f8 = means("likewise", "ns")
+    step: f8 = means("resolution of the motor's angle", "deg")
 
 
 class State(Record):
-    """State.
+    """State. Sums over the frames in which the steering wheel turns find how old its angle is."""
 
-    ``parity``: what is left of (1) [deg, pinion]; ``sure``: the middle one of the last three, less what late
-    frames explain. ``wheel``: the steering wheel's angle less the integral of its rate, forgetting [deg].
-    ``fitted_ns``: the last frame for which (1) could be tested. ``watched``: the rate has been followed since (1)
-    last held. ``extra_ns``: what the steering wheel's angle is older than told, ``aged`` 1: that is known; by sums over
-    its ``turns``, frames in which it turns, ``due``: with so many it is found anew, of rate and parity: ``r``, ``p``,
-    ``rr``, ``rp``, ``pp``.
-    """
-
-    at: i8
-    kept: i8
-    t_ns: Annotated[i8s, KEPT]
-    motor: Annotated[f8s, KEPT]
-    pinion: Annotated[f8s, KEPT]
-    parity: f8
-    sure: f8
-    before: f8
-    last: f8
-    wheel: f8
-    last_wheel: f8
-    last_rate: f8
-    wheel_ns: i8
-    started: i8
-    fitted_ns: i8
-    watched: i8
-    extra_ns: f8
-    aged: i8
-    turns: i8
-    due: i8
-    rate_before: f8
-    r: f8
-    p: f8
-    rr: f8
-    rp: f8
-    pp: f8
-    angle_clock: clock.Clock
-    wheel_clock: clock.Clock
+    at: i8 = means("place of the next frame in the history")
+    kept: i8 = means("frames in the history")
+    t_ns: Annotated[i8s, KEPT] = means("when motor and pinion were sampled", "ns")
+    motor: Annotated[f8s, KEPT] = means("motor angle", "deg")
+    pinion: Annotated[f8s, KEPT] = means("pinion angle", "deg")
+    parity: f8 = means("what is left of (1), of the pinion", "deg")
+    sure: f8 = means("the middle one of the last three, less what late frames explain", "deg")
+    before: f8 = means("parity before the last", "deg")
+    last: f8 = means("last parity", "deg")
+    wheel: f8 = means("steering wheel's angle less the integral of its rate, forgetting", "deg")
+    last_wheel: f8 = means("steering wheel's last angle", "deg")
+    last_rate: f8 = means("steering wheel's last rate", "deg/s")
+    wheel_ns: i8 = means("when it was sampled", "ns")
+    started: i8 = means("1: the steering wheel is followed")
+    fitted_ns: i8 = means("the last frame for which (1) could be tested", "ns")
+    watched: i8 = means("1: the rate has been followed since (1) last held")
+    extra_ns: f8 = means("what the steering wheel's angle is older than told", "ns")
+    aged: i8 = means("1: extra_ns is known")
+    turns: i8 = means("frames in which the steering wheel turns", "frames")
+    due: i8 = means("with so many turns extra_ns is found anew", "frames")
+    rate_before: f8 = means("rate before the last", "deg/s")
+    r: f8 = means("sum of the rates, of the pinion", "deg/s")
+    p: f8 = means("sum of the parities", "deg")
+    rr: f8 = means("sum of squares of the rates", "(deg/s)^2")
+    rp: f8 = means("sum of rates by parities", "deg^2/s")
+    pp: f8 = means("sum of squares of the parities", "deg^2")
+    angle_clock: clock.Clock = means("when motor and pinion angle are sampled")
+    wheel_clock: clock.Clock = means("when the steering wheel's angle is sampled")
 
 
 def prepare(c: Const, p: Params) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import hypot, sqrt
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8s, i8, kernel, means
 
 #: Voltage residuals that are kept.
 RING = 256
@@ -24,12 +24,12 @@ UNKNOWN, AT_ONCE, DELAYED = range(3)
 
 
 class State(Record):
-    """State: the last ``held`` voltage residuals in stator co-ordinates [V], the next one's place is ``at``."""
+    """State: the last voltage residuals, in stator co-ordinates."""
 
-    at: i8
-    held: i8
-    alpha: Annotated[f8s, RING]
-    beta: Annotated[f8s, RING]
+    at: i8 = means("place of the next residual")
+    held: i8 = means("residuals that there are")
+    alpha: Annotated[f8s, RING] = means("voltage residual", "V")
+    beta: Annotated[f8s, RING] = means("likewise", "V")
 
 
 @kernel

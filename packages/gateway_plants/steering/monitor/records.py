@@ -10,76 +10,70 @@ from gateway_plants.steering.monitor import currents, decision, electrics, kinem
 class Const(Record):
     """Constants."""
 
-    period_ns: i8
-    settled: i8
-    degraded: i8
-    electrics: electrics.Const
-    kinematics: kinematics.Const
-    symptoms: symptoms.Const
-    decision: decision.Const
-    road_wheel: road_wheel.Const
+    period_ns: i8 = means("period of the motor's messages", "ns")
+    settled: i8 = means("pairs of frames after a start in which nothing is judged")
+    degraded: i8 = means("1: the period is too long for the currents' time constant")
+    electrics: electrics.Const = means("the motor's side")
+    kinematics: kinematics.Const = means("the gear's side")
+    symptoms: symptoms.Const = means("what residuals say over time")
+    decision: decision.Const = means("which component is at fault")
+    road_wheel: road_wheel.Const = means("plausibility of the road wheel angle")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m].
-    ``pairs`` of motor frames taken, ``unpaired`` frames; ``waiting`` 1: the
-    last voltage, of ``waiting_ns``, waits for its current.
-    ``wheel_age_ms``, ``angle_step`` [deg]: as learned; ``not_seen``: bits of what is not tested at present.
-    """
-
-    value: f8
-    speed: f8
-    load: f8
-    quality: i8
-    pairs: i8
-    unpaired: i8
-    found: i8
-    paired: i8
-    paired_ns: i8
-    current_counter: i8
-    voltage_counter: i8
-    angle_counter: i8
-    wheel_counter: i8
-    waiting: i8
-    waiting_ns: i8
-    currents: currents.State
-    motor: f8
-    angle_ns: i8
-    parity: f8
-    wheel_age_ms: f8
-    angle_step: f8
-    not_seen: i8
-    electrics: electrics.State
-    kinematics: kinematics.State
-    symptoms: symptoms.State
-    decision: decision.State
-    road_wheel: road_wheel.State
+    value: f8 = means("motor angle to send", "deg")
+    speed: f8 = means("motor speed", "rad/s")
+    load: f8 = means("load torque", "N m")
+    quality: i8 = means("quality of the motor angle: STARTING to INVALID")
+    pairs: i8 = means("pairs of motor frames taken")
+    unpaired: i8 = means("motor frames without their pair")
+    found: i8 = means("number of the fault found; NONE: none")
+    paired: i8 = means("counter of the last pair; -1: none yet")
+    paired_ns: i8 = means("when the last pair was taken", "ns")
+    current_counter: i8 = means("last counter of the currents; -1: none yet")
+    voltage_counter: i8 = means("last counter of the voltages; -1: none yet")
+    angle_counter: i8 = means("last counter of motor and pinion angle; -1: none yet")
+    wheel_counter: i8 = means("last counter of the steering wheel; -1: none yet")
+    waiting: i8 = means("1: the last voltage waits for its current")
+    waiting_ns: i8 = means("when that voltage came", "ns")
+    currents: currents.State = means("currents that wait for their voltage")
+    motor: f8 = means("last motor angle", "deg")
+    angle_ns: i8 = means("when it came", "ns")
+    parity: f8 = means("last parity", "deg")
+    wheel_age_ms: f8 = means("age of the steering wheel's angle, as learned", "ms")
+    angle_step: f8 = means("resolution of the motor's angle sensor, as learned", "deg")
+    not_seen: i8 = means("bits of what is not tested at present, NO_PAIRS to STUCK_AT_REST")
+    electrics: electrics.State = means("the motor's side")
+    kinematics: kinematics.State = means("the gear's side")
+    symptoms: symptoms.State = means("what residuals say over time")
+    decision: decision.State = means("which component is at fault")
+    road_wheel: road_wheel.State = means("plausibility of the road wheel angle")
 
 
 class Inputs(contract.Inputs):
     """Signals of the motor's currents and voltages, of the angles, and of the vehicle's speed, as they are called."""
 
-    i_u: f8
-    i_v: f8
-    theta_park: f8
-    mc_cur: f8
-    valid_cur: f8
-    u_sd_mean: f8
-    u_sq_mean: f8
-    mc_vol: f8
-    t_wdg: f8
-    delta_m: f8
-    delta_g: f8
-    mc_ang: f8
-    valid_ang: f8
-    delta_s: f8
-    delta_s_dot: f8
-    mc_sas: f8
-    valid_sas: f8
-    v_x: f8
-    valid_v: f8
+    i_u: f8 = means("phase current", "A")
+    i_v: f8 = means("phase current", "A")
+    theta_park: f8 = means("electrical angle used for Park", "deg")
+    mc_cur: f8 = means("alive counter of the currents")
+    valid_cur: f8 = means("above 0: the currents are valid")
+    u_sd_mean: f8 = means("mean voltage in the controller's frame, d", "V")
+    u_sq_mean: f8 = means("mean voltage in the controller's frame, q", "V")
+    mc_vol: f8 = means("alive counter of the voltages")
+    t_wdg: f8 = means("temperature of the winding", "degC")
+    delta_m: f8 = means("motor angle", "deg")
+    delta_g: f8 = means("pinion angle", "deg")
+    mc_ang: f8 = means("alive counter of motor and pinion angle")
+    valid_ang: f8 = means("above 0: motor and pinion angle are valid")
+    delta_s: f8 = means("steering wheel's angle", "deg")
+    delta_s_dot: f8 = means("steering wheel's rate", "deg/s")
+    mc_sas: f8 = means("alive counter of the steering wheel")
+    valid_sas: f8 = means("above 0: the steering wheel's signals are valid")
+    v_x: f8 = means("speed of the vehicle", "km/h")
+    valid_v: f8 = means("above 0: that speed is valid")
 
 
 class Outputs(Record):
@@ -87,6 +81,6 @@ class Outputs(Record):
 
     value: f8 = means("motor angle", "deg")
     speed: f8 = means("motor speed", "rad/s")
-    quality: f8
+    quality: f8 = means("quality of the motor angle: STARTING to INVALID")
     found: f8 = means("number of the fault found, from 1")
     load: f8 = means("load torque", "Nm")

@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import pi
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 from gateway_plants.steering.monitor.params import Ratio
 
 #: Points of i_V(v_X).
@@ -22,19 +22,19 @@ AVERAGE = 0.1
 class Const(Record):
     """Constants."""
 
-    points: i8
-    speed: Annotated[f8s, POINTS]
-    ratio: Annotated[f8s, POINTS]
-    gear: f8
-    cubic: f8
-    tolerance: f8
+    points: i8 = means("points of i_V(v_X); 0: nothing is checked")
+    speed: Annotated[f8s, POINTS] = means("speed of each point", "km/h")
+    ratio: Annotated[f8s, POINTS] = means("steering wheel over road wheel at each point")
+    gear: f8 = means("pinion over road wheel, for small angles")
+    cubic: f8 = means("how that grows with the angle", "1/rad^2")
+    tolerance: f8 = means("what the road wheel angle may be off", "deg")
 
 
 class State(Record):
-    """State: ``off``: road wheel angle less the one asked for, averaged [deg]."""
+    """State."""
 
-    off: f8
-    taken: i8
+    off: f8 = means("road wheel angle less the one asked for, averaged", "deg")
+    taken: i8 = means("values in that average")
 
 
 def prepare(c: Const, ratio: Ratio | None) -> None:

@@ -13,7 +13,7 @@ from typing import Annotated
 
 from gateway_fdi import stopping
 from gateway_fdi.filters.transforms import inverse_park
-from gateway_fdi.jit import Record, f8, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8, i8, i8s, kernel, means
 from gateway_plants.steering.monitor import electrics, jumps, kinematics, onset, trend
 from gateway_plants.steering.monitor.params import Params
 
@@ -53,42 +53,32 @@ FROZEN = 20
 
 
 class Const(Record):
-    """Constants.
+    """Constants."""
 
-    Frames: ``window`` behind a jump; ``confirm``: of the EMF's alarm in a row; ``rule_out``: of an EMF consistent with
-    the motor's angle in a row; ``wait``: of the parity's alarm. ``ratio``: motor over pinion.
-    """
-
-    rules: Annotated[list[stopping.Const], ALARMS]
-    window: i8
-    confirm: i8
-    rule_out: i8
-    wait: i8
-    ratio: f8
+    rules: Annotated[list[stopping.Const], ALARMS] = means("stopping rule of each residual")
+    window: i8 = means("frames behind a jump", "frames")
+    confirm: i8 = means("frames of the EMF's alarm in a row", "frames")
+    rule_out: i8 = means("frames in a row of an EMF that is consistent with the motor's angle", "frames")
+    wait: i8 = means("frames of the parity's alarm", "frames")
+    ratio: f8 = means("motor over pinion")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``geared``: what compares the gear's angles is tested at present. ``misfit``: frames since the parity's alarm;
-    ``emf_consistent``: frames in a row, since then, in which the EMF confirmed the motor's angle; ``emf_alarms``:
-    frames in a row in which it contradicted it. ``electric``: how often currents and voltages did not fit, lately;
-    ``frozen``: frames for which a current has not changed.
-    """
-
-    rules: Annotated[list[stopping.State], ALARMS]
-    alarm: Annotated[i8s, ALARMS]
-    geared: i8
-    misfit: i8
-    emf_consistent: i8
-    emf_alarms: i8
-    electric: i8
-    frozen: i8
-    last_u: f8
-    last_v: f8
-    jump: jumps.State
-    onset: onset.State
-    trend: trend.State
+    rules: Annotated[list[stopping.State], ALARMS] = means("stopping rule of each residual")
+    alarm: Annotated[i8s, ALARMS] = means("1: the residual's alarm is on")
+    geared: i8 = means("1: what compares the gear's angles is tested at present")
+    misfit: i8 = means("frames since the parity's alarm", "frames")
+    emf_consistent: i8 = means("frames in a row, since then, in which the EMF confirmed the motor's angle", "frames")
+    emf_alarms: i8 = means("frames in a row in which the EMF contradicted the motor's angle", "frames")
+    electric: i8 = means("how often currents and voltages did not fit, lately")
+    frozen: i8 = means("frames for which a current has not changed", "frames")
+    last_u: f8 = means("last phase current", "A")
+    last_v: f8 = means("likewise", "A")
+    jump: jumps.State = means("window behind a jump")
+    onset: onset.State = means("how the voltage residual steps")
+    trend: trend.State = means("how the error of the motor's angle grows")
 
 
 def prepare(c: Const, p: Params) -> None:

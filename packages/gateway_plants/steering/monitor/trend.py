@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8s, i8, kernel, means
 
 #: Parities that are kept, and those needed at least.
 HISTORY, LEAST = 64, 16
@@ -13,12 +13,12 @@ UNKNOWN, WITH_TIME, WITH_ANGLE = range(3)
 
 
 class State(Record):
-    """State: the last ``held`` parities [deg] and motor angles [deg], the next one's place is ``at``."""
+    """State: the last parities, with the motor's angle."""
 
-    at: i8
-    held: i8
-    parity: Annotated[f8s, HISTORY]
-    motor: Annotated[f8s, HISTORY]
+    at: i8 = means("place of the next one")
+    held: i8 = means("parities that there are")
+    parity: Annotated[f8s, HISTORY] = means("parity of the gear", "deg")
+    motor: Annotated[f8s, HISTORY] = means("motor angle", "deg")
 
 
 @kernel

@@ -12,7 +12,7 @@ from gateway_bench.study_pool import Progress, run
 from gateway_fdi.filters import ekf_alpha_beta, feedforward
 from gateway_fdi.filters.motor import Motor
 from gateway_fdi.filters.transforms import clarke, park
-from gateway_fdi.jit import Record, f8s, kernel, zeros
+from gateway_fdi.jit import Record, f8s, kernel, means, zeros
 from gateway_plants.steering.ecu.course import sweep, times
 from gateway_plants.steering.ecu.plant import Plant, drive, undisturbed
 from gateway_plants.steering.study.cases import DURATION
@@ -46,32 +46,32 @@ NOTE = (521.0, 318.0, 133.0, 6.1, 141.0, 671.0, 124.0, 1170.0, 2.2, 1.24, float(
 class Constants(Record):
     """Constants of all estimators; EKF3 with its own angle has those of EKF3."""
 
-    lo: luenberger.Const
-    reduced: reduced_luenberger.Const
-    ekf3: ekf_dq.Const
-    ekf4: ekf_dq.Const
-    ff: feedforward.Const
-    ff_held: feedforward.Const
-    ff_printed: feedforward.Const
-    ekf4_ab: ekf_alpha_beta.Const
-    ekf5_ab: ekf_alpha_beta.Const
-    anchored: ekf_alpha_beta.Const
+    lo: luenberger.Const = means("Luenberger observer")
+    reduced: reduced_luenberger.Const = means("reduced Luenberger observer")
+    ekf3: ekf_dq.Const = means("extended Kalman filter in rotor co-ordinates")
+    ekf4: ekf_dq.Const = means("the same with the load")
+    ff: feedforward.Const = means("feedforward of the EMF")
+    ff_held: feedforward.Const = means("the same that holds its angle while the EMF is small")
+    ff_printed: feedforward.Const = means("the same with the sign of (46) as printed")
+    ekf4_ab: ekf_alpha_beta.Const = means("extended Kalman filter in stator co-ordinates")
+    ekf5_ab: ekf_alpha_beta.Const = means("the same with the load")
+    anchored: ekf_alpha_beta.Const = means("the same, anchored at standstill")
 
 
 class States(Record):
     """States of all estimators, in the order of :data:`NAMES`."""
 
-    lo: luenberger.State
-    reduced: reduced_luenberger.State
-    ekf3: ekf_dq.State
-    ekf4: ekf_dq.State
-    ekf3_own: ekf_dq.State
-    ff: feedforward.State
-    ff_held: feedforward.State
-    ff_printed: feedforward.State
-    ekf4_ab: ekf_alpha_beta.State
-    ekf5_ab: ekf_alpha_beta.State
-    anchored: ekf_alpha_beta.State
+    lo: luenberger.State = means("Luenberger observer")
+    reduced: reduced_luenberger.State = means("reduced Luenberger observer")
+    ekf3: ekf_dq.State = means("extended Kalman filter in rotor co-ordinates")
+    ekf4: ekf_dq.State = means("the same with the load")
+    ekf3_own: ekf_dq.State = means("ekf3 with Park by its own angle")
+    ff: feedforward.State = means("feedforward of the EMF")
+    ff_held: feedforward.State = means("the same that holds its angle while the EMF is small")
+    ff_printed: feedforward.State = means("the same with the sign of (46) as printed")
+    ekf4_ab: ekf_alpha_beta.State = means("extended Kalman filter in stator co-ordinates")
+    ekf5_ab: ekf_alpha_beta.State = means("the same with the load")
+    anchored: ekf_alpha_beta.State = means("the same, anchored at standstill")
 
 
 @kernel

@@ -47,9 +47,9 @@ AVERAGED_S = 10.0
 
 
 class Const(Record):
-    """Constants: of the filter; of each test the standard deviation of its noise, and the time it is independent in."""
+    """Constants."""
 
-    slow: slow.Const
+    slow: slow.Const = means("bounds and rates of the slow errors")
     bound: Annotated[f8s, slow.MOST] = means("of what may be off, a share; of a bias in the sensor's unit")
     sigma: Annotated[f8s, MOST_TESTS] = means("of each healthy residual; not above 0: not known")
     apart_s: Annotated[f8s, MOST_TESTS] = means("after which its noise is independent", "s")
@@ -58,7 +58,7 @@ class Const(Record):
 class State(Record):
     """State."""
 
-    slow: slow.State
+    slow: slow.State = means("slow errors that are followed")
     h: Annotated[f8s, slow.MOST] = means("by which the residual at hand gets less with each share")
     point: Annotated[f8s, slow.MOST] = means("x0, shares at which the model stands")
     step: Annotated[f8s, slow.MOST] = means("by which it was moved last")

@@ -42,23 +42,23 @@ MOST = {
 class Const(machine.Const, lengths=MOST):
     """Constants."""
 
-    inputs: i8
+    inputs: i8 = means("known variables")
     wanted: Annotated[i8s, "inputs"] = means("1: the tests need it")
     reads: Annotated[i8s, "tests", "known_words"] = means("inputs that each test needs, a mask")
     counted: i8 = means("1: samples are counted; 0: their times say how many periods lie between them")
-    period_ns: i8 = means(unit="ns")
+    period_ns: i8 = means("period of the samples", "ns")
     missing: i8 = means("samples in a row that may have an input that is no number")
     gap_ns: i8 = means("behind a longer one all begins anew", "ns")
-    settle_ns: i8 = means(unit="ns")
-    active: Code
+    settle_ns: i8 = means("time behind a start in which nothing is judged", "ns")
+    active: Code = means("when the tests are at work, as a program")
     shown: Annotated[i8s, "told", EVIDENCE] = means("what the values of its evidence are")
     jumps: i8 = means("1: the tests look for jumps")
     weighted: Annotated[f8s, WINDOW, 1, 1] = means("of a residual in standard deviations, for a jump of its mean")
-    inverse: Annotated[f8s, WINDOW, 1, 1]
-    cusum: Annotated[list[cusum.Const], "tests"]
+    inverse: Annotated[f8s, WINDOW, 1, 1] = means("inverse of the information on a jump")
+    cusum: Annotated[list[cusum.Const], "tests"] = means("CUSUM of each test")
     sigma: Annotated[f8s, "tests"] = means("standard deviation of each healthy residual")
     level: Annotated[f8s, "tests"] = means("of the likelihood ratio of a jump, doubled")
-    meters: i8
+    meters: i8 = means("faults whose sizes are measured")
     forgets: Annotated[f8s, "meters"] = means("rate at which its filter forgets; very high: it has none", "rad/s")
     memory_s: f8 = means("over which sizes are averaged", "s")
 
@@ -69,27 +69,27 @@ class State(machine.State, lengths=MOST):
     at_ns: i8 = means("time of the sample", "ns")
     last_ns: i8 = means("last sample", "ns")
     since_ns: i8 = means("when the generators began", "ns")
-    running: i8
-    begun: i8
-    samples: i8
+    running: i8 = means("1: the generators run")
+    begun: i8 = means("1: there is a sample")
+    samples: i8 = means("samples taken")
     missed: i8 = means("samples that were left out, or did not come")
     gone: Annotated[i8s, "known_words"] = means("inputs of the sample that are no numbers, a mask")
     left_out: i8 = means("of these in a row, for an input that is no number")
     periods: i8 = means("since the last sample that was taken")
     without: i8 = means("tests that give no number, as long as an input is away")
     dt: f8 = means("since the sample before", "s")
-    active: Machine
-    residual: Annotated[f8s, "tests"]
+    active: Machine = means("what that program remembers")
+    residual: Annotated[f8s, "tests"] = means("residual of each test")
     anew: Annotated[i8s, "generators"] = means("1: it gave no number, and begins anew")
     from_ns: Annotated[i8s, "tests"] = means("when the test began anew, alone", "ns")
     norm: Annotated[f8s, "tests"] = means("T over J: above 1 a test has fired")
-    cusum: Annotated[list[cusum.State], "tests"]
-    begun_jump: Annotated[f8s, "tests", WINDOW, 1]
-    newest: Annotated[f8s, 1]
+    cusum: Annotated[list[cusum.State], "tests"] = means("CUSUM of each test")
+    begun_jump: Annotated[f8s, "tests", WINDOW, 1] = means("sums of each beginning of a jump in the window")
+    newest: Annotated[f8s, 1] = means("newest residual")
     ring: i8 = means("place of the newest sample in the window")
     window: i8 = means("samples in the window")
     judged_ns: i8 = means("the sample that was judged last", "ns")
-    reported_ns: i8 = means(unit="ns")
+    reported_ns: i8 = means("when tests were reported last", "ns")
     turn: i8 = means("what is reported next, where it is too much for one step")
     measured: Annotated[f8s, "meters"] = means("residual of each meter")
     gain: Annotated[f8s, "meters"] = means("and what a fault of size 1 adds to it")

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_fdi.jit import Record, f8, i8, kernel, means
 from gateway_fdi.slow import lag
 from gateway_plants.truck.monitor.messages import Inputs
 
@@ -22,14 +22,14 @@ LEFT = 2.0
 
 
 class State(Record):
-    """State: ``held`` sets, the newest at ``at``; ``count`` since a gap; ``lag``; ``out``: what is taken."""
+    """State."""
 
-    held: Annotated[list[Inputs], DEPTH]
-    at: i8
-    count: i8
-    lag: lag.State
-    out: Inputs
-    swing: f8
+    held: Annotated[list[Inputs], DEPTH] = means("the last sets")
+    at: i8 = means("place of the newest")
+    count: i8 = means("sets since a gap")
+    lag: lag.State = means("by how much U is behind U_ctrl")
+    out: Inputs = means("the set that is taken")
+    swing: f8 = means("what the lag may still make of a voltage", "V")
 
 
 @kernel

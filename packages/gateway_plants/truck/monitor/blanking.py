@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
 
 #: Residuals that wait beside each other, and sets that they can wait for.
 LANES, MOST = 2, 64
 
 
 class State(Record):
-    """``held``, ``due``: residuals that wait, and whether they count; ``quiet``: sets until they count again."""
+    """State."""
 
-    at: i8
-    gear: i8
-    quiet: i8
-    held: Annotated[f8s, MOST, LANES]
-    due: Annotated[i8s, MOST]
+    at: i8 = means("sets so far; modulo MOST, the place of the next one")
+    gear: i8 = means("gear of the last set")
+    quiet: i8 = means("sets until residuals count again")
+    held: Annotated[f8s, MOST, LANES] = means("residuals that wait")
+    due: Annotated[i8s, MOST] = means("1: they count")
 
 
 @kernel

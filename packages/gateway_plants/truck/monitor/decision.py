@@ -39,7 +39,7 @@ class Outputs(Record):
     level: Annotated[f8s, isolation.MOST_TESTS] = means("T_norm of the tests")
     fired: f8 = means("tests that have fired, as bits")
     diagnosis: f8 = means("number of the fault, from 1; 0: none")
-    valid: f8
+    valid: f8 = means("1: the model of T3, T4 and T7 holds")
 
 
 def emits(_: Params) -> Emission:

@@ -7,7 +7,7 @@ thousand the CUSUM would grow without a fault.
 
 from __future__ import annotations
 
-from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_fdi.jit import Record, f8, i8, kernel, means
 from gateway_plants.truck.monitor import excitation
 
 #: Time over which the speed at the start is corrected [s].
@@ -15,12 +15,12 @@ CORRECTED = 1.0
 
 
 class State(Record):
-    """State: ``on``: the generators run; ``total``, ``count``: residuals of the first second."""
+    """State."""
 
-    on: i8
-    total: f8
-    count: f8
-    excitation: excitation.State
+    on: i8 = means("1: the generators run")
+    total: f8 = means("sum of the residuals of the first second", "rad/s")
+    count: f8 = means("residuals in that sum; 0: they have corrected the speed")
+    excitation: excitation.State = means("which faults have shown")
 
 
 @kernel

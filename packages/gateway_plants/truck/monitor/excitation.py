@@ -9,7 +9,7 @@ From the start of a residual generator at t0 on:
 
 from __future__ import annotations
 
-from gateway_fdi.jit import Record, f8, kernel
+from gateway_fdi.jit import Record, f8, kernel, means
 
 #: The conditions, by their place.
 FIXED, SIGNED, ABSOLUTE = range(3)
@@ -18,18 +18,18 @@ FIXED, SIGNED, ABSOLUTE = range(3)
 class Const(Record):
     """Constants."""
 
-    after: f8
-    signed: f8
-    absolute: f8
-    efficiency: f8
+    after: f8 = means("t_d of (39)", "s")
+    signed: f8 = means("J_1 of (41)", "A s")
+    absolute: f8 = means("J_2 of (45)", "A s")
+    efficiency: f8 = means("efficiency of the machine")
 
 
 class State(Record):
     """State."""
 
-    time: f8
-    signed: f8
-    absolute: f8
+    time: f8 = means("since the generator began", "s")
+    signed: f8 = means("integral of (41)", "A s")
+    absolute: f8 = means("integral of (45)", "A s")
 
 
 @kernel

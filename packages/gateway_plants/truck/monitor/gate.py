@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from math import exp
 
-from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_fdi.jit import Record, f8, i8, kernel, means
 
 #: Time constants [s] of slip and engine speed, and of the speed that states begin with.
 SLIP, START = 0.05, 0.07
@@ -45,27 +45,22 @@ NOISE = 0.1
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``slow``, ``slower``: slip, filtered for longer; ``zero``: of a clutch that holds, ``learned`` [s]; ``closed``:
-    since it closed last [s], ``creeps``: until when it was seen to creep then [s], ``usual``: behind the gears before
-    [s].
-    """
-
-    slip: f8
-    slow: f8
-    slower: f8
-    zero: f8
-    learned: f8
-    closed: f8
-    creeps: f8
-    usual: f8
-    speed: f8
-    since: f8
-    gear: i8
-    low: f8
-    lower: f8
-    begun: i8
+    slip: f8 = means("slip, filtered", "rad/s")
+    slow: f8 = means("slip, filtered for longer", "rad/s")
+    slower: f8 = means("slow, filtered again", "rad/s")
+    zero: f8 = means("slip of a clutch that holds", "rad/s")
+    learned: f8 = means("time in which zero was found", "s")
+    closed: f8 = means("time since the clutch closed last", "s")
+    creeps: f8 = means("time since then, until which it was seen to creep", "s")
+    usual: f8 = means("creeps, behind the gear changes before", "s")
+    speed: f8 = means("speed of the engine, filtered", "rad/s")
+    since: f8 = means("for how long the model has held", "s")
+    gear: i8 = means("gear of the last set")
+    low: f8 = means("speed of the gearbox's output, filtered", "rad/s")
+    lower: f8 = means("low, filtered again", "rad/s")
+    begun: i8 = means("1: there is a set before")
 
 
 @kernel

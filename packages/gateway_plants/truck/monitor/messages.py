@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from gateway.monitors import contract
 from gateway.monitors.contract import Connection, Signal
 from gateway.monitors.sampling import Sampling
-from gateway_fdi.jit import f8
+from gateway_fdi.jit import f8, means
 from gateway_plants.truck.monitor.params import Params
 
 #: Fields of the inputs by message: signal and unit.
@@ -44,18 +44,18 @@ DEPTH, OLD = 4, 64
 class Inputs(contract.SampledInputs):
     """The signals above, in their order."""
 
-    U_em_ctrl: f8
-    ice_ctrl: f8
-    u_c: f8
-    gear: f8
-    T_b_ctrl: f8
-    alpha: f8
-    I_b_sens: f8
-    U_em_sens: f8
-    I_em_sens: f8
-    omega_e_sens: f8
-    omega_gb_sens: f8
-    charge: f8
+    U_em_ctrl: f8 = means("voltage asked of the power electronics", "V")
+    ice_ctrl: f8 = means("fuel energy of a cycle of the four strokes, all cylinders", "J")
+    u_c: f8 = means("clutch, 1 engaged")
+    gear: f8 = means("gear; 0: neutral")
+    T_b_ctrl: f8 = means("brake torque asked for", "Nm")
+    alpha: f8 = means("slope of the road", "rad")
+    I_b_sens: f8 = means("current of the battery, measured", "A")
+    U_em_sens: f8 = means("voltage of the machine, measured", "V")
+    I_em_sens: f8 = means("current of the machine, measured", "A")
+    omega_e_sens: f8 = means("speed of the engine, measured", "rad/s")
+    omega_gb_sens: f8 = means("speed of the gearbox's output, measured", "rad/s")
+    charge: f8 = means("state of charge at the start")
 
 
 def connect(_: Params) -> Mapping[str, Connection]:

@@ -24,7 +24,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8, f8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, kernel, means
 from gateway_plants.truck.monitor.generated import t7
 
 #: Errors by their place: torque of the machine as motor, as generator, of the engine, slope [rad], mass, torque of the
@@ -37,35 +37,29 @@ FLOOR = 12.5
 
 
 class Const(Record):
-    """Constants.
+    """Constants; errors are in the order of MOTOR to CURVE."""
 
-    ``start``: variance of the first speed [rad2/s2]; ``torque``: noise of the acceleration [rad2/s3]; ``noise``:
-    of the measured speed [rad2/s2]; ``prior``: variance of the errors; ``drift``: of what they take on [1/s], of
-    the curve [rad2/m3]; ``forget``: what they lose [1/s], slope and curve [1/m]; ``own``: diagonal of Sigma_0;
-    ``least``: torque of a machine that is used [Nm].
-    """
-
-    start: f8
-    torque: f8
-    noise: f8
-    prior: Annotated[f8s, ERRORS]
-    drift: Annotated[f8s, ERRORS]
-    forget: Annotated[f8s, ERRORS]
-    own: f8
-    least: f8
-    threshold: f8
+    start: f8 = means("variance of the first speed", "(rad/s)^2")
+    torque: f8 = means("noise of the acceleration", "rad^2/s^3")
+    noise: f8 = means("noise of the measured speed", "(rad/s)^2")
+    prior: Annotated[f8s, ERRORS] = means("variance of the errors")
+    drift: Annotated[f8s, ERRORS] = means("variance that errors take on [1/s], the curve [rad^2/m^3]")
+    forget: Annotated[f8s, ERRORS] = means("what errors lose [1/s], slope and curve [1/m]")
+    own: f8 = means("diagonal of Sigma_0")
+    least: f8 = means("torque of a machine that is used", "Nm")
+    threshold: f8 = means("threshold of the statistic")
 
 
 class State(Record):
-    """State: ``norm``: the statistic over its threshold; ``peak``, ``samples``: for calibration."""
+    """State; errors are in the order of MOTOR to CURVE."""
 
-    error: Annotated[f8s, ERRORS]
-    does: Annotated[f8s, ERRORS]
-    P: Annotated[f8s, _STATES, _STATES]
-    gain: Annotated[f8s, _STATES]
-    norm: f8
-    peak: f8
-    samples: f8
+    error: Annotated[f8s, ERRORS] = means("p, what is found of each error")
+    does: Annotated[f8s, ERRORS] = means("h, what each error does to the wheels' acceleration", "rad/s^2")
+    P: Annotated[f8s, _STATES, _STATES] = means("covariance of the wheels' speed and the errors")
+    gain: Annotated[f8s, _STATES] = means("Kalman gain")
+    norm: f8 = means("the statistic over its threshold")
+    peak: f8 = means("largest norm, for calibration")
+    samples: f8 = means("statistics so far, for calibration")
 
 
 def prepare(s: State, c: Const) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from gateway_fdi import cusum
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors, nearest
-from gateway_fdi.jit import Record, f8, f8s, i8, u1
+from gateway_fdi.jit import Record, f8, f8s, i8, means, u1
 from gateway_fdi.slow import filter as slow
 from gateway_fdi.slow import lag
 from gateway_fdi.structure.file import load_model
@@ -54,102 +54,86 @@ ROBUST, MIXED = SYSTEMS.index("RDS"), SYSTEMS.index("MCDS")
 class Const(Record):
     """Constants."""
 
-    period: f8
-    system: i8
-    tests: i8
-    blank: i8
-    least_volts: f8
-    least_amps: f8
-    excitation: excitation.Const
-    cusum: Annotated[list[cusum.Const], len(QUANTITIES)]
-    isolation: isolation.Const
-    observer: observer.Const
-    follows: i8
-    ageing: slow.Const
-    most_lag: f8
-    voltage_noise: f8
-    speed_noise: f8
-    power_noise: f8
-    t1: t1.Const
-    t2: t2.Const
-    t3: t3_icds.Const
-    t4: t4_icds.Const
-    t3m: t3_mcds.Const
-    t4m: t4_mcds.Const
-    t5: t5.Const
-    t6: t6.Const
-    t7: t7.Const
+    period: f8 = means("period of the sets", "s")
+    system: i8 = means("which tests decide, a place in SYSTEMS")
+    tests: i8 = means("tests of that system")
+    blank: i8 = means("sets before and behind a gear change that do not count")
+    least_volts: f8 = means("voltage of the machine from which on T1 and T4 are tested", "V")
+    least_amps: f8 = means("current of the machine from which on T2, T5 and T6 are tested", "A")
+    excitation: excitation.Const = means("when T3 and T4 are updated")
+    cusum: Annotated[list[cusum.Const], len(QUANTITIES)] = means("CUSUM of each quantity")
+    isolation: isolation.Const = means("from tests to faults")
+    observer: observer.Const = means("constants of the observer T7")
+    follows: i8 = means("1: slow errors are followed")
+    ageing: slow.Const = means("bounds and rates of the slow errors")
+    most_lag: f8 = means("largest lag of the electric sensors", "sets")
+    voltage_noise: f8 = means("what e8 leaves, at the machine", "V")
+    speed_noise: f8 = means("noise of the gearbox's speed", "rad/s")
+    power_noise: f8 = means("what e11 leaves", "W")
+    t1: t1.Const = means("constants of T1")
+    t2: t2.Const = means("constants of T2")
+    t3: t3_icds.Const = means("constants of T3, integral causality")
+    t4: t4_icds.Const = means("constants of T4, integral causality")
+    t3m: t3_mcds.Const = means("constants of T3, mixed causality")
+    t4m: t4_mcds.Const = means("constants of T4, mixed causality")
+    t5: t5.Const = means("constants of T5")
+    t6: t6.Const = means("constants of T6")
+    t7: t7.Const = means("constants of T7")
 
 
 class State(Record):
-    """State.
+    """State."""
 
-    ``residual``: by the places above; ``level``: T_norm of the tests that decide. ``three``, ``four``: what T3 and T4
-    with integral causality (``t3``, ``t4``) and with mixed (``t3m``, ``t4m``) have in common; ``watched``: T7 runs;
-    ``untested``: why tests are not at work, as bits (:mod:`.following`); ``winding``, ``magnets``, ``open_volts``,
-    ``cells``: relative errors of R_em, k_i, U_oc and R_b that are followed; ``lag_ms``: by which the electric sensors
-    are late.
-
-    ``alignment``: of a set's signals to one time; ``corrected``: the set without what is found of the sensors' errors;
-    ``ageing``: what is followed, by ``blocks`` of the three equations, whose sensitivities are ``h_1``, ``h_2``,
-    ``h_3`` (``h``: scratch); blocks of machine and battery that were ``taken``, and in which they were ``known``;
-    ``q2``, ``q5``, ``q6``: constants of T2, T5 and T6 with it; ``doubts``: of the residuals that wait in ``blanking``.
-
-    ``fired``: tests above their threshold, as bits; ``use`` of the machine that the isolation has not seen yet [s];
-    ``named``: the fault that is told, -1: none; ``unisolated``: that is told; ``explained``: faults that explain what
-    has fired, as bits.
-    """
-
-    sets: i8
-    valid: i8
-    fired: i8
-    explained: i8
-    reported: i8
-    watched: i8
-    untested: i8
-    winding: f8
-    magnets: f8
-    open_volts: f8
-    cells: f8
-    lag_ms: f8
-    level: Annotated[f8s, isolation.MOST_TESTS]
-    blanking: blanking.State
-    observer: observer.State
-    residual: Annotated[f8s, RESIDUALS]
-    norm: Annotated[f8s, len(QUANTITIES)]
-    gate: gate.State
-    three: dynamic.State
-    four: dynamic.State
-    cusum: Annotated[list[cusum.State], len(QUANTITIES)]
-    alignment: alignment.State
-    corrected: Inputs
-    ageing: slow.State
-    blocks: Annotated[list[slow.Block], 3]
-    h_1: Annotated[f8s, slow.MOST]
-    h_2: Annotated[f8s, slow.MOST]
-    h_3: Annotated[f8s, slow.MOST]
-    h: Annotated[f8s, slow.MOST]
-    machine_known: i8
-    machine_taken: i8
-    battery_known: i8
-    battery_taken: i8
-    q2: t2.Const
-    q5: t5.Const
-    q6: t6.Const
-    doubts: Annotated[f8s, blanking.MOST, blanking.LANES]
-    use: f8
-    unisolated: u1
-    named: i8
-    isolation: isolation.State
-    t1: t1.State
-    t2: t2.State
-    t3: t3_icds.State
-    t4: t4_icds.State
-    t3m: t3_mcds.State
-    t4m: t4_mcds.State
-    t5: t5.State
-    t6: t6.State
-    t7: t7.State
+    sets: i8 = means("sets taken")
+    valid: i8 = means("1: the model of T3, T4 and T7 holds")
+    fired: i8 = means("tests above their threshold, as bits")
+    explained: i8 = means("faults that explain what has fired, as bits")
+    reported: i8 = means("sets since the tests were reported")
+    watched: i8 = means("1: T7 runs")
+    untested: i8 = means("why tests are not at work, as bits (:mod:`.following`)")
+    winding: f8 = means("relative error of R_em that is followed")
+    magnets: f8 = means("relative error of k_i that is followed")
+    open_volts: f8 = means("relative error of U_oc that is followed")
+    cells: f8 = means("relative error of R_b that is followed")
+    lag_ms: f8 = means("by which the electric sensors are late", "ms")
+    level: Annotated[f8s, isolation.MOST_TESTS] = means("T_norm of the tests that decide")
+    blanking: blanking.State = means("residuals that wait for a gear change")
+    observer: observer.State = means("state of the observer T7")
+    residual: Annotated[f8s, RESIDUALS] = means("by the places above")
+    norm: Annotated[f8s, len(QUANTITIES)] = means("T_norm of each quantity")
+    gate: gate.State = means("when the model holds")
+    three: dynamic.State = means("what T3 with integral and with mixed causality have in common")
+    four: dynamic.State = means("what T4 with integral and with mixed causality have in common")
+    cusum: Annotated[list[cusum.State], len(QUANTITIES)] = means("CUSUM of each quantity")
+    alignment: alignment.State = means("signals of a set at one time")
+    corrected: Inputs = means("the set without what is found of the sensors' errors")
+    ageing: slow.State = means("slow errors that are followed")
+    blocks: Annotated[list[slow.Block], 3] = means("sums of the three equations that ageing takes")
+    h_1: Annotated[f8s, slow.MOST] = means("sensitivities of the first equation")
+    h_2: Annotated[f8s, slow.MOST] = means("sensitivities of the second equation")
+    h_3: Annotated[f8s, slow.MOST] = means("sensitivities of the third equation")
+    h: Annotated[f8s, slow.MOST] = means("scratch")
+    machine_known: i8 = means("blocks of the machine in which its errors were known")
+    machine_taken: i8 = means("blocks of the machine")
+    battery_known: i8 = means("blocks of the battery in which its errors were known")
+    battery_taken: i8 = means("blocks of the battery")
+    q2: t2.Const = means("constants of T2 with what ageing found")
+    q5: t5.Const = means("constants of T5 with what ageing found")
+    q6: t6.Const = means("constants of T6 with what ageing found")
+    doubts: Annotated[f8s, blanking.MOST, blanking.LANES] = means("doubts of the residuals that wait in blanking")
+    use: f8 = means("use of the machine that the isolation has not seen yet", "s")
+    unisolated: u1 = means("1: a fault that is not isolated is told")
+    named: i8 = means("the fault that is told; -1: none")
+    isolation: isolation.State = means("from tests to faults")
+    t1: t1.State = means("state of T1")
+    t2: t2.State = means("state of T2")
+    t3: t3_icds.State = means("state of T3, integral causality")
+    t4: t4_icds.State = means("state of T4, integral causality")
+    t3m: t3_mcds.State = means("state of T3, mixed causality")
+    t4m: t4_mcds.State = means("state of T4, mixed causality")
+    t5: t5.State = means("state of T5")
+    t6: t6.State = means("state of T6")
+    t7: t7.State = means("state of T7")
 
 
 def prepare(p: Params, s: State, c: Const) -> None:

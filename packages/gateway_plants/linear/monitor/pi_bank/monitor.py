@@ -41,22 +41,22 @@ from gateway_plants.linear.pi_bank.masking import masked
 class Const(Record):
     """Constants."""
 
-    sampling: linear_plant.Const
-    isolation: isolation.Const
-    models: decision.Const
-    logic: i8
+    sampling: linear_plant.Const = means("samples off the bus")
+    isolation: isolation.Const = means("decisions on the bank")
+    models: decision.Const = means("with model_error: the model set")
+    logic: i8 = means("which of them decides")
 
 
 class State(Record):
     """State."""
 
-    sampling: linear_plant.State
-    isolation: isolation.State
-    models: decision.State
-    missing: i8
-    restarts: i8
-    active: i8
-    sensor: i8
+    sampling: linear_plant.State = means("samples off the bus")
+    isolation: isolation.State = means("decisions on the bank")
+    models: decision.State = means("with model_error: the model set")
+    missing: i8 = means("samples that did not come")
+    restarts: i8 = means("times that all began anew")
+    active: i8 = means("observer or hypothesis in use")
+    sensor: i8 = means("sensor at fault; NONE: none")
     commands_lost: i8 = means("samples whose command did not come")
     untested: i8 = means("samples that were not judged")
     reason: i8 = means("why the last sample was not judged, see Readout; 0: it was")
@@ -68,7 +68,7 @@ class Evidence(Record):
 
     magnitude: f8 = means("size of the fault")
     observer: f8 = means("observer in use")
-    innovation: Annotated[f8s, bank.MOST_OUTPUTS]
+    innovation: Annotated[f8s, bank.MOST_OUTPUTS] = means("innovation")
 
 
 #: Logics by their number.

@@ -34,7 +34,7 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_plants.pedal.voting.movement import MOST_LOST, bent, filtered
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 
@@ -72,94 +72,76 @@ UNKNOWN, LEFT_LEAST, LEFT_MOST, LEFT, DEVIATIONS = 1.5, 0.15, 2.0, 5.0, 2.0
 
 
 class Const(Record):
-    """Constants, times in periods.
+    """Constants."""
 
-    ``samples`` of a block; ``slow``: share of a new block in what is slow; ``most``: largest lag that is none;
-    ``least``: smallest that is one; ``telling``; ``known``, ``wanders``, ``way``; ``quick``, ``wide``: poles of the two
-    filters that tell the rate, ``apart``: their time constants' difference; ``fade``: of what is allowed for, ``none``:
-    so little of it is nothing.
-    """
-
-    samples: i8
-    slow: f8
-    most: f8
-    least: f8
-    telling: f8
-    known: f8
-    wanders: f8
-    way: f8
-    quick: f8
-    wide: f8
-    apart: f8
-    fade: f8
-    none: f8
+    samples: i8 = means("samples of a block")
+    slow: f8 = means("share of a new block in what is slow")
+    most: f8 = means("largest lag that is none", "periods")
+    least: f8 = means("smallest lag that is one", "periods")
+    telling: f8 = means("lag whose effect, beside noise, tells lags apart", "periods")
+    known: f8 = means("standard deviation with which a lag is known", "periods")
+    wanders: f8 = means("standard deviation by which a lag wanders from one measurement to the next", "periods")
+    way: f8 = means("least way by which a measurement contradicts what is known", "periods")
+    quick: f8 = means("pole of the quick filter that tells the rate")
+    wide: f8 = means("pole of the slow filter that tells the rate")
+    apart: f8 = means("difference of their time constants", "periods")
+    fade: f8 = means("share of what is allowed for that is left a period later")
+    none: f8 = means("so little of it is nothing", "%")
 
 
 class Block(Record):
-    """Samples that are gathered: how many, sums of times, of their squares, of each channel, of it times the time."""
+    """Sums over samples that are gathered; of each channel where they are arrays."""
 
-    count: i8
-    age: f8
-    t: f8
-    tt: f8
-    y: Annotated[f8s, MOST_CHANNELS]
-    ty: Annotated[f8s, MOST_CHANNELS]
+    count: i8 = means("samples")
+    age: f8 = means("time since the first", "periods")
+    t: f8 = means("times", "periods")
+    tt: f8 = means("squares of times", "periods^2")
+    y: Annotated[f8s, MOST_CHANNELS] = means("readings", "%")
+    ty: Annotated[f8s, MOST_CHANNELS] = means("readings by times", "% periods")
 
 
 class State(Record):
-    """State.
+    """State; of each channel where it is an array. Its differences D are those to the first one."""
 
-    ``block``; what is slow of each channel's D, X, R against the first: ``slow_d``, ``slow_x``, ``slow_r``, ``since``
-    the last block [periods], 0: none yet. Sums over blocks: ``dd`` to ``rr``, their number ``blocks``, movement ``up``
-    and ``down``, ``rate`` of the last block [% / period]. ``behind``: lag of each channel behind the first,
-    ``variance`` of it [periods, periods^2]; ``found``, ``found_variance``: as measured last; ``doubt``: a measurement
-    that contradicted it, ``doubted`` 1: there is one. ``known``: 1: lags are known. ``tau``: lag of each channel behind
-    the quickest [periods]. ``delay`` [periods], ``pole``, ``aligned``: filter that brings a channel to the slowest.
-    ``unlike``: what a measurement left [periods]; ``left``: share of the movement that the alignment leaves;
-    ``allowed``: periods of movement if nothing is aligned; ``slack``: what is allowed for at present; ``swing``: what
-    one channel may still move when another stands. ``last``, ``older``: the readings before, ``gap``, ``before``:
-    periods since each; ``moved`` 1: it has a new one; ``quick``, ``wide``: behind the filters that tell the rate.
-    """
-
-    block: Block
-    since: f8
-    slow_d: Annotated[f8s, MOST_CHANNELS]
-    slow_x: Annotated[f8s, MOST_CHANNELS]
-    slow_r: Annotated[f8s, MOST_CHANNELS]
-    dd: Annotated[f8s, MOST_CHANNELS]
-    dx: Annotated[f8s, MOST_CHANNELS]
-    dr: Annotated[f8s, MOST_CHANNELS]
-    xx: Annotated[f8s, MOST_CHANNELS]
-    xr: Annotated[f8s, MOST_CHANNELS]
-    rr: Annotated[f8s, MOST_CHANNELS]
-    blocks: i8
-    up: f8
-    down: f8
-    rate: f8
-    behind: Annotated[f8s, MOST_CHANNELS]
-    variance: Annotated[f8s, MOST_CHANNELS]
-    doubt: Annotated[f8s, MOST_CHANNELS]
-    doubted: i8
-    found: Annotated[f8s, MOST_CHANNELS]
-    found_variance: Annotated[f8s, MOST_CHANNELS]
-    known: i8
-    tau: Annotated[f8s, MOST_CHANNELS]
-    delay: Annotated[f8s, MOST_CHANNELS]
-    pole: Annotated[f8s, MOST_CHANNELS]
-    aligned: Annotated[f8s, MOST_CHANNELS]
-    begun: Annotated[i8s, MOST_CHANNELS]
-    unlike: f8
-    left: f8
-    allowed: f8
-    slack: f8
-    swing: f8
-    last: Annotated[f8s, MOST_CHANNELS]
-    older: Annotated[f8s, MOST_CHANNELS]
-    gap: Annotated[f8s, MOST_CHANNELS]
-    before: Annotated[f8s, MOST_CHANNELS]
-    moved: Annotated[i8s, MOST_CHANNELS]
-    quick: Annotated[f8s, MOST_CHANNELS]
-    wide: Annotated[f8s, MOST_CHANNELS]
+    block: Block = means("samples that are gathered")
+    since: f8 = means("time since the last block; 0: none yet", "periods")
+    slow_d: Annotated[f8s, MOST_CHANNELS] = means("what is slow of D", "%")
+    slow_x: Annotated[f8s, MOST_CHANNELS] = means("what is slow of X", "%")
+    slow_r: Annotated[f8s, MOST_CHANNELS] = means("what is slow of R", "%/period")
+    dd: Annotated[f8s, MOST_CHANNELS] = means("sum of D^2 over blocks", "%^2")
+    dx: Annotated[f8s, MOST_CHANNELS] = means("sum of D X", "%^2")
+    dr: Annotated[f8s, MOST_CHANNELS] = means("sum of D R", "%^2/period")
+    xx: Annotated[f8s, MOST_CHANNELS] = means("sum of X^2", "%^2")
+    xr: Annotated[f8s, MOST_CHANNELS] = means("sum of X R", "%^2/period")
+    rr: Annotated[f8s, MOST_CHANNELS] = means("sum of R^2", "%^2/period^2")
+    blocks: i8 = means("blocks in these sums")
+    up: f8 = means("movement upwards, squares over those of noise")
+    down: f8 = means("movement downwards, likewise")
+    rate: f8 = means("rate of the last block", "%/period")
+    behind: Annotated[f8s, MOST_CHANNELS] = means("lag behind the first channel", "periods")
+    variance: Annotated[f8s, MOST_CHANNELS] = means("variance of behind", "periods^2")
+    doubt: Annotated[f8s, MOST_CHANNELS] = means("a measurement of behind that contradicted it", "periods")
+    doubted: i8 = means("1: there is one")
+    found: Annotated[f8s, MOST_CHANNELS] = means("behind as measured last", "periods")
+    found_variance: Annotated[f8s, MOST_CHANNELS] = means("variance of found", "periods^2")
+    known: i8 = means("1: lags are known")
+    tau: Annotated[f8s, MOST_CHANNELS] = means("lag behind the quickest channel", "periods")
+    delay: Annotated[f8s, MOST_CHANNELS] = means("delay of the filter that brings it to the slowest channel", "periods")
+    pole: Annotated[f8s, MOST_CHANNELS] = means("pole of that filter; 0: there is none")
+    aligned: Annotated[f8s, MOST_CHANNELS] = means("output of that filter", "%")
+    begun: Annotated[i8s, MOST_CHANNELS] = means("1: that filter has begun")
+    unlike: f8 = means("what a measurement left", "periods")
+    left: f8 = means("share of the movement that the alignment leaves")
+    allowed: f8 = means("movement that is allowed for if nothing is aligned", "periods")
+    slack: f8 = means("what is allowed for at present", "%")
+    swing: f8 = means("what one channel may still move when another stands", "%")
+    last: Annotated[f8s, MOST_CHANNELS] = means("last reading", "%")
+    older: Annotated[f8s, MOST_CHANNELS] = means("reading before that", "%")
+    gap: Annotated[f8s, MOST_CHANNELS] = means("time since the last reading", "periods")
+    before: Annotated[f8s, MOST_CHANNELS] = means("time between these two", "periods")
+    moved: Annotated[i8s, MOST_CHANNELS] = means("1: there is a new reading")
+    quick: Annotated[f8s, MOST_CHANNELS] = means("behind the quick filter that tells the rate", "%")
+    wide: Annotated[f8s, MOST_CHANNELS] = means("behind the slow filter that tells the rate", "%")
 
 
 def prepare(c: Const, *, period_ms: float, most_ms: float) -> None:

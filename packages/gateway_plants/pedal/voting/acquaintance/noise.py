@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 
 #: Classes of second differences, so many a unit.
@@ -29,34 +29,28 @@ MOST = 5.0
 
 
 class Const(Record):
-    """Constants: ``unit`` of the classes; ``noise``, ``step`` as told; ``widest``: largest resolution."""
+    """Constants, in the unit of the readings."""
 
-    unit: f8
-    noise: f8
-    step: f8
-    widest: f8
+    unit: f8 = means("width of PER_UNIT classes")
+    noise: f8 = means("standard deviation of a reading, as told")
+    step: f8 = means("resolution, as told")
+    widest: f8 = means("largest resolution")
 
 
 class State(Record):
-    """State.
+    """State, of each channel, in the unit of the readings."""
 
-    ``count`` of each class; ``taken`` second differences, ``due``: when the noise is asked for next; ``last``,
-    ``older``: the readings before, ``run``: how many there were in a row. ``steps``: how often a reading changed,
-    ``least``: by how much at least. ``noise``, ``resolution``: found, 0: nothing yet. ``known`` 1: that
-    of all channels that have readings.
-    """
-
-    count: Annotated[i8s, MOST_CHANNELS, CLASSES]
-    taken: Annotated[i8s, MOST_CHANNELS]
-    due: Annotated[i8s, MOST_CHANNELS]
-    run: Annotated[i8s, MOST_CHANNELS]
-    last: Annotated[f8s, MOST_CHANNELS]
-    older: Annotated[f8s, MOST_CHANNELS]
-    steps: Annotated[i8s, MOST_CHANNELS]
-    least: Annotated[f8s, MOST_CHANNELS]
-    noise: Annotated[f8s, MOST_CHANNELS]
-    resolution: Annotated[f8s, MOST_CHANNELS]
-    known: i8
+    count: Annotated[i8s, MOST_CHANNELS, CLASSES] = means("second differences in each class")
+    taken: Annotated[i8s, MOST_CHANNELS] = means("second differences in all")
+    due: Annotated[i8s, MOST_CHANNELS] = means("with so many of them the noise is asked for next")
+    run: Annotated[i8s, MOST_CHANNELS] = means("readings in a row")
+    last: Annotated[f8s, MOST_CHANNELS] = means("last reading")
+    older: Annotated[f8s, MOST_CHANNELS] = means("reading before that")
+    steps: Annotated[i8s, MOST_CHANNELS] = means("how often a reading changed")
+    least: Annotated[f8s, MOST_CHANNELS] = means("by how much at least")
+    noise: Annotated[f8s, MOST_CHANNELS] = means("noise found; 0: nothing yet")
+    resolution: Annotated[f8s, MOST_CHANNELS] = means("resolution found; 0: nothing yet")
+    known: i8 = means("1: the noise of all channels that have readings")
 
 
 def prepare(c: Const, *, noise: float, step: float, span: float) -> None:

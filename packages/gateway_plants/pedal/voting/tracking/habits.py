@@ -6,7 +6,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8s, i8s, kernel
+from gateway_fdi.jit import Record, f8s, i8s, kernel, means
 from gateway_plants.pedal.voting.movement import bent
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 
@@ -33,56 +33,45 @@ FORGETS = 0.95
 
 
 class State(Record):
-    """State.
+    """State, of each channel.
 
-    ``last``, ``older``, ``oldest``: this reading and the two before; ``raw``: this one as it was read; ``same``: how
-    often the last was repeated; ``gap``: periods between this and the one before, ``spacing``: between that and the one
-    before it; ``wait``: periods for which nothing has come since; ``held``: those since the first of the repeated ones,
-    ``along``: those since ``begin``; ``longest``: most repetitions while the channel was trusted; ``line``: samples,
-    beyond the first two, that lie on one line; ``begin``: where that began; ``before``, ``bend``: reading before
-    ``raw``, and its second difference, ``uneven`` the share of large ones; ``rough``: share of the samples that jumped
-    or were none; ``moved``: by how much it has jumped since it agreed with the others; ``origin``: where it jumped from
-    last; ``torn``: that of it which the quantity cannot move by, in the ``lasted`` periods that it took; ``along_with[i
-    * 3 + j]``: by how much channel j left its way meanwhile; of what it does at present: ``from_``, where it left its
-    way ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, and ``trend`` of its own, ``calm`` samples
-    without a bend, ``leapt`` 1: it bent to and fro, ``left[i * 3 + j]``: where channel j was then; ``anchor[i * 3 +
-    j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 + j]``: how far channel j has been from
-    there since, ``away[i * 3 + j]``: for how many periods it has not been near.
+    Lengths are in the unit of the readings. A leap is what it does since it left its way. Arrays of pairs have channel
+    j beside channel i at ``i * 3 + j``.
     """
 
-    last: Annotated[f8s, MOST_CHANNELS]
-    older: Annotated[f8s, MOST_CHANNELS]
-    oldest: Annotated[f8s, MOST_CHANNELS]
-    raw: Annotated[f8s, MOST_CHANNELS]
-    gap: Annotated[f8s, MOST_CHANNELS]
-    spacing: Annotated[f8s, MOST_CHANNELS]
-    wait: Annotated[f8s, MOST_CHANNELS]
-    held: Annotated[f8s, MOST_CHANNELS]
-    along: Annotated[f8s, MOST_CHANNELS]
-    same: Annotated[i8s, MOST_CHANNELS]
-    longest: Annotated[i8s, MOST_CHANNELS]
-    line: Annotated[i8s, MOST_CHANNELS]
-    begin: Annotated[f8s, MOST_CHANNELS]
-    before: Annotated[f8s, MOST_CHANNELS]
-    bend: Annotated[f8s, MOST_CHANNELS]
-    uneven: Annotated[f8s, MOST_CHANNELS]
-    rough: Annotated[f8s, MOST_CHANNELS]
-    moved: Annotated[f8s, MOST_CHANNELS]
-    torn: Annotated[f8s, MOST_CHANNELS]
-    lasted: Annotated[f8s, MOST_CHANNELS]
-    origin: Annotated[f8s, MOST_CHANNELS]
-    from_: Annotated[f8s, MOST_CHANNELS]
-    pace: Annotated[f8s, MOST_CHANNELS]
-    trend: Annotated[f8s, MOST_CHANNELS]
-    since: Annotated[i8s, MOST_CHANNELS]
-    elapsed: Annotated[f8s, MOST_CHANNELS]
-    calm: Annotated[i8s, MOST_CHANNELS]
-    leapt: Annotated[i8s, MOST_CHANNELS]
-    left: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
-    along_with: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
-    anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
-    away: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
-    strayed: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
+    last: Annotated[f8s, MOST_CHANNELS] = means("this reading")
+    older: Annotated[f8s, MOST_CHANNELS] = means("the reading before")
+    oldest: Annotated[f8s, MOST_CHANNELS] = means("the reading before that")
+    raw: Annotated[f8s, MOST_CHANNELS] = means("this reading as it was read")
+    gap: Annotated[f8s, MOST_CHANNELS] = means("time from older to last", "periods")
+    spacing: Annotated[f8s, MOST_CHANNELS] = means("time from oldest to older", "periods")
+    wait: Annotated[f8s, MOST_CHANNELS] = means("time for which nothing has come since", "periods")
+    held: Annotated[f8s, MOST_CHANNELS] = means("time since the first of the repeated readings", "periods")
+    along: Annotated[f8s, MOST_CHANNELS] = means("time since begin", "periods")
+    same: Annotated[i8s, MOST_CHANNELS] = means("how often the last reading was repeated")
+    longest: Annotated[i8s, MOST_CHANNELS] = means("most repetitions while the channel was trusted")
+    line: Annotated[i8s, MOST_CHANNELS] = means("samples, beyond the first two, that lie on one line")
+    begin: Annotated[f8s, MOST_CHANNELS] = means("where that line began")
+    before: Annotated[f8s, MOST_CHANNELS] = means("reading before raw")
+    bend: Annotated[f8s, MOST_CHANNELS] = means("second difference of raw")
+    uneven: Annotated[f8s, MOST_CHANNELS] = means("share of large second differences")
+    rough: Annotated[f8s, MOST_CHANNELS] = means("share of the samples that jumped or were none")
+    moved: Annotated[f8s, MOST_CHANNELS] = means("by how much it has jumped since it agreed with the others")
+    torn: Annotated[f8s, MOST_CHANNELS] = means("that of moved which the quantity cannot move by in the time of lasted")
+    lasted: Annotated[f8s, MOST_CHANNELS] = means("time that the last jump took", "periods")
+    origin: Annotated[f8s, MOST_CHANNELS] = means("where it jumped from last")
+    from_: Annotated[f8s, MOST_CHANNELS] = means("where the leap began")
+    pace: Annotated[f8s, MOST_CHANNELS] = means("speed of the quantity then, in a period")
+    trend: Annotated[f8s, MOST_CHANNELS] = means("trend of its own, in a period")
+    since: Annotated[i8s, MOST_CHANNELS] = means("samples of the leap; 0: there is none", "samples")
+    elapsed: Annotated[f8s, MOST_CHANNELS] = means("time of the leap", "periods")
+    calm: Annotated[i8s, MOST_CHANNELS] = means("samples of the leap without a bend", "samples")
+    leapt: Annotated[i8s, MOST_CHANNELS] = means("1: it bent to and fro")
+    left: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("where channel j was when the leap began")
+    along_with: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("what channel j left its way by while i jumped")
+    anchor: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("reading of channel j when channel i began to repeat")
+    away: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("for how long j has been off its anchor", "periods")
+    strayed: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("how far channel j has been from its anchor")
 
 
 @kernel

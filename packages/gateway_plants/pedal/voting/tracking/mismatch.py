@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway_fdi.jit import Record, f8s, i8s, kernel
+from gateway_fdi.jit import Record, f8s, i8s, kernel, means
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS, middle
 
 #: Gains of the filter.
@@ -23,13 +23,16 @@ CONTINUE = 10
 
 
 class State(Record):
-    """State: ``mark[i * 3 + j]``: mismatch of channel j when channel i began to repeat its reading."""
+    """State, of each channel, in the unit of the readings.
 
-    level: Annotated[f8s, MOST_CHANNELS]
-    rate: Annotated[f8s, MOST_CHANNELS]
-    error: Annotated[f8s, MOST_CHANNELS]
-    stale: Annotated[i8s, MOST_CHANNELS]
-    mark: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS]
+    ``mark[i * 3 + j]`` is of channel j when channel i began to repeat its reading.
+    """
+
+    level: Annotated[f8s, MOST_CHANNELS] = means("the mismatch")
+    rate: Annotated[f8s, MOST_CHANNELS] = means("its change in a sample")
+    error: Annotated[f8s, MOST_CHANNELS] = means("what it was off by last")
+    stale: Annotated[i8s, MOST_CHANNELS] = means("samples since it was corrected", "samples")
+    mark: Annotated[f8s, MOST_CHANNELS * MOST_CHANNELS] = means("level then")
 
 
 @kernel

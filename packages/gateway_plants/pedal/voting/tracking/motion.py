@@ -6,7 +6,7 @@ samples; variances are squares of that.
 
 from __future__ import annotations
 
-from gateway_fdi.jit import Record, f8, kernel
+from gateway_fdi.jit import Record, f8, kernel, means
 
 #: Samples for which a slope is held when nothing is believed; then it fades.
 HOLD, FADE = 30.0, 0.9
@@ -15,12 +15,12 @@ HOLD, FADE = 30.0, 0.9
 class State(Record):
     """State."""
 
-    x: f8
-    v: f8
-    p00: f8
-    p01: f8
-    p11: f8
-    coasted: f8
+    x: f8 = means("level")
+    v: f8 = means("slope")
+    p00: f8 = means("variance of the level")
+    p01: f8 = means("covariance of level and slope")
+    p11: f8 = means("variance of the slope")
+    coasted: f8 = means("time since a reading was taken", "samples")
 
 
 @kernel

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from gateway_fdi.jit import Record, f8, i8, kernel
+from gateway_fdi.jit import Record, f8, i8, kernel, means
 from gateway_plants.pedal.voting.tracking.habits import FEW
 
 #: Standard deviations of a gate: 6e-7 of normal innovations lie outside.
@@ -20,20 +20,15 @@ NEVER = 1 << 62
 
 
 class Scale(Record):
-    """Scale.
+    """Gates, in the unit of the readings."""
 
-    ``variance``: of a reading; ``agree``: largest difference of readings that agree; ``straight``: largest second
-    difference on a line; ``noise_gate``: largest change of a parity that is noise; ``silent``: repetitions that no
-    live channel makes; ``lively``: movement of the others that a live channel shows, too; ``step``: resolution.
-    """
-
-    variance: f8
-    agree: f8
-    straight: f8
-    noise_gate: f8
-    silent: i8
-    lively: f8
-    step: f8
+    variance: f8 = means("variance of a reading")
+    agree: f8 = means("largest difference of readings that agree")
+    straight: f8 = means("largest second difference on a line")
+    noise_gate: f8 = means("largest change of a parity that is noise")
+    silent: i8 = means("repetitions that no live channel makes")
+    lively: f8 = means("movement of the others that a live channel shows, too")
+    step: f8 = means("resolution")
 
 
 @kernel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i8, i8s
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, means
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 from gateway_plants.pedal.voting.tracking.habits import State as Habits
 from gateway_plants.pedal.voting.tracking.mismatch import State as Mismatch
@@ -34,78 +34,63 @@ NONE, AGREED, SINGLE, MOVED, COMMON_MODE, COASTED, FOLLOWED = range(7)
 
 
 class Const(Record):
-    """Constants.
+    """Constants, in the unit of the readings."""
 
-    ``floor``, ``ceiling``: where readings are clipped; ``common`` 1: a supply may move all channels, each
-    by ``lean``, its reading at rest over its slope, plus the level;
-    ``noise``, ``step``: of a reading, as told; ``widest``: largest deviation of the level.
-    """
-
-    channels: i8
-    low: f8
-    high: f8
-    floor: f8
-    ceiling: f8
-    noise: f8
-    step: f8
-    slew: f8
-    bend: f8
-    mismatch: f8
-    tolerance: f8
-    creep: f8
-    common: i8
-    lean: Annotated[f8s, MOST_CHANNELS]
-    widest: f8
+    channels: i8 = means("channels, 2 or 3")
+    low: f8 = means("least value of the quantity")
+    high: f8 = means("largest value of the quantity")
+    floor: f8 = means("readings are clipped there from below")
+    ceiling: f8 = means("readings are clipped there from above")
+    noise: f8 = means("standard deviation of a reading, as told")
+    step: f8 = means("resolution, as told")
+    slew: f8 = means("largest true change in a sample")
+    bend: f8 = means("standard deviation of the change of slope in a sample")
+    mismatch: f8 = means("usual difference of the channels' gains, four times")
+    tolerance: f8 = means("slow mismatch that is usual")
+    creep: f8 = means("largest change of a drift in a sample")
+    common: i8 = means("1: a supply may move all channels")
+    lean: Annotated[f8s, MOST_CHANNELS] = means("reading at rest over slope; a supply moves it by this and the level")
+    widest: f8 = means("largest standard deviation of the level")
 
 
 class State(Record):
-    """State.
+    """State, in the unit of the readings. Who brings the readings sets ``slack`` and ``swing``."""
 
-    ``used``: bits of the channels in the value; ``isolated``: bits, reasons in ``why``; ``drift`` 1 while the
-    channels' slow mismatch exceeds the tolerance and none of them is known to be the cause. ``y``: the readings,
-    NaN for none; ``z``: without the mismatch; ``anchor``: the last level that was sure; ``parity``, ``lately``:
-    what the two trusted channels of ``pair`` differed by when they last agreed, ``apart`` samples ago, and in the last
-    sample; ``met``: they have agreed before; ``alone``: samples for which there has been one trusted channel.
-    ``scale``: of the gates; ``slack``: what channels that lag behind each other may differ by at present, ``swing``:
-    what one may still move when the other stands, both set by who brings the readings; ``raw``: as they were read,
-    where ``y`` is filtered; ``absent``: bits of the channels of which nothing has come.
-    """
-
-    value: f8
-    used: i8
-    source: i8
-    isolated: i8
-    why: Annotated[i8s, MOST_CHANNELS]
-    drift: i8
-    spread: f8
-    rejected: Annotated[i8s, MOST_CHANNELS]
-    back: Annotated[i8s, MOST_CHANNELS]
-    innovation: Annotated[f8s, MOST_CHANNELS]
-    gate: f8
-    common: i8
-    accord: i8
-    alone: i8
-    sure: i8
-    pair: i8
-    met: i8
-    parity: f8
-    lately: f8
-    apart: f8
-    started: i8
-    anchor: f8
-    y: Annotated[f8s, MOST_CHANNELS]
-    z: Annotated[f8s, MOST_CHANNELS]
-    raw: Annotated[f8s, MOST_CHANNELS]
-    absent: i8
-    scale: Scale
-    slack: f8
-    swing: f8
-    motion: Motion
-    old: Motion
-    old_age: i8
-    old_hits: i8
-    mismatch: Mismatch
-    habits: Habits
+    value: f8 = means("the value voted")
+    used: i8 = means("bits of the channels in the value")
+    source: i8 = means("what the value comes from")
+    isolated: i8 = means("bits of the channels isolated")
+    why: Annotated[i8s, MOST_CHANNELS] = means("reason of each channel")
+    drift: i8 = means("1: the slow mismatch exceeds the tolerance, and no channel is known to be the cause")
+    spread: f8 = means("mismatch of the channels")
+    rejected: Annotated[i8s, MOST_CHANNELS] = means("how often each channel was rejected, lately")
+    back: Annotated[i8s, MOST_CHANNELS] = means("for how long an isolated channel has followed the track", "samples")
+    innovation: Annotated[f8s, MOST_CHANNELS] = means("reading less the track")
+    gate: f8 = means("largest innovation that is noise")
+    common: i8 = means("samples in which channels agreed beside the track", "samples")
+    accord: i8 = means("samples in which isolated channels agreed", "samples")
+    alone: i8 = means("samples for which there has been one trusted channel", "samples")
+    sure: i8 = means("samples in which channels agreed on the track", "samples")
+    pair: i8 = means("bits of the two trusted channels")
+    met: i8 = means("1: they have agreed before")
+    parity: f8 = means("what they differed by when they last agreed")
+    lately: f8 = means("what they differed by in the last sample")
+    apart: f8 = means("time since they last agreed", "samples")
+    started: i8 = means("1: there is a track")
+    anchor: f8 = means("last level that was sure")
+    y: Annotated[f8s, MOST_CHANNELS] = means("readings; NaN: none")
+    z: Annotated[f8s, MOST_CHANNELS] = means("readings without the mismatch")
+    raw: Annotated[f8s, MOST_CHANNELS] = means("readings as they were read, where y is filtered")
+    absent: i8 = means("bits of the channels of which nothing has come")
+    scale: Scale = means("the gates")
+    slack: f8 = means("what channels that lag behind each other may differ by at present")
+    swing: f8 = means("what one channel may still move when another stands")
+    motion: Motion = means("the track")
+    old: Motion = means("a track that was given up")
+    old_age: i8 = means("samples since that; 0: there is none", "samples")
+    old_hits: i8 = means("readings near the old track")
+    mismatch: Mismatch = means("what channels differ by for long")
+    habits: Habits = means("what each channel does by itself")
 
 
 def prepare(

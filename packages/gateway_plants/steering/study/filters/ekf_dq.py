@@ -23,31 +23,31 @@ import numpy as np
 from gateway_fdi.filters import gaussian, motor
 from gateway_fdi.filters.gaussian import ENTRIES, STATES
 from gateway_fdi.filters.motor import Motor
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
 
 class Const(Record):
     """Constants."""
 
-    motor: motor.Const
-    n: i8
-    steps: i8
-    h: f8
-    q: Annotated[f8s, ENTRIES]
-    r: f8
-    start: Annotated[f8s, STATES]
+    motor: motor.Const = means("the motor")
+    n: i8 = means("states in use: 3, or 4 with the load")
+    steps: i8 = means("Euler sub-steps in a period")
+    h: f8 = means("length of a sub-step", "s")
+    q: Annotated[f8s, ENTRIES] = means("process noise of a sub-step")
+    r: f8 = means("variance of a current", "A^2")
+    start: Annotated[f8s, STATES] = means("variances at the start")
 
 
 class State(Record):
     """State."""
 
-    x: Annotated[f8s, STATES]
-    p: Annotated[f8s, ENTRIES]
-    f: Annotated[f8s, ENTRIES]
-    w: Annotated[f8s, ENTRIES]
-    theta: f8
-    nis: f8
-    started: i8
+    x: Annotated[f8s, STATES] = means("I_d, I_q [A], omega [rad/s], M [N m]")
+    p: Annotated[f8s, ENTRIES] = means("covariance of x")
+    f: Annotated[f8s, ENTRIES] = means("Jacobian F")
+    w: Annotated[f8s, ENTRIES] = means("room for products")
+    theta: f8 = means("angle of its own, mechanical", "rad")
+    nis: f8 = means("normalised innovation squared")
+    started: i8 = means("1: it has begun")
 
 
 def prepare(

@@ -17,24 +17,24 @@ from typing import Annotated
 import numpy as np
 
 from gateway_fdi.filters.motor import Motor
-from gateway_fdi.jit import Record, f8, f8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, kernel, means
 
 
 class Const(Record):
     """Constants."""
 
-    a: Annotated[f8s, 4]
-    b: Annotated[f8s, 2]
-    k: Annotated[f8s, 2]
-    period: f8
+    a: Annotated[f8s, 4] = means("A_d")
+    b: Annotated[f8s, 2] = means("B_d")
+    k: Annotated[f8s, 2] = means("K")
+    period: f8 = means("time between measurements", "s")
 
 
 class State(Record):
-    """State: ``theta``: mechanical angle [rad], the integral of the speed."""
+    """State."""
 
-    current: f8
-    omega: f8
-    theta: f8
+    current: f8 = means("I_q", "A")
+    omega: f8 = means("speed", "rad/s")
+    theta: f8 = means("mechanical angle, the integral of the speed", "rad")
 
 
 def design(

@@ -15,26 +15,26 @@ from __future__ import annotations
 from math import exp
 
 from gateway_fdi.filters.motor import Motor
-from gateway_fdi.jit import Record, f8, kernel
+from gateway_fdi.jit import Record, f8, kernel, means
 
 
 class Const(Record):
     """Constants."""
 
-    a: f8
-    current: f8
-    voltage: f8
-    gain: f8
-    period: f8
+    a: f8 = means("transition of x_B over a period")
+    current: f8 = means("share of a mean current in x_B", "rad/s/A")
+    voltage: f8 = means("share of a mean voltage in x_B", "rad/s/V")
+    gain: f8 = means("K_r", "rad/s/A")
+    period: f8 = means("time between measurements", "s")
 
 
 class State(Record):
-    """State: ``theta``: mechanical angle [rad], the integral of the speed."""
+    """State."""
 
-    x: f8
-    omega: f8
-    theta: f8
-    current: f8
+    x: f8 = means("x_B", "rad/s")
+    omega: f8 = means("speed", "rad/s")
+    theta: f8 = means("mechanical angle, the integral of the speed", "rad")
+    current: f8 = means("I_q of the last step", "A")
 
 
 def printed_pole(motor: Motor) -> float:

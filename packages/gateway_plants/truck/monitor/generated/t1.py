@@ -6,15 +6,15 @@ Sequence ({U_em}, {e7})
 
 from typing import Any
 
-from gateway_fdi.jit import Record, f8, kernel
+from gateway_fdi.jit import Record, f8, kernel, means
 
 
 class State(Record):
-    unused_: f8
+    unused_: f8 = means('nothing')
 
 
 class Const(Record):
-    unused_: f8
+    unused_: f8 = means('nothing')
 
 
 KNOWNS = ('U_em_ctrl', 'U_em_sens')

@@ -8,58 +8,58 @@ from math import sin, exp, isfinite, pi, nan
 from typing import Annotated, Any
 
 from gateway_fdi.structure.generator.runtime import interpolate, root, sign
-from gateway_fdi.jit import Record, f8, f8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, kernel, means
 
 
 class State(Record):
-    m_f: f8
-    d_m_f: f8
-    filtered_: f8
-    last_: f8
-    drive_: f8
+    m_f: f8 = means('fuel consumed', 'kg')
+    d_m_f: f8 = means('derivative of m_f', 'kg/s')
+    filtered_: f8 = means('residual by (20)')
+    last_: f8 = means('omega_w at the sample before', 'rad/s')
+    drive_: f8 = means('b of (20) at the sample before')
 
 
 class Const(Record):
-    q_LHV: f8
-    eta_e_i: f8
-    N_cyl: f8
-    B: f8
-    S: f8
-    p_me0_g: f8
-    k_1: f8
-    k_2: f8
-    k_3: f8
-    k_4: f8
-    Pi_bl: f8
-    k_i: f8
-    R_em: f8
-    eta_em_0: f8
-    c_em_f: f8
-    u_em: f8
-    J_em: f8
-    J_c: f8
-    J_e: f8
-    eta_pos: f8
-    eta_neg: f8
-    u_f: f8
-    m_v0: f8
-    rho: f8
-    C_d: f8
-    A_f: f8
-    C_r: f8
-    r_w: f8
-    g: f8
-    c_w: f8
-    T_l0: f8
-    T_lg: f8
-    T_lw: f8
-    n_g: f8
-    f_2_x: Annotated[f8s, 12]
-    f_2_y: Annotated[f8s, 12]
-    f_3_x: Annotated[f8s, 12]
-    f_3_y: Annotated[f8s, 12]
-    start_m_f: f8
-    filter_bandwidth: f8
+    q_LHV: f8 = means('lower heating value of the fuel', 'J/kg')
+    eta_e_i: f8 = means('efficiency of the engine, indicated')
+    N_cyl: f8 = means('cylinders of the engine')
+    B: f8 = means('bore', 'm')
+    S: f8 = means('stroke', 'm')
+    p_me0_g: f8 = means("mean effective pressure of the engine's gas exchange", 'Pa')
+    k_1: f8 = means('friction of the engine, e3', 'Pa')
+    k_2: f8 = means('friction of the engine, e3: at rest')
+    k_3: f8 = means('friction of the engine, e3: with speed', 's2/m2')
+    k_4: f8 = means('friction of the engine, e3: with the bore', 'm')
+    Pi_bl: f8 = means('friction of the engine, e3: a factor')
+    k_i: f8 = means('torque constant of the machine without losses', 'V s/rad')
+    R_em: f8 = means('resistance of the machine', 'ohm')
+    eta_em_0: f8 = means('efficiency of the machine')
+    c_em_f: f8 = means('friction of the machine', 'Nm s/rad')
+    u_em: f8 = means('ratio of the machine to the joint')
+    J_em: f8 = means('inertia of the machine', 'kg m2')
+    J_c: f8 = means('inertia of the clutch', 'kg m2')
+    J_e: f8 = means('inertia of the engine', 'kg m2')
+    eta_pos: f8 = means('efficiency of the gearbox, driving')
+    eta_neg: f8 = means('1/0.97: what the wheels deliver covers the loss')
+    u_f: f8 = means('ratio of the final gear')
+    m_v0: f8 = means('mass of the vehicle before fuel is consumed', 'kg')
+    rho: f8 = means('density of the air', 'kg/m3')
+    C_d: f8 = means('air drag')
+    A_f: f8 = means('front area', 'm2')
+    C_r: f8 = means('rolling resistance')
+    r_w: f8 = means('radius of the wheels', 'm')
+    g: f8 = means('gravity', 'm/s2')
+    c_w: f8 = means('rolling resistance near standstill, the 1000 of e26', 'Nm s/rad')
+    T_l0: f8 = means('loss of the gearbox', 'Nm')
+    T_lg: f8 = means('likewise, of each gear below the highest', 'Nm')
+    T_lw: f8 = means('likewise, with speed', 'Nm s/rad')
+    n_g: f8 = means('highest gear')
+    f_2_x: Annotated[f8s, 12] = means('inertia of the gearbox [kg m2] over gear: points')
+    f_2_y: Annotated[f8s, 12] = means('inertia of the gearbox [kg m2] over gear: values')
+    f_3_x: Annotated[f8s, 12] = means('ratio of the gearbox over gear: points')
+    f_3_y: Annotated[f8s, 12] = means('ratio of the gearbox over gear: values')
+    start_m_f: f8 = means('m_f at the start', 'kg')
+    filter_bandwidth: f8 = means('alpha of (20)', 'rad/s')
 
 
 KNOWNS = ('ice_ctrl', 'U_em_ctrl', 'u_c', 'gear', 'alpha', 'T_b_ctrl', 'omega_e_sens', 'omega_gb_sens')

@@ -7,19 +7,19 @@ Sequence ({U_em}, {e7}), ({I_em}, {e35}), ({omega_em}, {e8}), ({omega_mj}, {e16}
 from typing import Annotated, Any
 
 from gateway_fdi.structure.generator.runtime import interpolate
-from gateway_fdi.jit import Record, f8, f8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, kernel, means
 
 
 class State(Record):
-    unused_: f8
+    unused_: f8 = means('nothing')
 
 
 class Const(Record):
-    k_i: f8
-    R_em: f8
-    u_em: f8
-    f_3_x: Annotated[f8s, 12]
-    f_3_y: Annotated[f8s, 12]
+    k_i: f8 = means('torque constant of the machine without losses', 'V s/rad')
+    R_em: f8 = means('resistance of the machine', 'ohm')
+    u_em: f8 = means('ratio of the machine to the joint')
+    f_3_x: Annotated[f8s, 12] = means('ratio of the gearbox over gear: points')
+    f_3_y: Annotated[f8s, 12] = means('ratio of the gearbox over gear: values')
 
 
 KNOWNS = ('U_em_ctrl', 'gear', 'I_em_sens', 'omega_gb_sens')

@@ -8,20 +8,20 @@ from math import isfinite
 from typing import Annotated, Any
 
 from gateway_fdi.structure.generator.runtime import interpolate
-from gateway_fdi.jit import Record, f8, f8s, kernel
+from gateway_fdi.jit import Record, f8, f8s, kernel, means
 
 
 class State(Record):
-    SoC: f8
-    d_SoC: f8
+    SoC: f8 = means('state of charge')
+    d_SoC: f8 = means('derivative of SoC', '1/s')
 
 
 class Const(Record):
-    Q_b: f8
-    R_b: f8
-    f_1_x: Annotated[f8s, 11]
-    f_1_y: Annotated[f8s, 11]
-    start_SoC: f8
+    Q_b: f8 = means('charge of the battery', 'As')
+    R_b: f8 = means('inner resistance of the battery', 'ohm')
+    f_1_x: Annotated[f8s, 11] = means('open circuit voltage [V] over state of charge: points')
+    f_1_y: Annotated[f8s, 11] = means('open circuit voltage [V] over state of charge: values')
+    start_SoC: f8 = means('SoC at the start')
 
 
 KNOWNS = ('I_b_sens', 'U_em_sens', 'I_em_sens')
