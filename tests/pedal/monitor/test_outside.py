@@ -1,4 +1,4 @@
-"""Pedals of another make (tests/plants/pedal): none is accused that is healthy, and faults have their names."""
+"""Pedals of another make (packages/gateway_plants/pedal/study/outside): none is accused that is healthy, and faults have their names."""
 
 import numpy as np
 import pytest
@@ -114,7 +114,7 @@ def test_every_fault_is_found_and_named(name, lag):
     print(sorted((firsts.count(one), one) for one in set(firsts)), others)
     # Two channels bridged half-way read what they read before.
     assert np.isfinite(delays).sum() >= (0.9 if name == "bridged" else 1.0) * runs
-    if lag == 0.0 or FULL:  # behind a filter a fault is now and then taken for its neighbour's: docs/pedal.md
+    if lag == 0.0 or FULL:  # behind a filter a fault is now and then taken for its neighbour's: docs/pedal/pedal.md
         assert sum(first in row.names for first in firsts) >= (0.65 if lag else 0.85) * runs
     assert others == [], "nothing was wrong with channel 2: a wrong name is worse than none"
 

@@ -1,4 +1,4 @@
-"""Steerings of another make (tests/plants/steering): what differs from what is told, and what is at fault."""
+"""Steerings of another make (tests/steering/outside): what differs from what is told, and what is at fault."""
 
 import numpy as np
 import pytest

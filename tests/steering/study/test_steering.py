@@ -44,7 +44,7 @@ def estimators(tmp_path_factory):
         ("reduced Luenberger", 0.2),
         ("feedforward, held", 0.2),
         ("EKF5 ab", 0.2),
-        # Measured differently, see docs/steering.md.
+        # Measured differently, see docs/steering/steering.md.
         ("EKF3 dq", 0.4),
         ("EKF4 ab", 0.7),
     ],
