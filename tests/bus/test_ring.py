@@ -55,6 +55,16 @@ def test_the_newest_frames_are_there_without_a_gap_and_the_size_is_bounded(
     assert ring.lost == 0
 
 
+def test_the_size_is_bounded_to_the_batch_that_fills_the_last_segment(tmp_path):
+    ring = Ring(RingParams(folder=tmp_path, keep_mb=0.03, segment_mb=0.01), {0: "vcan0"})
+    most = 0
+    for k in range(200):
+        ring.write(batch(10 * k, 10))
+        most = max(most, sum(path.stat().st_size for path in segments(tmp_path)))
+    ring.close()
+    assert 0.02e6 < most <= 0.03e6 + 10 * 60
+
+
 def test_time_ends_a_segment_too_and_names_tell_when(tmp_path):
     ring = Ring(RingParams(folder=tmp_path, segment_s=1.0), {})
     start = 1_700_000_000 * 10**9

@@ -211,3 +211,17 @@ def test_an_envelope_is_bounded_and_loses_no_extreme():
     (at,) = np.flatnonzero(trace.failed)
     assert trace.t_ns[at] <= 765_432_000 < trace.t_ns[at + 1]
     assert json.dumps(trace.limit.tolist()).count("3.0") == len(trace.t_ns)
+
+
+def test_the_limit_of_a_bucket_is_its_last_one():
+    count = 40 * BUCKETS
+    times = np.arange(count) * 1000
+    rows = Rows(
+        times, np.zeros(count, np.int32), np.zeros(count), np.arange(count, dtype=float), np.zeros(count, np.int8)
+    )
+    envelope, one = Envelope(), Series("m", "quantity", "r")
+    envelope.write(rows, [one])
+    trace = envelope.traces[one]
+    ends = np.append(np.searchsorted(times, trace.t_ns[1:]), count) - 1
+    assert trace.limit.tolist() == ends.tolist()
+    assert len(trace.limit) < count

@@ -318,6 +318,23 @@ def test_each_fault_has_its_operation_cycle_and_its_aging_cycle():
         assert memory.entry("m.f0").aged_cycles == k + 1, "warm-up cycles age it, power cycles do not"
 
 
+def test_the_power_cycle_ends_the_cycles_within_it_before_itself():
+    def aged(*ends):
+        memory = AtOnce(catalogue(confirm=(1,), cycle=("driving",), aging_cycle=("power",)), Store(None))
+        found = []
+        for k in range(4):
+            memory.start_cycle(2 * k)
+            memory.start_cycle(2 * k, "driving")
+            (heal if k else fail)(memory, 0)
+            for name in ends:
+                memory.end_cycle(2 * k + 1, name)
+            found.append((memory.status("m.f0"), memory.entry("m.f0").aged_cycles))
+        return found
+
+    assert aged("power") == aged("driving", "power")
+    assert [count for _, count in aged("power")] == [0, 1, 2, 3]
+
+
 def test_the_power_cycle_ends_what_a_killed_process_left_open(tmp_path):
     path = tmp_path / "f.sqlite"
     store = Store(path)

@@ -1,6 +1,7 @@
 """Time as it is: pauses of the bus are no message's, lost frames are not "on change", late ECUs have their time."""
 
 import random
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from gateway_bench.wire.replayed import through
 from gateway_fleet.cli.learn import learn_car
 from gateway_fleet.learn.gaps import CYCLIC, Gaps, lost_share, sending, timeout_ms
 from gateway_fleet.learn.learn import learn
+from gateway_fleet.learn.limits import _ended
 from gateway_fleet.learn.lines import CHECK
 
 MS = 1_000_000
@@ -110,3 +112,10 @@ def test_what_an_update_drops_is_told(tmp_path):
     result = learn(asked(out, tmp_path / "second.log", databases=(tmp_path / "car.dbc",), update=True), quiet)
     assert [line for line in result.dropped if "M3" in line and "timeout_ms" in line], result.dropped
     assert not any("M0" in line for line in result.dropped)
+
+
+@pytest.mark.parametrize(("ended_s", "ended"), [(2.9, False), (3.1, True)])
+def test_a_message_has_ended_that_stopped_three_of_its_longest_gaps_before_its_log(ended_s, ended):
+    seen = SimpleNamespace(ended_s=ended_s, gaps=SimpleNamespace(largest_ns=10**9))
+    assert _ended(seen) is ended
+    assert not _ended(SimpleNamespace(ended_s=1.9, gaps=SimpleNamespace(largest_ns=10**7))), "two seconds at least"
