@@ -1,4 +1,4 @@
-"""Pedals of another make (gateway_plants/pedal/study/outside): none that is healthy is accused, faults have their names."""
+"""Pedals of another make (study/outside of the pedal): none that is healthy is accused, faults have their names."""
 
 import numpy as np
 import pytest
