@@ -223,7 +223,7 @@ def interventions(config: Path | None, *, memory: Path | None, json: bool) -> in
             each["request"], refused,
         )  # fmt: skip
     table.columns[0].no_wrap = True
-    wide_console().print(table if found else "nobody intervened")
+    wide_console().print(table if found else "no interventions")
     return 0
 
 

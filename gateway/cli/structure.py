@@ -1,4 +1,4 @@
-"""``gateway structure``: which residual generators a model has, and what they tell."""
+"""``gateway structure``: which residual generators a model has, and which faults they isolate."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ class Work(Protocol):
     """A piece of work that is handed over, as a ``concurrent.futures.Future`` tells of it."""
 
     def done(self) -> bool:
-        """Tell whether it has ended."""
+        """Return whether it has ended."""
 
     def exception(self, timeout: float | None = None) -> BaseException | None:
         """Return what it raised, after waiting for its end.

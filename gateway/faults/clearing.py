@@ -104,7 +104,7 @@ class Clearing:
         return cleared
 
     def knows(self, group: int) -> bool:
-        """Tell whether a clear of this DTC or group would mean any fault."""
+        """Return whether a clear of this DTC or group would mean any fault."""
         return group == ALL_DTCS or any(self._is_in(record, group) for record in self._held.records.values())
 
     def _is_in(self, record: Record, group: int) -> bool:

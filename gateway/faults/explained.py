@@ -56,7 +56,7 @@ class Cause:
         return self.ranked[0].probability
 
     def same(self, other: Cause | None) -> bool:
-        """Tell whether another one says the same, whenever it was known."""
+        """Return whether another one says the same, whenever it was known."""
         return other is not None and (self.role, self.ranked, self.lead) == (other.role, other.ranked, other.lead)
 
     def as_dict(self) -> dict[str, Any]:

@@ -329,7 +329,7 @@ class Ledger:
         self._write = _Write(writer.submit(self.store.save, changes, whole), t_ns, changes, self._permanent.all())
 
     def under_way(self, patience_s: float = 0.0) -> bool:
-        """Tell whether a thread is at the file still, after waiting so long at most [s]."""
+        """Return whether a thread is at the file still, after waiting so long at most [s]."""
         work = self._tending if self._write is None else self._write.work
         if work is None:
             return False

@@ -269,7 +269,7 @@ class FaultMemory(Readable):
         self._held.begin(self._now_ns, writer, anew=anew)
 
     def under_way(self, patience_s: float = 0.0) -> bool:
-        """Tell whether a thread writes still, after waiting so long at most [s]."""
+        """Return whether a thread writes still, after waiting so long at most [s]."""
         return self._held.under_way(patience_s)
 
     def tend(self, writer: Writer, work: Callable[[], None]) -> None:
@@ -363,7 +363,7 @@ class FaultMemory(Readable):
         return self._clearing.clear(group, self._now_ns)
 
     def knows(self, group: int) -> bool:
-        """Tell whether a clear of this DTC or group would mean any fault."""
+        """Return whether a clear of this DTC or group would mean any fault."""
         return self._clearing.knows(group)
 
     def serve_requests(self, before: Callable[[], None] = lambda: None, judge: Judge = lambda asked: 0) -> list[str]:
@@ -376,7 +376,7 @@ class FaultMemory(Readable):
         return self._clearing.serve_requests(self._now_ns, before, judge)
 
     def is_mil_on_now(self) -> bool:
-        """Tell whether a DTC asks for the MIL, written or not: not for others."""
+        """Return whether a DTC asks for the MIL, written or not: not for others."""
         return is_mil_on((self._records[fault] for fault in self._lamps), self._definitions)
 
     def status_now(self, fault: str) -> Status:

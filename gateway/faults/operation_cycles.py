@@ -80,11 +80,11 @@ class OperationCycles:
         return self._held.cycles[name].number if name in self._held.cycles else 0
 
     def is_open(self, name: str) -> bool:
-        """Tell whether a cycle has begun, and is not over."""
+        """Return whether a cycle has begun, and is not over."""
         return name in self._held.cycles and self._held.cycles[name].open
 
     def counts(self, definition: FaultDefinition) -> bool:
-        """Tell whether a result of a fault counts: its operation cycle has begun, and is not over.
+        """Return whether a result of a fault counts: its operation cycle has begun, and is not over.
 
         The power cycle is there from the start, also where nobody begins it.
         """

@@ -29,7 +29,7 @@ class Pace:
         return 2 * self._credit_ns >= self._most_ns
 
     def allows(self, t_ns: int, faults: int = 0) -> bool:
-        """Tell whether to write now; a yes is used up, and more of it the more there is to write.
+        """Return whether to write now; a yes is used up, and more of it the more there is to write.
 
         Args:
             t_ns: now [ns].

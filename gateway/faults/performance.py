@@ -80,7 +80,7 @@ class Performance:
                 self._count(fault, Ratio(0, 1))
 
     def _is_first(self, name: str) -> bool:
-        """Tell whether the operation cycle is open, and this is the first time in it."""
+        """Return whether the operation cycle is open, and this is the first time in it."""
         if self._cycle is None or not self._cycles.is_open(self._cycle):
             return False
         number = self._cycles.number(self._cycle)

@@ -81,7 +81,7 @@ class Readable:
         return Status(self._held.shown[fault].status)
 
     def is_mil_on(self) -> bool:
-        """Tell whether a DTC asks for the MIL."""
+        """Return whether a DTC asks for the MIL."""
         return is_mil_on(self._held.shown.values(), self._definitions)
 
     def permanent(self) -> list[Permanent]:

@@ -123,7 +123,7 @@ def daemon_state(path: Path) -> dict[str, Any]:
 
 
 def overflowed(path: Path) -> bool:
-    """Tell whether an entry had to be given up, or could not be made, since the last clear of all.
+    """Return whether an entry had to be given up, or could not be made, since the last clear of all.
 
     Raises:
         InputError: there is no fault memory at this path.

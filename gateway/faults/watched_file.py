@@ -106,19 +106,19 @@ class WatchedFile:
         self._log_state = _set_back(self._wal)
 
     def file_is_same(self) -> bool:
-        """Tell whether nobody has touched the file."""
+        """Return whether nobody has touched the file."""
         return _state(self._path) == self._file_state
 
     def log_is_same(self) -> bool:
-        """Tell whether nobody has touched the log."""
+        """Return whether nobody has touched the log."""
         return _state(self._wal) == self._log_state
 
     def index_is_same(self) -> bool:
-        """Tell whether the index of the log is the one that is open; what is in it SQLite mends by itself."""
+        """Return whether the index of the log is the one that is open; what is in it SQLite mends by itself."""
         return _state(self._shm)[:2] == self._index
 
     def is_same(self) -> bool:
-        """Tell whether nobody has touched any of the three: the quick look."""
+        """Return whether nobody has touched any of the three: the quick look."""
         return self.file_is_same() and self.log_is_same() and self.index_is_same()
 
     def what_changed(self, head: chain.Head) -> tuple[str, str]:

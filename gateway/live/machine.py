@@ -1,4 +1,4 @@
-"""What a daemon uses of the machine that it runs on: given to it, so that tests can give another one."""
+"""The machine that a daemon runs on, as it uses it: given to it, so that tests can give another one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Thread(Protocol):
     """A thread that has begun."""
 
     def is_alive(self) -> bool:
-        """Tell whether it works still."""
+        """Return whether it works still."""
 
     def join(self) -> None:
         """Wait until it has ended."""

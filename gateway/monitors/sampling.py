@@ -273,7 +273,7 @@ def _steps(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
 
 @kernel
 def _follows(s: Numbers, c: Const, counter: float) -> bool:
-    """Tell whether a counter is the next one."""
+    """Return whether a counter is the next one."""
     return bool(counter - s.counter == 1.0 or (counter == 0.0 and s.counter == c.modulo - 1))
 
 
@@ -343,7 +343,7 @@ def _gap(s: Any, c: Const, t_ns: int) -> int:
 
 @kernel
 def is_awaited(s: Any, c: Const, t_ns: int, have: int) -> bool:
-    """Tell whether a message is waited for: it has not come, but did within the window, or may come yet."""
+    """Return whether a message is waited for: it has not come, but did within the window, or may come yet."""
     missing = c.every & ~have
     if missing == 0:
         return False
@@ -410,7 +410,7 @@ def _take_of_set(s: Any, c: Const, message: int, t_ns: int, counter: float) -> i
 
 @kernel
 def _belongs_to_the_next(s: Any, c: Const, t_ns: int) -> bool:
-    """Tell whether a message that has been away came after its sample was taken: its next frame belongs to this one."""
+    """Return whether a message that has been away came after its sample was taken: its next frame belongs to this one."""
     back = s.away & s.fresh
     s.away = 0
     for k in range(c.messages):
@@ -421,7 +421,7 @@ def _belongs_to_the_next(s: Any, c: Const, t_ns: int) -> bool:
 
 @kernel
 def _waits(s: Any, c: Const, message: int, t_ns: int) -> bool:
-    """Tell whether what has come of a set is not yet a sample."""
+    """Return whether what has come of a set is not yet a sample."""
     if c.ordered == 1:
         return bool(message < c.messages - 1)
     return bool(is_awaited(s, c, t_ns, s.fresh) or _belongs_to_the_next(s, c, t_ns))

@@ -20,7 +20,7 @@ from gateway_fdi.jit import kernel
 
 @kernel
 def _runs(s: Any, c: Const, t_ns: int) -> bool:
-    """Tell whether the clock runs; it begins when each message has come, or is waited for no more.
+    """Return whether the clock runs; it begins when each message has come, or is waited for no more.
 
     On the line the first sample lies behind what has come: before that there is no line.
     """

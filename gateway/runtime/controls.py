@@ -104,7 +104,7 @@ class Controls:
         return math.nan if age_ns is None or age_ns > self._stale_ns else self.value(name)
 
     def meets(self, conditions: Sequence[ConditionSettings]) -> bool:
-        """Tell whether signals are in their ranges now; one that is unknown or too old is not."""
+        """Return whether signals are in their ranges now; one that is unknown or too old is not."""
         return all(self._is_met(condition) for condition in conditions)
 
     def _is_met(self, condition: ConditionSettings) -> bool:
@@ -119,7 +119,7 @@ class Controls:
             self._watcher.note(replace(intervention, t_ns=self._engine.wall_ns(self._engine.now_ns)))
 
     def knows(self, group: int) -> bool:
-        """Tell whether there is such a DTC or group."""
+        """Return whether there is such a DTC or group."""
         return self._memory.knows(group)
 
     def clear(self, group: int) -> bool:

@@ -233,12 +233,12 @@ class Explainer:
         return due
 
     def _is_confirmed(self, symptom: Record) -> bool:
-        """Tell whether the entry is confirmed that stands for a symptom's cause."""
+        """Return whether the entry is confirmed that stands for a symptom's cause."""
         cause = symptom.cause
         return cause is not None and bool(self._memory.record(cause.lead).status & Status.CONFIRMED_DTC)
 
     def _is_symptom(self, record: Record) -> bool:
-        """Tell whether an entry is held: a symptom, unless a lamp would stay dark that its lead does not ask for."""
+        """Return whether an entry is held: a symptom, unless a lamp would stay dark that its lead does not ask for."""
         cause = record.cause
         if cause is None or cause.role != SYMPTOM or cause.lead == record.id:
             return False

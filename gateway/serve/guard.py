@@ -68,7 +68,7 @@ class Rights:
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address is one that no other machine can reach."""
+    """Return whether an address is one that no other machine can reach."""
     if host == "localhost":
         return True
     try:

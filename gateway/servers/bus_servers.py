@@ -66,7 +66,7 @@ class BusServers:
             self._set_due(k)
 
     def indifferent(self, frames: Frames) -> bool:
-        """Tell whether a batch is for no server by its identifiers alone, as most are; others are cut."""
+        """Return whether a batch is for no server by its identifiers alone, as most are; others are cut."""
         heard = self._heard
         if heard is None:
             return False

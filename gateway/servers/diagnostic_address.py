@@ -7,7 +7,7 @@ from gateway_fdi.errors import InputError
 
 
 def share_address(one: IsoTpParams, other: IsoTpParams, *, same_bus: bool) -> bool:
-    """Tell whether two servers have one address.
+    """Return whether two servers have one address.
 
     Args:
         one: of the UDS server.

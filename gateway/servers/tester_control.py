@@ -21,10 +21,10 @@ class TesterControl(Protocol):
     """The gateway, as the servers that testers speak to see it."""
 
     def knows(self, group: int) -> bool:
-        """Tell whether there is such a DTC or group."""
+        """Return whether there is such a DTC or group."""
 
     def meets(self, conditions: Sequence[ConditionSettings]) -> bool:
-        """Tell whether signals are in their ranges now; one that is unknown or too old is not."""
+        """Return whether signals are in their ranges now; one that is unknown or too old is not."""
 
     def note(self, intervention: Intervention) -> None:
         """Keep and tell what a tester did, or was refused; its time is now."""

@@ -131,7 +131,7 @@ def extract(words: Any, s: Any) -> float:
 
 @kernel
 def among(value: int, ids: Any, first: int, count: int) -> bool:
-    """Tell whether a value is one of ``ids[first:first + count]``."""
+    """Return whether a value is one of ``ids[first:first + count]``."""
     for k in range(first, first + count):
         if ids[k] == value:
             return True

@@ -141,7 +141,7 @@ class Collector:
                 window.columns[place] = buckets[fault].copy()
 
     def _fails(self, event: dict[str, Any]) -> bool:
-        """Tell whether an event is of a fault that has come, and not of one that is only confirmed later."""
+        """Return whether an event is of a fault that has come, and not of one that is only confirmed later."""
         if event["event"] != "dtc":
             return False
         failing = event["fault"] in self._failing

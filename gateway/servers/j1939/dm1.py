@@ -61,7 +61,7 @@ class Dm1Schedule:
         self._cyclic_ns = (t_ns if late else self._cyclic_ns or 0) + cycle
 
     def _is_news(self, fault: str, t_ns: int) -> bool:
-        """Tell whether a DTC became active or inactive, and was not told of in the last second."""
+        """Return whether a DTC became active or inactive, and was not told of in the last second."""
         told, when = self._told.get(fault, _NEVER_TOLD)
         return self._dtcs.is_active(fault) != told and t_ns - when >= _CHANGE_NS
 

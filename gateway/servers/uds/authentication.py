@@ -104,7 +104,7 @@ class Authentication:
 
 
 def _is_signed(key: Any, signature: bytes, data: bytes) -> bool:
-    """Tell whether a signature is the key's."""
+    """Return whether a signature is the key's."""
     from cryptography.exceptions import InvalidSignature  # noqa: PLC0415 - an extra, and slow to load
     from cryptography.hazmat.primitives import hashes  # noqa: PLC0415 - likewise
     from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding  # noqa: PLC0415 - likewise

@@ -37,7 +37,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _covered(folder: Path, config: pytest.Config) -> bool:
-    """Tell whether a folder is looked through anyway."""
+    """Return whether a folder is looked through anyway."""
     given = [(config.invocation_params.dir / argument.partition("::")[0]).resolve() for argument in config.args]
     return any(folder.is_relative_to(other) for other in given)
 

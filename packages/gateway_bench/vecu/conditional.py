@@ -48,7 +48,7 @@ def plant_faults(scenario: Scenario) -> tuple[list[Placed], list[Placed]]:
 
 
 def _minds(model: type[EcuFault]) -> bool:
-    """Tell whether an ECU that hears sees to the condition itself: its model declares it again."""
+    """Return whether an ECU that hears sees to the condition itself: its model declares it again."""
     declaring = [each for each in model.__mro__ if "when" in get_annotations(each)]
     return declaring[0] is not EcuFault
 

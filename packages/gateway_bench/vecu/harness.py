@@ -64,7 +64,7 @@ class Sender:
         return None if self._sends is None else self._sends()
 
     def has(self, message: str) -> bool:
-        """Tell whether it sends a message, as far as that is known."""
+        """Return whether it sends a message, as far as that is known."""
         if self._protections is not None:
             return message in self._protections
         return any(one.name == message for one in self.database)

@@ -33,7 +33,7 @@ def _nearest(signal: Signal, value: float) -> float:
 
 
 def _plain(message: Message) -> bool:
-    """Tell whether a message can be encoded in columns: one word of little-endian integers."""
+    """Return whether a message can be encoded in columns: one word of little-endian integers."""
     return (
         message.length <= 8
         and not message.is_multiplexed()

@@ -137,7 +137,7 @@ def drop(b: Block) -> None:
 
 @kernel
 def _refused(s: State, c: Const, k: int) -> bool:
-    """Tell whether an error that is found lies beyond its bound for sure: then it is none of these errors."""
+    """Return whether an error that is found lies beyond its bound for sure: then it is none of these errors."""
     over = max(s.error[k] - c.high[k], c.low[k] - s.error[k])
     return bool(over > max(SURE * sqrt(max(s.p[k, k], 0.0)), BEYOND * (c.high[k] - c.low[k])))
 

@@ -87,7 +87,7 @@ class Portion(NamedTuple):
 
 @kernel
 def _same(a: Masks, b: Masks) -> bool:
-    """Tell whether two masks are the same set."""
+    """Return whether two masks are the same set."""
     same = True
     for w in range(len(a)):
         same = same and a[w] == b[w]

@@ -162,7 +162,7 @@ def _wanted(model: Model) -> Iterator[tuple[int, int | None]]:
 
 
 def _done(signs: Sets, fault: int, other: int | None) -> bool:
-    """Tell whether sets with these faults, shape (sets, faults), do it."""
+    """Return whether sets with these faults, shape (sets, faults), do it."""
     there = signs[:, fault]
     return bool(there.any() if other is None else (there & ~signs[:, other]).any())
 

@@ -224,7 +224,7 @@ class _Learned:
 
 
 def _any(config: Config) -> bool:
-    """Tell whether logs can set anything of a configuration."""
+    """Return whether logs can set anything of a configuration."""
     rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
     return bool(rules or tests or of_kind(config, Refinement) or of_kind(config, SensorCalibration))
 

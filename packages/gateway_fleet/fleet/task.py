@@ -153,7 +153,7 @@ def judge(task: Task) -> list[Outcome]:
 
 
 def _is_next(setup: Setup, outcome: Outcome) -> bool:
-    """Tell whether a memory goes on from a recording: not from a copy, whose memory stands where the first one is."""
+    """Return whether a memory goes on from a recording: not from a copy, whose memory stands where the first one is."""
     if outcome.fresh:
         return True
     rows = Verdicts(setup.out).rows("logs", outcome.log)

@@ -121,7 +121,7 @@ class Verdicts:
         return self.folder / table / f"{log}.parquet"
 
     def has(self, log: str) -> bool:
-        """Tell whether a log has its verdict."""
+        """Return whether a log has its verdict."""
         return self.path("logs", log).exists()
 
     def write(self, log: str, verdict: Verdict) -> None:

@@ -57,7 +57,7 @@ def _undescribed(message: Message) -> list[Signal]:
 
 
 def _busy(signal: Signal, message: Message, frames: Payloads, counter: CounterFound | None) -> bool:
-    """Tell whether a field changes as a checksum does, and other bytes do, too."""
+    """Return whether a field changes as a checksum does, and other bytes do, too."""
     values = bits_of(frames.words, field_of(signal))
     if len(np.unique(values)) < min(24, len(frames) // 8):
         return False

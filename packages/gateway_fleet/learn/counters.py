@@ -75,7 +75,7 @@ def signal_of(message: Message, counter: CounterFound) -> Signal:
 
 
 def called_counter(name: str) -> bool:
-    """Tell whether a signal is called as counters are."""
+    """Return whether a signal is called as counters are."""
     return name.upper().rstrip("0123456789_").endswith(COUNTERS)
 
 
@@ -87,7 +87,7 @@ def of_raw(
     cycles: NDArray[np.float64] | None = None,
     hypotheses: int = 1,
 ) -> CounterFound | None:
-    """Tell whether a field counts: each frame one more, but for frames that were lost.
+    """Return whether a field counts: each frame one more, but for frames that were lost.
 
     Chance is a permutation: the same values in any order, so that a value that comes often follows any other often.
     What is claimed is less probable than one in 10^9 by it, for each of the fields that are looked at.
@@ -158,7 +158,7 @@ def _counts(
 
 
 def _always(before: NDArray[np.int64], lost: NDArray[np.bool_]) -> bool:
-    """Tell whether what seem to be losses come nearly always after one value: then that is how the field goes on."""
+    """Return whether what seem to be losses come nearly always after one value: then that is how the field goes on."""
     values, places = np.unique(before, return_inverse=True)
     count = np.bincount(places, minlength=len(values))
     losses = np.bincount(places, weights=lost, minlength=len(values))

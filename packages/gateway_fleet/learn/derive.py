@@ -63,7 +63,7 @@ def derive(
 
 
 def senders(seen: Seen) -> bool:
-    """Tell whether frames look as if two senders sent them, each at its own times.
+    """Return whether frames look as if two senders sent them, each at its own times.
 
     Gaps vary, but those of every second frame do not.
     """

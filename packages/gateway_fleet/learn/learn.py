@@ -186,7 +186,7 @@ def settle(
 
 
 def _of_log(fault: str, buses: Sequence[str]) -> bool:
-    """Tell whether a fault is one of the recording (its clock was set, its bus was off), not of a limit."""
+    """Return whether a fault is one of the recording (its clock was set, its bus was off), not of a limit."""
     owner_, _, rest = fault.partition(".")
     return owner_ == OWNER or (owner_ in buses and "." not in rest)
 

@@ -99,7 +99,7 @@ def _ms(ns: float) -> str:
 
 
 def _ended(seen: Seen) -> bool:
-    """Tell whether a message stopped before its log did: switched off, with the ignition or otherwise."""
+    """Return whether a message stopped before its log did: switched off, with the ignition or otherwise."""
     return seen.ended_s * 1e9 > max(2e9, 3.0 * seen.gaps.largest_ns)
 
 

@@ -139,7 +139,7 @@ _SOLVE = {
 
 
 def _constant(frames: Payloads, field: Any, message: Message) -> bool:
-    """Tell whether a header says the message's length in each frame."""
+    """Return whether a header says the message's length in each frame."""
     return bool((bits_of(frames.words, field) == message.length).all())
 
 
@@ -152,7 +152,7 @@ def _rank(images: list[int]) -> int:
 
 
 def _counts(asked: Protection, frames: Payloads) -> bool:
-    """Tell whether the header's counter goes up by one from frame to frame, nearly always."""
+    """Return whether the header's counter goes up by one from frame to frame, nearly always."""
     assert asked.counter is not None
     values = bits_of(frames.words, asked.counter.field).astype(np.int64)
     if (values < asked.counter.first).any() or (values >= asked.counter.first + asked.counter.modulus).any():

@@ -309,7 +309,7 @@ def _see(
 
 
 def _asks_size(line: Line, full: str) -> bool:
-    """Tell whether a line may see that a signal has another value."""
+    """Return whether a line may see that a signal has another value."""
     if line.table == SIGNAL:
         return line.name == full and bool({"plausible", "gradient"} & set(line.keys))
     return line.table == RULE and full in SIGNAL_NAME.findall(line.keys["holds"])

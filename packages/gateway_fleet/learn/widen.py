@@ -52,7 +52,7 @@ def widened(line: Line, kind: str, alarm: Alarm, again: bool) -> tuple[Line | No
 
 
 def asks(table: str, keys: Mapping[str, Any]) -> bool:
-    """Tell whether a line of a table asks for something, by its keys."""
+    """Return whether a line of a table asks for something, by its keys."""
     if table == SIGNAL:
         return (bool(set(keys) - {"signal", "name", "failed_ms", "passed_ms"}) and keys.get("invalid") != []) or bool(
             set(keys) & {"plausible", "gradient", "stuck", "undefined"}

@@ -605,7 +605,7 @@ _MATH = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "isf
 
 
 def correctable(realisation: Realisation) -> bool:
-    """Tell whether a generator's states can be corrected by its residual: no filter, and one solution."""
+    """Return whether a generator's states can be corrected by its residual: no filter, and one solution."""
     return not realisation.transformed and not realisation.differentiated and realisation.branches == 1
 
 

@@ -60,7 +60,7 @@ def _slope(table: Table) -> Callable[[float], float]:
 
 
 def forgets(realisation: Realisation, states: Sequence[str]) -> bool:
-    """Tell whether what some integrated states are off by dies away, whatever combination of them it is.
+    """Return whether what some integrated states are off by dies away, whatever combination of them it is.
 
     That is so where all poles of the linearised generator lie left of the axis, at one of the points at least; where
     there are no numbers, it is taken so.
@@ -104,7 +104,7 @@ def _difference(slopes: Callable[[dict[Algebra, float]], Any], point: dict[Algeb
 
 
 def begins(realisation: Realisation, initial: Initial) -> bool:
-    """Tell whether (24) gives numbers at the model's parameters: it may divide by what is zero there.
+    """Return whether (24) gives numbers at the model's parameters: it may divide by what is zero there.
 
     Derivatives of known variables are zero, as where a monitor begins: it has one sample, and knows none.
     """
