@@ -65,7 +65,7 @@ class Watch(WatchState, WatchConst, WatchPlace):
 
 @dataclass(frozen=True)
 class Condition:
-    """A signal in a closed range, in its own unit; ``rise``: and so much above its lowest value; ``counts``: as NOW."""
+    """A signal in a closed range, in its own unit; ``rise``: and by this above its lowest value; ``counts``: as NOW."""
 
     signal: SignalRef
     low: float = -np.inf
@@ -116,7 +116,7 @@ def is_valid(T: Any, t_ns: int, row: int) -> bool:
 
 @kernel
 def sleeps(T: Any, d: Any) -> bool:
-    """Return whether the power that a fault's test asks for is not there: nobody is awake, or the voltage is wrong."""
+    """Return whether the power that a fault's test asks for is missing: the vehicle sleeps, or the voltage is wrong."""
     asked = awake = False
     for k in range(d.first_condition, d.first_condition + d.conditions):
         c = T.conditions[k]

@@ -52,7 +52,7 @@ def _put(T: Any, place: int, noted_ns: int, timer: int) -> None:
 
 @kernel
 def _first(T: Any, one: int, other: int) -> int:
-    """Return which of two places holds the timer that comes first; without a branch, which nobody could foresee."""
+    """Return which of two places holds the timer that comes first; without a branch, which would be unpredictable."""
     a, b = T.heap[one], T.heap[other]
     first = (a.noted_ns < b.noted_ns) | ((a.noted_ns == b.noted_ns) & (a.timer < b.timer))
     return one if first else other

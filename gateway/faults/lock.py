@@ -97,7 +97,7 @@ def is_marked(path: Path) -> bool:
 
 
 def is_in_place(path: Path, lock: int) -> bool:
-    """Return whether a lock is still that of the path: nobody has deleted its file."""
+    """Return whether a lock is still that of the path: its file has not been deleted."""
     try:
         return os.path.samestat(os.fstat(lock), Path(f"{path.resolve()}-lock").stat())
     except OSError:
@@ -122,7 +122,7 @@ def take_lock(path: Path) -> int:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            time.sleep(LOOK_S)  # somebody may only have looked
+            time.sleep(LOOK_S)  # another process may only have looked
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(lock)

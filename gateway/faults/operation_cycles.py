@@ -1,4 +1,4 @@
-"""Operation cycles (AUTOSAR DEM): what their begin and end do to status bytes - confirmation, healing, aging."""
+"""Operation cycles (AUTOSAR DEM): effects of their begin and end on status bytes - confirmation, healing, aging."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class OperationCycles:
     def counts(self, definition: FaultDefinition) -> bool:
         """Return whether a result of a fault counts: its operation cycle has begun, and is not over.
 
-        The power cycle is there from the start, also where nobody begins it.
+        The power cycle is there from the start, also where nothing begins it.
         """
         name = definition.cycle
         return self.is_open(name) or (name == POWER and not self.number(POWER))

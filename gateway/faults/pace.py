@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-#: So many writes are allowed at once, after a quiet time; then one in each interval [ns].
+#: Number of writes that are allowed at once, after a quiet time; then one in each interval [ns].
 #: A fault that comes and goes fifty times a second is written, and told, at each change.
 BURST, INTERVAL_NS = 32, 8_000_000
-#: So many faults in a write double the time until the next one: a write takes as long as there is in it.
+#: Number of faults in a write that doubles the time until the next one: larger writes take longer.
 FAULTS = 8
 
 

@@ -28,7 +28,7 @@ class Ratio(NamedTuple):
 
     @property
     def order(self) -> tuple[float, int, int]:
-        """What is shown of several is the least of these: the lowest ratio, of alike ones that of more chances."""
+        """Key of the one shown of several, the least: the lowest ratio, of alike ones that of more chances."""
         share = self.numerator / self.denominator if self.denominator else float("inf")
         return share, -self.denominator, self.numerator
 

@@ -1,4 +1,4 @@
-"""What others may read of the fault memory: what was last written."""
+"""The fault memory as others may read it: as it was last written."""
 
 from __future__ import annotations
 

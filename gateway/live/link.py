@@ -124,7 +124,7 @@ class Link:
             self._send(empty(0))
 
     def receive(self) -> tuple[Frames, bool]:
-        """Take what has come, and what happened, in the engine's time; the frames are valid until the next call.
+        """Take frames, and the link's conditions, in the engine's time; the frames are valid until the next call.
 
         Returns:
             frames; whether there may be more.

@@ -67,7 +67,7 @@ def take_timeout(T: Any, due: int, c: Any) -> bool:
 
 @kernel
 def report_timeout(T: Any, due: int, c: Any) -> None:
-    """Report one elapsed timeout of a message, and set its next deadline; where its bus is heard, that is told too."""
+    """Report one elapsed timeout of a message, and set its next deadline; also whether its bus is heard."""
     if c.bus < T.health.shape[0] - 1 and T.health[c.bus].fault[SILENT] >= 0:
         h = T.health[c.bus]
         if due - h.heard_ns < h.quiet_ns:  # it is heard
