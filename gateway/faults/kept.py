@@ -176,7 +176,7 @@ class KeptStore(Store):
     # Writing
 
     def save(self, changes: Changes, whole: Callable[[], Changes] | None = None) -> None:
-        """Write changes (see :meth:`Store.save`); a new one with all there is if the file is damaged or gone."""
+        """Write changes (see :meth:`Store.save`); if the file is damaged or gone, all there is into a new one."""
         if self.path is None:
             super().save(changes)
             return

@@ -1,4 +1,4 @@
-"""All servers of a gateway together: which frames are for them, when they are due, what they may send."""
+"""All servers of a gateway together: frames for them, times when they are due, frames that they may send."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class BusServers:
             return False
         if len(frames) <= MAX_SMALL_BATCH:
             return heard.isdisjoint(frames["can_id"].tolist())
-        ids = np.ascontiguousarray(frames["can_id"])  # one look at memory that is far apart, whatever is listened to
+        ids = np.ascontiguousarray(frames["can_id"])  # one look at memory that is far apart, for all identifiers
         return not any((ids == mine).any() for mine in heard)
 
     def pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
@@ -120,7 +120,7 @@ class BusServers:
 
         Args:
             t_ns: now.
-            prompt: only for those whose time is that of the bus, which the monitors' lags behind.
+            prompt: only for those whose time is that of the bus; the monitors' time lags after it.
         """
         if t_ns < self._next_due:
             return []

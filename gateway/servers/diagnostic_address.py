@@ -1,4 +1,4 @@
-"""Whether UDS and OBD have one address: then one server with both behind it answers."""
+"""Whether UDS and OBD have one address: then one server with both of them answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a diagnostic tester may ask of the gateway, whichever protocol it speaks."""
+"""Requests that a diagnostic tester may make, by any protocol."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gateway.faults.settings import ConditionSettings
 
 
 class LatestResult(NamedTuple):
-    """A fault's latest test result: what was tested, its limit, whether it failed."""
+    """A fault's latest test result: value, limit, whether it failed."""
 
     value: float
     limit: float

@@ -60,7 +60,7 @@ class Code(Record):
 
 
 class Memory(Record):
-    """What rate, delay and lowpass remember."""
+    """Memories of rate, delay and lowpass."""
 
     samples: i8
     value: f8
@@ -73,7 +73,7 @@ class Memory(Record):
 
 
 class Machine(Record):
-    """Stack, memories, and what the last comparison compared."""
+    """Stack, memories, and the two sides of the last comparison."""
 
     stack: Annotated[f8s, MOST_STACK]
     memory: Annotated[list[Memory], MOST_MEMORIES]
@@ -262,8 +262,7 @@ def load(s: Any, c: Any, program: Program, signals: Sequence[str]) -> None:
     Args:
         s: record of :class:`Machine`.
         c: record of :class:`Code`.
-        program: what it is to run.
-        signals: names of the values that it will be given, in their order.
+        program: that it is to run. signals: names of the values that it will be given, in their order.
     """
     c["length"] = len(program.ops)
     for k, (op, argument) in enumerate(program.ops):

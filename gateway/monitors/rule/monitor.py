@@ -50,7 +50,7 @@ class Const(Record):
 
 
 class State(Record):
-    """What both remember."""
+    """Memory of both."""
 
     holds: Machine
     when: Machine

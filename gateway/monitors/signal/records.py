@@ -19,7 +19,7 @@ class Inputs(Event):
 
 
 class One(Record):
-    """What is asked of one signal; limits that are not are infinite."""
+    """Limits of one signal; those not asked for are infinite."""
 
     electrical_low: f8
     electrical_high: f8
@@ -52,14 +52,14 @@ class One(Record):
 
 
 class Const(Record):
-    """What is asked of the signals."""
+    """Limits of the signals."""
 
     signals: i8
     one: Annotated[list[One], MOST_SIGNALS]
 
 
 class Course(Record):
-    """What is remembered of one signal."""
+    """Memory of one signal."""
 
     valid: i8 = means("values so far, since the last that was none")
     before: f8
@@ -80,13 +80,13 @@ class Course(Record):
 
 
 class State(Record):
-    """What is remembered of the signals."""
+    """Memory of the signals."""
 
     one: Annotated[list[Course], MOST_SIGNALS]
 
 
 class Evidence(Record):
-    """What a test looked at."""
+    """Values that a test looked at."""
 
     value: f8
     before: f8

@@ -1,4 +1,4 @@
-"""What ISO 15765-2 says of frames at its edges, judged before the state machine sees them."""
+"""Edge cases of ISO 15765-2: frames that are judged before the state machine sees them."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ _NEVER_TOLD = (False, -_CHANGE_NS)
 
 
 class Dm1Schedule:
-    """Knows what was told and when, and so what is to be told next.
+    """Knows which DTCs were told and when, and so which come next.
 
     Args:
         params: settings.
@@ -31,7 +31,7 @@ class Dm1Schedule:
         self._changed: set[str] = set()
 
     def succeed(self, old: Dm1Schedule) -> None:
-        """Keep what was told already."""
+        """Keep the record of DTCs that were told already."""
         self._cyclic_ns, self._told, self._changed = old._cyclic_ns, old._told, old._changed
 
     def note(self, changes: Sequence[DtcChange]) -> None:

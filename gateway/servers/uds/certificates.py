@@ -22,12 +22,12 @@ from gateway_fdi.errors import InputError
 MOST_BETWEEN = 3
 #: Hashes under signatures; older ones can be forged.
 _HASHES = ("sha256", "sha384", "sha512")
-#: A DER sequence: its tag, and that its length takes so many further bytes.
+#: A DER sequence: its tag, and the mark of a length in further bytes (their number is added).
 _SEQUENCE, _LONG = 0x30, 0x80
 
 
 class Certificates:
-    """Roots, and what they vouch for.
+    """Roots, and the certificates they vouch for.
 
     Args:
         roots: files of certificates (PEM).
@@ -148,7 +148,7 @@ def _check_issued(certificate: Any, issuers: Sequence[Any]) -> None:
 
 
 def _may_sign(certificate: Any, below: int, *, strict: bool) -> bool:
-    """Return whether a certificate may sign others, over so many between it and a tester's (RFC 5280, 6.1.4 k to n).
+    """Return whether a certificate may sign others, given the number below it (RFC 5280, 6.1.4 k to n).
 
     Args:
         certificate: which one.
