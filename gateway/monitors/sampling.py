@@ -279,7 +279,7 @@ def _follows(s: Numbers, c: Const, counter: float) -> bool:
 
 @kernel
 def _next(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
-    """Take a frame that comes next and in time, as nearly all do; tells whether it is one: else nothing is changed."""
+    """Take a frame that comes next and in time, as nearly all do; returns whether it does: else nothing changes."""
     if s.settled < SETTLES or s.rounds != 0 or s.top < LEAST - 1 or c.counted == 0 or not _follows(s, c, counter):
         return False
     due_ns = s.date_ns + c.period_ns

@@ -190,10 +190,10 @@ def power(x: float, y: float) -> float:
 
 @kernel
 def compare(s: Machine, op: int, x: float, y: float, tolerance: float) -> float:
-    """Return 1 if a comparison holds, within the tolerance; remembers what was compared.
+    """Return 1 if a comparison holds, within the tolerance; remembers both sides.
 
-    That is the left side, and what the right side allows it to be; of an equality the distance, and the tolerance: the
-    ratio says how near to its limit it is.
+    That is the left side, and its limit by the right side; of an equality the distance, and the tolerance: the ratio
+    says how near to its limit it is.
     """
     s.left, s.right = x, y
     if isnan(x) or isnan(y):

@@ -1,4 +1,4 @@
-"""Authentication by certificate (ISO 14229-1, 0x29, APCE): who the tester is, rather than that it knows a secret.
+"""Authentication by certificate (ISO 14229-1, 0x29, APCE): proof of the tester's identity.
 
 A tester shows a certificate that a configured root vouches for (see ``certificates``), and proves by a signature
 over a challenge that it has the certificate's private key. Its rights go by its role. Keys are Ed25519, ECDSA

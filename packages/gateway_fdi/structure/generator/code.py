@@ -160,8 +160,7 @@ class Generated:
     Attributes:
         name: of it.
         source: of the module.
-        realisation: what it does.
-        knowns: known variables that it reads, names of the fields of ``u``.
+        realisation: its statements. knowns: known variables that it reads, names of the fields of ``u``.
         rates: derivatives of known variables that ``start`` reads, as fields of ``u``: ``<known>_rate<order>``.
         states: names of the states that it integrates.
         fault: whose size is minus the residual over ``gain_`` of its state; empty: none.
@@ -207,7 +206,7 @@ class _Writer:
 
         Returns:
             the states whose derivatives do; whether b of (20) does; the commands that are held beside these sensors.
-            What is computed from a derivative that is filtered does not: it has the filter's state of the sample.
+            Values from a filtered derivative do not: they have the filter's state of the sample.
         """
         shown_by = sensors(self.model)
         reads: dict[Algebra, set[str]] = {self.of[z]: {z} for z in self.model.knowns}
@@ -234,7 +233,7 @@ class _Writer:
         name = identifier(variable)
         return f"{name}_" if name in _LOCALS or keyword.iskeyword(name) else name
 
-    # What is read -----------------------------------------------------------------------------------------------------
+    # Inputs ----------------------------------------------------------------------------------------------------------
 
     def used(self) -> set[Algebra]:
         return {x for e in self.expressions() for x in e.free_symbols}
@@ -614,8 +613,8 @@ def write(name: str, realisation: Realisation, *, sized: bool = False, observed:
 
     Args:
         name: of it.
-        realisation: what it does.
-        sized: its state shows the gain of the fault that the residual tells the size of, if there is one.
+        realisation: its statements. sized: its state shows the gain of the fault that the residual tells the size of,
+        if there is one.
         observed: its states are corrected by the residual, by gains in its constants; then it tells no size.
 
     Raises:
