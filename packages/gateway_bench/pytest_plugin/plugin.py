@@ -87,7 +87,7 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
 
 
 def _mistake(item: pytest.Item, found: pytest.ExceptionInfo[BaseException]) -> str:
-    """Return what is told of a mistake: the way through our own code helps nobody who made it."""
+    """Return the text of a mistake: the way through the gateway's code does not help its author."""
     mine = [entry for entry in found.traceback if Path(entry.path) == item.path]
     if not mine:
         return str(found.value)

@@ -37,7 +37,7 @@ def payloads(message: Message, columns: Mapping[str, NDArray[Any]], crc_name: st
 
     Args:
         message: of cantools; 8 bytes, little-endian integers.
-        columns: name -> values, shape (n,); what is not named is 0.
+        columns: name -> values, shape (n,); signals not named are 0.
         crc_name: of the signal with the CRC: its own byte, the first or the last.
     """
     assert message.length == 8, "the plants' messages"

@@ -15,7 +15,7 @@ from gateway_fleet.learn.evidence import LEAST_EVIDENCE
 
 #: Longest counter that is looked for [bit].
 MOST_BITS = 32
-#: Largest loss that explains a step [frames]; it must agree with the time that passed to so many cycles.
+#: Largest loss that explains a step [frames]; it must agree with the time that passed to this number of cycles.
 LONGEST_LOSS, CYCLES_OFF = 8, 1.2
 #: Share of the steps that may be losses, where the time between frames says nothing of them and where it does.
 LOST, LOST_TIMED = 0.1, 0.4
@@ -41,7 +41,7 @@ class CounterFound:
         modulus: how many it has.
         steps: that were looked at.
         ones: of these, those by one.
-        wraps: how often it came round; 0: what it has after its highest bits are set is not known, all are assumed.
+        wraps: how often it came round; 0: its values after its highest bits are set are not known, all are assumed.
         lost: frames that are missing between steps.
     """
 
@@ -90,7 +90,7 @@ def of_raw(
     """Return whether a field counts: each frame one more, but for frames that were lost.
 
     Chance is a permutation: the same values in any order, so that a value that comes often follows any other often.
-    What is claimed is less probable than one in 10^9 by it, for each of the fields that are looked at.
+    The claim is less probable than one in 10^9 by it, for each of the fields that are looked at.
 
     Args:
         name: of the signal.
