@@ -1,4 +1,4 @@
-"""Each step of a monitor, printed: its inputs, its state after it, and what it reported."""
+"""Each step of a monitor, printed: its inputs, its state after it, and its results."""
 
 from __future__ import annotations
 

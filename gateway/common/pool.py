@@ -2,7 +2,7 @@
 
 A cluster of processes on this machine, or workers anywhere that share the logs' and the results' folders. A worker that
 dies takes its tasks with it, even those that are not to blame. So the tasks that it had are suspected, and done again
-at the end, one at a time: a task that kills its worker alone is told as such, the others count as if nothing had
+at the end, one at a time: a task that kills its worker alone is reported as such, the others count as if nothing had
 happened.
 """
 

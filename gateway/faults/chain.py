@@ -1,6 +1,6 @@
 """The chain of the fault memory: each change of the file is a link that holds the digest of the link before it.
 
-A link names the subject that was written (a fault with its freeze frames and what explains it, its recordings, an
+A link names the subject that was written (a fault with its freeze frames and explanation, its recordings, an
 intervention, an operation cycle, a permanent DTC, an identifier, a number), and has the digest of these rows. Its own
 digest is over all that and over the digest of the link before. A clear is a link, too. So a row that another writer has
 changed, added or taken away shows, and so does a link that is missing. The chain has no secret: every user who may

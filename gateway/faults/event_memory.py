@@ -1,4 +1,4 @@
-"""Which failures have an entry, and what it holds (AUTOSAR DEM: event memory, displacement, freeze frames).
+"""Failures with an entry, and its contents (AUTOSAR DEM: event memory, displacement, freeze frames).
 
 Room is made for a more important failure; one that finds none waits, as does one that gave way, until there is room or
 its operation cycle is over.
