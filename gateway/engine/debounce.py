@@ -191,7 +191,7 @@ def _verdict(d: Any) -> int:
 
 @kernel
 def is_settled(d: Any) -> bool:
-    """Return whether one more pass changes nothing of a debounce that counts results: it is qualified, and at its end."""
+    """Return whether one more pass changes nothing: the debounce counts results, is qualified, and at its end."""
     return bool(d.timed == 0 and d.last == PASSED and d.verdict == PASSED and d.counter == -d.passed_after)
 
 

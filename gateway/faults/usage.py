@@ -23,8 +23,7 @@ _LIT = "usage.lit"
 class TimedCondition(ConditionSettings):
     """A signal in a range for some time."""
 
-    seconds: float = Field(0.0, ge=0, le=1e5, allow_inf_nan=False, description="for this time in the operation cycle
-        [s]")
+    seconds: float = Field(0.0, ge=0, le=1e5, allow_inf_nan=False, description="for this time in the cycle [s]")
     at_a_stretch: bool = Field(False, description="and without a break, rather than in all")
 
 
@@ -37,8 +36,8 @@ class UsageParams(StrictModel):
     cycle: str = Field(POWER, description="operation cycle of the monitors' performance ratios")
     denominator: tuple[TimedCondition, ...] = Field(
         (),
-        description="conditions for a cycle to count for the general denominator of these ratios, e.g. 600 s of
-        running;" " none: no ratios",
+        description="conditions for a cycle to count for the general denominator of these ratios, e.g. 600 s of running;"
+        " none: no ratios",
     )
 
     @model_validator(mode="after")

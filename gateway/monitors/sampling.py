@@ -410,7 +410,7 @@ def _take_of_set(s: Any, c: Const, message: int, t_ns: int, counter: float) -> i
 
 @kernel
 def _belongs_to_the_next(s: Any, c: Const, t_ns: int) -> bool:
-    """Return whether a message that has been away came after its sample was taken: its next frame belongs to this one."""
+    """Return whether an absent message came after its sample was taken: its next frame belongs to this one."""
     back = s.away & s.fresh
     s.away = 0
     for k in range(c.messages):

@@ -85,13 +85,12 @@ class AccessParams(StrictModel):
     )
     local_unlocked: bool = Field(
         False,
-        description="true: interventions that need a security level or a role are open to the status socket, the page's
-        control token" " and gateway faults clear",
+        description="true: interventions that need a security level or a role are open to the status socket, the page's"
+        " control token and gateway faults clear",
     )
     watched: bool = Field(True, description="false: monitoring that is switched off is reported, but is no fault")
     trace_did: int | None = Field(
-        0xFD10, ge=0x0100, le=0xFEFF, description="data identifier that reads the testers' interventions; none: it is
-        not read"
+        0xFD10, ge=0x0100, le=0xFEFF, description="data identifier that reads interventions; none: it is not read"
     )
     session: Access | None = Field(None, description="entering another than the default session (0x10)")
     reset: Access | None = Field(None, description="reset (0x11)")

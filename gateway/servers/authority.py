@@ -121,7 +121,9 @@ class Authority:
         """Return a holder that may switch something off for a while.
 
         Args:
-            name: its own; also for people. note: keeps and tells that something has ended: its action. yields: whether
+            name: its own; also for people.
+            note: keeps and tells that something has ended: its action.
+            yields: whether
             its switching off ends when another holder undoes the same.
         """
         made = Holder(self, name, note, yields=yields)
@@ -155,7 +157,9 @@ def local_intervention(
 
     Args:
         action: name of its rule.
-        request: that a tester would have sent. by: name of the asker, for people. refusal: by the rules.
+        request: that a tester would have sent.
+        by: name of the asker, for people.
+        refusal: by the rules.
         force: whether they were overridden.
         why: the reason that was given.
     """
@@ -176,8 +180,11 @@ class Holder:
     See :meth:`Authority.holder`.
 
     Attributes:
-        name: its own. yields: whether its actions end when another holder undoes the same. receive: whether it leaves
-        the reception of normal messages on. send: whether it leaves their sending on.
+        name: its own.
+        yields: whether its actions end when another holder undoes the same.
+        receive: whether it leaves
+        the reception of normal messages on.
+        send: whether it leaves their sending on.
     """
 
     def __init__(self, authority: Authority, name: str, note: Callable[[str], None], *, yields: bool) -> None:

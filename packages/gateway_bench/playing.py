@@ -14,7 +14,8 @@ def player_of(scenario: Scenario, config: Config, *, seed: int | None = None, st
     """Return the player of a scenario.
 
     Args:
-        scenario: to play. config: of the gateway.
+        scenario: to play.
+        config: of the gateway.
         seed: instead of the scenario's.
         stepwise: signals may be set while it runs.
 

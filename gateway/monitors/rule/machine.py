@@ -262,7 +262,8 @@ def load(s: Any, c: Any, program: Program, signals: Sequence[str]) -> None:
     Args:
         s: record of :class:`Machine`.
         c: record of :class:`Code`.
-        program: that it is to run. signals: names of the values that it will be given, in their order.
+        program: that it is to run.
+        signals: names of the values that it will be given, in their order.
     """
     c["length"] = len(program.ops)
     for k, (op, argument) in enumerate(program.ops):

@@ -42,7 +42,8 @@ class Rows:
     Attributes:
         t_ns: wall time [ns].
         series: place in the list of series.
-        value: computed, in the series' unit. limit: compared with it, NaN: none.
+        value: computed, in the series' unit.
+        limit: compared with it, NaN: none.
         result: place in :data:`RESULTS`.
     """
 

@@ -71,7 +71,8 @@ def write_report(path: Path, gateway: Gateway, found: Collector, told: Told) -> 
     Args:
         path: of the file.
         gateway: that it went through, still open.
-        found: collected data. told: further words.
+        found: collected data.
+        told: further words.
     """
     path.write_text(_Page(gateway, found, told).text(), encoding="utf-8")
 

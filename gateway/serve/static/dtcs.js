@@ -56,8 +56,8 @@ export class Dtcs {
     return Object.assign(make("section", {}, head, list, more), { key, head, list, folded, summary, more });
   }
 
-  // The row that is there, where nothing of it has changed: a button that a user is about to press stays under the
-  finger. kept(entry) {
+  // The row that is there, where nothing of it has changed: a button about to be pressed stays under the finger.
+  kept(entry) {
     const row = this.rows.get(entry.fault);
     return row?.told === JSON.stringify(entry) ? row : null;
   }

@@ -118,7 +118,8 @@ class Bench:
         """Switch on the virtual ECUs of a scenario; its time 0 is now.
 
         Args:
-            scenario: of the ECUs. seed: instead of the scenario's.
+            scenario: of the ECUs.
+            seed: instead of the scenario's.
 
         Returns:
             name of its first ECU, by which all of them are switched off.

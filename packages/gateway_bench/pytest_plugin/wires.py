@@ -52,7 +52,8 @@ class Outside:
     """Real buses: virtual ECUs send on them, the gateway hears what is on them, real ECUs and testers take part.
 
     Each bus is opened twice, once for the ECUs, once for the gateway. A bus that can be opened once only (most
-    adapters) is shared: the gateway then gets the ECUs' frames when they are sent.
+    adapters) is
+    shared: the gateway then gets the ECUs' frames when they are sent.
 
     Args:
         uris: of the buses, in the configuration's order.

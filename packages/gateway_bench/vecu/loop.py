@@ -96,7 +96,9 @@ class _Actuator:
     """A fault of an actuator: the model gets another input than the bus says.
 
     Args:
-        fault: of the scenario. run: its settings. database: of its bus.
+        fault: of the scenario.
+        run: its settings.
+        database: of its bus.
         key: of its condition, for errors.
 
     Raises:
@@ -153,7 +155,9 @@ class Loop:
 
     Args:
         params: of the ECU.
-        faults: of its actuators. run: its settings. model: returns the model; made last, when all else is right.
+        faults: of its actuators.
+        run: its settings.
+        model: returns the model; made last, when all else is right.
 
     Raises:
         InputError: signals that are not there, ...

@@ -49,7 +49,9 @@ class _Source:
     Args:
         key: its key path in the scenario.
         ecu: of the scenario.
-        sender: messages that it sends. harness: puts its faults in. run: its settings.
+        sender: messages that it sends.
+        harness: puts its faults in.
+        run: its settings.
     """
 
     def __init__(self, key: str, ecu: EcuParams, sender: Sender, harness: Harness, run: Run) -> None:
@@ -63,7 +65,8 @@ class _Source:
         """Make its frames, or start it.
 
         Args:
-            faults: of plants, with their places in the scenario: its own are taken. run: its settings.
+            faults: of plants, with their places in the scenario: its own are taken.
+            run: its settings.
 
         Raises:
             InputError: messages that cannot carry what it sends, ...
@@ -117,7 +120,8 @@ class Player:
     """All frames of one run; the same seed gives the same run.
 
     Args:
-        scenario: to play. buses: name -> index of the buses.
+        scenario: to play.
+        buses: name -> index of the buses.
         seed: instead of the scenario's.
         databases: bus index -> database files of the configuration, for ECUs and faults that name messages.
         protections: (bus index, message) -> how the configuration says that it is protected.

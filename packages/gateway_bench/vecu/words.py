@@ -61,7 +61,8 @@ def injected(fact: Truth, scenario: Scenario) -> str:
     """Return what was injected, e.g. ``"channel 1: short circuit to ground, until 4.5 s"``.
 
     Args:
-        fact: the injected fault. scenario: it is of.
+        fact: the injected fault.
+        scenario: it is of.
     """
     fault = fault_of(fact, scenario)
     kind = fact.kind if fault is None else str(fault.kind)

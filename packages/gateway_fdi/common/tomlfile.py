@@ -134,7 +134,8 @@ def _place(location: tuple[int | str, ...], data: Any, *, missing: bool) -> tupl
 
     Args:
         location: pydantic's.
-        data: that were validated. missing: its last part is a key that is not there.
+        data: that were validated.
+        missing: its last part is a key that is not there.
     """
     place: list[int | str] = []
     for k, part in enumerate(location):
@@ -274,7 +275,8 @@ def input_errors(
         error: pydantic's.
         file: where the data stand.
         prefix: key path of the data in it.
-        data: that were validated. model: that they were validated against, for the names that there are.
+        data: that were validated.
+        model: that they were validated against, for the names that there are.
     """
     found = []
     details = error.errors(include_url=False)

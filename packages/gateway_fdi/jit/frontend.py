@@ -1,4 +1,4 @@
-"""From a kernel of Python to LLVM: numba types and lowers it and its callees; nothing is translated here.
+"""From a kernel of Python to LLVM: numba types and lowers it and what it calls; nothing is translated here.
 
 A kernel that kernels call is typed and lowered only, once for each signature. An entry - a kernel that Python or the
 engine calls - is linked with all of these, and only that is optimised and translated (:mod:`gateway_fdi.jit.machine`).
@@ -313,7 +313,7 @@ def lower(
     """Return the module of an entry, linked and not optimised, and the form of its result.
 
     Args:
-        kernel: that is called.
+        kernel: what is called.
         arguments: their forms.
         symbol: name of the C function.
         on_lowered: called with the name of each kernel that was lowered.

@@ -1,4 +1,4 @@
-"""Operations of kernels that Python cannot say: a call to an address, the lowest set bit of a word, reading ahead.
+"""What kernels need that Python cannot say: a call to an address, the lowest set bit of a word, reading ahead.
 
 An intrinsic is a function of plain Python, and, when a kernel that uses it is compiled, a few instructions.
 """
@@ -49,7 +49,7 @@ class Intrinsic:
 PYTHON_ENTRIES: list[tuple[Callable[..., None], tuple[np.dtype[np.void], ...]]] = []
 
 
-#: Errors in kernels of plain Python; :func:`call_entry` returned the place here, counted from 1.
+#: What went wrong in kernels of plain Python; :func:`call_entry` returned the place here, counted from 1.
 PYTHON_FAILURES: list[str] = []
 
 

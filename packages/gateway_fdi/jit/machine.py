@@ -1,7 +1,7 @@
 """LLVM: modules are optimised and translated, objects are loaded.
 
 Code is made for levels of an architecture, not for the processor at hand: the same source gives the same bytes on every
-machine, and IEEE arithmetic the same results (nothing is fused or reordered at any level).
+machine, and IEEE arithmetic the same results (nothing is fused or reordered, whatever the level).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from gateway_fdi.errors import KernelError
 #: Processor for which code is made, by level; those of one architecture, the best last.
 LEVELS = {"x86_64": "x86-64", "x86_64_v3": "x86-64-v3", "aarch64": "generic"}
 
-#: Features of a processor of level x86_64_v3 (psABI x86-64, micro-architecture levels).
+#: What a processor of level x86_64_v3 has (psABI x86-64, micro-architecture levels).
 _V3 = ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "sse4.2", "popcnt")
 
 #: Symbols that numba gives to compiled code; it must be loaded before code that uses them.
@@ -59,7 +59,7 @@ def _target(name: str) -> Any:
 
 
 def optimise(module: Any, *, checked: bool) -> bytes:
-    """Optimise a module for this architecture, at any level; returns its bitcode.
+    """Optimise a module for this architecture, whatever the level; returns its bitcode.
 
     Args:
         module: linked.
@@ -112,7 +112,7 @@ def _resolve(symbol: str) -> None:
     """Make a symbol known to the loader: it ends the process where one is missing.
 
     Raises:
-        KernelError: no library has it.
+        KernelError: nobody has it.
     """
     if symbol.startswith(_OF_NUMBA):
         from numba.core.registry import cpu_target  # noqa: PLC0415 - few kernels want this

@@ -110,7 +110,8 @@ def update(s: State, x: float, y: float, most: float, noise: float) -> None:
 
     Args:
         s: record of State.
-        x: known. y: measured.
+        x: known.
+        y: measured.
         most: largest lag that is none [sets], at most MOST.
         noise: standard deviation of a reading.
     """

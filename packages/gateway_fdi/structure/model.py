@@ -110,7 +110,8 @@ class Quantity:
 
     Attributes:
         unit: of its values.
-        text: its meaning. value: of a parameter; a start value of a state.
+        text: its meaning.
+        value: of a parameter; a start value of a state.
     """
 
     unit: str = ""

@@ -51,8 +51,10 @@ class Step:
     """A step of a computation sequence.
 
     Attributes:
-        kind: of the step. equations: by which; for INTEGRATE and DIFFERENTIATE the relation of the state.
-        variables: computed ones. block: number of the block of the sequence that it is in: those of a differential loop
+        kind: of the step.
+        equations: by which; for INTEGRATE and DIFFERENTIATE the relation of the state.
+        variables: computed ones.
+        block: number of the block of the sequence that it is in: those of a differential loop
         share one.
     """
 

@@ -255,7 +255,8 @@ class Manifest:
 
         Args:
             path: of it.
-            done: finished recordings. more: further facts for people.
+            done: finished recordings.
+            more: further facts for people.
         """
         self.done[str(path)] = done
         row = {"path": str(path), "log": done.log, "state": done.state, **more, "files": done.files}

@@ -30,7 +30,8 @@ def derive(
     """Return the lines that a configuration gets, and the notes beside them.
 
     Args:
-        observation: of the logs. databases: of the buses.
+        observation: of the logs.
+        databases: of the buses.
         buses: their names.
         earlier_s: length of earlier logs whose statistics were added [s].
     """

@@ -65,11 +65,14 @@ class Result:
 
     Attributes:
         learned: lines and notes.
-        observation: their source. text: of the configuration.
+        observation: their source.
+        text: of the configuration.
         changes: widened limits, one line each.
         alarms: faults that healthy logs set still, none if all is well.
         conditions: faults of the logs themselves: their clock was set, the bus was off.
-        held_s, held_frames: of the part held out. trials: results of the faults that were put into it. state: kept for
+        held_s, held_frames: of the part held out.
+        trials: results of the faults that were put into it.
+        state: kept for
         another drive.
         kept: lines that a person changed, took out or added; they stay.
         dropped: findings of earlier logs that are not there any more, one line each.

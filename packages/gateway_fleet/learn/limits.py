@@ -111,7 +111,8 @@ def signal_lines(
 
     Args:
         bus: name of the bus.
-        seen: courses of signals. found: how the message is protected: its counter and checksum are no quantities.
+        seen: courses of signals.
+        found: how the message is protected: its counter and checksum are no quantities.
         seconds: length of the logs [s].
         taken: names of faults that are in use; those of the lines are added.
         speeds: signals that say how fast the car is.

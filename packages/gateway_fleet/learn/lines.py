@@ -19,7 +19,8 @@ class Line:
 
     Attributes:
         bus: name of the bus.
-        table: CHECK, SIGNAL, RULE, or CAUSE: faults that a fault is not told beside. name: of the message, of the
+        table: CHECK, SIGNAL, RULE, or CAUSE: faults that a fault is not told beside.
+        name: of the message, of the
         signal ("Message.Signal"), of the rule, or of the fault.
         keys: of the entry.
         why: its evidence, for people.

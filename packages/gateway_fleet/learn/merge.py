@@ -125,7 +125,8 @@ def merged(
     Args:
         file: as it is now.
         learned: lines without those of a person's places.
-        written: lines that we wrote last. kept: a person's places.
+        written: lines that we wrote last.
+        kept: a person's places.
         buses: as asked for.
     """
     ours = dict(learned.lines)

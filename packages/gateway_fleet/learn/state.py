@@ -27,7 +27,8 @@ class Kept:
 
     Attributes:
         seconds: their length [s].
-        logs: read ones, for people. messages: (bus, message) -> its observation.
+        logs: read ones, for people.
+        messages: (bus, message) -> its observation.
         written: lines as they were written, by place.
         refused: place and key of limits that healthy logs broke until they were taken out: they stay out.
     """
@@ -87,7 +88,9 @@ def state_of(
         buses: names, by index.
         seconds: length of all logs [s].
         logs: all of them, for people.
-        before: findings of earlier logs. by_hand: places that a person changed, took out or added. refused: taken out
+        before: findings of earlier logs.
+        by_hand: places that a person changed, took out or added.
+        refused: taken out
         now.
     """
     messages = dict(before.messages)

@@ -59,7 +59,9 @@ class Outcome:
     Attributes:
         trial: it.
         frames: that the fault was in.
-        named: whether a watcher of the message or signal was set. others: further faults that were set. by: fault that
+        named: whether a watcher of the message or signal was set.
+        others: further faults that were set.
+        by: fault that
         was set first; "": none.
         after_s: how long after the fault began [s].
     """
@@ -200,7 +202,8 @@ def tried(
     Args:
         proof: replay of the configuration.
         learned: its lines.
-        observation: source of learning. buses: as asked for.
+        observation: source of learning.
+        buses: as asked for.
         seed: of the faults.
         progress: told how many of how many were tried.
     """

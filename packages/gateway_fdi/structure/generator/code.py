@@ -160,7 +160,8 @@ class Generated:
     Attributes:
         name: of it.
         source: of the module.
-        realisation: its statements. knowns: known variables that it reads, names of the fields of ``u``.
+        realisation: its statements.
+        knowns: known variables that it reads, names of the fields of ``u``.
         rates: derivatives of known variables that ``start`` reads, as fields of ``u``: ``<known>_rate<order>``.
         states: names of the states that it integrates.
         fault: whose size is minus the residual over ``gain_`` of its state; empty: none.
@@ -613,7 +614,8 @@ def write(name: str, realisation: Realisation, *, sized: bool = False, observed:
 
     Args:
         name: of it.
-        realisation: its statements. sized: its state shows the gain of the fault that the residual tells the size of,
+        realisation: its statements.
+        sized: its state shows the gain of the fault that the residual tells the size of,
         if there is one.
         observed: its states are corrected by the residual, by gains in its constants; then it tells no size.
 

@@ -155,7 +155,8 @@ def tangents(realisation: Realisation, statement: Statement, wanted: Iterable[st
     """Yield the derivatives of a statement's variables by the states that they depend on.
 
     Args:
-        realisation: that it is of. statement: one of its statements, not one that differentiates.
+        realisation: that it is of.
+        statement: one of its statements, not one that differentiates.
         wanted: variables whose derivatives are used.
     """
     by, of = depends(realisation), realisation.symbols.of

@@ -34,7 +34,8 @@ class Equations:
 
     Attributes:
         names: of each, ``e1``, its derivative ``d/dt e1``.
-        zero: of each, the expression that is zero. source: of a derivative the place of the equation that it is of,
+        zero: of each, the expression that is zero.
+        source: of a derivative the place of the equation that it is of,
         else -1.
         up: variable -> its derivative.
         rates: input -> its derivative.
@@ -80,7 +81,8 @@ class Reduced:
 
     Attributes:
         names: of its equations.
-        zero: of each, the expression that is zero. states: integrated variables.
+        zero: of each, the expression that is zero.
+        states: integrated variables.
         slopes: of each state, its derivative.
         computed: variables that the equations give at each time; as many as they are.
         bound: states of the model that follow from others.
@@ -230,7 +232,8 @@ def reduce(
     Args:
         model: the model.
         symbols: with its faults.
-        inputs: given variables. values: of parameters, inputs and states, where the choice of states is made.
+        inputs: given variables.
+        values: of parameters, inputs and states, where the choice of states is made.
         kept: states that are to be such, if there is a choice.
 
     Raises:

@@ -43,7 +43,8 @@ class Sent:
     Attributes:
         name, can_id, length: of it; length in bytes.
         period_s: 0: it comes when something happens.
-        ecu: its sender. fields: its signals, counter and checksum not among them.
+        ecu: its sender.
+        fields: its signals, counter and checksum not among them.
         counter: name, first bit, bits and modulus; None: it has none.
         checksum: name and first bit of one of 8 bits, with its rule; None: it has none.
         loop: index of the period in which its course repeats, for courses of its own.
