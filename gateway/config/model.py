@@ -127,7 +127,7 @@ class PowerConfig(StrictModel):
         (), description="the vehicle is awake while one of these is met (terminal 15, a network awake): timeouts count"
     )
     voltage: ConditionSettings | None = Field(
-        None, description="the supply is good while this is met: only then timeouts, and all that depends on it, count"
+        None, description="the supply is good while this is met: only then do timeouts, and all that needs it, count"
     )
     suffers: tuple[str, ...] = Field(
         (), description="faults, or monitors with all of theirs, whose test results count only with a good supply"

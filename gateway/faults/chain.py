@@ -88,7 +88,7 @@ class Broken(NamedTuple):
 
 @dataclass
 class Verdict:
-    """What is whole.
+    """The whole and the broken parts of a chain.
 
     Attributes:
         links: how many links were looked at.

@@ -181,7 +181,7 @@ class EventMemory:
         The most important come first, of these the oldest; a fault whose operation cycle is over is not entered.
 
         Args:
-            counts: tells whether the results of a fault count now.
+            counts: returns whether the results of a fault count now.
 
         Returns:
             each with its record, and the status byte before.

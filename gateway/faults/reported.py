@@ -59,7 +59,7 @@ class ReporterParams(StrictModel):
     """A process, or several, that report test results: its faults, and the users who may report them."""
 
     name: str = Field(pattern=_NAME, description="first part of its fault ids")
-    users: tuple[UserOrGroup, ...] = Field((), description="users who may report, beside the gateway's own and root")
+    users: tuple[UserOrGroup, ...] = Field((), description="users that may report, beside the gateway's and root")
     groups: tuple[UserOrGroup, ...] = Field((), description="groups whose members may report")
     events_per_s: float = Field(
         100.0, gt=0, le=10_000, allow_inf_nan=False,

@@ -36,8 +36,8 @@ class UsageParams(StrictModel):
     cycle: str = Field(POWER, description="operation cycle of the monitors' performance ratios")
     denominator: tuple[TimedCondition, ...] = Field(
         (),
-        description="conditions for a cycle to count for the general denominator of these ratios, e.g. 600 s of running;"
-        " none: no ratios",
+        description="conditions for a cycle to count for the general denominator of these ratios, e.g. 600 s of running"
+        "; none: no ratios",
     )
 
     @model_validator(mode="after")

@@ -122,7 +122,7 @@ class Live:
         taps: take each frame exactly as the engine gets it, but for the stamp, and what is sent.
         clock: the engine's, the same as that of the links.
         tick_s: longest wait without traffic while something else than time is waited for [s]; 0: never wait.
-        monotonic: for what is done every so often [s].
+        monotonic: for periodic work [s].
         settle: called when everything is built (False), and in the turn after it was replaced (True).
         door: for watchers; None: there are none.
     """

@@ -46,7 +46,7 @@ class Machine:
 
     Attributes:
         clock: the engine's.
-        monotonic: for waits and for what is done every so often [s].
+        monotonic: for waits and for periodic work [s].
         open_bus: opens a bus: URI and index.
         begin_thread: begins a thread: its work and its name.
         begin_writer: begins the thread that writes the fault memory; None: the loop's own writes it.

@@ -28,7 +28,7 @@ class Stuck(StrictModel):
     seconds: float | None = Field(None, gt=0, le=86400, description="time without moving that is a fault [s]")
     by: float = Field(0.0, ge=0, description="a change of no more than this is no movement, signal's unit")
     share: float | None = Field(
-        None, gt=0, lt=1, description="not time alone: share of its values in seconds that differ from the one before"
+        None, gt=0, lt=1, description="not time alone: least share of its values in seconds that differ from the last"
     )
     during: str | None = Field(None, description='only while this signal is in within: "Message.Signal"')
     within: Range | None = Field(None, description="of during, its unit")
@@ -75,8 +75,8 @@ class Limits(StrictModel):
         None,
         gt=0,
         le=60_000,
-        description="a change is taken over this time at least [ms]; default: the usual time between its values, so that"
-        " frames that an adapter has bunched change no faster",
+        description="a change is taken over this time at least [ms]; default: the usual time between its values, so"
+        " that frames that an adapter has bunched change no faster",
     )
     stuck: Stuck | None = Field(None, description="must move: 2A")
     invalid: Literal["auto"] | tuple[float | str, ...] = Field(

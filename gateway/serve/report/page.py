@@ -197,7 +197,7 @@ class _Page:
             "<ul>" + "".join(f"<li>{escape(text)}</li>" for text in words) + "</ul>",
         ]
         if entry.inputs:
-            parts.append(_values("What its monitor saw then", entry.inputs))
+            parts.append(_values("Inputs of its monitor then", entry.inputs))
         parts += [
             _values(f"Freeze frame {frame.number}, {self._seconds(frame.t_ns):.4f} s", frame.content)
             for frame in entry.freeze_frames

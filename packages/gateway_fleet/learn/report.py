@@ -78,7 +78,7 @@ def markdown(asked: Asked, result: Result) -> str:
     """Return the page."""
     found = summary(result)
     parts = [
-        f"# What was learned: {asked.name}",
+        f"# Learned: {asked.name}",
         f"From {found['frames']} frames, {found['seconds']:.0f} s of {len(asked.logs)} log(s);"
         f" {found['held_out_frames']} frames, {found['held_out_s']:.0f} s were held out.",
         f"{found['messages']} messages: {found['timeouts']} timeouts, {found['counters']} counters,"
