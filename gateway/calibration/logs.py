@@ -74,7 +74,7 @@ class NothingToLearnError(InputErrors):
     """A log of which nothing is to be learnt.
 
     Args:
-        errors: what is wrong with it.
+        errors: of the log.
         state: of its contents (:class:`gateway.bus.log_contents.Contents`).
     """
 

@@ -1,7 +1,7 @@
 """Findings of one log, apart from the others: many workers find them, and one place puts them together.
 
-A part is written exactly (NumPy's ``.npz``: numbers keep all their bits), so that what is put together from files is
-what one process finds.
+A part is written exactly (NumPy's ``.npz``: numbers keep all their bits), so that parts put together from files are
+those of one process.
 """
 
 from __future__ import annotations

@@ -199,8 +199,8 @@ class Engine:
         Args:
             fault: index in :attr:`faults`.
             failed: the verdict.
-            value: what was tested.
-            limit: what it was tested against, same unit.
+            value: tested value.
+            limit: compared with it, same unit.
             evidence: values by the names of the fault's evidence.
             sink: called with the events.
             at_once: whether it qualifies at once, without debounce.

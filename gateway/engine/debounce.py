@@ -44,7 +44,7 @@ class DebouncePlace(Record):
 
 
 class DebounceConst(Record):
-    """Unit of the state: results, or ns if ``timed``."""
+    """Constants that the state is counted in: results, or ns if ``timed``."""
 
     failed_after: i8
     passed_after: i8

@@ -56,7 +56,7 @@ class DebounceOverride(StrictModel):
 
     @property
     def asked(self) -> dict[str, Any]:
-        """Names of the settings that are set."""
+        """Settings that are set, by name."""
         return self.model_dump(exclude_none=True)
 
     @model_validator(mode="after")

@@ -126,7 +126,7 @@ class StatusSocket:
         self._greet()
 
     def end(self, text: str) -> None:
-        """Tell the readers, and those that come later, that what is shown has ended; they can still look at it.
+        """Tell the readers, and those that come later, that the shown run has ended; they can still look at it.
 
         Args:
             text: the part that has ended, a sentence for people.

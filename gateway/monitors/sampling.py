@@ -181,7 +181,7 @@ def prepare(c: Const, sampling: Sampling, messages: int) -> None:
 
     Args:
         c: record of Const.
-        sampling: what is asked for.
+        sampling: as asked for.
         messages: that carry the inputs.
     """
     c.messages, c.counted, c.every = messages, sampling.by != "clock", (1 << messages) - 1

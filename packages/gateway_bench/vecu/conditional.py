@@ -76,7 +76,7 @@ def resolved(
         for name in condition.messages:
             message = databases[bus].message(name)
             if message.frame_id | (EXTENDED if message.is_extended_frame else 0) not in there:
-                why = f"{name} comes from no virtual ECU that ignores the bus: this plant's faults go by earlier values"
+                why = f"no virtual ECU sends {name} without listening: this plant's faults go by values known before"
                 raise InputError(why, key=key, value=text)
         condition.take(frames)
         found += [(place, part) for part in _parts(fault, condition.spans())]
