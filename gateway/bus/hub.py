@@ -153,7 +153,7 @@ class Hub:
             self._spare = _spare()
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # Bounded, so that what waits for a slow client waits here, where it is counted.
+        # Bounded, so that frames for a slow client wait here, where they are counted.
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
         client = _Client(connection)
         self._clients.append(client)
