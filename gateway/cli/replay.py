@@ -250,7 +250,7 @@ def _feed(
                         printer.start_ns = int(frames[0]["t_ns"])
                     if trace is None:
                         yield frames
-                    else:  # one by one, to look after each
+                    else:  # one by one, for a look at each
                         yield from single(frames)
             except InputError as error:
                 damage = error

@@ -19,7 +19,7 @@ from gateway.live.link import Link
 from gateway.live.merge import Merger
 from gateway_fdi.common.log import get_logger
 
-#: Without traffic, the engine's time stays this much before the clock, so that a frame that is still on its
+#: Without traffic, the engine's time lags the clock by this, so that a frame that is still on its
 #: way through the kernel is not overtaken by the timers it would have stopped.
 GRACE_NS = 20_000_000
 #: Longest wait for a bus while something else than time is waited for: a write, a search, a reader's next look.

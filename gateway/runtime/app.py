@@ -343,7 +343,7 @@ class Gateway:
         return self._emit(self._reception.advance(t_ns))
 
     def poll(self, t_ns: int) -> Frames:
-        """Let time pass for the servers that answer others: the monitors' time lags after theirs.
+        """Let time pass for the servers that answer others: the monitors' time lags theirs.
 
         Args:
             t_ns: now, of the clock that stamps frames.

@@ -67,7 +67,7 @@ def cycle_event(t_ns: int, bus: str, name: str, *, began: bool, number: int) -> 
 
 
 def symptoms_event(t_ns: int, state: str, faults: Sequence[str], cause: Cause | None, lead: str) -> dict[str, Any]:
-    """Tell that symptoms are held by a proven cause, or that what held them is withdrawn.
+    """Tell that symptoms are held by a proven cause, or that this cause is withdrawn.
 
     Args:
         t_ns: when, of the wall clock.

@@ -120,7 +120,7 @@ class BusServers:
 
         Args:
             t_ns: now.
-            prompt: only for those whose time is that of the bus; the monitors' time lags after it.
+            prompt: only for those whose time is that of the bus; the monitors' time lags it.
         """
         if t_ns < self._next_due:
             return []

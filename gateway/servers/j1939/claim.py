@@ -12,7 +12,7 @@ from gateway_fdi.common.tomlfile import StrictModel
 
 #: Time for others to contend after a claim.
 CONTEND_NS = 250_000_000
-#: Most that a look's time may lag after that of the bus: some looks have the time of the monitors.
+#: Most that a look's time may lag that of the bus: some looks have the time of the monitors.
 LAG_NS = 20_000_000
 #: The longest random delay before "cannot claim" (J1939-81, 4.4.4.3): 255 times 0.6 ms.
 DELAYS, DELAY_NS = 255, 600_000
