@@ -123,8 +123,7 @@ class Gatherer:
         mailbox = self._engine.tables.mailbox
         return _Watch(first, len(slots), lambda: np.asarray(mailbox[slots]), [math.nan] * len(slots))
 
-    # Inputs
-    # ------------------------------------------------------------------------------------------------------------
+    # Inputs -----------------------------------------------------------------------------------------------------------
 
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""

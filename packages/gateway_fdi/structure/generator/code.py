@@ -234,7 +234,7 @@ class _Writer:
         name = identifier(variable)
         return f"{name}_" if name in _LOCALS or keyword.iskeyword(name) else name
 
-    # Inputs ----------------------------------------------------------------------------------------------------------
+    # Inputs -----------------------------------------------------------------------------------------------------------
 
     def used(self) -> set[Algebra]:
         return {x for e in self.expressions() for x in e.free_symbols}
