@@ -123,8 +123,7 @@ class Authority:
         Args:
             name: its own; also for people.
             note: keeps and tells that something has ended: its action.
-            yields: whether
-            its switching off ends when another holder undoes the same.
+            yields: whether its switching off ends when another holder undoes the same.
         """
         made = Holder(self, name, note, yields=yields)
         self._holders.append(made)
@@ -182,8 +181,7 @@ class Holder:
     Attributes:
         name: its own.
         yields: whether its actions end when another holder undoes the same.
-        receive: whether it leaves
-        the reception of normal messages on.
+        receive: whether it leaves the reception of normal messages on.
         send: whether it leaves their sending on.
     """
 

@@ -60,8 +60,7 @@ class Protection:
         field: where it lies, a record of :class:`gateway.signals.bits.Field`.
         counter: None: there is none.
         constants: fields of a header with the value that they always have, and their names for people.
-        strict: a frame
-        out of sequence is not used (E2E), else it is used and reported.
+        strict: a frame out of sequence is not used (E2E), else it is used and reported.
         window: state machine over the frames; None: each frame is judged alone.
         name: of the rule, for people.
     """

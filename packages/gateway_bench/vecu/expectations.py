@@ -26,8 +26,7 @@ class Finding:
     Attributes:
         good: whether it is as expected.
         text: observation, and expectation where that is not the same; with the DTC and times.
-        expected: the
-        expectation, the same in each run: a name for it in reports.
+        expected: the expectation, the same in each run: a name for it in reports.
     """
 
     good: bool

@@ -54,8 +54,7 @@ class Step:
         kind: of the step.
         equations: by which; for INTEGRATE and DIFFERENTIATE the relation of the state.
         variables: computed ones.
-        block: number of the block of the sequence that it is in: those of a differential loop
-        share one.
+        block: number of the block of the sequence that it is in: those of a differential loop share one.
     """
 
     kind: Kind

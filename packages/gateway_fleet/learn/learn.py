@@ -72,8 +72,7 @@ class Result:
         conditions: faults of the logs themselves: their clock was set, the bus was off.
         held_s, held_frames: of the part held out.
         trials: results of the faults that were put into it.
-        state: kept for
-        another drive.
+        state: kept for another drive.
         kept: lines that a person changed, took out or added; they stay.
         dropped: findings of earlier logs that are not there any more, one line each.
         refused: place and key of what healthy frames broke until it was taken out.

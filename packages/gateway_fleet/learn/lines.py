@@ -20,8 +20,7 @@ class Line:
     Attributes:
         bus: name of the bus.
         table: CHECK, SIGNAL, RULE, or CAUSE: faults that a fault is not told beside.
-        name: of the message, of the
-        signal ("Message.Signal"), of the rule, or of the fault.
+        name: of the message, of the signal ("Message.Signal"), of the rule, or of the fault.
         keys: of the entry.
         why: its evidence, for people.
     """

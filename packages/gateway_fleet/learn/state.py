@@ -90,8 +90,7 @@ def state_of(
         logs: all of them, for people.
         before: findings of earlier logs.
         by_hand: places that a person changed, took out or added.
-        refused: taken out
-        now.
+        refused: taken out now.
     """
     messages = dict(before.messages)
     for (bus, name), seen in observation.seen.items():

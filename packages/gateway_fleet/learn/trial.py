@@ -61,8 +61,7 @@ class Outcome:
         frames: that the fault was in.
         named: whether a watcher of the message or signal was set.
         others: further faults that were set.
-        by: fault that
-        was set first; "": none.
+        by: fault that was set first; "": none.
         after_s: how long after the fault began [s].
     """
 

@@ -615,8 +615,7 @@ def write(name: str, realisation: Realisation, *, sized: bool = False, observed:
     Args:
         name: of it.
         realisation: its statements.
-        sized: its state shows the gain of the fault that the residual tells the size of,
-        if there is one.
+        sized: its state shows the gain of the fault that the residual tells the size of, if there is one.
         observed: its states are corrected by the residual, by gains in its constants; then it tells no size.
 
     Raises:

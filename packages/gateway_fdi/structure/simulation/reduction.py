@@ -35,8 +35,7 @@ class Equations:
     Attributes:
         names: of each, ``e1``, its derivative ``d/dt e1``.
         zero: of each, the expression that is zero.
-        source: of a derivative the place of the equation that it is of,
-        else -1.
+        source: of a derivative the place of the equation that it is of, else -1.
         up: variable -> its derivative.
         rates: input -> its derivative.
     """
