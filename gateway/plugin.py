@@ -1,4 +1,4 @@
-"""What another package brings to the gateway: one object, named by an entry point of the group ``gateway.plugins``.
+"""Plug-in of another package: one object, named by an entry point of the group ``gateway.plugins``.
 
 ::
 
@@ -6,7 +6,7 @@
     coolant = "coolant.plugin:PLUGIN"
 
 Everything outside the core comes through this door: the plants, the bench and the fleet of this project as well as the
-packages of others. Each thing is told by its place, ``"package.module:NAME"``, and imported when it is first used.
+packages of others. Each thing is named by its place, ``"package.module:NAME"``, and imported when it is first used.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Places = Mapping[str, str]
 
 @dataclass(frozen=True, kw_only=True)
 class Plugin:
-    """What a package brings: in each mapping its name -> ``"package.module:NAME"``.
+    """Contents of a package: in each mapping its name -> ``"package.module:NAME"``.
 
     Attributes:
         api: :data:`API` as it was when the package was written.
@@ -30,12 +30,12 @@ class Plugin:
         ecus: types of virtual ECU (``gateway_bench.vecu.contract.VirtualEcu``, or a class with ``step``).
         commands: of the command line, each a function or a ``typer.Typer``; two words for one of a group, as
             ``"convert teeth"``.
-        measures: what ``gateway doctor --bench`` measures (``gateway.cli.doctor.Measure``).
+        measures: measurements of ``gateway doctor --bench`` (``gateway.cli.doctor.Measure``).
         readers: of log formats, by suffix, as ``".xyz"`` (``gateway.bus.readers.batch.Reader``).
         protections: carmakers' rules of checksums: name in ``checksum.rule`` -> function of a
             ``gateway.signals.protection.rules.Frame`` that returns the checksum.
         keys: key functions of UDS security access: of seed, secret and level.
-        observers: what ``gateway learn`` shows of a message beside its signals
+        observers: values that ``gateway learn`` shows of a message beside its signals
             (``gateway_fleet.learn.observers.Observer``).
     """
 

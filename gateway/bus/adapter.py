@@ -48,7 +48,7 @@ class PythonCanBus(Bus):
         while not self._ended.is_set():
             try:
                 message = self._bus.recv(0.1)
-            except Exception as error:  # whatever a driver raises must reach receive()
+            except Exception as error:  # any exception of a driver must reach receive()
                 self._error = error
                 os.eventfd_write(self._event, 1)
                 return

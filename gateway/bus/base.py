@@ -1,4 +1,4 @@
-"""What every bus can do."""
+"""Interface of every bus."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def send_all(bus: Bus, frames: Frames, *, patience_s: float = 5.0) -> None:
     """Send frames, waiting while the queue of the bus is full.
 
     Raises:
-        BusError: the bus is gone, or took nothing for so long [s].
+        BusError: the bus is gone, or took nothing for this time [s].
     """
     limit = time.monotonic() + patience_s
     while len(frames):

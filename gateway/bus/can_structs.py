@@ -147,7 +147,7 @@ def _to_frame(f: Any, fd: bool, own: bool, stamp: int, bus: int) -> None:
 def settle(
     messages: Any, control: Any, losses: Any, out: Any, count: int, bus: int, now_ns: int, lost: int
 ) -> tuple[int, int, int, int]:
-    """Turn received structs, where they lie now, into frames; what is no frame is left out.
+    """Turn received structs, where they lie now, into frames; structs that are not frames are left out.
 
     Args:
         messages: headers, shape (>= count,) of struct mmsghdr; made ready for the next call.

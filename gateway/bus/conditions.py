@@ -1,4 +1,4 @@
-"""What a bus says of itself: the kernel's error frames, and our own frames of its condition.
+"""A bus's own condition: the kernel's error frames, and the gateway's frames of its condition.
 
 An error frame (linux/can/error.h) has the flag ERROR and classes of errors as its identifier, and details in its data.
 The kernel has no frame for an interface that goes away, comes back, or loses frames in a queue; for these the
@@ -66,7 +66,7 @@ def are_steps(frames: Frames) -> NDArray[np.bool_]:
 
 
 def are_conditions(frames: Frames) -> NDArray[np.bool_]:
-    """Return which frames tell the condition of a bus or of the clock, shape (n,): the gateway's own, nobody else's."""
+    """Return which frames tell the condition of a bus or of the clock, shape (n,): only the gateway makes them."""
     return np.asarray(frames["can_id"] == ERROR, np.bool_)
 
 

@@ -33,8 +33,8 @@ BRS = 0x02  # bit-rate switch
 ESI = 0x04  # error state indicator of the sender
 OWN = 0x08  # sent by this process
 
-#: Rank of a frame to be sent: what the bus takes first when it does not take all at once. A cyclic one gives way to
-#: the next of its identifier. Frames received have rank 0.
+#: Rank of a frame to be sent: the order in which a bus takes frames when it cannot take all at once. A cyclic one gives
+#: way to the next of its identifier. Frames received have rank 0.
 ANSWER, URGENT, CYCLIC = 0, 1, 2
 
 #: One frame, 80 bytes. ``data`` starts on a multiple of 8, so that it can be read as 64-bit words.
@@ -62,7 +62,7 @@ def empty(count: int) -> Frames:
     return np.zeros(count, FRAME)
 
 
-#: A frame as so many bytes: NumPy copies records field by field, which takes ten times as long.
+#: A frame as plain bytes: NumPy copies records field by field, which takes ten times as long.
 RAW = np.dtype((np.void, FRAME.itemsize))
 #: Frames that are copied as records: to look at them as bytes takes as long (1 us).
 _FEW = 40

@@ -31,7 +31,7 @@ log = get_logger(__name__)
 
 #: Frames that wait for a slow client.
 QUEUE = 20_000
-#: A plain client's first frames wait so long [s]: python-can wants the answer to rawmode alone.
+#: Time that a plain client's first frames wait [s]: python-can wants the answer to rawmode alone.
 HOLD_S = 0.05
 
 
@@ -115,7 +115,7 @@ class Hub:
             self.serve_once(0.1)
 
     def serve_once(self, timeout_s: float) -> None:
-        """Wait for work, at most so long [s], and do it."""
+        """Wait for work, at most this time [s], and do it."""
         for key, mask in self._selector.select(timeout_s):
             client = key.data
             if client is None:
@@ -148,12 +148,12 @@ class Hub:
         except OSError as error:
             if error.errno in (errno.EMFILE, errno.ENFILE):
                 self._turn_away()
-            return  # else whoever wanted in is gone already
+            return  # else the client that wanted in is gone already
         if self._spare is None:
             self._spare = _spare()
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # Bounded, so that what waits for a slow client waits here, where it is counted.
+        # Bounded, so that frames for a slow client wait here, where they are counted.
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
         client = _Client(connection)
         self._clients.append(client)

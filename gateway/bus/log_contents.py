@@ -1,4 +1,4 @@
-"""What a log held, and what is to be said of it."""
+"""Contents of a log, and the errors and notes about it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MOST_NAMED = 3
 
 @dataclass
 class Contents:
-    """What a log held, once it has been read.
+    """Contents of a log that has been read.
 
     Attributes:
         file: the log.
@@ -25,7 +25,7 @@ class Contents:
         bus_of: name of the bus that a channel was taken as, None: left out.
         state: "whole", "empty", "foreign" (no frame of a configured bus), "cut off", or "damaged".
         wrong: what is wrong with it, one error each.
-        notes: what a person should know, one line each.
+        notes: remarks for people, one line each.
     """
 
     file: Path

@@ -1,6 +1,6 @@
-"""What stands below the reader of a log: compressed files, what ends a log before its end, and how much it may hold.
+"""Files below the reader of a log: compressed files, errors that end a log early, and limits of size.
 
-A few kB unpack to gigabytes. So what is read is bounded: a line, an object of BLF, and what must be held whole.
+A few kB unpack to gigabytes. So reading is bounded: a line, an object of BLF, and files that must be held whole.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gateway_fdi.errors import InputError
 
 #: Suffix -> what compressed the log.
 COMPRESSIONS = {".gz": "gzip", ".bz2": "bzip2", ".xz": "xz", ".zst": "Zstandard", ".zip": "zip"}
-#: Suffix of what may hold several logs.
+#: Suffix of an archive: it may hold several logs.
 ARCHIVE = ".zip"
 
 #: Bytes of a line at most; lines of all formats are a few hundred bytes long at most.
@@ -106,7 +106,7 @@ def open_log(path: Path, stack: ExitStack, member: str = "") -> tuple[BinaryIO, 
 
 
 def pull(stream: BinaryIO, size: int) -> tuple[bytes, Exception | None]:
-    """Return so many bytes, less at the end, and what ended them early: what came before a damaged place is kept."""
+    """Return this number of bytes, less at the end, and the error that ended them; bytes before it are kept."""
     parts: list[bytes] = []
     read = getattr(stream, "read1", stream.read)
     while size > 0:
@@ -138,7 +138,7 @@ def whole(stream: BinaryIO, path: Path) -> BytesIO:
 
 
 def damage(error: Exception, path: Path, frames: int) -> InputError:
-    """Return what ended a log early as an error of ours."""
+    """Return the cause that ended a log early as an error of the gateway."""
     if isinstance(error, CutOffError):
         return error
     if isinstance(error, EOFError):  # all of our decompressors

@@ -39,7 +39,7 @@ FORMATS = {
     ".csv": "python-can CSV",
     ".parquet": "Parquet",
 }
-#: Formats that need an extra -> it, and what it is for.
+#: Formats that need an extra -> the extra, and its purpose.
 _EXTRAS = {".mf4": ("mf4", "MF4 logs"), ".parquet": ("parquet", "logs in Parquet")}
 
 
@@ -118,9 +118,9 @@ class LogReader:
     Attributes:
         bytes_total, bytes_done: size of the file, and how far reading is [byte].
         seen: frames of each interface or channel in the file so far, left out or not.
-        passed_over: what was no frame that can be read, one text each.
+        passed_over: lines or records that could not be read as frames, one text each.
         problems: damage that did not end reading; none in a single file.
-        origin_ns: what makes stamps wall time where they count from the log's begin, as its header has it; else 0 [ns].
+        origin_ns: wall time of the log's begin, by its header, where stamps count from there; else 0 [ns].
     """
 
     def __init__(self, path: Path, *, chunk: int = CHUNK, channels: Mapping[str, int] | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Writes frame logs in Parquet (see ``readers.parquet``): what DuckDB, pandas and Spark read as it is."""
+"""Writes frame logs in Parquet (see ``readers.parquet``): DuckDB, pandas and Spark read them directly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from gateway.bus.frames import ID_MASK, Frames
 from gateway.bus.readers.parquet import FLAGS, FLAGS_OF_ID
 
-#: Frames of a row group: what is held of a log that is written or read.
+#: Frames of a row group: the part of a log that is held while it is written or read.
 GROUP = 1 << 17
 
 

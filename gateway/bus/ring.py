@@ -24,7 +24,7 @@ from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError
 
 _NAME = re.compile(r"^frames-(\d{6,})-\d{8}T\d{6}Z\.(log|blf)$")
-#: After a failure (disk full) the next attempt waits so long [s].
+#: Time from a failure (disk full) to the next attempt [s].
 PAUSE_S = 1.0
 
 log = get_logger(__name__)
@@ -69,7 +69,7 @@ class SegmentReader:
 
     Attributes:
         bytes_total: size of all segments [byte].
-        problems: what is wrong with which segment; not that the newest one is unfinished.
+        problems: errors of each segment, except that the newest one is unfinished.
     """
 
     def __init__(self, folder: Path, channels: Mapping[str, int] | None) -> None:
@@ -90,12 +90,12 @@ class SegmentReader:
 
     @property
     def origin_ns(self) -> int:
-        """What makes stamps wall time: nothing, our own recordings have it [ns]."""
+        """Added to stamps to make them wall time: 0, our own recordings have it [ns]."""
         return 0
 
     @property
     def passed_over(self) -> list[str]:
-        """What was no frame that can be read, one text each."""
+        """Lines that could not be read as frames, one text each."""
         return [text for reader in self._readers for text in reader.passed_over]
 
     def __iter__(self) -> Iterator[Frames]:
@@ -159,7 +159,7 @@ class Ring:
         self._next = max(map(_number, old), default=0) + 1
 
     def write(self, frames: Frames) -> None:
-        """Append a batch; what cannot be written is counted, and does not stop anybody."""
+        """Append a batch; frames that cannot be written are counted, and stop nothing."""
         if not len(frames):
             return
         if self._writer is None and time.monotonic() < self._resume:

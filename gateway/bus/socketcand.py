@@ -84,8 +84,8 @@ def split(buffer: bytearray) -> tuple[list[list[str]], int]:
     """Take the complete messages off the front of a buffer.
 
     Returns:
-        the words of each message, and how many pieces of garbage were thrown away. What stays in the
-        buffer is the beginning of the next message.
+        the words of each message, and how many pieces of garbage were thrown away. The rest in the buffer is the
+        beginning of the next message.
     """
     end = buffer.rfind(b">")
     garbage = 0

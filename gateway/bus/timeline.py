@@ -40,8 +40,7 @@ def spans(frames: Frames, offset_ns: int) -> Iterator[tuple[Frames, int]]:
     Yields:
         frames and their offset [ns]; a frame that tells a step is the first of its part.
     """
-    # A small batch, as a live bus brings, is told by its identifiers: NumPy takes longer to begin than it to be looked
-    # through.
+    # A small batch, as a live bus brings, is recognized by its identifiers: a loop ends before NumPy has begun.
     if len(frames) <= FEW and ERROR not in frames["can_id"].tolist():
         if len(frames):
             yield frames, offset_ns
@@ -109,7 +108,7 @@ class LogTime:
         self._offsets = np.zeros(_BUSES, np.int64)
         self._latest = np.full(_BUSES, _NOTHING, np.int64)
         self._now_ns = 0
-        self._told_ns = 0  # offset that frames in the log, or ours, have told
+        self._told_ns = 0  # offset by frames in the log, or by the gateway's own
         self._started = False
 
     def apply(self, frames: Frames) -> Frames:
@@ -143,7 +142,7 @@ class LogTime:
         return frames
 
     def _stepped(self, frame: Frames) -> list[Frames]:
-        """Take a frame, shape (1,), at which the clock was set; returns it, behind one that tells so if it is new."""
+        """Take a frame, shape (1,), at which the clock was set; returns it, after one that tells so if it is new."""
         bus, stamp = int(frame["bus"][0]), int(frame["t_ns"][0])
         before: list[Frames] = []
         if are_steps(frame)[0]:
@@ -171,7 +170,7 @@ class LogTime:
         if agreeing:
             self._offsets[bus] = min(agreeing, key=lambda o: abs(stamp - o - self._now_ns))
             return 0
-        # How long it took from the last frame before to this one nobody knows: time goes on where it was.
+        # The time since the frame before is unknown: time goes on where it was.
         before = int(self._offsets[bus])
         step_ns = (stamp - before - self._now_ns) // 1000 * 1000
         self._offsets[bus] = before + step_ns  # the others keep theirs until their own stamps go back

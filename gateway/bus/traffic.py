@@ -1,4 +1,4 @@
-"""What passes on the buses: how many bits, stuff bits counted, and each identifier's period and latest payload.
+"""Traffic on the buses: how many bits, stuff bits counted, and each identifier's period and latest payload.
 
 Bits are those of ISO 11898-1, from the start of frame to the end of the intermission. A classical frame is walked with
 its CRC, a byte at a time by two tables; the stuff bits of a CAN FD frame are counted bit by bit to the end of its data
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, FD_LENGTHS, FRAME, REMOTE, Frames, empty
 from gateway_fdi.jit import COMPILED, Record, Same, bound, i8, kernel, means, u1, u4, u8s
 
-#: Identifiers that are told apart; those beyond are counted only.
+#: Number of identifiers that are kept apart; more are counted only.
 IDENTIFIERS = 1024
 #: A power of two, so that the table of identifiers stays half empty.
 _PLACES = 2 * IDENTIFIERS
@@ -47,7 +47,7 @@ def _crc_table() -> NDArray[np.int64]:
 def _stuffing_table() -> NDArray[np.int64]:
     """Return what each byte makes of a run: four times the last bit, and its length 1..4 less 1.
 
-    Shape (8, 256): eight times the stuff bits, and the run behind the byte. A stuff bit begins a run itself.
+    Shape (8, 256): eight times the stuff bits, and the run after the byte. A stuff bit begins a run itself.
     """
     made = np.zeros((8, 256), np.int64)
     for run in range(8):
@@ -95,7 +95,7 @@ class Seen(Record):
 
 @kernel
 def _stuffed(bits: Any, count: int) -> int:
-    """Return how many stuff bits so many bits need: one after five alike, which counts itself."""
+    """Return how many stuff bits this number of bits needs: one after five alike, which counts itself."""
     made, alike, last = 0, 0, -1
     for k in range(count):
         bit = bits[k]
@@ -135,7 +135,7 @@ def classical_bits(can_id: int, length: int, words: Any, crcs: Any, stuffing: An
         stuffing: what each byte makes of a run of bits alike, shape (8, 256).
     """
     remote = 1 if can_id & _REMOTE else 0
-    length = min(length, 8)  # what is longer is none; its load is that of the longest
+    length = min(length, 8)  # longer payloads do not exist; their load is that of the longest
     if can_id & _EXTENDED:  # SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, DLC
         head = ((can_id >> 18) & 0x7FF) << 27 | 3 << 25 | (can_id & 0x3FFFF) << 7 | remote << 6 | length
         count, size = 39, 5
@@ -297,7 +297,7 @@ class Traffic:
         self._count(frames)
 
     def identifiers(self) -> NDArray[np.void]:
-        """Return what was seen of each identifier, by bus and identifier, and begin the gaps anew."""
+        """Return what was seen of each identifier, by bus and identifier, and start the gaps again."""
         rows = np.flatnonzero(self._seen["used"])
         found: NDArray[np.void] = np.array(self._seen[rows], Seen.dtype)
         for name in ("gaps", "shortest_ns", "longest_ns", "sum_ns"):

@@ -26,7 +26,7 @@ _NEVER = 1e9
 
 @dataclass(frozen=True)
 class Quantity:
-    """What logs say of one test quantity.
+    """Findings of the logs for one test quantity.
 
     Attributes:
         monitor: name of the monitor.
@@ -62,7 +62,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Found:
-    """What logs say.
+    """Findings of the logs.
 
     Attributes:
         seconds: of the logs.
@@ -76,7 +76,7 @@ class Found:
 
     @property
     def tables(self) -> dict[str, dict[str, dict[str, float | str]]]:
-        """What a configuration is to hold: monitor -> ``nu``, ``thresholds``, and ``digests`` where there are any."""
+        """Values for a configuration: monitor -> ``nu``, ``thresholds``, and ``digests`` where there are any."""
         tables: dict[str, dict[str, dict[str, float | str]]] = {}
         for row in self.rows:
             mine = tables.setdefault(row.monitor, {"nu": {}, "thresholds": {}})
@@ -95,7 +95,7 @@ MOST_NU, MOST_J = 1e12, 1e5
 
 #: Monitor -> residual -> nu.
 Typical = Mapping[str, Mapping[str, float]]
-#: What is summed of each quantity, in this order.
+#: Sums of each quantity, in this order.
 _SUMS = ("samples", "total", "squares")
 
 
@@ -193,7 +193,7 @@ def _refuse_threshold(row: Quantity) -> None:
     """Refuse a threshold that would keep a test silent for ever.
 
     Raises:
-        InputError: it is infinite, no number, or so many nu that the residual is no noise around zero.
+        InputError: it is infinite, no number, or so large in nu that the residual is no noise around zero.
     """
     if row.residual and row.nu is not None and not row.threshold <= MOST_J:
         raise InputError(

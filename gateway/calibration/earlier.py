@@ -18,7 +18,7 @@ _FOUND_BEFORE = re.compile(rf"monitor\[(\d+)\]\.(?:{'|'.join(_WRITTEN)})\..*")
 
 
 def load_afresh(path: Path, *, told: bool = False) -> Config:
-    """Read a configuration that is to be calibrated; what was found for tests that are no longer there does not count.
+    """Read a configuration that is to be calibrated; values for tests that are no longer there do not count.
 
     Args:
         path: of the configuration.

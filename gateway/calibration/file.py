@@ -14,12 +14,12 @@ Found = Mapping[str, Mapping[str, Mapping[str, float | str]]]
 
 
 def write(path: Path, found: Found, source: str) -> None:
-    """Put numbers, and what they are of, into the tables of a configuration's monitors.
+    """Put numbers, and their origin, into the tables of a configuration's monitors.
 
     Args:
         path: of the configuration.
         found: to put in.
-        source: what they come from, for ``calibrated``.
+        source: their origin, for ``calibrated``.
     """
     document = tomlkit.parse(path.read_text())
     for entry in document.get("monitor", []):
@@ -36,7 +36,7 @@ def write(path: Path, found: Found, source: str) -> None:
 
 
 def put(entry: Any, key: str, value: Any) -> None:
-    """Set a key of a table, a new one before the tables in it: behind them it would be theirs."""
+    """Set a key of a table, a new one before the tables in it: after them it would belong to them."""
     if key in entry:
         entry[key] = value
         return
@@ -60,7 +60,7 @@ def _item(value: Any) -> Any:
 
 
 def rounded(value: Any, digits: int = 6) -> Any:
-    """Return a value with so many digits a number."""
+    """Return a value with this number of digits a number."""
     if isinstance(value, dict):
         return {key: rounded(v, digits) for key, v in value.items()}
     if isinstance(value, list):

@@ -32,7 +32,7 @@ class Chosen(Generic[Kind]):
     Attributes:
         place: in the configuration.
         name: of the monitor.
-        calibration: what it lets be set.
+        calibration: the values that it lets be set.
         params: its parameters.
     """
 
@@ -74,7 +74,7 @@ class NothingToLearnError(InputErrors):
     """A log of which nothing is to be learnt.
 
     Args:
-        errors: what is wrong with it.
+        errors: of the log.
         state: of its contents (:class:`gateway.bus.log_contents.Contents`).
     """
 
@@ -110,7 +110,7 @@ def batches(config: Config, path: Path, progress: Progress, maps: Sequence[str] 
 
 
 def parts(frames: Frames, end_ns: int, block_ns: int) -> Iterator[tuple[Frames, bool]]:
-    """Yield parts of a batch; True behind a part at whose end a block ends."""
+    """Yield parts of a batch; True after a part at whose end a block ends."""
     first = 0
     while first < len(frames):
         last = int(np.searchsorted(frames["t_ns"], end_ns))

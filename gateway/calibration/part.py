@@ -1,7 +1,7 @@
-"""What one log says, apart from the others: what many workers find, and one place puts together.
+"""Findings of one log, apart from the others: many workers find them, and one place puts them together.
 
-A part is written exactly (NumPy's ``.npz``: numbers keep all their bits), so that what is put together from files is
-what one process finds.
+A part is written exactly (NumPy's ``.npz``: numbers keep all their bits), so that parts put together from files are
+those of one process.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _FACTS, _ARRAY = "facts", "of "
 
 @dataclass(frozen=True)
 class Part:
-    """What a log says.
+    """Findings of a log.
 
     Attributes:
         seconds: of it that count.
         failed: DTCs that it set.
         arrays: by monitor, of the shape that each kind of calibration says.
-        facts: what is no array, as JSON has it.
+        facts: everything that is no array, as JSON.
     """
 
     seconds: float
@@ -39,7 +39,7 @@ class Part:
 
 #: Log -> what it says; the parts of one calibration in the order of its logs.
 Parts = Mapping[Path, Part]
-#: What finds a part.
+#: Finder of a part.
 Find = Callable[[Path], Part]
 
 

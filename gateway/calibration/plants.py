@@ -23,13 +23,13 @@ _REPLAY = ("learning",)
 
 @dataclass(frozen=True)
 class Plant:
-    """What logs say of a monitor's plant.
+    """Findings of the logs for a monitor's plant.
 
     Attributes:
         monitor: its name.
         seconds: of the logs.
         fit: of each log, see :class:`gateway.monitors.contract.Refined`.
-        rows: what, told, found in the end, how sure.
+        rows: name, configured value, value found in the end, how sure.
         keys: of its table, with new values.
     """
 

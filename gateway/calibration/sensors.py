@@ -1,4 +1,4 @@
-"""What healthy logs say of redundant sensors (:class:`gateway.monitors.contract.SensorCalibration`)."""
+"""Findings of healthy logs for redundant sensors (:class:`gateway.monitors.contract.SensorCalibration`)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gateway.signals.payloads import columns
 from gateway.signals.tables import SignalRef, compile_plan
 from gateway_fdi.errors import InputError
 
-#: Samples further from each other than so many periods are no neighbours.
+#: Samples further from each other than this number of periods are no neighbours.
 _GAP = 1.5
 
 Array = NDArray[np.float64]
@@ -32,12 +32,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sensors:
-    """What logs say of a monitor's sensors.
+    """Findings of the logs for a monitor's sensors.
 
     Attributes:
         monitor: its name.
         seconds: of the logs.
-        rows: what, told, found, standard deviation; NaN: not told, not known.
+        rows: name, configured value, value found, standard deviation; NaN: not configured, not known.
         keys: of its table, with new values.
         failed: DTCs that the logs set with the configuration as it is.
     """
@@ -165,7 +165,7 @@ def learn(
 def write(path: Path, measured: Sequence[Sensors], source: str) -> None:
     """Put what was found into the tables of a configuration's monitors; all else stays as it is.
 
-    What is said of all channels in one number gives way to what is said of each.
+    One number for all channels gives way to a number for each.
     """
     document = tomlkit.parse(path.read_text())
     by_name = {one.monitor: one for one in measured}

@@ -1,10 +1,10 @@
-"""Stopping rules: what a target of the mean time between false alarms asks for, and what the data carry.
+"""Stopping rules: limits for a target of the mean time between false alarms, and the limits that the data support.
 
 Each stopping rule keeps the largest level it has seen. Read once a second of recorded time, these maxima tell for any
 threshold how many alarms there would have been: seconds beyond it that follow each other are one. If the logs are
 longer than the target, the threshold is where the alarms are as rare as asked for. If they are not, the maxima's tail
 is continued as an exponential (mean excess over the 90 % quantile), and the result says by how much the target lies
-beyond the data. What the data assure, with 95 %, is chi-square: T / 3.0 without an alarm in the time T.
+beyond the data. The time that the data assure, with 95 %, is chi-square: T / 3.0 without an alarm in the time T.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def propose(maxima: Array, seconds: float, target: float) -> float:
 
 @dataclass(frozen=True)
 class Levels:
-    """What healthy logs did to the stopping rules.
+    """Effect of healthy logs on the stopping rules.
 
     Attributes:
         seconds: that count.
@@ -186,7 +186,7 @@ def calibrate(config: Config, seen: Levels, target: float) -> list[Proposal]:
 
     Args:
         config: the configuration.
-        seen: what :func:`levels` found.
+        seen: result of :func:`levels`.
         target: mean time between false alarms [s].
     """
     proposals = []

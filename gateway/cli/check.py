@@ -109,7 +109,7 @@ def _ways_around(config: Config) -> list[str]:
     there = {name: getattr(output, name) is not None for name in ("uds", "obd", "j1939")}
     said = list(ways_around(config.needs, config.security_levels, **there))
     if config.access.local_unlocked and any(need.is_locked for need in config.needs.values()):
-        said.append("access.local_unlocked: whoever may open the status socket needs no key and no role")
+        said.append("access.local_unlocked: every user who may open the status socket needs no key and no role")
     return said + ([] if output.uds is None else output.uds.weak_levels())
 
 

@@ -19,7 +19,7 @@ def convert_log(source: Path, log: Path, *, json: bool) -> int:
     It is read twice: formats whose channels have names get these, in the order in which they come.
 
     Raises:
-        InputError, InputErrors: a log that is damaged; what came before has been written.
+        InputError, InputErrors: a log that is damaged; the frames before the damage have been written.
     """
     if log.exists() and source.exists() and log.samefile(source):
         raise InputError("a log is not converted into itself", file=log)

@@ -48,7 +48,7 @@ class _Decoded:
 
     @property
     def problems(self) -> list[InputError]:
-        """What is wrong with the log."""
+        """Errors of the log."""
         return [*self.reader.problems, *([self.wrong] if self.wrong else [])]
 
     def notes(self) -> list[str]:
@@ -77,7 +77,8 @@ def decode(
     """Decode logs into tables; returns the exit code.
 
     Raises:
-        InputError, InputErrors: a log, database or configuration that is wrong; what could be read has been written.
+        InputError, InputErrors: a log, database or configuration that is wrong; the part that could be read has been
+            written.
     """
     need("parquet", "Parquet files", key="--out")
     if databases and config is not None:

@@ -1,4 +1,4 @@
-"""``gateway doctor``: what this machine offers, and what to do about what it lacks."""
+"""``gateway doctor``: the features of this machine, and how to get those that it lacks."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gateway.faults.service import daemon_state
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED, cache, shipped
 
-#: What another package can bring -> its group of entry points, and the module and name of the registry.
+#: Parts that another package can bring -> their group of entry points, and the module and name of the registry.
 _DOORS = {
     "monitor": ("gateway.monitors", "gateway.monitors.registry", "MONITORS"),
     "ecu": ("gateway.vecu", "gateway_bench.vecu.registry", "VIRTUAL_ECUS"),
@@ -36,7 +36,7 @@ _LIBRARIES = ("numpy", "numba", "cantools", "python-can", "pydantic")
 
 
 class Measure(Protocol):
-    """What ``--bench`` measures; another package brings it.
+    """A measurement of ``--bench``; another package brings it.
 
     Attributes:
         seconds: how long it takes.

@@ -38,7 +38,7 @@ class EventPrinter:
         self.definition: Callable[[str], FaultDefinition | None] = lambda fault: None
         self._explained: set[str] = set()
         self._statuses: dict[str, int] = {}
-        self._before = 0  # status of the DTC that is told
+        self._before = 0  # status of the DTC that is printed
         self._advised: dict[str, str] = {}
         self._lines = Lines()
 
@@ -53,7 +53,7 @@ class EventPrinter:
             shown(event)
 
     def _only_confirmed(self, event: dict[str, Any]) -> bool:
-        """Tell whether a DTC failed before: its confirmation has waited for what explains it."""
+        """Return whether a DTC failed before: its confirmation has waited for its explanation."""
         risen = event["status"] & ~self._before
         return bool(self._before & Status.TEST_FAILED and risen & Status.CONFIRMED_DTC)
 
@@ -78,7 +78,7 @@ class EventPrinter:
             self._part("status", status)
 
     def _explain(self, event: dict[str, Any]) -> None:
-        """Print what a DTC that was set means, its evidence, and what to do; of each once what does not change."""
+        """Print the meaning of a DTC that was set, its evidence, and what to do; fixed parts only once."""
         definition = self.definition(event["fault"])
         explained = event["fault"] in self._explained
         self._explained.add(event["fault"])

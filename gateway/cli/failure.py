@@ -1,4 +1,4 @@
-"""What a user sees of errors: one line each; of an error of the gateway itself also where to report it."""
+"""Errors as a user sees them: one line each; for an error of the gateway itself also where to report it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _OURS = str(Path(__file__).parent.parent)
 
 
 def debugging() -> bool:
-    """Tell whether the user wants tracebacks."""
+    """Return whether the user wants tracebacks."""
     return os.environ.get(DEBUG, "") not in ("", "0")
 
 
@@ -63,7 +63,7 @@ def ended_by(error: Exception) -> int:
 
 
 def _place(trace: TracebackType | None) -> str:
-    """Return the innermost place of ours."""
+    """Return the innermost place in the gateway's code."""
     frames = traceback.extract_tb(trace)
     ours = [frame for frame in frames if frame.filename.startswith(_OURS)] or list(frames)
     if not ours:

@@ -154,7 +154,7 @@ def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool
     for name, value in entry["evidence"].items():
         print(f"  {name:20} {'-' if value is None else format(value, '.6g')}")
     if entry["inputs"]:
-        print("what its monitor saw then")
+        print("inputs of its monitor then")
         for name, value in entry["inputs"].items():
             print(f"  {name:40} {'-' if value is None else format(value, '.6g')}")
     print(
@@ -223,7 +223,7 @@ def interventions(config: Path | None, *, memory: Path | None, json: bool) -> in
             each["request"], refused,
         )  # fmt: skip
     table.columns[0].no_wrap = True
-    wide_console().print(table if found else "nobody intervened")
+    wide_console().print(table if found else "no interventions")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""JUnit's XML file of a run: what Jenkins, GitLab and others show of a test.
+"""JUnit's XML file of a run: Jenkins, GitLab and others show its tests.
 
 There is no schema that all of them keep. Here: one ``testsuite`` with ``properties``, a ``testcase`` for each thing
 judged with ``failure``, ``error`` or ``skipped``. The text of a failure stands in its body, too: GitLab shows no
@@ -17,7 +17,7 @@ from xml.etree import ElementTree as Xml
 from gateway.common.attachments import attachments
 from gateway_fdi.errors import InputError
 
-#: What XML 1.0 cannot have, written in any way.
+#: Characters that XML 1.0 cannot have, written in any way.
 _FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -27,7 +27,7 @@ class Case:
 
     Attributes:
         name: the same in each run.
-        text: what was seen; of a good one it may be "".
+        text: observation; of a good one it may be "".
         outcome: good, or what is told of it.
     """
 
@@ -49,7 +49,7 @@ def write_junit(
     Args:
         path: of the file.
         suite: name of its one test suite.
-        cases: what was judged; of those with one name the later ones get a number.
+        cases: judged tests; of those with one name the later ones get a number.
         seconds: how long it took [s].
         properties: name, value; names may come several times.
         files: recording, report, ... that belong to each case that failed.
@@ -110,7 +110,7 @@ def of_faults(faults: Iterable[tuple[str, str]], failed: Mapping[str, str], not_
 
     Args:
         faults: id and DTC of all that a configuration can find.
-        failed: id -> what is told of it.
+        failed: id -> its text.
         not_tested: ids of those whose tests never came to an end.
     """
     left_out = set(not_tested)

@@ -1,4 +1,4 @@
-"""Lines for people: wrapped at words, what goes on is indented; colours on terminals only."""
+"""Lines for people: wrapped at words, continuation lines are indented; colours on terminals only."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def wrapped(text: str, width: int = WIDTH, hang: int = HANG) -> str:
     """Return a text in lines of at most ``width`` columns, broken between groups, or else between words.
 
     Two spaces or more part groups: "count 1  speed [rpm] 1504" is broken before "speed" rather than in it. A word that
-    is longer than a line stays whole: it may be a path that somebody copies.
+    is longer than a line stays whole: it may be a path that a user copies.
 
     Args:
         text: one line, or several.

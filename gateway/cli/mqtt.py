@@ -1,4 +1,4 @@
-"""``gateway mqtt``: what a running gateway knows, to a broker."""
+"""``gateway mqtt``: publish the data of a running gateway at a broker."""
 
 from __future__ import annotations
 

@@ -11,9 +11,9 @@ from gateway_fdi.errors import InputError
 
 #: The folder that is copied: a monitor that CI runs.
 TEMPLATE = "examples/battery_voltage"
-#: Of its files, what is copied.
+#: Files of it that are copied.
 _KINDS = (".py", ".dbc", ".toml", ".ini", ".md")
-#: Its names, and what stands for them; the first that fits.
+#: Its names, and their replacements; the first that fits.
 _NAMES = ("battery_voltage", "battery_ecu")
 
 

@@ -1,4 +1,4 @@
-"""What people and programs see: texts on stderr, tables and JSON on stdout, names of shipped files."""
+"""Output for people and programs: texts on stderr, tables and JSON on stdout, names of shipped files."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def table_of(*headers: str) -> Table:
 
 
 def print_json(value: Any, *, indent: int | None = None) -> None:
-    """Print one JSON document, on one line: what ``--json`` prints is JSON Lines everywhere."""
+    """Print one JSON document, on one line: ``--json`` prints JSON Lines everywhere."""
     print(line(value, indent=indent), flush=True)
 
 
@@ -58,7 +58,7 @@ def say_unless_stored(stored: bool, memory: Path | None) -> int:
     if stored:
         return 0
     say(
-        f"error: {memory}: the fault memory could not be written; what it had not stored is lost."
+        f"error: {memory}: the fault memory could not be written; changes that it had not stored are lost."
         " Free the disk, or name another one with --memory"
     )
     return 2

@@ -1,4 +1,4 @@
-"""What people see while kernels are compiled, or logs worked on: in a terminal it moves, in a pipe a line every 5 s."""
+"""Progress while kernels are compiled, or logs worked on: in a terminal it moves, in a pipe a line every 5 s."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class LogsDone:
 
 
 def tell_of_kernels() -> None:
-    """Have this process tell what it compiles, and what is wrong with its cache."""
+    """Have this process tell what it compiles, and the errors of its cache."""
     progress.listen(CompileProgress())
     progress.say = say
 

@@ -60,8 +60,8 @@ def replay(
     ``among``: it is one of several logs, which lines of JSON name.
 
     Raises:
-        InputErrors: the log is damaged, cut off, or holds nothing for a configured bus; what it held has been
-            replayed and told before.
+        InputErrors: the log is damaged, cut off, or holds nothing for a configured bus; its contents have been replayed
+            and told before.
     """
     if html is not None:
         need("serve", "reports", key="--html")
@@ -250,7 +250,7 @@ def _feed(
                         printer.start_ns = int(frames[0]["t_ns"])
                     if trace is None:
                         yield frames
-                    else:  # one by one, to look behind each
+                    else:  # one by one, for a look at each
                         yield from single(frames)
             except InputError as error:
                 damage = error

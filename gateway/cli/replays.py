@@ -1,4 +1,4 @@
-"""``gateway replay`` of several logs: each by itself, its lines in the order of the logs, whoever is done first."""
+"""``gateway replay`` of several logs: each by itself, its lines in the order of the logs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gateway_fdi.errors import InputError
 
 #: Options that name a file for one log.
 _OF_ONE = {"memory": "--memory", "html": "--html", "series": "--signals", "plot": "--plot", "junit": "--junit"}
-#: What a replay prints to.
+#: Outputs of a replay.
 _STREAMS = ("out", "err")
 
 
@@ -62,7 +62,7 @@ def replays(logs: Sequence[Path], config: Path | None, *, jobs: int, **options: 
         return replay(logs[0], config, **options)
     for name, key in _OF_ONE.items():
         if options.get(name) is not None:
-            text = f"of one log, and here are {len(logs)}: each would write it anew"
+            text = f"of one log, and here are {len(logs)}: each would overwrite it"
             raise InputError(text, key=key, value=str(options[name]))
     from gateway.common.pool import default_workers  # noqa: PLC0415 - few replay several logs
 
@@ -99,7 +99,7 @@ class _Replaying:
                 redirect_stderr(err),
             ):
                 code = _replay_among(task.log, task.config, task.options)
-            # Dask has it done anew, and while its lines are told, where a worker dies that had it done before.
+            # If a worker dies that had done it, Dask has it done again, maybe while its lines are being told.
             for stream, path in made.items():
                 path.replace(task.file(stream))
         return [(task.place, code)]

@@ -34,7 +34,7 @@ class RunReport:
         self.write(log.name, source, events=events)
 
     def write(self, title: str, source: Sequence[tuple[str, str]], **more: Any) -> None:
-        """Write the report: its title, what was run, and more of ``gateway.serve.report.page.Told``."""
+        """Write the report: its title, the command that was run, and more of ``gateway.serve.report.page.Told``."""
         from gateway.serve.report.page import Told, write_report  # noqa: PLC0415 - loads bokeh
 
         write_report(self._path, self._gateway, self.collector, Told(title, source, self._config, **more))

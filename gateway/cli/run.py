@@ -41,7 +41,7 @@ class Ending:
         signal.signal(signal.SIGINT, self._on_signal)
         signal.signal(signal.SIGTERM, self._on_signal)
         if starting is not None:
-            # The handler in C writes the signal's number there, whatever the main thread does.
+            # The handler in C writes the signal's number there, even while the main thread is busy.
             self._numbers, wakeup = socket.socketpair()
             self._wakeup = wakeup
             wakeup.setblocking(False)
@@ -69,12 +69,12 @@ class Ending:
         return 128 + self._signalled if self._signalled else 0
 
     def after(self, seconds: float | None) -> Self:
-        """End so many seconds from now; None: only at a signal."""
+        """End after this number of seconds; None: only at a signal."""
         self._limit = math.inf if seconds is None else time.monotonic() + seconds
         return self
 
     def __call__(self) -> bool:
-        """Tell whether to end."""
+        """Return whether to end."""
         return bool(self._signalled) or time.monotonic() >= self._limit
 
 

@@ -17,9 +17,9 @@ from gateway.cli.drawing import save
 from gateway.runtime.series.envelope import Envelope, Trace
 from gateway.runtime.series.rows import FAULT, QUANTITY, SIGNAL
 
-#: Panels of a picture; what moved least is left out.
+#: Number of panels of a picture; the series that moved least are left out.
 MOST = 16
-#: A limit so many times the values is not drawn: they would be a line at zero.
+#: A limit this many times above the values is not drawn: they would be a line at zero.
 _FAR = 20.0
 #: Longest title.
 _LONG = 110
@@ -30,7 +30,7 @@ _LINE, _LIMIT, _SET, _HEALED, _FAILED = "#1f4e79", "#b8860b", "#c0392b", "#2e8b5
 
 
 def _shown(envelope: Envelope) -> tuple[list[Trace], list[str]]:
-    """Return what gets a panel, in order, and what people should know of the rest."""
+    """Return the series that get a panel, in order, and notes about the rest."""
     moving: list[Trace] = []
     seen: dict[tuple[str, bytes, bytes], Trace] = {}
     for trace in envelope.traces.values():

@@ -82,7 +82,7 @@ def give_way() -> None:
 
 
 class PageProcess:
-    """``gateway serve`` beside a gateway: it ends with it, and what becomes of it changes nothing else.
+    """``gateway serve`` beside a gateway: it ends with it, and its failure changes nothing else.
 
     Args:
         status: the gateway's status socket.

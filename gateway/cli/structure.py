@@ -1,4 +1,4 @@
-"""``gateway structure``: which residual generators a model has, and what they tell."""
+"""``gateway structure``: which residual generators a model has, and which faults they isolate."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def _sets(analysis: Analysis) -> Table:
 
 
 def _isolability(analysis: Analysis) -> Table:
-    table = Table(title="Faults: what explains each too, with unique generators")
+    table = Table(title="Faults: others that explain each too, with unique generators")
     table.add_column("fault")
     table.add_column("at best")
     for causality in CAUSALITIES:

@@ -1,4 +1,4 @@
-"""The picture of a structural analysis: the paper's Fig. 2, the decomposed model, and what its tests tell."""
+"""The picture of a structural analysis: the paper's Fig. 2, the decomposed model, and its tests."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PANELS = (
 )
 _UNDER, _JUST, _OVER, _CLASS = "#c9b8de", "#a9d3a5", "#cfe0f3", "#9dbfe3"
 _FAULT = "#c0392b"
-#: Beyond so many rows labels would be unreadable.
+#: Beyond this number of rows labels would be unreadable.
 _MOST_LABELS = 120
 
 
@@ -62,7 +62,7 @@ def _decomposition(axes: Axes, analysis: Analysis) -> None:
     blocks += [(block, _CLASS) for block in sorted(parts.classes, key=lambda b: -len(b.equations))]
     rows = [e for block, _ in blocks for e in block.equations]
     own = [v for block, _ in blocks for v in block.variables]
-    # What several classes share stands at the right.
+    # Parts that several classes share stand at the right.
     columns = own + [v for v in structure.variables if v not in set(own)]
     place = {v: k for k, v in enumerate(columns)}
     over = (len(rows) - len(parts.over.equations), len(columns) - len(parts.over.variables))

@@ -1,4 +1,4 @@
-"""Each step of a monitor, printed: its inputs, its state after it, and what it reported."""
+"""Each step of a monitor, printed: its inputs, its state after it, and its results."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ MOST_NUMBERS = 1000
 
 
 def _plain(value: Any) -> Any:
-    """Return a record, an array or a number as JSON has it; what is no number is None, a long array its size."""
+    """Return a record, an array or a number as JSON; values that are not numbers become None, a long array its size."""
     if value.dtype.names is not None and not value.shape:
         return {name: _plain(value[name]) for name in value.dtype.names}
     if value.size > MOST_NUMBERS:

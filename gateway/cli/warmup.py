@@ -33,7 +33,7 @@ def warmup(*, json: bool) -> int:
             say(f"monitor type {type_}: {error}")
     gateway = Gateway(load_config(shipped("gateway.toml")))  # without a path its fault memory is no file
     gateway.start(0)
-    gateway.engine.fault_detection_counters()  # what those who watch look at
+    gateway.engine.fault_detection_counters()  # signals that watchers look at
     gateway.close()
     Traffic(1).write(empty(1))
     nearness(True, 1.0, 1.0)

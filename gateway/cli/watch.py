@@ -1,4 +1,4 @@
-"""``gateway watch``: what a running gateway shows, in a terminal."""
+"""``gateway watch``: view of a running gateway, in a terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``gateway replay --signals``, ``--plot`` and ``gateway plot``: what monitors compute, as a file and as a picture."""
+"""``gateway replay --signals``, ``--plot`` and ``gateway plot``: values of monitors, as a file and as a picture."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _picture(path: Path, key: str) -> None:
 
 
 class Watched:
-    """What is asked of a replay beside its events.
+    """Outputs that are asked of a replay beside its events.
 
     Args:
         series: file to be written, None: none.
@@ -53,7 +53,7 @@ class Watched:
 
     @contextmanager
     def of(self, gateway: Gateway, parts: Parts, fed: Fed) -> Iterator[FrameConsumer]:
-        """Yield what the log is fed to; the files are complete behind it.
+        """Yield the taker of the log's frames; the files are complete after it.
 
         Args:
             gateway: not started yet.

@@ -1,4 +1,4 @@
-"""``gateway check --why``: what a fault's test depends on."""
+"""``gateway check --why``: the inputs that a fault's test depends on."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What every room may use: settings files, logging, progress, plug-ins, shipped files. It imports no other room."""
+"""Tools for every room: settings files, logging, progress, plug-ins, shipped files. It imports no other room."""

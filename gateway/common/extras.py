@@ -1,4 +1,4 @@
-"""What is installed only for those who ask for it: packages behind the extras of pyproject.toml."""
+"""Optional packages: the extras of pyproject.toml install them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def need(extra: str, feature: str, *, file: str | Path | None = None, key: str |
 
     Args:
         extra: one of :data:`EXTRAS`.
-        feature: what it is for, as people call it (plural).
+        feature: its purpose, as people call it (plural).
         file: that asked for it.
         key: option or key that asked for it.
 

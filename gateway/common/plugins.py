@@ -65,7 +65,7 @@ def _our_plugins() -> tuple[Plugin, ...]:
 
 @cache
 def _foreign_plugins() -> tuple[dict[str, Plugin], dict[str, InputError]]:
-    """Return the plug-ins of other packages by their places, and what is wrong with those that cannot be used."""
+    """Return the plug-ins of other packages by their places, and the errors of those that cannot be used."""
     ours = set(_entries(PLUGINS).values())
     found: dict[str, Plugin] = {}
     wrong: dict[str, InputError] = {}
@@ -120,7 +120,7 @@ def _load(place: str) -> object:
     module, _, name = place.partition(":")
     try:
         found: object = import_module(module)
-    except (Exception, SystemExit) as error:  # whatever a plug-in does while it is imported, it is one line
+    except (Exception, SystemExit) as error:  # any error of a plug-in while it is imported is one line
         told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         raise InputError(f"{module} cannot be imported: {told}", value=place) from error
     for part in name.split("."):
@@ -131,11 +131,11 @@ def _load(place: str) -> object:
 
 
 class Registry(Mapping[str, T], Generic[T]):
-    """What can be named in a configuration, by type.
+    """Names that a configuration can use, by type.
 
     Args:
         group: of entry points, type -> ``package.module:NAME``; a key of ``gateway.plugin.DOORS``.
-        accept: what was imported, its name -> the same, checked.
+        accept: imported object, its name -> the same, checked.
     """
 
     def __init__(self, group: str, accept: Callable[[object, str], T]) -> None:
@@ -182,7 +182,7 @@ class Registry(Mapping[str, T], Generic[T]):
         return len(self._all)
 
     def described(self, types: Iterable[str] | None = None) -> dict[str, T | InputError]:
-        """Return types, or all of all installed packages: what they stand for, or what is wrong with it."""
+        """Return types, or all of all installed packages: the object of each, or its error."""
         found: dict[str, T | InputError] = {}
         for type_ in self if types is None else types:
             try:

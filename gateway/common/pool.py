@@ -1,8 +1,9 @@
-"""Tasks at Dask's workers, and what is made of workers that die (https://distributed.dask.org).
+"""Tasks at Dask's workers, and the treatment of workers that die (https://distributed.dask.org).
 
 A cluster of processes on this machine, or workers anywhere that share the logs' and the results' folders. A worker that
-dies takes with it what it was doing, whoever was to blame. So what was under way then is suspected, and done again at
-the end, one at a time: what kills its worker alone is told as such, what does not is as if nothing had happened.
+dies takes its tasks with it, even those that are not to blame. So the tasks that it had are suspected, and done again
+at the end, one at a time: a task that kills its worker alone is reported as such, the others count as if nothing had
+happened.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from gateway_fdi.errors import GatewayError, InputError
 
 #: How often a task that was under way when a worker died is tried alone.
 TRIES = 2
-#: What Dask's servers of HTTP answer without a dashboard: that they are there.
+#: Answer of Dask's HTTP servers without a dashboard: only that they are there.
 _HEALTH = ["distributed.http.health"]
 #: How long a scheduler may take to have a worker [s].
 PATIENCE_S = 120.0
@@ -31,7 +32,7 @@ Outcome = TypeVar("Outcome")
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does it.
+    """Workers that do the tasks.
 
     Attributes:
         scheduler: address of a scheduler, None: a cluster on this machine.
@@ -45,16 +46,16 @@ class Workers:
 
 
 class Work(Protocol[Task, Outcome]):
-    """What tasks are, and what becomes of those that cannot be done."""
+    """Kind of the tasks, and the outcomes of those that cannot be done."""
 
     def do(self, task: Task) -> list[Outcome]:
         """Do a task, at a worker; this object is sent there."""
 
     def failed(self, task: Task, text: str) -> list[Outcome]:
-        """Return the outcomes of a task that raised what nobody expects."""
+        """Return the outcomes of a task that raised an unexpected error."""
 
     def killed(self, task: Task) -> tuple[list[Outcome], Task | None]:
-        """Return the outcomes of a task that kills its worker, and what of it is still to be done."""
+        """Return the outcomes of a task that kills its worker, and the parts of it that are still to be done."""
 
 
 def default_workers() -> int:
@@ -66,8 +67,8 @@ class Pool(Generic[Task, Outcome]):
     """Has tasks done, a few more under way than workers do at once.
 
     Args:
-        work: what they are.
-        workers: who does them; started when the first task comes.
+        work: kind of the tasks.
+        workers: do them; started when the first task comes.
         stack: ends them.
     """
 
@@ -163,7 +164,7 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
 
     address: Any = workers.scheduler
     if address is None:
-        # Who dies takes one suspect along; all else is ours (see the module).
+        # A worker that dies takes one suspect along; this module does the rest (see above).
         # Its profiler keeps what each worker did in each second: 50 kB a second that a log takes.
         settings: dict[str, Any] = {
             "distributed.scheduler.allowed-failures": 0,

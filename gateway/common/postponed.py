@@ -1,8 +1,8 @@
-"""Modules of other packages that are not loaded before somebody uses them.
+"""Modules of other packages that are not loaded before they are used.
 
-cantools imports its tester, and with it python-can; can-isotp imports python-can for the buses of its own. Nobody here
-uses these, and python-can looks for every format of logs: with asammdf installed it takes a second of each start. So
-their names are bound as usual, and the module of a name is executed when its first attribute is asked for, by
+cantools imports its tester, and with it python-can; can-isotp imports python-can for the buses of its own. The gateway
+does not use these, and python-can looks for every format of logs: with asammdf installed it takes a second of each
+start. So their names are bound as usual, and the module of a name is executed when its first attribute is asked for, by
 :class:`importlib.util.LazyLoader`. Nothing is hidden and nothing made up for: it is the real module at any time.
 """
 

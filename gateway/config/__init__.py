@@ -1,1 +1,1 @@
-"""The configuration: its keys, its file, and what its names stand for."""
+"""The configuration: its keys, its file, and the objects that its names stand for."""

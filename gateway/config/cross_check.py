@@ -1,4 +1,4 @@
-"""What one table of a configuration says of another: names that are taken, and names that nothing has."""
+"""Checks of one table of a configuration against another: names that are taken, and names that nothing has."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def _checks(config: Config) -> Iterator[InputError]:
 
 
 def _shared_codes(config: Config) -> Iterator[InputError]:
-    """Yield checks that have the DTCs of one before; what single faults are set to is the catalogue's to judge."""
+    """Yield checks that have the DTCs of one before; the catalogue judges the settings of single faults."""
     first: dict[str, str] = {}
     messages: set[str] = set()
     for k, bus in enumerate(config.bus):

@@ -31,7 +31,7 @@ class CatalogueFile(StrictModel):
     did: tuple[DidParams, ...] = ()
 
 
-#: What a variable of the environment begins with that overrides the file, and what stands between its levels.
+#: Prefix of the variables of the environment that override the file, and the separator of their levels.
 _PREFIX, _BETWEEN = "GATEWAY_", "__"
 
 
@@ -66,7 +66,7 @@ def _with_catalogues(config: Config, folder: Path) -> Config:
 
 
 def _environment_says_something() -> bool:
-    """Tell whether a variable of the environment overrides a key of the configuration."""
+    """Return whether a variable of the environment overrides a key of the configuration."""
     names = (name.upper() for name in os.environ)
     keys = {name.removeprefix(_PREFIX).split(_BETWEEN)[0] for name in names if name.startswith(_PREFIX)}
     return any(name.upper() in keys for name in Config.model_fields)

@@ -118,7 +118,7 @@ class MemoryConfig(StrictModel):
 
 
 class PowerConfig(StrictModel):
-    """When the vehicle is awake, and its supply good: what is silent else is not at fault.
+    """When the vehicle is awake, and its supply good: senders that are silent otherwise are not at fault.
 
     Conditions count by the last value that came, also if its message comes no more; before the first one they are met.
     """
@@ -127,7 +127,7 @@ class PowerConfig(StrictModel):
         (), description="the vehicle is awake while one of these is met (terminal 15, a network awake): timeouts count"
     )
     voltage: ConditionSettings | None = Field(
-        None, description="the supply is good while this is met: timeouts count, and what suffers under it"
+        None, description="the supply is good while this is met: only then do timeouts, and all that needs it, count"
     )
     suffers: tuple[str, ...] = Field(
         (), description="faults, or monitors with all of theirs, whose test results count only with a good supply"
@@ -178,14 +178,14 @@ class Config(StrictModel):
     )
     power: PowerConfig = Field(PowerConfig(), description="when the vehicle is awake, and its supply good")
     diagnosis: DiagnosisParams = Field(
-        DiagnosisParams(), description="what causes are weighed by: priors, supplies and grounds that parts share"
+        DiagnosisParams(), description="weights of causes: priors, supplies and grounds that parts share"
     )
     clock: ClockParams = Field(ClockParams(), description="the wall clock that stamps frames")
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()
     access: AccessParams = Field(AccessParams(), description="who may intervene, and when")
     usage: UsageParams | None = Field(
-        None, description="what tells how the vehicle is used: distance, running time, performance ratios of monitors"
+        None, description="how the vehicle is used: distance, running time, performance ratios of monitors"
     )
     status: StatusConfig | None = Field(None, description="a unix socket for gateway serve and gateway watch")
     report: ReportParams | None = Field(None, description="a unix socket on which other processes report test results")
@@ -225,13 +225,13 @@ class Config(StrictModel):
 
     @property
     def needs(self) -> Needs:
-        """What each intervention needs."""
+        """Conditions of each intervention."""
         j1939 = self.output.j1939
         clears = None if j1939 is None else j1939.allow_clear
         return needs_of(self.access_rules, self.security_levels, clears, self.roles)
 
     def diagnostic_address_is_shared(self) -> bool:
-        """Tell whether the UDS and the OBD server have one address.
+        """Return whether the UDS and the OBD server have one address.
 
         Raises:
             InputError: they share some of their identifiers, but not all.

@@ -1,6 +1,6 @@
 """A configuration with everything that it names: looked up once, here, and passed down from here.
 
-What is built of it (``gateway.runtime.assemble``) asks for no name again.
+The builder (``gateway.runtime.assemble``) asks for no name again.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ OWN_DATABASES = ("dbc/gateway.dbc", "dbc/pedal.dbc")
 
 @dataclass(frozen=True)
 class Resolved:
-    """What a configuration's names stand for.
+    """Objects that a configuration's names stand for.
 
     Attributes:
         config: the configuration.
@@ -158,7 +158,7 @@ def _each(find: Callable[[str, str], object], asked: Iterable[tuple[str, str]]) 
 def _checks(
     config: Config, databases: Sequence[Database], pairs: Mapping[str, Pair], notes: list[str]
 ) -> list[CheckInstance]:
-    """Return the checks of messages; codes given out and what databases say of protections is put in, this is noted.
+    """Return the checks of messages; codes given out and protections from databases are put in, and noted.
 
     Raises:
         InputError, InputErrors: checks of messages that are not there.
@@ -225,7 +225,7 @@ def _monitors(
     """Return a configured monitor, or its parts.
 
     Raises:
-        InputError, InputErrors: signals that are not there, what a part cannot be made of.
+        InputError, InputErrors: signals that are not there, or a part that cannot be made.
     """
     entry, key = config.monitor[at], f"monitor[{at}]"
     bus = config.bus_index(entry.bus)

@@ -1,4 +1,4 @@
-"""What kind of column a signal becomes: numbers as the database has them, names where it names all values.
+"""Kinds of the columns that signals become: numbers as the database has them, names where it names all values.
 
 A floating-point signal, and one whose scale or offset is no whole number, is float64. One that is whole is int64, or
 uint64 where only that holds all its values; the few that neither holds are float64. A signal whose database names all
@@ -40,7 +40,7 @@ def _raw_range(signal: Signal) -> tuple[int, int]:
 
 
 def _all_named(signal: Signal) -> bool:
-    """Tell whether a database names all values that a signal may have: then they are no measures."""
+    """Return whether a database names all values that a signal may have: then they are no measures."""
     if not signal.choices or signal.is_float or signal.length > _NAMED or signal.scale != 1 or signal.offset != 0:
         return False
     low, high = _raw_range(signal)
@@ -55,7 +55,7 @@ def _all_named(signal: Signal) -> bool:
 
 @dataclass(frozen=True)
 class Kind:
-    """What a signal's column is.
+    """Kind of a signal's column.
 
     Attributes:
         signal: of the database.

@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 #: Rows of a message that are gathered before they are decoded and written as a row group.
 GROUP = 1 << 17
-#: Frames that wait at most before all are written: what a log takes of the memory does not grow with its length.
+#: Frames that wait at most before all are written: the memory for a log does not grow with its length.
 HELD = 1 << 21
 _DAY_NS = 86_400 * 10**9
 
 
 @dataclass
 class Written:
-    """What became of a log.
+    """Result of a log.
 
     Attributes:
         frames: of it.
@@ -155,7 +155,7 @@ class LogTables:
 
         Args:
             frames: of it.
-            origin_ns: what makes their stamps wall time [ns].
+            origin_ns: added to their stamps to make them wall time [ns].
         """
         self.written.frames += len(frames)
         if origin_ns:

@@ -1,8 +1,8 @@
 """An engine goes on where another one, of a changed configuration, stops.
 
-Each record of the engine says of its fields what is state, what the state is counted in (constants), and what is only a
-place or a setting that the state does not depend on. State goes over where the constants are equal. Each state of a
-message's check has constants of its own: a new timeout does not touch what is known of the CRC.
+Each record of the engine marks its fields: state, constants that the state is counted in, and places or settings that
+the state does not depend on. State goes over where the constants are equal. Each state of a message's check has
+constants of its own: a new timeout does not touch the state of the CRC.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ def _health(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
 
 
 def _hear_again(new: Engine, bus: int) -> None:
-    """Begin again with the silence of a bus that is judged otherwise: what waited for the old end of it would do so."""
+    """Start the silence of a bus again if it is judged otherwise: messages would wait for the old end of it."""
     health, checks = new.tables.health[bus], new.tables.checks
     health["heard_ns"], health["silence"], health["asleep"] = new.now_ns, SPOKEN, 0
     health["until"][SILENT] = NEVER

@@ -1,4 +1,4 @@
-"""Buckets: what the test results of each fault were since somebody looked last.
+"""Buckets: the test results of each fault since the last look.
 
 A residual of 1 kHz is looked at 20 times a second, and yet no sample is missed: least, greatest, latest and worst value
 of all results in between are kept in the loop, where each result passes. They are reset when they are read, so an
@@ -78,7 +78,7 @@ def note(T: Any, t_ns: int, fault: int, failed: bool, value: float, limit: float
 def note_alike(
     buckets: Any, first_ns: int, last_ns: int, fault: int, count: int, failed: bool, value: float, limit: float
 ) -> None:
-    """Keep so many test results that are all the same, from the first to the last by the wall clock."""
+    """Keep a number of test results that are all the same, from the first to the last by the wall clock."""
     if fault >= buckets.shape[0]:
         return
     b = buckets[fault]

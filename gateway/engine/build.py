@@ -76,7 +76,7 @@ def build_engine(
         pgn: buses whose extended identifiers match by J1939 PGN.
         buses: whose health is judged, in the order of their indices.
         clock: how the gateway's own clock is judged; None: it is not.
-        reported: faults that nobody tests in the loop; their results are told by :meth:`Engine.report`.
+        reported: faults without a test in the loop; their results are told by :meth:`Engine.report`.
         ring: events that one pass of the loop can hold.
 
     Returns:
@@ -154,7 +154,7 @@ def _messages(wirings: Sequence[Wired], checks: Sequence[CheckInstance]) -> set[
 
 @dataclass
 class _Handlers:
-    """The monitors' table, and what its rows point to.
+    """The monitors' table, and the tables that its rows point to.
 
     Attributes:
         rows: of Handler, shape (monitors,).
@@ -197,7 +197,7 @@ def _prepare(m: MonitorInstance, state: Any, const: Any) -> None:
         with under(m.key or f'monitor "{m.name}"'), author_of(m.monitor, "prepare"):
             m.monitor.prepare(m.params, state, const)
     except (ArithmeticError, ValueError) as error:
-        # What a design of gains or a number of nanoseconds makes of numbers that no plant has.
+        # Raised by a design of gains or a number of nanoseconds where a plant's numbers are impossible.
         key = m.key or f'monitor "{m.name}"'
         raise InputError(f"nothing can be made of these parameters: {error}", key=key, value=m.monitor.type) from error
 

@@ -1,4 +1,4 @@
-"""What the engine's loop takes for granted of its tables to each other."""
+"""Relations between its tables that the engine's loop takes for granted."""
 
 from __future__ import annotations
 

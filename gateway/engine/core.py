@@ -37,7 +37,7 @@ class Engine:
 
     Attributes:
         pause_ns: time at which frames before it have been handled, and none from it on, and ``on_pause`` is called with
-            it; NEVER: there is none. The sink may set it, and what is called.
+            it; NEVER: there is none. The sink may set it, and ``on_pause``.
         on_pause: takes that time.
     """
 
@@ -109,7 +109,7 @@ class Engine:
 
     @property
     def offset_ns(self) -> int:
-        """What the wall clock is ahead of the engine's time, since it was set [ns]."""
+        """Time that the wall clock is ahead of the engine's, since it was set [ns]."""
         return int(self._clock[self._offset])
 
     def wall_ns(self, t_ns: int) -> int:
@@ -199,8 +199,8 @@ class Engine:
         Args:
             fault: index in :attr:`faults`.
             failed: the verdict.
-            value: what was tested.
-            limit: what it was tested against, same unit.
+            value: tested value.
+            limit: compared with it, same unit.
             evidence: values by the names of the fault's evidence.
             sink: called with the events.
             at_once: whether it qualifies at once, without debounce.
@@ -215,7 +215,7 @@ class Engine:
         return int(self.tables.debounces[fault]["last"]) != NOT_TESTED
 
     def report_not_tested(self, fault: int, sink: Sink) -> None:
-        """Take it that a test that is none of a monitor's cannot run now; what was counted is held.
+        """Take it that a test outside of monitors cannot run now; its counts are held.
 
         Args:
             fault: index in :attr:`faults`.
@@ -305,7 +305,7 @@ class Engine:
         self.tables.clock[0]["held"] = held
 
     def hear_again(self) -> None:
-        """Begin anew with the supervision of all messages: frames of theirs were not given to the engine."""
+        """Start the supervision of all messages again: frames of theirs were not given to the engine."""
         checks, now_ns = self.tables.checks, self.now_ns
         watched = checks["timeout_ns"] > 0
         checks["seen"] = 0

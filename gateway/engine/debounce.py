@@ -44,7 +44,7 @@ class DebouncePlace(Record):
 
 
 class DebounceConst(Record):
-    """What the state is counted in: results, or ns if ``timed``."""
+    """Constants that the state is counted in: results, or ns if ``timed``."""
 
     failed_after: i8 = means("counter at which it is failed")
     passed_after: i8 = means("minus the counter at which it is passed")
@@ -73,7 +73,7 @@ class DebounceState(Record):
     evidence: Annotated[f8s, EVIDENCE] = means("its evidence, for a verdict that time brings")
 
 
-#: What a result touches that changes nothing: one line of the cache.
+#: Fields that a result touches if it changes nothing: one line of the cache.
 _NEAR: tuple[str, ...] = (
     "gated",
     "timed",
@@ -187,7 +187,7 @@ def _verdict(d: Any) -> int:
 
 @kernel
 def is_settled(d: Any) -> bool:
-    """Tell whether one more pass changes nothing of a debounce that counts results: it is qualified, and at its end."""
+    """Return whether one more pass changes nothing: the debounce counts results, is qualified, and at its end."""
     return bool(d.timed == 0 and d.last == PASSED and d.verdict == PASSED and d.counter == -d.passed_after)
 
 
@@ -263,7 +263,7 @@ def jump_to_end(d: Any, t_ns: int, result: int) -> None:
 
 @kernel
 def hold(d: Any, t_ns: int) -> None:
-    """Stop counting; what has been counted is kept (freeze), or given up if the fault is set to (reset)."""
+    """Stop counting; the counts are kept (freeze), or given up if the fault is set to (reset)."""
     d.last = NOT_TESTED
     if d.timed == 1:
         d.counter = _at(d, t_ns)
@@ -279,7 +279,7 @@ def hold(d: Any, t_ns: int) -> None:
 
 @kernel
 def reset(d: Any) -> None:
-    """Start anew: at the start of an operation cycle, and when the fault is cleared."""
+    """Start again: at the start of an operation cycle, and when the fault is cleared."""
     d.counter = 0
     d.last = NOT_TESTED
     d.verdict = NOT_TESTED

@@ -45,7 +45,7 @@ class EmitConst(Record):
 
 
 class EmitState(Record):
-    """What it has counted."""
+    """Its counts."""
 
     count_sent: i8 = means("frames; the alive counter is made of it")
 
@@ -56,7 +56,7 @@ class Emit(EmitState, EmitConst, EmitPlace):
 
 @dataclass(frozen=True)
 class Emitted:
-    """What a monitor sends, and by which message of which bus."""
+    """A set of values that a monitor sends, and the message and bus for them."""
 
     emission: Emission
     message: Message
@@ -69,7 +69,7 @@ def fill(
     """Return the tables Emit and SIGNAL of the messages to be sent.
 
     Args:
-        emitted: what is sent.
+        emitted: values and message.
         local: whether the engine decodes it too.
         tables: of the CRCs.
 

@@ -1,4 +1,4 @@
-"""Events: what Python sees of the engine's work."""
+"""Events: Python's view of the engine's work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gates: whether a fault's test results count, and what begins and ends an operation cycle.
+"""Gates: whether a fault's test results count, and when an operation cycle begins and ends.
 
 A gate is closed while the fault's operation cycle has not begun or is over, while an enable condition is not met, its
 signal is unknown or overdue, or while a root cause is there or on its way (its fault detection counter above 0): so a
@@ -54,7 +54,7 @@ class WatchConst(Record):
 
 
 class WatchState(Record):
-    """What has come."""
+    """State of the signal."""
 
     lowest: f8 = means("lowest value since it last was so")
 
@@ -65,7 +65,7 @@ class Watch(WatchState, WatchConst, WatchPlace):
 
 @dataclass(frozen=True)
 class Condition:
-    """A signal in a closed range, in its own unit; ``rise``: and so much above its lowest value; ``counts``: as NOW."""
+    """A signal in a closed range, in its own unit; ``rise``: and by this above its lowest value; ``counts``: as NOW."""
 
     signal: SignalRef
     low: float = -np.inf
@@ -95,7 +95,7 @@ class Gate:
 
 @dataclass(frozen=True)
 class CycleWatch:
-    """What begins and what ends an operation cycle."""
+    """Begin and end of an operation cycle."""
 
     begins: Condition
     ends: Condition
@@ -103,7 +103,7 @@ class CycleWatch:
 
 @kernel
 def is_valid(T: Any, t_ns: int, row: int) -> bool:
-    """Tell whether a message has arrived and is not overdue."""
+    """Return whether a message has arrived and is not overdue."""
     v = T.vectors[row]
     if v.arrived_ns < 0:
         return False
@@ -116,7 +116,7 @@ def is_valid(T: Any, t_ns: int, row: int) -> bool:
 
 @kernel
 def sleeps(T: Any, d: Any) -> bool:
-    """Return whether the power that a fault's test asks for is not there: nobody is awake, or the voltage is wrong."""
+    """Return whether the power that a fault's test asks for is missing: the vehicle sleeps, or the voltage is wrong."""
     asked = awake = False
     for k in range(d.first_condition, d.first_condition + d.conditions):
         c = T.conditions[k]
@@ -133,7 +133,7 @@ def sleeps(T: Any, d: Any) -> bool:
 
 @kernel
 def closed(T: Any, t_ns: int, d: Any) -> bool:
-    """Tell whether the gate of a fault is closed.
+    """Return whether the gate of a fault is closed.
 
     Args:
         T: the tables.
@@ -162,9 +162,9 @@ def closed(T: Any, t_ns: int, d: Any) -> bool:
 
 @kernel
 def is_lasting(T: Any, d: Any) -> bool:
-    """Tell whether the gate of a fault, open now, stays open until the clock counts a change that gates ask for.
+    """Return whether the gate of a fault, open now, stays open until the clock counts a change that gates ask for.
 
-    One that asks for a signal does not: it would have to be asked anew. A cause must not be on its way.
+    One that asks for a signal does not: it would have to be asked again. A cause must not be on its way.
     """
     for k in range(d.first_root, d.first_root + d.roots):
         root = T.debounces[T.roots[k]]
@@ -201,7 +201,7 @@ def fill_watches(cycles: Sequence[CycleWatch], vectors: Any, plan: DecodePlan) -
         for index, cycle in enumerate(cycles)
         for begins, condition in ((1, cycle.begins), (0, cycle.ends))
     ]
-    # An end before a beginning: a cycle that one frame both ends and begins starts anew.
+    # An end before a beginning: a cycle that one frame both ends and begins starts again.
     asked.sort(key=lambda entry: entry[:3])
     watches = table(max(len(asked), 1), Watch)
     for k, (row, begins, index, condition) in enumerate(asked):

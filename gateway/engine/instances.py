@@ -1,4 +1,4 @@
-"""What the engine is built of, named by the user: configured monitors, and the faults that result."""
+"""Parts that the engine is built of, named by the user: configured monitors, and the faults that result."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ from gateway.signals.decode import (
 )
 from gateway_fdi.jit import call_entry, kernel, read_ahead
 
-#: With more messages than fit the processor's nearest cache, what so many frames on will need is fetched ahead.
+#: With more messages than fit the processor's nearest cache, the data of the frame ``_AHEAD`` places on are fetched.
 _MANY, _AHEAD = 100, 6
 _ERROR, _REMOTE = 0x2000_0000, 0x4000_0000
 
@@ -117,7 +117,7 @@ def switch_off(T: Any, t_ns: int, h: Any, why: int) -> None:
         T: the tables.
         t_ns: now.
         h: the monitor.
-        why: not 0; what :func:`gateway_fdi.jit.call_entry` gave.
+        why: not 0; result of :func:`gateway_fdi.jit.call_entry`.
     """
     h.off = why
     h.wake_ns = NEVER
@@ -223,7 +223,7 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
 
 @kernel
 def advance_time_debounce(T: Any, due: int, fault: int) -> None:
-    """Let time qualify the verdict of a fault; if its gate is closed by now, its time starts anew."""
+    """Let time qualify the verdict of a fault; if its gate is closed by now, its time starts again."""
     d = T.debounces[fault]
     if (d.gated == 1 or T.clock[0].held == 1) and closed(T, due, d):
         d.since_ns = due
@@ -456,7 +456,7 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
     expected = count - _AHEAD if T.vectors.shape[0] > _MANY else 0
     while True:
         if clock.fed < clock.sent:
-            # What a monitor sends reaches the other monitors before anything later does.
+            # A monitor's message reaches the other monitors before anything later does.
             k = clock.fed
             clock.fed = k + 1
             frame, words, own = T.outbox[k], T.outbox_cells[k, 2:], 1

@@ -1,4 +1,4 @@
-"""Monitors that step once a sample: what the engine keeps of their frames until one is there."""
+"""Monitors that step once a sample: frames that the engine keeps until a sample is there."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _GAP, _MISSING, _WHICH, _WAITED = 2, 3, 4, 5
 
 
 class Samples(sampling.State, lengths={"messages": MOST_MESSAGES}):
-    """What has come of the messages of a monitor."""
+    """State of the samples of a monitor's messages."""
 
 
 class SamplerPlace(Record):
@@ -34,7 +34,7 @@ class SamplerPlace(Record):
 
 
 class SamplerState(Record):
-    """What has come."""
+    """State of one sampling."""
 
     samples: Samples = means("state of the sampling")
 
@@ -89,7 +89,7 @@ def fill(
 
 @kernel
 def _whole(T: Any, t_ns: int, h: Any, y: Any) -> None:
-    """Put a sample into the monitor's inputs: what is missing is NaN, what belongs to no message is the newest."""
+    """Put a sample into the monitor's inputs: missing values are NaN, values of no message are the newest."""
     x, base = y.samples, y.held + y.samples.place * h.slots
     for n in range(h.first_loose, h.first_loose + h.loose):
         T.pool[h.cells + T.carried[n]] = T.mailbox[T.slots[h.first_slot + T.carried[n]]]

@@ -1,4 +1,4 @@
-"""The engine's tables: what the jitted loop reads and writes, as NumPy record arrays."""
+"""The engine's tables: the data of the jitted loop, as NumPy record arrays."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MOST_REPORTS = 16
 
 
 class VectorPlace(Record):
-    """What a message does, for each message of the decode plan."""
+    """Effects of each message of the decode plan."""
 
     first: i4 = means("of the monitors that it triggers, handlers[first:first + count], by priority")
     count: i4 = means("how many these are")
@@ -39,7 +39,7 @@ class VectorPlace(Record):
 
 
 class VectorState(Record):
-    """What has come."""
+    """State of the message."""
 
     arrived_ns: i8 = means("when its data were last accepted; -1: never", "ns")
 
@@ -94,7 +94,7 @@ class HandlerPlace(Record):
 
 
 class HandlerState(Record):
-    """What it has done, and when it wants to be woken."""
+    """Its counts, and when it wants to be woken."""
 
     tested: u1 = means("1: its faults were tested last")
     slips: u1 = means("slips of its author that were put right, as bits: NO_NUMBER, ...")
@@ -120,7 +120,7 @@ class Report(Record):
 
 
 class ClockPass(Record):
-    """What one pass of the loop needs; frames are those of the outbox, in its order."""
+    """Data of one pass of the loop; frames are those of the outbox, in its order."""
 
     stop: u1 = means("1: the pass ends here")
     held: u1 = means("whether test results do not count at present")
@@ -177,11 +177,11 @@ class Tables(NamedTuple):
     engine.gate).
     Health: a row for each bus, and one for the gateway itself (see monitors.bus_health).
     Timers: a row for each, and the ``heap`` of what is noted of them (see engine.timers).
-    Buckets: a row for each fault, what its results were since the last look (see engine.buckets).
+    Buckets: a row for each fault, its results since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     Samples: ``samplers`` of the monitors that step once a sample, the messages that are ``sampled``, the inputs that
-    these have ``carried``; ``held``: what has come of samples that are not there yet.
+    these have ``carried``; ``held``: the parts that have come of unfinished samples.
     """
 
     keys: NDArray[np.uint64]

@@ -52,7 +52,7 @@ def _put(T: Any, place: int, noted_ns: int, timer: int) -> None:
 
 @kernel
 def _first(T: Any, one: int, other: int) -> int:
-    """Return which of two places holds the timer that comes first; without a branch, which nobody could foresee."""
+    """Return which of two places holds the timer that comes first; without a branch, which would be unpredictable."""
     a, b = T.heap[one], T.heap[other]
     first = (a.noted_ns < b.noted_ns) | ((a.noted_ns == b.noted_ns) & (a.timer < b.timer))
     return one if first else other
@@ -129,13 +129,13 @@ def next_due(T: Any, t_ns: int) -> int:
         timer, deadline_ns = T.heap[0].timer, _deadline(T, T.heap[0].timer)
         if T.heap[0].noted_ns == deadline_ns:
             return int(timer)
-        _sink(T, 0, deadline_ns, timer)  # what is noted is never later than the deadline
+        _sink(T, 0, deadline_ns, timer)  # the noted time is never later than the deadline
     T.clock[0].deadline_ns = T.heap[0].noted_ns
     return -1
 
 
 def timers_of(owners: Sequence[tuple[int, Any]]) -> tuple[Any, Any]:
-    """Return the table of timers, and the heap; each owner is told which is its own.
+    """Return the table of timers, and the heap; each owner gets the place of its own.
 
     Args:
         owners: kind and rows, in the order in which timers of equal deadlines fall due; debounces that count results
@@ -157,7 +157,7 @@ def timers_of(owners: Sequence[tuple[int, Any]]) -> tuple[Any, Any]:
 
 
 def note_all(T: Any) -> None:
-    """Note the deadlines of all owners anew: they were written without :func:`arm`."""
+    """Note the deadlines of all owners again: they were written without :func:`arm`."""
     owned = {
         CHECK: T.checks["deadline_ns"],
         HANDLER: T.handlers["wake_ns"],

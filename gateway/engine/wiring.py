@@ -1,4 +1,4 @@
-"""What monitors are connected to: the signals of the buses that their inputs stand for."""
+"""Connections of monitors: the signals of the buses that their inputs stand for."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gateway_fdi.errors import Gathered, InputError, nearest, under
 
 
 class Wired(NamedTuple):
-    """What a monitor wants from the buses, as the user names it.
+    """Inputs that a monitor wants from the buses, as the user names them.
 
     Attributes:
         triggers: messages (bus, name) that step it.
@@ -95,7 +95,7 @@ def wire(m: MonitorInstance, databases: Mapping[int, Database], buses: Mapping[s
 def _wanted(
     m: MonitorInstance, signal: Signal, databases: Mapping[int, Database], buses: Mapping[str, int], key: str
 ) -> SignalRef | None:
-    """Return the signal that an input stands for; None: it is a spare one, which nobody has named and nothing has."""
+    """Return the signal that an input stands for; None: it is a spare one, without a name and without a sender."""
     try:
         return _found(m, signal, databases, buses, key)
     except InputError:

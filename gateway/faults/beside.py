@@ -1,7 +1,7 @@
 """A thread that works beside the gateway, one piece after the other, handed over with as little ado as there is.
 
-The way to such a thread and back is part of each verdict's. What ``concurrent.futures`` does on it (a condition, a
-waiter, a work item, a semaphore for each piece) takes two to three times as long as a queue and a lock.
+The way to such a thread and back is part of each verdict's. ``concurrent.futures`` (a condition, a waiter, a work item,
+a semaphore for each piece) takes two to three times as long as a queue and a lock.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ class Work(Protocol):
     """A piece of work that is handed over, as a ``concurrent.futures.Future`` tells of it."""
 
     def done(self) -> bool:
-        """Tell whether it has ended."""
+        """Return whether it has ended."""
 
     def exception(self, timeout: float | None = None) -> BaseException | None:
         """Return what it raised, after waiting for its end.
 
         Raises:
-            TimeoutError: it has not ended after so long [s].
+            TimeoutError: it has not ended after this time [s].
         """
 
     def result(self, timeout: float | None = None) -> Any:
@@ -30,7 +30,7 @@ class Work(Protocol):
 
 
 class Writer(Protocol):
-    """Who does such work, as a ``concurrent.futures.Executor`` of one thread."""
+    """A worker for such work, as a ``concurrent.futures.Executor`` of one thread."""
 
     def submit(self, work: Callable[..., Any], /, *arguments: Any) -> Work:
         """Have it done after all that was asked for before."""
@@ -53,7 +53,7 @@ class _Piece:
         """Do it."""
         try:
             self._work(*self._arguments)
-        except BaseException as error:  # whoever waits for it is told
+        except BaseException as error:  # raised again for the caller that waits
             self._raised = error
         self._ended = True
         self._end.release()
@@ -75,7 +75,7 @@ class _Piece:
 
 
 class WriterThread:
-    """A :class:`Writer`: a thread that no process waits for when it ends; who needs its work waits for that."""
+    """A :class:`Writer`: a thread that does not delay the end of its process; callers wait for its work."""
 
     def __init__(self, name: str) -> None:
         self._asked: SimpleQueue[_Piece | None] = SimpleQueue()

@@ -1,6 +1,6 @@
 """Entries by what explains them: a case is a cause with the entries that it explains, folded below it.
 
-One order for everything that lists faults: what fails now first, of that what is proven first, then the latest failure.
+One order for all lists of faults: faults that fail now first, of these the proven ones, then the latest failure.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Case(NamedTuple):
 
     @property
     def text(self) -> str:
-        """What it is for people, in one line; "": nothing is known to explain it."""
+        """Its text for people, in one line; "": nothing is known to explain it."""
         if not self.probability:
             return ""
         if self.proven:
@@ -69,7 +69,7 @@ def percent(probability: float) -> str:
 
 
 def cases_of(entries: Sequence[Mapping[str, Any]]) -> list[Case]:
-    """Return entries by their causes, what is to be read first first.
+    """Return entries by their causes, the most important first.
 
     Args:
         entries: in the form of the JSON contract (:func:`gateway.faults.service.as_dict`).
@@ -103,7 +103,7 @@ def _fails(entry: Mapping[str, Any]) -> bool:
 
 
 def _place(entry: Mapping[str, Any]) -> tuple[object, ...]:
-    """Return the place of an entry in its case: what fails, what stands for the cause, what names it, the latest."""
+    """Return the place of an entry in its case: failing, standing for the cause, naming it, the latest."""
     cause = entry.get("cause") or {"lead": "", "role": OPEN}
     return (
         not _fails(entry),

@@ -1,4 +1,4 @@
-"""The catalogue of faults: what each one is called outside, and how it is treated."""
+"""The catalogue of faults: the code and name of each one outside, and how it is treated."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class FaultDefinition:
 
     @property
     def rules(self) -> Rules:
-        """What its status byte goes by."""
+        """Rules of its status byte."""
         return Rules(self.confirm_cycles, self.healing_cycles, self.aging_cycles, self.indicator)
 
 

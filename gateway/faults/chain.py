@@ -1,12 +1,13 @@
 """The chain of the fault memory: each change of the file is a link that holds the digest of the link before it.
 
-A link names what was written (a fault with its freeze frames and what explains it, its recordings, an intervention, an
-operation cycle, a permanent DTC, an identifier, a number), and has the digest of these rows. Its own digest is over all
-that and over the digest of the link before. A clear is a link, too. So a row that is changed, added or taken away by
-somebody else shows, and so does a link that is missing. The chain has no secret: whoever may write the file can make
-all of it again. Then only the digest of the last link differs, which a running gateway knows, and people can note.
+A link names the subject that was written (a fault with its freeze frames and explanation, its recordings, an
+intervention, an operation cycle, a permanent DTC, an identifier, a number), and has the digest of these rows. Its own
+digest is over all that and over the digest of the link before. A clear is a link, too. So a row that another writer has
+changed, added or taken away shows, and so does a link that is missing. The chain has no secret: every user who may
+write the file can make all of it again. Then only the digest of the last link differs, which a running gateway knows,
+and people can note.
 
-Links are bounded: the oldest ones go, and what they say of rows that are still there is said again at the end.
+Links are bounded: the oldest ones go, and their statements about rows that are still there are repeated at the end.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ MOST = 2000
 #: Kinds of links that stand for rows, in the order of a file that is linked for the first time.
 FAULT, RECORDINGS, CYCLE, PERMANENT = "fault", "recordings", "cycle", "permanent"
 IDENTIFIER, NUMBER, INTERVENTION = "identifier", "number", "intervention"
-#: Kinds that stand for no rows: the first link, a clear, all else that is written, and what is left of older links.
+#: Kinds that stand for no rows: the first link, a clear, all else that is written, and the rest of older links.
 BEGIN, CLEAR, OTHER, ANCHOR = "begin", "clear", "other", "anchor"
 
-#: What the rows of a subject are; and which subjects there are.
+#: Rows of a subject; and which subjects there are.
 _ROWS = {
     FAULT: f"{rows.SELECT_RECORDS} WHERE id = ?",
     RECORDINGS: f"{rows.SELECT_RECORDINGS} WHERE fault = ? ORDER BY id",
@@ -70,7 +71,7 @@ class Broken(NamedTuple):
     """A row that is not what the chain says.
 
     Attributes:
-        kind, subject: what it is of.
+        kind, subject: of the row.
         link: number of the link that says so; 0: there is none.
         reason: in a few words.
     """
@@ -87,7 +88,7 @@ class Broken(NamedTuple):
 
 @dataclass
 class Verdict:
-    """What is whole.
+    """The whole and the broken parts of a chain.
 
     Attributes:
         links: how many links were looked at.
@@ -198,7 +199,7 @@ def _prune(db: sqlite3.Connection, last: int) -> None:
     first = last - max(MOST, 2 * len(alive))
     if first <= 1 or db.execute("SELECT 1 FROM link WHERE number = ?", (first,)).fetchone() is None:
         return
-    # The content is that of the old link: what somebody has changed since is not made good by this.
+    # The content is that of the old link: a later change by another writer stays visible.
     _append(db, [(kind, subject, of) for number, kind, subject, of in alive if number <= first])
     db.execute("DELETE FROM link WHERE number < ?", (first,))
     db.execute("UPDATE link SET kind = ?, subject = '', content = ? WHERE number = ?", (ANCHOR, GONE, first))

@@ -23,7 +23,7 @@ class AskedClear:
 
     Attributes:
         group: a DTC's 24 bits, or a group.
-        by: who asks, for people.
+        by: name of the asker, for people.
         force: whether rules of access are to be overridden.
         why: the reason that he gives.
     """
@@ -60,12 +60,12 @@ class Clearing:
     """Clears DTCs and groups of them.
 
     Args:
-        held: records of all faults, with what is to be written.
+        held: records of all faults, with the changes to be written.
         definitions: of all of them, by id.
         catalogue: the faults that are monitored.
         entries: of those that have failed.
         before: called before anything is cleared.
-        usage: what is counted since a clear.
+        usage: counts since a clear.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Clearing:
     def clear(self, group: int, t_ns: int) -> list[str]:
         """Clear one DTC, a group, or all; durable on return, or nothing is cleared.
 
-        Permanent DTCs stay until their test has passed; those of faults that nobody tests any more go.
+        Permanent DTCs stay until their test has passed; those of faults without a test go.
 
         Args:
             group: a DTC's 24 bits, or a group (see :func:`gateway.faults.dtc.in_group`).
@@ -104,7 +104,7 @@ class Clearing:
         return cleared
 
     def knows(self, group: int) -> bool:
-        """Tell whether a clear of this DTC or group would mean any fault."""
+        """Return whether a clear of this DTC or group would mean any fault."""
         return group == ALL_DTCS or any(self._is_in(record, group) for record in self._held.records.values())
 
     def _is_in(self, record: Record, group: int) -> bool:
@@ -134,8 +134,8 @@ class Clearing:
 
         Args:
             t_ns: now, of the engine's clock.
-            before: called first, if somebody did.
-            judge: says whether they may; who may not is answered with the code, negative.
+            before: called first, if there is a request.
+            judge: says whether they may; a refused request is answered with the code, negative.
         """
         if self._held.under_way():  # they are served the next time
             return []
@@ -149,7 +149,7 @@ class Clearing:
             before()
             self._usage.flush()
             with self._held.undoing(), self._held.store.transaction():
-                # Within it nobody can withdraw a request that is being done.
+                # Within it no request that is being done can be withdrawn.
                 for request, kind, argument in self._held.store.requests():
                     asked = AskedClear.parse(argument) if kind == "clear" else None
                     done = 0 if asked is None else -judge(asked)
@@ -158,7 +158,7 @@ class Clearing:
                         cleared += self._clear(asked.group)
                     self._held.answer(request, done)
                 self._held.write(t_ns, alone=False)
-        except (StoreError, InputError):  # whoever asked is told that nothing was done
+        except (StoreError, InputError):  # the askers are told that nothing was done
             return []
         self._held.written()
         self._entries.forget(cleared)

@@ -22,12 +22,12 @@ LETTER_GROUPS = (0x400000, 0x800000, 0xC00000)
 
 
 def is_group(value: int) -> bool:
-    """Tell whether a number names a group of DTCs, or may by the standards (0xFFFF00 and above)."""
+    """Return whether a number names a group of DTCs, or may by the standards (0xFFFF00 and above)."""
     return value in LETTER_GROUPS or value >= 0xFFFF00
 
 
 def in_group(value: int, group: int, *, emission_related: bool) -> bool:
-    """Tell whether a DTC belongs to a group, or is the one that is named."""
+    """Return whether a DTC belongs to a group, or is the one that is named."""
     if group == ALL_DTCS:
         return True
     if group == EMISSION_DTCS:

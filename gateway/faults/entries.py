@@ -1,4 +1,4 @@
-"""What the fault memory tells: changes of status bytes, and entries."""
+"""Outputs of the fault memory: changes of status bytes, and entries."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class DtcState(NamedTuple):
 
 @dataclass(frozen=True)
 class Entry:
-    """What the memory knows of one DTC, for readers."""
+    """The memory's knowledge of one DTC, for readers."""
 
     dtc: Dtc
     fault: str

@@ -1,4 +1,4 @@
-"""Which failures have an entry, and what it holds (AUTOSAR DEM: event memory, displacement, freeze frames).
+"""Failures with an entry, and its contents (AUTOSAR DEM: event memory, displacement, freeze frames).
 
 Room is made for a more important failure; one that finds none waits, as does one that gave way, until there is room or
 its operation cycle is over.
@@ -60,7 +60,7 @@ class EventMemory:
         self._refused |= old._refused
         self.room = True  # there may be more of it now
 
-    # What comes of a fault
+    # Results of a fault
 
     def prestore(self, fault: str, frame: FreezeFrame) -> None:
         """Keep a freeze frame of the time before a failure, for the case that it fails."""
@@ -79,7 +79,7 @@ class EventMemory:
     def fail(self, definition: FaultDefinition, record: Record, failure: Failure) -> None:
         """Take one qualified failure: the only way by which a DTC becomes pending or confirmed."""
         old = STATUS[record.status]
-        if not record.occurrence:  # what was refused earlier in this cycle has not been counted
+        if not record.occurrence:  # failures that were refused earlier in this cycle have not been counted
             old &= ~(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE)
         waits = record.id in self.explained and not int(old) & _CONFIRMED
         status, cycles = transition.on_failed(old, record.cycles, definition.rules, wait=waits)
@@ -181,7 +181,7 @@ class EventMemory:
         The most important come first, of these the oldest; a fault whose operation cycle is over is not entered.
 
         Args:
-            counts: tells whether the results of a fault count now.
+            counts: returns whether the results of a fault count now.
 
         Returns:
             each with its record, and the status byte before.

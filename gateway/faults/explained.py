@@ -1,4 +1,4 @@
-"""What explains an entry of the fault memory: the components behind it, and which part the entry has in that."""
+"""Explanation of an entry of the fault memory: the components at fault, and the entry's part in that."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Ranked(NamedTuple):
 
 @dataclass(frozen=True)
 class Cause:
-    """What explains an entry, as was known last while it failed.
+    """Explanation of an entry, as was known last while it failed.
 
     Attributes:
         role: of :data:`ROLES`.
@@ -56,7 +56,7 @@ class Cause:
         return self.ranked[0].probability
 
     def same(self, other: Cause | None) -> bool:
-        """Tell whether another one says the same, whenever it was known."""
+        """Return whether another one says the same, whenever it was known."""
         return other is not None and (self.role, self.ranked, self.lead) == (other.role, other.ranked, other.lead)
 
     def as_dict(self) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from gateway.faults.records import Record
 
 
 class Observed(NamedTuple):
-    """What is seen at a failure: the signals of its freeze frame, the inputs of its monitor."""
+    """Values seen at a failure: the signals of its freeze frame, the inputs of its monitor."""
 
     frame: Mapping[str, float] = {}
     inputs: Mapping[str, float] = {}

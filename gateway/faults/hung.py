@@ -20,7 +20,7 @@ def file_beside(memory: Path) -> Path:
 
 @dataclass
 class Hung:
-    """What the file says.
+    """Contents of the file.
 
     Attributes:
         path: of the file.

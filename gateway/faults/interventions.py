@@ -1,7 +1,7 @@
-"""What testers did to the gateway: who, what, when, and what came of it. Bounded, and kept with the fault memory.
+"""Interventions of testers: who, what, when, and with which outcome. Bounded, and kept with the fault memory.
 
-Alike interventions in a row are one record with a count. What was refused has half of the room at most, so that nobody
-can have what was done forgotten by asking for what is refused.
+Alike interventions in a row are one record with a count. Refused ones take half of the room at most, so that no flood
+of refused requests displaces those that were done.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Intervention:
 
     @property
     def kind(self) -> tuple[object, ...]:
-        """What alike interventions have in common."""
+        """Common fields of alike interventions."""
         return (
             self.protocol, self.bus, self.address, self.action, self.outcome, self.session, self.security, self.role,
         )  # fmt: skip

@@ -1,10 +1,10 @@
-"""The fault memory's file under a gateway that must go on, whatever becomes of the file.
+"""The fault memory's file under a gateway that must go on, even if the file is damaged or gone.
 
 - It cannot be opened or written (disk full, read-only, I/O error): everything stays in this process, and the file is
   tried again when the memory saves next.
-- It is damaged: it is put aside with its date, what can be read of it is recovered, and a new one is begun.
-- It is deleted, or another one is put in its place, under the running gateway: likewise; what this process knows goes
-  into the new one, which is everything but what the other file had.
+- It is damaged: it is put aside with its date, its readable parts are recovered, and a new one is begun.
+- It is deleted, or another one is put in its place, under the running gateway: likewise; all that this process knows
+  goes into the new one, but nothing from the other file.
 - It is cut off or overwritten in place, under the running gateway: likewise (see :mod:`gateway.faults.watched_file`).
 - It is another program's database: a daemon puts it aside and begins a new one; others refuse it.
 """
@@ -74,7 +74,7 @@ class KeptStore(Store):
             self._detach(error.message, found)
         self._note_place()
 
-    # Reading: what a running gateway finds damaged, it begins anew with what it knows
+    # Reading: a running gateway replaces a damaged file by a new one with all that it knows
 
     def load(self) -> list[Record]:
         """Return all records (see :meth:`Store.load`)."""
@@ -107,7 +107,7 @@ class KeptStore(Store):
             self._suspect = True
             return nothing
 
-    # What happened
+    # Mishaps
 
     @property
     def happened(self) -> bool:
@@ -126,11 +126,11 @@ class KeptStore(Store):
 
     @property
     def doubtful(self) -> bool:
-        """Whether somebody else has touched the file or its log since the last write: :meth:`examine` says more."""
+        """Whether another process has touched the file or its log since the last write: :meth:`examine` says more."""
         return self._place.doubtful
 
     def examine(self) -> bool:
-        """Look thoroughly whether the file is as it was written, if in doubt; nobody else uses this store meanwhile.
+        """If in doubt, look thoroughly whether the file is as written; no other thread uses this store meanwhile.
 
         Returns:
             False if all has to be written into another.
@@ -146,15 +146,15 @@ class KeptStore(Store):
         return self.path is not None and due and not (self.detached or self._suspect)
 
     def tend_log(self) -> None:
-        """Do for the log of the file what a commit should not have to do; nobody else uses this store meanwhile."""
+        """Spare commits the care of the file's log; no other thread uses this store meanwhile."""
         self._logged = 0
         if self.path is not None and self.look() and self.examine():
-            with suppress(sqlite3.Error, OSError):  # what is wrong is found at the next commit
+            with suppress(sqlite3.Error, OSError):  # errors are found at the next commit
                 write_ahead.lengthen(self._db, self.path.resolve(), self._place.log)
             self._copy_log()
 
     def _copy_log(self) -> None:
-        """Copy the log into the file, which nobody has touched."""
+        """Copy the log into the file, which no other process has touched."""
         self._logged = 0
         with suppress(sqlite3.Error):
             write_ahead.copy(self._db)
@@ -176,7 +176,7 @@ class KeptStore(Store):
     # Writing
 
     def save(self, changes: Changes, whole: Callable[[], Changes] | None = None) -> None:
-        """Write changes (see :meth:`Store.save`); a file that is damaged or gone is begun anew with all there is."""
+        """Write changes (see :meth:`Store.save`); if the file is damaged or gone, all there is into a new one."""
         if self.path is None:
             super().save(changes)
             return
@@ -200,14 +200,14 @@ class KeptStore(Store):
         if not self._place.is_same:
             self.examine()
             if whole is not None and (any(self._place.overwritten) or not self._place.is_in_place(self.path)):
-                self._restore(self.path, whole())  # written, but into a file that nobody will find
+                self._restore(self.path, whole())  # written, but into a file that no reader will find
                 return
             self._refuse_overwritten(self.path)
         if self._logged >= write_ahead.PAGES:
             self._copy_log()
 
     def _refuse_overwritten(self, path: Path) -> None:
-        """Refuse to write, or to say that it is written, into a file that somebody else has changed.
+        """Refuse to write, or to say that it is written, into a file that another process has changed.
 
         Raises:
             StoreError: it is such a file.
@@ -228,7 +228,7 @@ class KeptStore(Store):
                 yield
             return
         head = self._head
-        # What somebody else has done to the log since is not made good by a commit.
+        # A commit must not hide a change of the log by another process.
         ours = self._place.log_is_same
         try:
             with super().transaction():
@@ -279,7 +279,7 @@ class KeptStore(Store):
         self._count_recordings()
 
     def _leave(self, path: Path) -> None:
-        """Give up a file that is damaged, gone, or no longer ours; its recordings are kept for the next one."""
+        """Give up a file that is damaged, gone, or replaced; its recordings are kept for the next one."""
         with suppress(InputError):
             self._recordings = self._own_recordings() if any(self._place.overwritten) else self.recordings()
         self._recordings_lost = max(self._recorded - len(self._recordings), 0)
@@ -306,7 +306,7 @@ class KeptStore(Store):
         """Make way for our own file under the path; returns whether it will be a new one.
 
         Raises:
-            OSError: what stands there cannot be put aside.
+            OSError: the file that stands there cannot be put aside.
         """
         if not path.exists():
             # Else SQLite would find the log of a file that is no more.
@@ -357,7 +357,7 @@ class KeptStore(Store):
             self._db = database  # that of this process, if there is no file: it is read still
             if not isinstance(error, DamagedError | UnusableError):
                 raise
-            # The right to write is kept: nobody else may begin meanwhile.
+            # The right to write is kept: no other process may begin meanwhile.
             if lock is not None and self._lock is None and self.path is not None:
                 with suppress(InUseError, OSError):
                     self._lock = take_lock(self.path)

@@ -1,4 +1,4 @@
-"""What the fault memory holds in this process, what of it is not written yet, and how it gets written.
+"""Contents of the fault memory in this process, the changes that are not written yet, and how they get written.
 
 There are two views of the records: as they are (``records``), and as they were last written (``shown``), which is what
 others may see. A write can be done by a thread beside the gateway, with copies of its own; one at a time.
@@ -48,7 +48,7 @@ def _joined(first: Changes, then: Changes) -> Changes:
 
 @dataclass(frozen=True)
 class _Write:
-    """A write that a thread does, and what is in it."""
+    """A write that a thread does, and its changes."""
 
     work: Work
     t_ns: int
@@ -59,7 +59,7 @@ class _Write:
 class Ledger:
     """Records, cycles, numbers and identifiers, as read from a store, with what has changed since.
 
-    A write that fails loses nothing: what was to be written stays here, and goes with a later one.
+    A write that fails loses nothing: its changes stay here, and go with a later one.
 
     Args:
         store: where they are kept.
@@ -69,7 +69,7 @@ class Ledger:
         records: by fault id.
         cycles: the last operation cycle of each name.
         identifiers: values that testers wrote, by data identifier.
-        interventions: what testers did.
+        interventions: of testers.
         outage: of the store.
         commits: how many transactions were written.
     """
@@ -184,7 +184,7 @@ class Ledger:
     def note_intervention(self, new: Intervention) -> Intervention | None:
         """Note what a tester did; returns the record that has it, None if it is one of many refusals alike.
 
-        Such are counted, and written with what else is: nobody wears the disk out by asking for what is refused.
+        Such are counted, and written with other changes: refused requests cannot wear the disk out.
         """
         made, gone = self.interventions.note(new)
         waiting = {**self._pending.interventions, made.number: made}
@@ -213,7 +213,7 @@ class Ledger:
         self._pending.answered = {**self._pending.answered, request: done}
         self._more = True
 
-    # What others may see
+    # Contents for readers
 
     @property
     def shown(self) -> dict[str, Record]:
@@ -257,7 +257,7 @@ class Ledger:
     def commit(self, t_ns: int, *, final: bool = False) -> bool:
         """Write all changes; returns whether all is durable now.
 
-        What cannot be written stays, and is tried again by later calls, after waits that grow.
+        Changes that cannot be written stay, and later calls try again, after waits that grow.
 
         Args:
             t_ns: now, of the engine's clock.
@@ -319,7 +319,7 @@ class Ledger:
         Args:
             t_ns: now, of the engine's clock.
             writer: the thread.
-            anew: whether the file may have to be begun anew with all there is, as in an outage.
+            anew: whether the file may have to be replaced by a new one with all there is, as in an outage.
         """
         copied = self._copy_of_all() if anew or self.outage.reason else None
         whole = None if copied is None else lambda: copied
@@ -329,7 +329,7 @@ class Ledger:
         self._write = _Write(writer.submit(self.store.save, changes, whole), t_ns, changes, self._permanent.all())
 
     def under_way(self, patience_s: float = 0.0) -> bool:
-        """Tell whether a thread is at the file still, after waiting so long at most [s]."""
+        """Return whether a thread is at the file still, after waiting this time at most [s]."""
         work = self._tending if self._write is None else self._write.work
         if work is None:
             return False
@@ -339,12 +339,12 @@ class Ledger:
         return not work.done()
 
     def tend(self, writer: Writer, work: Callable[[], None]) -> None:
-        """Have a thread do, between writes, what the file's log needs; :meth:`under_way` tells how long it takes."""
+        """Have a thread take care of the file's log between writes; :meth:`under_way` tells how long it takes."""
         if not self.under_way():
             self._tending = writer.submit(work)
 
     def join(self) -> bool:
-        """Wait for the thread that writes; what it could not write is to be written still. Returns whether one did."""
+        """Wait for the thread that writes; its failed changes are still to be written. Returns whether one did."""
         if self._tending is not None:
             self._tending.result()
             self._tending = None
@@ -396,8 +396,8 @@ class Ledger:
     def undoing(self) -> Iterator[None]:
         """Undo what is done within, if it cannot be written.
 
-        Records are replaced within, not changed. A commit that failed may have reached the disk all the same: what it
-        changed is to be written again as it was.
+        Records are replaced within, not changed. A commit that failed may have reached the disk all the same: its
+        changes are to be written again as they were.
         """
         self.join()
         records, identifiers = dict(self.records), dict(self.identifiers)

@@ -24,7 +24,7 @@ class InUseError(InputError):
 
 
 def is_kept(path: Path) -> bool:
-    """Tell whether a process keeps this fault memory at present."""
+    """Return whether a process keeps this fault memory at present."""
     try:
         lock = os.open(f"{path.resolve()}-lock", os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
@@ -68,7 +68,7 @@ def mark_unsaved(lock: int, unsaved: bool) -> None:
 
 
 def is_unsaved(path: Path) -> bool:
-    """Tell whether the process that keeps this fault memory has changes that the file does not have."""
+    """Return whether the process that keeps this fault memory has changes that the file does not have."""
     try:
         lock = os.open(f"{path.resolve()}-lock", os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
@@ -89,7 +89,7 @@ def mark(lock: int) -> None:
 
 
 def is_marked(path: Path) -> bool:
-    """Tell whether there was a fault memory under this name before (see :func:`mark`)."""
+    """Return whether there was a fault memory under this name before (see :func:`mark`)."""
     try:
         return Path(f"{path.resolve()}-lock").stat().st_size > 0
     except OSError:
@@ -97,7 +97,7 @@ def is_marked(path: Path) -> bool:
 
 
 def is_in_place(path: Path, lock: int) -> bool:
-    """Tell whether a lock is still that of the path: nobody has deleted its file."""
+    """Return whether a lock is still that of the path: its file has not been deleted."""
     try:
         return os.path.samestat(os.fstat(lock), Path(f"{path.resolve()}-lock").stat())
     except OSError:
@@ -122,7 +122,7 @@ def take_lock(path: Path) -> int:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            time.sleep(LOOK_S)  # somebody may only have looked
+            time.sleep(LOOK_S)  # another process may only have looked
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         os.close(lock)

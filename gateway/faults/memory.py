@@ -1,8 +1,8 @@
 """The fault memory: qualified verdicts become status bytes, entries, freeze frames, permanent DTCs.
 
 Changes take effect in two steps: :meth:`FaultMemory.apply` and its like change the memory,
-:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told: what is read of the memory is as it
-was last written. While the file cannot be written there is a third state, told as such: known here, not stored.
+:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told: readers get the memory as it was
+last written. While the file cannot be written there is a third state, told as such: known here, not stored.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class FaultMemory(Readable):
         size: entries there is room for; None: for all.
         recordings: recordings kept of each fault.
         statistics: of the faults' debounce.
-        usage: how the vehicle's use is told; None: nobody does.
+        usage: signals of the vehicle's use; None: there are none.
 
     Attributes:
         performance: how often monitors have run.
@@ -173,7 +173,7 @@ class FaultMemory(Readable):
         evidence = dict(record.evidence) if record.status & _TEST_FAILED else {}
         return [DtcChange(definition, old, new, fdc, record.occurrence, t_ns, evidence)]
 
-    # What explains them
+    # Explanations
 
     def wait_for_causes(self, faults: Container[str]) -> None:
         """Have failures of these faults wait for :meth:`hold` or :meth:`confirm` before they are confirmed."""
@@ -254,7 +254,7 @@ class FaultMemory(Readable):
     def commit(self, t_ns: int | None = None, *, final: bool = False) -> bool:
         """Make all changes durable; returns whether they are.
 
-        What cannot be written stays here, and later calls try it again (see :class:`Outage`).
+        Changes that cannot be written stay here, and later calls try again (see :class:`Outage`).
 
         Args:
             t_ns: now, of the engine's clock; default: the latest time heard of.
@@ -269,11 +269,11 @@ class FaultMemory(Readable):
         self._held.begin(self._now_ns, writer, anew=anew)
 
     def under_way(self, patience_s: float = 0.0) -> bool:
-        """Tell whether a thread writes still, after waiting so long at most [s]."""
+        """Return whether a thread writes still, after waiting this time at most [s]."""
         return self._held.under_way(patience_s)
 
     def tend(self, writer: Writer, work: Callable[[], None]) -> None:
-        """Have a thread do, between writes, what the file's log needs (see :meth:`under_way`)."""
+        """Have a thread take care of the file's log between writes (see :meth:`under_way`)."""
         self._held.tend(writer, work)
 
     def join(self) -> bool:
@@ -349,7 +349,7 @@ class FaultMemory(Readable):
     def clear(self, group: int = ALL_DTCS) -> list[str]:
         """Clear one DTC, a group, or all (ISO 14229-1, 0x14); durable on return, or nothing is cleared.
 
-        Permanent DTCs stay until their test has passed; those of faults that nobody tests any more go.
+        Permanent DTCs stay until their test has passed; those of faults without a test go.
 
         Args:
             group: a DTC's 24 bits, or a group (see :func:`gateway.faults.dtc.in_group`).
@@ -363,20 +363,20 @@ class FaultMemory(Readable):
         return self._clearing.clear(group, self._now_ns)
 
     def knows(self, group: int) -> bool:
-        """Tell whether a clear of this DTC or group would mean any fault."""
+        """Return whether a clear of this DTC or group would mean any fault."""
         return self._clearing.knows(group)
 
     def serve_requests(self, before: Callable[[], None] = lambda: None, judge: Judge = lambda asked: 0) -> list[str]:
         """Do what other processes asked for (clearing); returns ids of the faults cleared.
 
         Args:
-            before: called first, if somebody did.
+            before: called first, if there is a request.
             judge: says why one of them may not, as a negative response code; 0: it may.
         """
         return self._clearing.serve_requests(self._now_ns, before, judge)
 
     def is_mil_on_now(self) -> bool:
-        """Tell whether a DTC asks for the MIL, written or not: not for others."""
+        """Return whether a DTC asks for the MIL, written or not: not for others."""
         return is_mil_on((self._records[fault] for fault in self._lamps), self._definitions)
 
     def status_now(self, fault: str) -> Status:

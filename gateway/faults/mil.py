@@ -12,11 +12,11 @@ _LIT = int(Status.WARNING_INDICATOR)
 
 
 def lights_mil(definition: FaultDefinition) -> bool:
-    """Tell whether a fault can ask for the MIL."""
+    """Return whether a fault can ask for the MIL."""
     return definition.emission_related and definition.lamp == MIL
 
 
 def is_mil_on(records: Iterable[Record], definitions: Mapping[str, FaultDefinition]) -> bool:
-    """Tell whether one of these records asks for the MIL."""
+    """Return whether one of these records asks for the MIL."""
     lit = (definitions[record.id] for record in records if record.status & _LIT)
     return any(map(lights_mil, lit))

@@ -1,4 +1,4 @@
-"""What happened to the fault memory's file, to be told; what was found in its place is put aside with its date."""
+"""Mishaps of the fault memory's file, to be told; a file found in its place is put aside with its date."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gateway.faults.store import DamagedError, ForeignError, UnusableError
 
 @dataclass(frozen=True)
 class Mishap:
-    """Something that happened to the file, and what was done about it.
+    """Something that happened to the file, and the remedy.
 
     Attributes:
         kind: "damaged", "deleted", "replaced", "overwritten", "foreign" or "unread".
@@ -28,7 +28,7 @@ class Mishap:
 
 
 class Mishaps:
-    """Puts aside what is wrong, and keeps what happened until it is told."""
+    """Puts wrong files aside, and keeps mishaps until they are told."""
 
     def __init__(self) -> None:
         self._found: list[Mishap] = []
@@ -68,7 +68,7 @@ class Mishaps:
 
         Args:
             path: the file.
-            reason: what was changed.
+            reason: the part that was changed.
             kept: recordings that could be read of it.
             lost: those that could not be.
             apart: whether the log is not of what the file is now.

@@ -1,4 +1,4 @@
-"""Operation cycles (AUTOSAR DEM): what their begin and end do to status bytes - confirmation, healing, aging."""
+"""Operation cycles (AUTOSAR DEM): effects of their begin and end on status bytes - confirmation, healing, aging."""
 
 from __future__ import annotations
 
@@ -80,13 +80,13 @@ class OperationCycles:
         return self._held.cycles[name].number if name in self._held.cycles else 0
 
     def is_open(self, name: str) -> bool:
-        """Tell whether a cycle has begun, and is not over."""
+        """Return whether a cycle has begun, and is not over."""
         return name in self._held.cycles and self._held.cycles[name].open
 
     def counts(self, definition: FaultDefinition) -> bool:
-        """Tell whether a result of a fault counts: its operation cycle has begun, and is not over.
+        """Return whether a result of a fault counts: its operation cycle has begun, and is not over.
 
-        The power cycle is there from the start, also where nobody begins it.
+        The power cycle is there from the start, also where nothing begins it.
         """
         name = definition.cycle
         return self.is_open(name) or (name == POWER and not self.number(POWER))

@@ -39,5 +39,5 @@ class Outage:
         self.reason = ""
 
     def is_due(self, t_ns: int) -> bool:
-        """Tell whether to try again; always so while there is no outage."""
+        """Return whether to try again; always so while there is no outage."""
         return not self.reason or not 0 <= t_ns - self._tried_ns < self._wait_ns

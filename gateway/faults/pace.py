@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-#: So many writes are allowed at once, after a quiet time; then one in each interval [ns].
+#: Number of writes that are allowed at once, after a quiet time; then one in each interval [ns].
 #: A fault that comes and goes fifty times a second is written, and told, at each change.
 BURST, INTERVAL_NS = 32, 8_000_000
-#: So many faults in a write double the time until the next one: a write takes as long as there is in it.
+#: Number of faults in a write that doubles the time until the next one: larger writes take longer.
 FAULTS = 8
 
 
@@ -29,7 +29,7 @@ class Pace:
         return 2 * self._credit_ns >= self._most_ns
 
     def allows(self, t_ns: int, faults: int = 0) -> bool:
-        """Tell whether to write now; a yes is used up, and more of it the more there is to write.
+        """Return whether to write now; a yes is used up, and more of it the more there is to write.
 
         Args:
             t_ns: now [ns].

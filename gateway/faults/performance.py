@@ -28,7 +28,7 @@ class Ratio(NamedTuple):
 
     @property
     def order(self) -> tuple[float, int, int]:
-        """What is shown of several is the least of these: the lowest ratio, of alike ones that of more chances."""
+        """Key of the one shown of several, the least: the lowest ratio, of alike ones that of more chances."""
         share = self.numerator / self.denominator if self.denominator else float("inf")
         return share, -self.denominator, self.numerator
 
@@ -80,7 +80,7 @@ class Performance:
                 self._count(fault, Ratio(0, 1))
 
     def _is_first(self, name: str) -> bool:
-        """Tell whether the operation cycle is open, and this is the first time in it."""
+        """Return whether the operation cycle is open, and this is the first time in it."""
         if self._cycle is None or not self._cycles.is_open(self._cycle):
             return False
         number = self._cycles.number(self._cycle)

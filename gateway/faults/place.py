@@ -1,7 +1,7 @@
 """The place of the fault memory's file: whether the file there is the one that its writer opened, as he left it.
 
-It is another one if it was deleted or replaced (device and inode), and not as he left it if somebody else has written
-into it or into its log (:mod:`gateway.faults.watched_file`).
+It is another one if it was deleted or replaced (device and inode), and not as the writer left it if another process has
+written into it or into its log (:mod:`gateway.faults.watched_file`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Place:
     """Where the file of an open database is.
 
     Attributes:
-        overwritten: what was changed in place: the file, its log; each "" if it is as it was.
+        overwritten: changes in place of the file, of its log; each "" if it is as it was.
         log: device and inode of the log.
     """
 
@@ -60,22 +60,22 @@ class Place:
 
     @property
     def is_same(self) -> bool:
-        """Whether it is certain that nobody else has touched the file or its log."""
+        """Whether it is certain that no other process has touched the file or its log."""
         return self._watched is not None and self._watched.is_same()
 
     @property
     def doubtful(self) -> bool:
-        """Whether somebody else has touched the file or its log: :meth:`examine` says more."""
+        """Whether another process has touched the file or its log: :meth:`examine` says more."""
         return self._watched is not None and not self._watched.is_same()
 
     @property
     def file_is_doubtful(self) -> bool:
-        """Whether somebody else has touched the file."""
+        """Whether another process has touched the file."""
         return self._watched is not None and not self._watched.file_is_same()
 
     @property
     def log_is_same(self) -> bool:
-        """Whether nobody else has touched the log."""
+        """Whether no other process has touched the log."""
         return self._watched is not None and self._watched.log_is_same()
 
     def examine(self, head: chain.Head) -> bool:
@@ -90,7 +90,7 @@ class Place:
 
     @property
     def what_changed(self) -> str:
-        """What is wrong with the file, in a few words."""
+        """The error of the file, in a few words."""
         return " and ".join(filter(None, self.overwritten)) or "the file is not there any more"
 
     def note_commit(self) -> None:

@@ -1,4 +1,4 @@
-"""What others may read of the fault memory: what was last written."""
+"""The fault memory as others may read it: as it was last written."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Readable:
         return Status(self._held.shown[fault].status)
 
     def is_mil_on(self) -> bool:
-        """Tell whether a DTC asks for the MIL."""
+        """Return whether a DTC asks for the MIL."""
         return is_mil_on(self._held.shown.values(), self._definitions)
 
     def permanent(self) -> list[Permanent]:

@@ -1,8 +1,8 @@
-"""Frames around a failure: what the bus said before and after, kept with the fault.
+"""Frames around a failure: those before and after it, kept with the fault.
 
-Driven by the engine's time, so that a replay keeps what the live run kept; what it keeps has the stamps of the wall
-clock, and frames that tell where that was set. Bounded three ways: frames of one
-recording, recordings of one fault, and how soon after one the same fault may have another.
+Driven by the engine's time, so that a replay keeps the same frames as the live run; they have the stamps of the wall
+clock, and frames that tell where that was set. Bounded three ways: frames of one recording, recordings of one fault,
+and how soon after one the same fault may have another.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from gateway_fdi.common.tomlfile import StrictModel
 
 
 class RecorderParams(StrictModel):
-    """What is recorded around a failure."""
+    """Settings of the recordings around a failure."""
 
     before_ms: float = Field(1000.0, ge=0, le=6e4, allow_inf_nan=False, description="time before it [ms]")
     after_ms: float = Field(500.0, ge=0, le=6e4, allow_inf_nan=False, description="time after it [ms]")
@@ -70,7 +70,7 @@ class Recorder:
     Args:
         params: settings.
         channels: names of the buses, by index.
-        lasting: whether nobody writes to a batch that it was given; else it keeps a copy.
+        lasting: whether its batches are not written to later; else it keeps copies.
     """
 
     def __init__(self, params: RecorderParams, channels: tuple[str, ...], *, lasting: bool = False) -> None:
@@ -94,7 +94,7 @@ class Recorder:
 
         Args:
             frames: of the engine's time.
-            offset_ns: what the wall clock is ahead of it before this batch [ns].
+            offset_ns: time that the wall clock is ahead of it before this batch [ns].
         """
         count = len(frames)
         if not count:
@@ -172,7 +172,7 @@ class Recorder:
             self._kept -= len(chunks.popleft().frames)
         while self._gone and int(self._gone[0].max()) < oldest:
             self._gone.popleft()
-        # A flood of frames must not fill the memory: what no recording could hold goes.
+        # A flood of frames must not fill the memory: frames that no recording could hold go.
         most = self._params.most_frames
         while not self._triggers and chunks and self._kept - len(chunks[0].frames) >= most:
             given_up = chunks.popleft().frames

@@ -1,4 +1,4 @@
-"""What the fault memory keeps, as its store writes it."""
+"""Contents of the fault memory, as its store writes them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class FreezeFrame:
 
 @dataclass
 class Record:
-    """What the memory keeps of one fault.
+    """The memory's record of one fault.
 
     Attributes:
         id: of the fault.
@@ -32,7 +32,7 @@ class Record:
         occurrence: failures since the entry was made; 0: there is no entry.
         first_ns, last_ns: times of the first and the latest of them.
         evidence: of the latest one: value, threshold, and the values that the monitor names.
-        inputs: what the monitor saw then.
+        inputs: of the monitor then.
         peak_fdc: greatest fault detection counter since the last clear.
         near_misses: rises of that counter to half the way or more that came to nothing.
         first_failed, last_failed, first_confirmed, last_confirmed: places in the order of all failures
@@ -69,7 +69,7 @@ class Record:
         return Cycles(self.failed_cycles, self.passed_cycles, self.aged_cycles)
 
     def copy(self) -> Record:
-        """Return a copy; what is in it is replaced later, not changed."""
+        """Return a copy; its contents are replaced later, not changed."""
         made = Record.__new__(Record)
         made.__dict__.update(self.__dict__)  # a tenth of the time that the module copy takes
         made.freeze_frames = dict(self.freeze_frames)
@@ -111,7 +111,7 @@ class Recording:
 
 
 class Description(NamedTuple):
-    """What a fault is called, its severity (byte of ISO 14229-1, Annex D.3), and what to do about it."""
+    """A fault's name, its severity (byte of ISO 14229-1, Annex D.3), and what to do about it."""
 
     text: str
     severity: int
@@ -120,7 +120,7 @@ class Description(NamedTuple):
 
 @dataclass
 class Changes:
-    """What one commit writes; everything in it is durable together.
+    """Contents of one commit; everything in it is durable together.
 
     Attributes:
         records: faults that changed.

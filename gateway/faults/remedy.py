@@ -1,4 +1,4 @@
-"""What to do about a fault: when to have it checked, and where to look."""
+"""Remedy of a fault: when to have it checked, and where to look."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ UserOrGroup = str | Annotated[int, Field(ge=0)]
 
 
 class ReportedFault(StrictModel):
-    """A fault that another process tests. What else a fault can have is set in ``[fault."reporter.name"]``."""
+    """A fault that another process tests. Other settings of a fault are in ``[fault."reporter.name"]``."""
 
     name: str = Field(pattern=_NAME, description="second part of its id")
     dtc: DtcText = Field(description='e.g. "P0A7E-98"')
@@ -45,7 +45,7 @@ class ReportedFault(StrictModel):
     def _one_of_each(cls, data: tuple[str, ...]) -> tuple[str, ...]:
         keys = [key_of(name) for name in data]
         if "" in keys or len(set(keys)) < len(keys):
-            raise ValueError("each name once, and none empty; what stands in brackets is the unit")
+            raise ValueError("each name once, and none empty; the unit stands in brackets")
         return data
 
     @property
@@ -56,14 +56,14 @@ class ReportedFault(StrictModel):
 
 
 class ReporterParams(StrictModel):
-    """A process, or several, that report test results: whose faults these are, and who may report them."""
+    """A process, or several, that report test results: its faults, and the users who may report them."""
 
     name: str = Field(pattern=_NAME, description="first part of its fault ids")
-    users: tuple[UserOrGroup, ...] = Field((), description="who may report, beside the gateway's own user and root")
+    users: tuple[UserOrGroup, ...] = Field((), description="users that may report, beside the gateway's and root")
     groups: tuple[UserOrGroup, ...] = Field((), description="groups whose members may report")
     events_per_s: float = Field(
         100.0, gt=0, le=10_000, allow_inf_nan=False,
-        description="reports that are taken in a second, and at once; what is beyond is refused",
+        description="reports that are taken in a second, and at once; more are refused",
     )  # fmt: skip
     alive_ms: float | None = Field(
         None, ge=10, le=3.6e6, allow_inf_nan=False,

@@ -25,7 +25,7 @@ _SAVE_RECORD = (
 )
 _VALUES = attrgetter(*COLUMNS)
 _JSON_AT = tuple(COLUMNS.index(name) for name in JSON)
-# What stays as it is touches no page: each costs a write of 4096 bytes.
+# Unchanged rows touch no page: each costs a write of 4096 bytes.
 _OTHER_FRAMES = "DELETE FROM freeze_frame WHERE fault = ? AND number NOT IN"
 _SAVE_FRAME = (
     "INSERT INTO freeze_frame VALUES (?, ?, ?, ?) ON CONFLICT (fault, number)"

@@ -1,6 +1,6 @@
-"""What can still be read of a fault memory that is damaged, or that cannot be opened where it is: row by row.
+"""Recovery of a fault memory that is damaged, or that cannot be opened where it is: row by row.
 
-The file itself is never changed: a copy is read, so that whoever looks into the matter finds what there was.
+The file itself is never changed: a copy is read, so that an investigator finds it as it was.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _NUMBERS = (
 
 @dataclass
 class Salvage:
-    """What was read.
+    """Rows that were read.
 
     Attributes:
         records, cycles, permanent, recordings, identifiers, facts, interventions: as a :class:`Store` gives them.
@@ -77,7 +77,7 @@ class Salvage:
 
 
 def put_aside(path: Path, why: str, now: datetime | None = None, *, apart: bool = False) -> Path:
-    """Rename a file, and what belongs to it, to a name with the reason and the date; returns the new name.
+    """Rename a file, and the files that belong to it, to a name with the reason and the date; returns the new name.
 
     Args:
         path: the file.
@@ -222,7 +222,7 @@ def _name(value: object) -> str:
 
 
 def _numbers_by_name(text: object) -> dict[str, float | None]:
-    """Read evidence or signals; what does not make sense is left out, the rest of its row is kept."""
+    """Read evidence or signals; values that make no sense are left out, the rest of their row is kept."""
     try:
         content = json.loads(text) if isinstance(text, str) else {}
     except ValueError:

@@ -29,7 +29,7 @@ CREATE TABLE request (id INTEGER PRIMARY KEY, kind TEXT NOT NULL, argument TEXT 
 """
 
 # Healing, aging and the order of failures; several operation cycles; permanent DTCs; recorded frames; values that
-# testers wrote. What a file of version 1 says is kept: the order of its failures is that of their times.
+# testers wrote. The contents of a file of version 1 are kept: the order of its failures is that of their times.
 _SECOND = """
 ALTER TABLE fault ADD COLUMN passed_cycles INTEGER NOT NULL DEFAULT 0;
 ALTER TABLE fault ADD COLUMN aged_cycles INTEGER NOT NULL DEFAULT 0;
@@ -71,14 +71,14 @@ CREATE TABLE bus (
 );
 """
 
-# What the faults are called, how severe they are, what to do: for readers without the configuration.
+# Names of the faults, how severe they are, what to do: for readers without the configuration.
 _FOURTH = """
 CREATE TABLE catalogue (
     fault TEXT PRIMARY KEY, description TEXT NOT NULL, severity INTEGER NOT NULL, remedy TEXT NOT NULL
 );
 """
 
-# What testers did: who, what, when, and what came of it.
+# Interventions of testers: who, what, when, and with which outcome.
 _FIFTH = """
 CREATE TABLE intervention (
     number INTEGER PRIMARY KEY,
@@ -97,7 +97,7 @@ CREATE TABLE intervention (
 );
 """
 
-# What was written, link by link (see gateway/faults/chain.py, which begins the chain with what there is).
+# All that was written, link by link (see gateway/faults/chain.py, which begins the chain with the rows there are).
 _SIXTH = """
 CREATE TABLE link (
     number INTEGER PRIMARY KEY,
@@ -108,8 +108,8 @@ CREATE TABLE link (
 );
 """
 
-# What explains an entry, and whether its confirmation waits for that. A table of its own: the rows of faults, which the
-# chain has digests of, stay as they were written.
+# Explanation of an entry, and whether its confirmation waits for that. A table of its own: the rows of faults, which
+# the chain has digests of, stay as they were written.
 _SEVENTH = """
 CREATE TABLE cause (fault TEXT PRIMARY KEY REFERENCES fault (id), hold TEXT NOT NULL, content TEXT NOT NULL);
 """

@@ -84,7 +84,7 @@ def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list
 
     Args:
         store: that is open.
-        records: what :meth:`Store.load` gave.
+        records: result of :meth:`Store.load`.
         stored: whether the file has all that is known.
     """
     permanent = {entry.fault for entry in store.permanent()}
@@ -104,7 +104,7 @@ def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list
 
 
 def daemon_state(path: Path) -> dict[str, Any]:
-    """Return whether a gateway keeps this memory now, has stored all it knows, and what it said last of its buses.
+    """Return whether a gateway keeps this memory now, has stored all it knows, and its last report of its buses.
 
     Raises:
         InputError: there is no fault memory at this path.
@@ -123,7 +123,7 @@ def daemon_state(path: Path) -> dict[str, Any]:
 
 
 def overflowed(path: Path) -> bool:
-    """Tell whether an entry had to be given up, or could not be made, since the last clear of all.
+    """Return whether an entry had to be given up, or could not be made, since the last clear of all.
 
     Raises:
         InputError: there is no fault memory at this path.
@@ -303,7 +303,7 @@ def _ask_writer(path: Path, asked: AskedClear, patience_s: float) -> int:
         try:
             while store.answer(request) is None and time.monotonic() < limit:
                 time.sleep(0.02)
-        finally:  # also at Ctrl-C: what nobody waits for is not done later
+        finally:  # also at Ctrl-C: a request without a waiting process is not done later
             answer = store.withdraw(request)
     finally:
         store.close()

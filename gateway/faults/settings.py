@@ -1,4 +1,4 @@
-"""What a user can set of a fault: the tables ``[fault."..."]`` of a configuration or a catalogue file."""
+"""Settings of a fault: the tables ``[fault."..."]`` of a configuration or a catalogue file."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class DebounceOverride(StrictModel):
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What is set."""
+        """Settings that are set, by name."""
         return self.model_dump(exclude_none=True)
 
     @model_validator(mode="after")
@@ -81,7 +81,7 @@ class ConditionSettings(StrictModel):
         0.0,
         ge=0,
         allow_inf_nan=False,
-        description="and so much above its lowest value since the cycle last began"
+        description="and by this above its lowest value since the cycle last began"
         " (operation cycles only), signal's unit",
     )
 
@@ -97,8 +97,8 @@ class ConditionSettings(StrictModel):
 class CycleSettings(StrictModel):
     """An operation cycle: begun and ended by signals."""
 
-    begins: ConditionSettings = Field(description="what begins it")
-    ends: ConditionSettings = Field(description="what ends it")
+    begins: ConditionSettings = Field(description="condition that begins it")
+    ends: ConditionSettings = Field(description="condition that ends it")
 
 
 class FaultOverride(StrictModel):
@@ -114,7 +114,7 @@ class FaultOverride(StrictModel):
     )
     dtc_class: Literal["unclassified", "a", "b1", "b2", "c"] = Field("unclassified", description="class of WWH-OBD")
     functional_unit: int = Field(0, ge=0, le=255, description="DTC functional unit")
-    priority: int = Field(100, ge=1, le=255, description="1 most important: what a full memory keeps")
+    priority: int = Field(100, ge=1, le=255, description="1 most important: a full memory keeps it")
     emission_related: bool | None = Field(
         None, description="shown by OBD; legislation knows it; default: if its DTC is of the powertrain (P)"
     )
@@ -122,7 +122,7 @@ class FaultOverride(StrictModel):
     debounce: DebounceOverride = DebounceOverride()
     enable: tuple[ConditionSettings, ...] = Field((), description="its test results count while all of these are met")
     when_disabled: Literal["freeze", "reset"] = Field(
-        "freeze", description="what becomes of its detection counter while they are not"
+        "freeze", description="fate of its detection counter while they are not"
     )
     caused_by: tuple[str, ...] = Field(
         (), description="faults that may cause it: while one is there, its results do not count"
@@ -148,7 +148,7 @@ class FaultOverride(StrictModel):
     freeze_frames: int = Field(2, ge=1, le=16, description="records kept: the first failure, then the latest ones")
     freeze_frame_at: Literal["failed", "pending", "confirmed"] | int = Field(
         "failed",
-        description="what stores a freeze frame: a status bit, or a fault detection counter 1..126",
+        description="event that stores a freeze frame: a status bit, or a fault detection counter 1..126",
     )
 
     @model_validator(mode="after")

@@ -1,6 +1,6 @@
 """The DTC status byte (ISO 14229-1, Annex D.2): its bits and how they change. There is no other.
 
-Each transition is a total function of the status, its counters of cycles, and what happened; a store keeps both.
+Each transition is a total function of the status, its counters of cycles, and the event; a store keeps both.
 Healing and aging as AUTOSAR DEM has them: the warning indicator goes out after passed cycles in a row, and only
 then cycles without a failure count towards aging, which ends the confirmed state.
 """

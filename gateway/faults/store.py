@@ -1,6 +1,6 @@
 """The fault memory's SQLite file: one writer, written before it is acknowledged.
 
-Write-ahead log with ``synchronous=FULL``: what :meth:`Store.save` has returned from survives ``kill -9`` and
+Write-ahead log with ``synchronous=FULL``: changes for which :meth:`Store.save` has returned survive ``kill -9`` and
 power loss. Other processes may read at any time; to clear they ask the writer through the ``request`` table.
 """
 
@@ -153,7 +153,7 @@ class Store:
                 file=self.path,
             )
         if not self._write:
-            # Only the writer may copy the log: by that he knows whether somebody else has changed the file.
+            # Only the writer may copy the log: by that it knows whether another process has changed the file.
             self._db.execute("PRAGMA wal_autocheckpoint = 0")
             if not tables:
                 raise InputError("there is no fault memory in this file", file=self.path)
@@ -176,7 +176,7 @@ class Store:
             if version < CHAINED:
                 chain.begin(self._db)
             self._db.execute("COMMIT")
-        # Whoever asked a writer that is gone has been told that nothing was done.
+        # Processes that asked a writer that is gone have been told that nothing was done.
         self._db.execute("DELETE FROM request")
 
     def refuse_damaged(self) -> None:
@@ -391,7 +391,7 @@ class Store:
             nonlocal last
             try:
                 version = int(self._db.execute("PRAGMA data_version").fetchone()[0])
-            except sqlite3.Error:  # what is wrong is found at the next commit
+            except sqlite3.Error:  # errors are found at the next commit
                 return False
             different = version != last
             last = version

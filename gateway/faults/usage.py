@@ -1,6 +1,6 @@
 """How far and how long the vehicle was driven since a clear, and with the MIL on (J1939 DM21, PIDs 21, 31, 4D, 4E).
 
-By SAE J1979: what counts with the MIL on begins at 0 when it is lit anew, and stays while it is out; a clear of all, or
+By SAE J1979: counters with the MIL on begin at 0 when it is lit again, and stay while it is out; a clear of all, or
 of all that is emission related, sets all four to 0.
 """
 
@@ -15,7 +15,7 @@ from gateway.faults.ledger import Ledger
 from gateway.faults.settings import POWER, ConditionSettings
 from gateway_fdi.common.tomlfile import StrictModel
 
-#: So much is kept in this process before it is written: a kill loses no more [s, m].
+#: Most that is kept in this process before it is written: a kill loses no more [s, m].
 KEPT_S, KEPT_M = 60.0, 1000.0
 _LIT = "usage.lit"
 
@@ -23,12 +23,12 @@ _LIT = "usage.lit"
 class TimedCondition(ConditionSettings):
     """A signal in a range for some time."""
 
-    seconds: float = Field(0.0, ge=0, le=1e5, allow_inf_nan=False, description="for so long in the operation cycle [s]")
+    seconds: float = Field(0.0, ge=0, le=1e5, allow_inf_nan=False, description="for this time in the cycle [s]")
     at_a_stretch: bool = Field(False, description="and without a break, rather than in all")
 
 
 class UsageParams(StrictModel):
-    """What tells how the vehicle is used."""
+    """Signals of the vehicle's use."""
 
     running: tuple[ConditionSettings, ...] = Field((), description="the engine runs while all of these are met")
     speed: str | None = Field(None, description="signal of the vehicle's speed [km/h], for distances")
@@ -36,8 +36,8 @@ class UsageParams(StrictModel):
     cycle: str = Field(POWER, description="operation cycle of the monitors' performance ratios")
     denominator: tuple[TimedCondition, ...] = Field(
         (),
-        description="what a cycle needs to count for the general denominator of these ratios, e.g. 600 s of running;"
-        " none: no ratios",
+        description="conditions for a cycle to count for the general denominator of these ratios, e.g. 600 s of running"
+        "; none: no ratios",
     )
 
     @model_validator(mode="after")
@@ -102,7 +102,7 @@ class Usage:
             self.flush()
 
     def flush(self) -> None:
-        """Have all that is counted written with the next commit; what is less than one stays here."""
+        """Have all that is counted written with the next commit; parts of one stay here."""
         for name, more in self._waiting.items():
             whole = int(more)
             if whole:
@@ -110,7 +110,7 @@ class Usage:
                 self._waiting[name] = more - whole
 
     def on_clear(self, group: int) -> None:
-        """Begin anew, if all DTCs that count are cleared; all is written first (see :meth:`flush`)."""
+        """Start again at 0 if all DTCs that count are cleared; all is written first (see :meth:`flush`)."""
         if group in (ALL_DTCS, EMISSION_DTCS):
             self._reset(*Driven._fields)
 

@@ -1,11 +1,11 @@
 """Whether the fault memory's file, and its log, are as their only writer left them.
 
-SQLite does not look. What its connection has read it takes for granted as long as no other connection writes. So it
-goes on writing into a file that was cut off, or that another one was copied over. Two looks find that out:
+SQLite does not look. Its connection takes pages that it has read for granted as long as no other connection writes. So
+it goes on writing into a file that was cut off, or that another one was copied over. Two looks find that out:
 
 - A quick one at each commit: size and times of both files, and whether the index of the log is the same file. After
-  each write of its own the writer sets the time of change back. So whoever writes next leaves another time, however
-  soon he does (times of files go in steps of some ms).
+  each write of its own the writer sets the time of change back. So the next write leaves another time, however soon it
+  comes (times of files go in steps of some ms).
 - A thorough one, if the quick one finds a difference. The difference may be harmless: a backup that sets times, another
   link, a request of another process. The content of the file is compared with its checksum. A copy of file and log
   must have the last link of the chain (:mod:`gateway.faults.chain`): SQLite reads a log as far as its checksums go on.
@@ -71,7 +71,7 @@ class WatchedFile:
     """
 
     def __init__(self, path: Path) -> None:
-        beside = path.resolve()  # SQLite keeps log and index beside the file itself, whatever links to it
+        beside = path.resolve()  # SQLite keeps log and index beside the file itself, not beside a link to it
         self._path, self._wal, self._shm = str(path), f"{beside}-wal", f"{beside}-shm"
         self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         self._file_state = self._log_state = _NO_FILE
@@ -106,19 +106,19 @@ class WatchedFile:
         self._log_state = _set_back(self._wal)
 
     def file_is_same(self) -> bool:
-        """Tell whether nobody has touched the file."""
+        """Return whether the file is untouched."""
         return _state(self._path) == self._file_state
 
     def log_is_same(self) -> bool:
-        """Tell whether nobody has touched the log."""
+        """Return whether the log is untouched."""
         return _state(self._wal) == self._log_state
 
     def index_is_same(self) -> bool:
-        """Tell whether the index of the log is the one that is open; what is in it SQLite mends by itself."""
+        """Return whether the index of the log is the one that is open; SQLite mends its contents by itself."""
         return _state(self._shm)[:2] == self._index
 
     def is_same(self) -> bool:
-        """Tell whether nobody has touched any of the three: the quick look."""
+        """Return whether all three are untouched: the quick look."""
         return self.file_is_same() and self.log_is_same() and self.index_is_same()
 
     def what_changed(self, head: chain.Head) -> tuple[str, str]:
@@ -164,7 +164,7 @@ class WatchedFile:
         return "it was changed in place"
 
     def _head_of_copy(self) -> chain.Head:
-        """Return the last link that somebody would find who opens file and log for the first time.
+        """Return the last link in file and log, as a reader finds it that opens them for the first time.
 
         Raises:
             OSError: there is no room for a copy.

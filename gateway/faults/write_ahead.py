@@ -2,8 +2,8 @@
 
 A log that grows needs new blocks and a new size, which the file system puts down with each commit, and SQLite itself
 copies the log into the database within the commit that makes it long. Both are done here instead, between commits: the
-log gets its whole length once, and it is copied (a checkpoint) when nobody waits. Zeros behind what was written mean
-nothing to SQLite: it reads frames as far as salts and checksums go on (https://www.sqlite.org/walformat.html).
+log gets its whole length once, and it is copied (a checkpoint) when no commit waits. Zeros after the written frames
+mean nothing to SQLite: it reads frames as far as salts and checksums go on (https://www.sqlite.org/walformat.html).
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import shutil
 import sqlite3
 from pathlib import Path
 
-#: Length that the log gets, in pages of :data:`PAGE` bytes; SQLite copies by itself what is longer.
+#: Length that the log gets, in pages of :data:`PAGE` bytes; SQLite copies a longer log by itself.
 PAGES, PAGE = 1000, 4096
 LENGTH = PAGES * (PAGE + 24) + 32
 #: Pages, as estimated, that make it worth to copy the log.
 MANY = PAGES // 2
-#: The log gets its length where so much room is left on the disk [byte]: who is nearly full needs it for other things.
+#: The log gets its length where this much room is left on the disk [byte]: a disk that is nearly full needs it.
 ROOM = 64 << 20
-#: Bytes that the log grows by while nobody else can write.
+#: Bytes that the log grows by while no other process can write.
 _STEP = 64 << 10
 
 
@@ -28,12 +28,12 @@ def lengthen(db: sqlite3.Connection, database: Path, known: tuple[int, int]) -> 
     """Give the log its length, if there is room on the disk.
 
     Args:
-        db: the connection to the database, which nobody else uses meanwhile.
+        db: the connection to the database, which no other thread uses meanwhile.
         database: its file.
-        known: device and inode of its log: what has that name now may belong to another file.
+        known: device and inode of its log: the file of that name may belong to another one now.
 
     Raises:
-        sqlite3.Error: somebody else writes for long.
+        sqlite3.Error: another process writes for long.
         OSError: it cannot be written.
     """
     log = os.open(f"{database}-wal", os.O_WRONLY | os.O_CLOEXEC)
@@ -44,7 +44,7 @@ def lengthen(db: sqlite3.Connection, database: Path, known: tuple[int, int]) -> 
         if not short or (found.st_dev, found.st_ino) != known:
             return
         while size < LENGTH:
-            db.execute("BEGIN IMMEDIATE")  # nobody else appends now
+            db.execute("BEGIN IMMEDIATE")  # no other process appends now
             try:
                 size = os.fstat(log).st_size
                 size += os.pwrite(log, bytes(min(_STEP, max(LENGTH - size, 0))), size)

@@ -1,8 +1,8 @@
 """The engine's time in the live run: the wall clock, less all that it was ever set by.
 
 Frames are stamped by the wall clock (CLOCK_REALTIME, the kernel's socket stamps too), which NTP, PTP, GPS and ``date``
-set. The monotonic clock beside it tells when: what slews the one slews the other, so that the difference of the two
-stays, but for a step. On systems where it does not, it may drift as fast as NTP slews, and is followed.
+set. The monotonic clock beside it tells when: both are slewed alike, so that only a step changes their difference. On
+systems where it does not, it may drift as fast as NTP slews, and is followed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 TOLERANCE_NS = 10_000_000
 #: Fastest that NTP slews: 500 ppm of frequency and 500 ppm of phase (adjtimex(2)).
 SLEW = 1e-3
-#: Both clocks are read again where it took so long [ns], as far as that helps.
+#: Both clocks are read again where reading took this time [ns], as far as that helps.
 QUICK_NS = 100_000
 TRIES = 5
 
@@ -47,7 +47,7 @@ class Clock:
         tolerance_ns: change of one against the other that is a step [ns].
 
     Attributes:
-        offset_ns: what the wall clock is ahead of the engine's time [ns].
+        offset_ns: time that the wall clock is ahead of the engine's [ns].
         untold: steps that do not stand among the frames yet, the oldest first.
         steps: the latest steps, and ``count``, how many there were.
     """
@@ -88,7 +88,7 @@ class Clock:
 
     @property
     def told_offset_ns(self) -> int:
-        """What the wall clock was ahead of the engine's time where the frames are now [ns]."""
+        """Time that the wall clock was ahead of the engine's where the frames are now [ns]."""
         return self.offset_ns - sum(step.step_ns for step in self.untold)
 
     def _step(self, step_ns: int, wall: int) -> None:

@@ -27,7 +27,7 @@ from gateway_fdi.errors import GatewayError, InputError
 log = get_logger(__name__)
 
 
-#: A reload that has taken so long may take longer than a tester waits (P2, 50 ms): he is told to wait (0x78) [s].
+#: A reload that has taken this time may take longer than a tester waits (P2, 50 ms): it gets 0x78 (wait) [s].
 SOON_S = 0.0125
 
 
@@ -224,7 +224,7 @@ class Daemon:
         if self.reloader.begin():
             self._notifier.reloading()
         if self.gateway.writing:
-            return  # a change reads the file; until the thread is done, whatever the disk takes, all goes on
+            return  # a change reads the file; until the thread is done, even with a slow disk, all goes on
         found = self.reloader.take()
         if found is None:
             return
@@ -256,7 +256,7 @@ class Daemon:
         running = self.gateway.config.memory.path
         if self._memory is None and config.memory.path != running:
             raise InputError(
-                f"the fault memory cannot change while the gateway runs ({running}); start it anew",
+                f"the fault memory cannot change while the gateway runs ({running}); restart it",
                 file=self._path,
                 key="memory.path",
                 value=str(config.memory.path),
@@ -266,9 +266,9 @@ class Daemon:
         return Prepared(config, parts)
 
     def _change(self, new: Prepared) -> None:
-        """Go on with another configuration; what cannot be built or opened changes nothing.
+        """Go on with another configuration; one that cannot be built or opened changes nothing.
 
-        The order matters. Opening may take long, and what comes meanwhile is for the old gateway: all of it is fed
+        The order matters. Opening may take long, and frames that come meanwhile are for the old gateway: all are fed
         before the new one reads the fault memory. From there to the end nothing is fed to anybody; frames wait in the
         queues of the buses.
         """

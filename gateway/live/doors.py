@@ -26,11 +26,11 @@ class Doors:
         self._open.remove(door)
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when somebody wants something of any."""
+        """Return a descriptor that is readable when a client wants something of any."""
         return self._selector.fileno()
 
     def listening(self) -> bool:
-        """Tell whether somebody is there who is shown the time."""
+        """Return whether a watcher is there who is shown the time."""
         return any(door.listening() for door in self._open)
 
     def on_frames(self, frames: Frames) -> None:

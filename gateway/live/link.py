@@ -1,6 +1,6 @@
 """A bus that comes and goes: opened, lost, opened again, without anybody else noticing more than a frame.
 
-Its frames come in the engine's time (see ``gateway.live.stamps``). What happened to it goes among them (see
+Its frames come in the engine's time (see ``gateway.live.stamps``). Its conditions go among them (see
 ``gateway.bus.conditions``): LOST when it cannot be reached, RUNNING when it can again, LOSS where frames were lost in a
 queue.
 """
@@ -39,7 +39,7 @@ class Link:
     Args:
         uri: of the bus.
         index: stamped into its frames.
-        name: what the configuration calls it.
+        name: its name in the configuration.
         opener: opens it.
         clock: the engine's.
         monotonic: for the waits [s].
@@ -78,7 +78,7 @@ class Link:
         self.echoes = False
 
     def start(self) -> None:
-        """Open it for the first time; one that is not there is told LOST, and tried again.
+        """Open it for the first time; one that is not there is reported LOST, and tried again.
 
         Raises:
             UnsupportedError: this system has no such kind of bus.
@@ -124,7 +124,7 @@ class Link:
             self._send(empty(0))
 
     def receive(self) -> tuple[Frames, bool]:
-        """Take what has come, and what happened, in the engine's time; the frames are valid until the next call.
+        """Take frames, and the link's conditions, in the engine's time; the frames are valid until the next call.
 
         Returns:
             frames; whether there may be more.
@@ -145,7 +145,7 @@ class Link:
         self.stamps.apply(frames, more=count == BATCH)
         losses = list(self._bus.losses)
         forged = are_conditions(frames)
-        if forged.any():  # what our clock and our links do is not for others to say
+        if forged.any():  # only we report conditions of our clock and our links
             self._bus.statistics.rejected += int(forged.sum())
             losses = [(place - int(forged[:place].sum()), lost) for place, lost in losses]
             frames = frames[~forged]

@@ -19,7 +19,7 @@ from gateway.live.link import Link
 from gateway.live.merge import Merger
 from gateway_fdi.common.log import get_logger
 
-#: Without traffic, time is let pass this far behind the clock, so that a frame that is still on its
+#: Without traffic, the engine's time lags the clock by this, so that a frame that is still on its
 #: way through the kernel is not overtaken by the timers it would have stopped.
 GRACE_NS = 20_000_000
 #: Longest wait for a bus while something else than time is waited for: a write, a search, a reader's next look.
@@ -46,7 +46,7 @@ class Tap(Protocol):
 
 
 class Fed(Protocol):
-    """What frames and time are given to: a gateway."""
+    """Receiver of frames and time: a gateway."""
 
     @property
     def next_ns(self) -> int:
@@ -82,13 +82,13 @@ class Fed(Protocol):
 
 
 class Door(Protocol):
-    """What others see of the gateway, and ask of it, beside the buses."""
+    """Access to the gateway for other processes, beside the buses."""
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when somebody wants something."""
+        """Return a descriptor that is readable when a client wants something."""
 
     def listening(self) -> bool:
-        """Tell whether somebody watches, who is shown the time."""
+        """Return whether a watcher is there who is shown the time."""
 
     def on_frames(self, frames: Frames) -> None:
         """Take what came from the buses, or goes there."""
@@ -100,7 +100,7 @@ class Door(Protocol):
 def collect_and_freeze(again: bool) -> None:
     """Take what was built for the start out of the collector's sight.
 
-    Most of it lives until the end: modules, and what they keep. To look through all that takes longer than a tester
+    Most of it lives until the end: modules, and their data. To look through all that takes longer than a tester
     waits for an answer, so it is done once. After a reload only what was built since is looked through, which is the
     new configuration and the one before it; of the first one stays what refers to itself.
 
@@ -122,9 +122,9 @@ class Live:
         taps: take each frame exactly as the engine gets it, but for the stamp, and what is sent.
         clock: the engine's, the same as that of the links.
         tick_s: longest wait without traffic while something else than time is waited for [s]; 0: never wait.
-        monotonic: for what is done every so often [s].
+        monotonic: for periodic work [s].
         settle: called when everything is built (False), and in the turn after it was replaced (True).
-        door: of those who watch; None: nobody can.
+        door: for watchers; None: there are none.
     """
 
     def __init__(
@@ -208,7 +208,7 @@ class Live:
             # its own time stamps move the clock.
             self._send(self._gateway.advance(self._clock.now() - GRACE_NS))
         self._send(self._gateway.poll(self._clock.now()))
-        if self._unsettled:  # what waited during a reload has been answered
+        if self._unsettled:  # requests that waited during a reload have been answered
             self._unsettled = False
             self._settle(True)
         now = self._monotonic()
@@ -226,7 +226,7 @@ class Live:
             wanted[self._door.fileno()] = None
         if wanted == self._watched:
             return
-        # A descriptor may have been closed, and its number given out again: all are registered anew.
+        # A descriptor may have been closed, and its number given out again: all are registered again.
         self._selector.close()
         self._selector = selectors.DefaultSelector()
         for fd in wanted:
@@ -251,7 +251,7 @@ class Live:
         return bool(buses)
 
     def _patience_s(self, now_ns: int) -> float:
-        """Return how long there is nothing to do but for the buses and who answers them [s].
+        """Return how long only the buses and their answers need the loop [s].
 
         A turn for nothing costs half a millisecond on a slow processor: not the next tick is waited for, but the next
         timer.
@@ -306,7 +306,7 @@ class Live:
         return frames, True
 
     def hold(self) -> None:
-        """Take what has come, to be fed after a reload; testers who ask for something are told to wait (0x78)."""
+        """Take received frames, to be fed after a reload; testers' requests are answered by 0x78 (wait)."""
         for link in self._links:
             for _ in range(LAST_TURN):
                 frames, more = link.receive()
@@ -347,7 +347,7 @@ class Live:
             stamped, self._offset_ns = to_wall(frames, self._offset_ns)
             for tap in self._taps:
                 tap.write(stamped)
-            # What we have sent came back for them only.
+            # Only taps take the frames that we have sent and that came back.
             frames = frames[frames["flags"] & OWN == 0]
         if self._door is not None:
             self._door.on_frames(frames)
@@ -378,7 +378,7 @@ class Live:
                 stamped["t_ns"] = self._clock.now()
                 self._door.on_frames(stamped)
             if self._taps and link.running and not link.echoes:
-                # Nobody tells when they were on the bus: taken down as they leave.
+                # It is unknown when they were on the bus: taken down as they leave.
                 sent = mine.copy()
                 sent["flags"] |= OWN
                 sent["rank"] = 0

@@ -1,4 +1,4 @@
-"""What a daemon uses of the machine that it runs on: given to it, so that tests can give another one."""
+"""The machine that a daemon runs on, as it uses it: given to it, so that tests can give another one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Thread(Protocol):
     """A thread that has begun."""
 
     def is_alive(self) -> bool:
-        """Tell whether it works still."""
+        """Return whether it works still."""
 
     def join(self) -> None:
         """Wait until it has ended."""
@@ -46,7 +46,7 @@ class Machine:
 
     Attributes:
         clock: the engine's.
-        monotonic: for waits and for what is done every so often [s].
+        monotonic: for waits and for periodic work [s].
         open_bus: opens a bus: URI and index.
         begin_thread: begins a thread: its work and its name.
         begin_writer: begins the thread that writes the fault memory; None: the loop's own writes it.

@@ -1,4 +1,4 @@
-"""What systemd wants to know of a service: the datagrams of sd_notify(3)."""
+"""Messages of a service to systemd: the datagrams of sd_notify(3)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Notifier:
         self._send(f"READY=1\nSTATUS={status}")
 
     def reloading(self) -> None:
-        """Say that the configuration is being read anew; :meth:`ready` ends it."""
+        """Say that the configuration is being read again; :meth:`ready` ends it."""
         self._send(f"RELOADING=1\nMONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self) -> None:

@@ -1,4 +1,4 @@
-"""Recording without monitoring: the live loop with nobody behind it."""
+"""Recording without monitoring: the live loop without a gateway."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Nobody:
         return empty(0)
 
     def promise(self, frames: Frames, t_ns: int) -> Frames:
-        """Have nobody wait."""
+        """Promise nothing: no tester waits."""
         return empty(0)
 
     def finish(self, t_ns: int) -> Frames:
@@ -57,7 +57,7 @@ class Nobody:
         return None
 
     def serve_requests(self) -> None:
-        """Nobody asks."""
+        """Do nothing: there are no requests."""
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Nobody looks."""
+        """Do nothing: there are no readers."""

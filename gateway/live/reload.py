@@ -13,7 +13,7 @@ from gateway_fdi.errors import GatewayError
 
 @dataclass(frozen=True)
 class Prepared:
-    """A configuration that is right, and what was built from it."""
+    """A configuration that is right, and the objects built from it."""
 
     config: Config
     parts: Parts
@@ -38,7 +38,7 @@ class Reloader:
         self._result: Prepared | GatewayError | None = None
 
     def request(self, *_: object) -> None:
-        """Ask for the configuration to be read anew; may be a signal handler."""
+        """Ask for the configuration to be read again; may be a signal handler."""
         self._requested = True
 
     def begin(self) -> bool:
@@ -63,5 +63,5 @@ class Reloader:
             self._result = self._prepare()
         except GatewayError as error:
             self._result = error
-        except Exception as error:  # whatever it is, the old configuration goes on
+        except Exception as error:  # after any error the old configuration goes on
             self._result = GatewayError(f"{type(error).__name__}: {error}")

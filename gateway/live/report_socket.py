@@ -1,8 +1,8 @@
 """The socket on which other processes report test results: packets of JSON, each answered (docs/report.md).
 
-Who may connect is asked of the kernel (SO_PEERCRED), what he may report of :mod:`gateway.runtime.reports`. All of it is
-done in the daemon's loop, without waiting, and so much a turn that frames wait for little: what a process sends beyond
-that waits in the kernel's queue, and then its sender does.
+The kernel names the process that connects (SO_PEERCRED), :mod:`gateway.runtime.reports` what it may report. All of it
+is done in the daemon's loop, without waiting, and only a little each turn, so that frames hardly wait: further reports
+wait in the kernel's queue, and then their sender waits.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from gateway_fdi.errors import UnsupportedError
 
 #: Reports of all connections in one turn of the loop.
 MOST_IN_A_TURN = 32
-#: A connection with a report that was refused for its sender's fault is not heard for so long [s].
+#: Time that a connection is not heard after a report that was refused for its sender's fault [s].
 PAUSE_S = 0.01
-#: No connection is taken for so long where no descriptors are left [s].
+#: Time that no connection is taken where no descriptors are left [s].
 DEAF_S = 1.0
-#: What the pause is for: who sends too much or nonsense does not keep the loop busy.
+#: Reasons for the pause: a sender of too much or of nonsense does not keep the loop busy.
 _PAUSING = {"malformed", "unknown_fault", "not_allowed", "rate", "data"}
 _TURNED_AWAY = line({"ok": False, "refused": "not_allowed", "why": REFUSALS["not_allowed"]}).encode()
 
@@ -83,7 +83,7 @@ class ReportSocket:
         return self._selector.fileno()
 
     def listening(self) -> bool:
-        """Tell whether a connection waits for a short time to pass."""
+        """Return whether a connection waits for a short time to pass."""
         return bool(self._paused)
 
     def on_frames(self, frames: Frames) -> None:
@@ -139,7 +139,7 @@ class ReportSocket:
             if self._path.stat().st_ino == self._inode:
                 self._path.unlink()
         except OSError:
-            return  # somebody has tidied up already
+            return  # it has been removed already
 
     def _accept(self, now_s: float) -> None:
         try:
@@ -180,7 +180,7 @@ class ReportSocket:
             except BlockingIOError:
                 return
             except ConnectionResetError:
-                continue  # it has ended with answers unread; what it sent before comes still
+                continue  # it has ended with answers unread; its earlier reports still come
             except OSError:
                 packet = b""
             if not packet:
@@ -198,13 +198,13 @@ class ReportSocket:
                 return
 
     def _send(self, to: socket.socket, data: bytes) -> bool:
-        """Send an answer; returns whether there was room for it, or nobody wants it any more."""
+        """Send an answer; returns whether there was room for it, or its receiver is gone."""
         try:
             to.send(data, socket.MSG_NOSIGNAL)
         except BlockingIOError:
             return False
         except OSError:
-            return True  # it has ended; what it sent before comes still
+            return True  # it has ended; its earlier reports still come
         return True
 
     def _drop(self, connection: _Connection) -> None:

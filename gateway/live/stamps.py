@@ -13,11 +13,11 @@ from gateway.bus.frames import Frames
 from gateway.live.clock import Clock, Step
 from gateway_fdi.common.log import get_logger
 
-#: A stamp so far in the future [ns], or so long before the last look at the bus, is of another clock.
+#: A stamp this far in the future [ns], or this long before the last look at the bus, is of another clock.
 AHEAD_NS, BEHIND_NS = 5_000_000, 1_000_000_000
-#: Fastest that another clock drifts against ours.
+#: Fastest drift of another clock against the engine's.
 DRIFT = 2e-4
-#: A frame is on its way to the queue for so long at most after its stamp [ns].
+#: Longest time between a frame's stamp and its arrival in the queue [ns].
 FLIGHT_NS = 1_000_000_000
 
 log = get_logger(__name__)
@@ -40,11 +40,11 @@ class Stamps:
         self._clock = clock
         self._name = name
         self._own_clock = own_clock
-        # What the stamps are ahead of the engine's time: now, and after each step that they may or may not follow.
+        # Times that the stamps are ahead of the engine's: now, and after each step that they may or may not follow.
         self._offsets = [clock.offset_ns]
         self._steps: list[Step] = []
         self._count = clock.count
-        self._settled = True  # what comes next was most likely stamped after all steps
+        self._settled = True  # the next frames were most likely stamped after all steps
         self._floor_ns = self._looked_ns = self._last_ns = clock.now()
         self.drained = True
         self.aligned = False

@@ -1,9 +1,9 @@
 """The status socket: a unix socket on which a daemon shows what it does, and takes commands of who may open it.
 
-Whoever may open it (mode 0600: its owner, and root) may read and intervene; :mod:`gateway.serve` puts HTTP and rights
-before it, in another process. All of it is done in the daemon's loop, between two batches, without waiting:
+A process that may open it (mode 0600: of its owner, or root) may read and intervene; :mod:`gateway.serve` puts HTTP and
+rights before it, in another process. All of it is done in the daemon's loop, between two batches, without waiting:
 
-- Out, a line of JSON each, of some with ``size`` bytes behind it: ``hello`` (what there is to see), ``event`` (the JSON
+- Out, a line of JSON each, of some with ``size`` bytes after it: ``hello`` (what there is to see), ``event`` (the JSON
   contract), ``tick`` (20 times a second, buckets as rows of :class:`gateway.engine.buckets.TickRow`), ``buses`` (twice
   a second), ``messages`` (once a second), ``answer``. ``protocol`` in the first line is 1.
 - In, a line of JSON each: see :mod:`gateway.live.status_commands`.
@@ -36,13 +36,13 @@ from gateway_fdi.common.log import get_logger
 PROTOCOL = 1
 #: Readers at a time.
 READERS = 8
-#: A reader that has so much lying there gets no ticks [byte].
+#: A reader with this much unread gets no ticks [byte].
 ENOUGH_BYTES = 256 << 10
-#: One that has so much lying there, all of it events, is sent away [byte].
+#: One with this much unread, all of it events, is sent away [byte].
 MOST_BYTES = 4 << 20
 #: Longest line that a reader may send, and most that is read or sent at once [byte].
 LINE_BYTES, CHUNK_BYTES = 64 << 10, 64 << 10
-#: No connection is taken for so long where no descriptors are left [s].
+#: Time that no connection is taken where no descriptors are left [s].
 DEAF_S = 1.0
 #: How often what is shown [s].
 TICK_S, BUSES_S, MESSAGES_S = 0.05, 0.5, 1.0
@@ -126,20 +126,20 @@ class StatusSocket:
         self._greet()
 
     def end(self, text: str) -> None:
-        """Tell the readers, and those that come later, that what is shown has ended; they can still look at it.
+        """Tell the readers, and those that come later, that the shown run has ended; they can still look at it.
 
         Args:
-            text: what has ended, a sentence for people.
+            text: the part that has ended, a sentence for people.
         """
         self._ended = text
         self._greet()
 
     def listening(self) -> bool:
-        """Tell whether somebody reads."""
+        """Return whether there is a reader."""
         return bool(self._readers)
 
     def on_frames(self, frames: Frames) -> None:
-        """Count frames on the buses, while somebody reads."""
+        """Count frames on the buses while there is a reader."""
         if self._readers:
             self._traffic.write(frames)
 
@@ -187,7 +187,7 @@ class StatusSocket:
             if self.path.stat().st_ino == self._inode:
                 self.path.unlink()
         except OSError:
-            return  # somebody has tidied up already
+            return  # it has been removed already
 
     # Readers
 
@@ -221,7 +221,7 @@ class StatusSocket:
         connection.setblocking(False)
         self._count += 1
         reader = _Reader(connection, self._count)
-        if not self._readers:  # what was before nobody has seen, and it is of no time
+        if not self._readers:  # earlier results were shown to no reader, and have no known time
             self._gateway.engine.take_buckets()
             self._traffic = Traffic(len(self._gateway.config.bus))
             self._due = [0.0, 0.0, 0.0]
@@ -300,7 +300,7 @@ class StatusSocket:
             self._pending.remove(reader)
         self._commands.leave(reader.number)
 
-    # What is shown
+    # Contents for readers
 
     def _greet(self) -> None:
         """Tell all readers what there is to see now."""

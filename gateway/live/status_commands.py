@@ -1,4 +1,4 @@
-"""What readers of the status socket may ask: a line of JSON each, ``{"id": ..., "do": ..., ...}``.
+"""Requests of readers of the status socket: a line of JSON each, ``{"id": ..., "do": ..., ...}``.
 
 | ``do`` | more keys | what it does |
 |---|---|---|
@@ -9,12 +9,12 @@
 | ``values`` | ``signals``: full names | latest values |
 
 Each is answered by ``{"kind": "answer", "id": ..., "ok": true, "monitoring": {...}, ...}``, or ``"ok": false`` with
-``error``. What changes something goes by the rules of access that hold for testers (:mod:`gateway.servers.authority`)
+``error``. A request that changes something goes by the rules of access for testers (:mod:`gateway.servers.authority`)
 and is noted as an intervention of the protocol ``local``. It takes three more keys: ``by`` (who, for people), ``force``
 (true: override the rules; of the socket's owner and root) and ``why`` (the reason).
 
-What a reader has switched off ends when it leaves, when it says nothing for as long as a tester's session lasts (S3),
-when a condition is met no longer (unless it was forced), and when a tester or another reader switches it on.
+A reader's switching off ends when it leaves, when it says nothing for as long as a tester's session lasts (S3), when a
+condition is met no longer (unless it was forced), and when a tester or another reader switches on.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ MOST_LETTERS = 80
 
 @dataclass
 class _Session:
-    """One reader: who it is, what it has switched off, and until when."""
+    """One reader: its user, the monitoring it has switched off, and until when."""
 
     uid: int
     by: str
@@ -128,7 +128,7 @@ class Commands:
             asked = _parsed(text)
             ticket = asked.get("id")
             session = self._sessions[reader]
-            if asked["do"] != "values":  # who only looks keeps nothing
+            if asked["do"] != "values":  # a reader that only looks keeps nothing
                 session.until_s = self._now_s + self._s3_s
             result = getattr(self, f"_{asked['do']}")(asked, session)
         except GatewayError as error:
@@ -159,7 +159,7 @@ class Commands:
                 session.holder.end_unmet()
 
     def leave(self, reader: int) -> None:
-        """Switch on again what a reader has switched off, who is gone."""
+        """Switch on again what a reader switched off that is gone."""
         self._gateway.authority.leave(self._sessions.pop(reader).holder)
 
     def _judge(self, asked: dict[str, Any], session: _Session, action: str, request: bytes) -> _Asked:

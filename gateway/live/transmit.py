@@ -1,4 +1,4 @@
-"""What is to be sent on one bus: DTCs first, and nothing is lost because the queue of the bus is full."""
+"""Frames to be sent on one bus: DTCs first, and nothing is lost because the queue of the bus is full."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Transmitter:
         return self._count
 
     def send(self, bus: Bus, frames: Frames) -> None:
-        """Send frames behind those that wait; what the bus does not take waits too.
+        """Send frames after those that wait; frames that the bus does not take wait too.
 
         Raises:
             BusError: the bus is gone.

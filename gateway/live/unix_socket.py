@@ -1,4 +1,4 @@
-"""Sockets of this machine that a process listens at, and who is at their other end."""
+"""Sockets of this machine that a process listens at, and the process at their other end."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from gateway_fdi.errors import InputError
 _CREDENTIALS = struct.Struct("3i")
 #: All groups of the process at the other end (socket(7) of Linux 4.13); Python's module has no name for it.
 _SO_PEERGROUPS, _MOST_GROUPS = 59, 1024
-#: What nobody can tell who asks.
+#: Asker whose user is unknown.
 NOBODY = -1
 
 
 def listen_at(
     path: Path, what: str = "status socket", *, kind: int = socket.SOCK_STREAM, mode: int = 0o600
 ) -> socket.socket:
-    """Return a socket that listens at a path; one that nobody listens at any more gives way.
+    """Return a socket that listens at a path; one without a listener gives way.
 
     Args:
         path: of the socket.
-        what: it is, for people.
+        what: its name for people.
         kind: of socket.
         mode: of the file; as it is, it is for its owner alone.
 
     Raises:
-        InputError: somebody does, or what is there is no socket.
+        InputError: another process listens there, or the path is no socket.
     """
     _tidy(path, what, kind)
     made = socket.socket(socket.AF_UNIX, kind)

@@ -31,7 +31,7 @@ Share = Annotated[float, BeforeValidator(_share, json_schema_input_type=str | fl
 
 
 class Sized(NamedTuple):
-    """A size with its unit, empty if none is told."""
+    """A size with its unit, empty if none is given."""
 
     value: float
     unit: str

@@ -1,4 +1,4 @@
-"""An author's mistake in what his monitor does in plain Python is told as his: with file and line."""
+"""An author's mistake in his monitor's plain Python is told as his: with file and line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gateway_fdi.errors import GatewayError, InputError
 
 
 class Written(Protocol):
-    """What somebody has written: a monitor."""
+    """Code of an author: a monitor."""
 
     @property
     def type(self) -> str:
@@ -24,12 +24,12 @@ class Written(Protocol):
 
     @property
     def outside(self) -> bool:
-        """Whether it is none of ours."""
+        """Whether it does not come with the gateway."""
 
 
 @contextmanager
 def author_of(monitor: Written, what: str) -> Iterator[None]:
-    """Tell what fails inside as the author's mistake; of a monitor of ours it stays what it is.
+    """Tell failures inside as the author's mistakes; those of a monitor of the gateway stay as they are.
 
     Args:
         monitor: whose code is run.
@@ -59,6 +59,6 @@ def by_author(monitor: Written, what: str, function: Callable[..., Any]) -> Call
     def call(*arguments: Any) -> Any:
         with author_of(monitor, what):
             made = function(*arguments)
-            return list(made) if isinstance(made, Iterator) else made  # what a generator fails at is his, too
+            return list(made) if isinstance(made, Iterator) else made  # a generator's failures are his, too
 
     return call

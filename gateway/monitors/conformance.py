@@ -142,7 +142,7 @@ def _wrong_in_type(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
                 yield "a field here is float64: f8, or an array of f8s", f"{name}.{field}"
     function = getattr(monitor.step, "py_func", monitor.step)
     if len(inspect.signature(function).parameters) != 4:
-        yield "step takes (s, c, u, out): state, constants, inputs, what it reports", "step"
+        yield "step takes (s, c, u, out): state, constants, inputs, results", "step"
     yield from _wrong_capabilities(monitor)
 
 
@@ -257,7 +257,7 @@ def _fields(monitor: Monitor[Any]) -> list[tuple[str, int, bool]]:
 
 
 class Connected(NamedTuple):
-    """What the inputs of a monitor are connected to.
+    """Connections of the inputs of a monitor.
 
     Attributes:
         inputs: name and signal of each number of the inputs, in their order.
@@ -280,7 +280,7 @@ def connections(monitor: Monitor[Any], params: MonitorParams) -> Connected:
         given: object = monitor.connect(params)
     key = f'monitor type "{monitor.type}".connect'
     if not isinstance(given, Mapping):
-        text = f"inputs and what they are connected to, not {type(given).__name__}"
+        text = f"inputs and their connections, not {type(given).__name__}"
         raise InputError(text, file=monitor.file, key=key)
     fields = _fields(monitor)
     known = [name for name, *_ in fields]
@@ -336,7 +336,7 @@ def samplings_of(monitor: Monitor[Any], params: MonitorParams) -> tuple[Sampling
     """Return how the frames of a monitor become samples; none: each steps it.
 
     Raises:
-        InputError: what it says is no Sampling, or names no input.
+        InputError: its answer is no Sampling, or names no input.
     """
     sampled = monitor.capability(Sampled)
     if sampled is None:

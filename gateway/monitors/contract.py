@@ -1,4 +1,4 @@
-"""The contract between a monitor and the engine: parameters, records, inputs, kernel, faults, what it sends.
+"""The contract between a monitor and the engine: parameters, records, inputs, kernel, faults, outputs.
 
 A monitor steps when its event arrives (a frame that carries its inputs, or a timer that it asked for) and reports
 **test results**, never DTCs. Debounce and the fault memory decide what becomes of them.
@@ -44,7 +44,7 @@ NOT_TESTED, PASSED, FAILED = 0, 1, 2
 #: ``u.trigger`` of a step that a timer caused; otherwise the index of the message that did.
 TIMER = -1
 
-#: Least time from a step that a timer caused to the next one [ns]: a monitor that wakes itself at once stops nobody.
+#: Least time from a step that a timer caused to the next one [ns]: a monitor that wakes itself at once stops no other.
 LEAST_SLEEP_NS = 100_000
 
 #: Slips of a step, in words.
@@ -57,14 +57,14 @@ WAKES_ITSELF = (
 #: Where a compiler says that something is wrong.
 _PLACES = re.compile(r"""File "([^"]+)", line (\d+)""")
 
-#: Packages whose kernels are ours, and how modules begin that we generate: their indices need no check.
+#: Packages of the gateway's kernels, and how generated modules begin: their indices need no check.
 OWN_PACKAGES, GENERATED = ("gateway", "gateway_fdi", "gateway_plants"), "gateway_generated_"
 
 #: Takes the results beyond :data:`MAX_RESULTS`, so that a kernel need not ask.
 _SPARE = MAX_RESULTS
 
 RESULT = record(fault=i4, result=i4, value=f8, threshold=f8, evidence=(f8, EVIDENCE))
-#: What a step reports, as the engine sees it; a monitor's kernel sees :class:`Out`.
+#: Results of a step, as the engine sees them; a monitor's kernel sees :class:`Out`.
 RESULTS = record(
     n=i8,
     overflow=i8,
@@ -83,7 +83,7 @@ Class: TypeAlias = type[T]
 
 
 class Result(Protocol[E]):
-    """One test result: fault (its number in the monitor), PASSED or FAILED, what was tested against what, evidence."""
+    """One test result: fault (its number in the monitor), PASSED or FAILED, value and limit, evidence."""
 
     fault: int
     result: int
@@ -93,7 +93,7 @@ class Result(Protocol[E]):
 
 
 class Out(Protocol[E, V]):
-    """What a step reports.
+    """Results of a step.
 
     Attributes:
         n: results so far (see :func:`report`).
@@ -146,8 +146,8 @@ def report(out: Out[E, V], fault: int, failed: bool, value: float, threshold: fl
         out: of the step.
         fault: index in the monitor's faults.
         failed: the verdict.
-        value: what was tested (a residual, a distance, a count); NaN: the fault is not tested, whatever the verdict.
-        threshold: what it was tested against, same unit; NaN likewise.
+        value: tested value (a residual, a distance, a count); NaN: the fault is not tested, with either verdict.
+        threshold: its limit, same unit; NaN likewise.
     """
     place = out.n
     if place < MAX_RESULTS:
@@ -287,7 +287,7 @@ class Signal:
     spare: bool = False
 
 
-#: What an input is connected to: a signal, one for each element of an array, or nothing (it is NaN).
+#: Connection of an input: a signal, one for each element of an array, or nothing (it is NaN).
 Connection = Signal | Sequence[Signal | None] | None
 
 
@@ -340,7 +340,7 @@ class CusumCalibration:
         floors: of these, the largest T that a healthy drive is thought to reach at least.
         sums: state record -> ``samples``, ``total`` and ``squares`` of the moduli that updated each quantity.
         peaks: state record -> largest T of each quantity over its threshold.
-        digests: parameters -> what each quantity is, kept in a table ``digests`` beside what was found for it; None:
+        digests: parameters -> digest of each quantity, kept in a table ``digests`` beside its values; None:
             its quantities never change.
     """
 
@@ -353,11 +353,11 @@ class CusumCalibration:
 
 @dataclass(frozen=True)
 class Refined:
-    """What healthy logs say of a plant's model.
+    """Findings of healthy logs for a plant's model.
 
     Attributes:
         keys: of the monitor's table in the configuration, with their new values.
-        rows: for people: what, as told, as found, how sure.
+        rows: for people: name, configured value, value found, how sure.
         fit: mean normalised innovation squared over the number of sensors; 1: the model explains all that came.
     """
 
@@ -381,11 +381,11 @@ class Refinement:
 
 @dataclass(frozen=True)
 class Measured:
-    """What healthy logs say of sensors.
+    """Findings of healthy logs for sensors.
 
     Attributes:
         keys: of the monitor's table in the configuration, with their new values.
-        rows: for people: what, as told, as found, standard deviation; NaN: none.
+        rows: for people: name, configured value, value found, standard deviation; NaN: none.
     """
 
     keys: Mapping[str, Any]
@@ -425,7 +425,7 @@ class Quantity(NamedTuple):
     Attributes:
         name: for people.
         unit: of its values.
-        limit: what it is held against, NaN: nothing.
+        limit: compared with it, NaN: none.
     """
 
     name: str
@@ -435,7 +435,7 @@ class Quantity(NamedTuple):
 
 @dataclass(frozen=True)
 class Quantities:
-    """What a monitor computes on the way to its results: residuals, statistics (``gateway replay --signals``).
+    """Values that a monitor computes on the way to its results: residuals, statistics (``gateway replay --signals``).
 
     Attributes:
         of: parameters -> names, units and limits.
@@ -448,7 +448,7 @@ class Quantities:
 
 @dataclass(frozen=True)
 class Warnings:
-    """What ``gateway check`` says of parameters that are not wrong.
+    """Remarks of ``gateway check`` on parameters that are not wrong.
 
     Attributes:
         of: parameters -> lines.
@@ -472,7 +472,7 @@ class Parts:
 
 @dataclass(frozen=True)
 class Notes:
-    """What ``gateway check`` tells of what will run.
+    """Description of a monitor for ``gateway check``.
 
     Attributes:
         of: parameters -> lines.
@@ -517,7 +517,7 @@ class Blame(NamedTuple):
 
 @dataclass(frozen=True)
 class Blames:
-    """What the isolation of a monitor knows of the parts at fault (``gateway check --why``).
+    """Parts that each fault of a monitor blames (``gateway check --why``).
 
     Attributes:
         of: parameters -> name of a fault -> the parts that its failure blames. A fault that is not named blames all
@@ -556,7 +556,7 @@ class Gain(NamedTuple):
 
 
 class Reading(NamedTuple):
-    """What one test result says of the sizes of errors.
+    """Sizes of errors by one test result.
 
     Attributes:
         residual: signed, 0 but for noise while nothing is wrong.
@@ -564,7 +564,7 @@ class Reading(NamedTuple):
         gains: at this operating point; of a part that is not named nothing is known.
         gain_error: by what share they are wrong, 0 to 1.
         beyond: how far the residual is beyond what the test allows, as a factor; NaN: not known. The further, the less
-            it is the model behind the test that does not hold.
+            probable is an error of the test's model.
     """
 
     residual: float
@@ -576,7 +576,7 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True)
 class Residuals:
-    """Signed residuals behind a monitor's faults: one size of a part's error has to explain all that fail.
+    """Signed residuals of a monitor's faults: one size of a part's error has to explain all that fail.
 
     Attributes:
         of: parameters -> name of a fault -> evidence, value and limit of a result -> what it says of sizes; None:
@@ -630,9 +630,9 @@ class Monitor(Generic[P]):
         params: pydantic model of its parameters.
         state, const, inputs: classes of its records; the inputs derive from :class:`Inputs`.
         step: its kernel.
-        connect: parameters -> field of the inputs -> what it is connected to.
+        connect: parameters -> field of the inputs -> its connection.
         prepare: parameters, state record, record of constants: fills both before the first step.
-        faults: parameters -> what it can report; ``report`` counts them from 0.
+        faults: parameters -> its faults; ``report`` counts them from 0.
         evidence: record class of the evidence of its results.
         outputs: record class of the values that it sends; None: it sends nothing.
         emits: parameters -> the message that it can send.
@@ -660,7 +660,7 @@ class Monitor(Generic[P]):
     trusted: bool = False
 
     def capability(self, kind: Class[C]) -> C | None:
-        """Return what it has of a class of capability; what fails in one from outside is told as its author's."""
+        """Return its capability of a class; failures in one from outside are told as its author's."""
         for found in self.capabilities:
             if isinstance(found, kind):
                 return self._by_author(found) if self.outside else found
@@ -741,7 +741,7 @@ class Monitor(Generic[P]):
 
     @property
     def records(self) -> tuple[np.dtype[np.void], ...]:
-        """What its kernel is called with: state, constants, inputs, what it reports."""
+        """Arguments of its kernel: state, constants, inputs, results."""
         return self.state.dtype, self.const.dtype, self.inputs.dtype, self.results
 
     def _entry(self, *, checked: bool) -> int:

@@ -19,7 +19,7 @@ _LOST, _INVALID, _SLOTS = 0x0100, 0x0400, 0x200
 
 
 class Pair(NamedTuple):
-    """Base codes of a message's faults: that it does not come, and what is wrong with it."""
+    """Base codes of a message's faults: it does not come, or it is wrong."""
 
     lost: str
     invalid: str
@@ -35,7 +35,7 @@ def _placed(names: Iterable[str], size: int, used: Collection[int]) -> dict[str,
     Args:
         names: in any order.
         size: how many places there are.
-        used: places that nobody gets.
+        used: places that are not given out.
     """
     taken, found = set(used), {}
     for name in sorted(set(names)):
@@ -86,8 +86,8 @@ class NetworkCodes:
         """Return base codes of messages.
 
         Each of *all* messages has a place of its own, whether it is checked or not, so that no check has an influence
-        on another's codes: ``U0100 + h`` and ``U0400 + h``. One whose place has a code in use gets the next that nobody
-        has; when there is none, a manufacturer's code, for both.
+        on another's codes: ``U0100 + h`` and ``U0400 + h``. One whose place has a code in use gets the next free one;
+        when there is none, a manufacturer's code, for both.
 
         Args:
             messages: all that the databases of the buses have, with their bus.

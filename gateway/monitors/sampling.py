@@ -1,15 +1,15 @@
-"""From frames to samples: which sample a frame carries, what is missing in it, and what was lost before it.
+"""From frames to samples: which sample a frame carries, the values missing in it, and the samples lost before it.
 
-Frames wait for the bus, are overtaken and get lost, so that when one came says little of when it was sampled. Where a
-message has a frame counter the number of a sample comes from that; the time only tells how often the counter went
-round. A frame that was overtaken is older than what has been taken, and is no sample any more.
+Frames wait for the bus, are overtaken and get lost, so that a frame's time of arrival says little about its time of
+sampling. Where a message has a frame counter the number of a sample comes from that; the time only tells how often the
+counter went round. A frame that was overtaken is older than what has been taken, and is no sample any more.
 
 Signals that come in several messages make a sample together: **by set**, when each message has come once more, or **by
-counter**, when all have come with the same counter, in whatever order. One that stays away is not waited for; what it
-carries is missing (NaN) then.
+counter**, when all have come with the same counter, in whatever order. One that stays away is not waited for; its
+values are missing (NaN) then.
 
-**By the clock** each frame of one message is a sample; or there is one at each multiple of the period, whatever the
-times of the messages are (:mod:`gateway.monitors.ticks`).
+**By the clock** each frame of one message is a sample; or there is one at each multiple of the period, with any times
+of the messages (:mod:`gateway.monitors.ticks`).
 
 The engine does this for a monitor with the capability :class:`gateway.monitors.contract.Sampled`.
 """
@@ -34,15 +34,15 @@ LEARNED, LEAST = 64, 8
 EARLY = 0.5
 #: Frames over which the least waiting is looked for.
 WINDOW = 64
-#: Frames behind a beginning until one is thought to have waited for nothing.
+#: Frames after a beginning until one is thought to have waited for nothing.
 SETTLES = 32
-#: So many frames in a row that seem to be overtaken: the sender has begun anew.
+#: Number of frames in a row that seem to be overtaken: the sender has started again.
 ANEW = 16
-#: So many frames in a row with one counter, and not just a repeated frame: it does not count.
+#: Number of frames in a row with one counter, and not just a repeated frame: it does not count.
 STANDS = 3
 
 
-#: What a frame is: older than what has been taken; a part of a sample; the last part of one.
+#: Kinds of frames: older than the frames taken; a part of a sample; the last part of one.
 OVERTAKEN, WAITS, SAMPLE = range(3)
 
 
@@ -55,16 +55,16 @@ class Sampling:
             with counters of their own or without; "clock": messages whose time stamps, rounded to periods, are all
             there is: each frame is a sample, of several messages one without the others.
         period_ms: between two samples.
-        window_ms: for so long a sample waits for a message that has not come; inf: for ever, none is ever missing.
-        oldest_ms: a sample further behind the last one is none that follows it: all begins anew.
+        window_ms: time that a sample waits for a message that has not come; inf: for ever, none is ever missing.
+        oldest_ms: a sample later than this after the last one does not follow it: all starts again.
         counters: the frame counters, ``"Message.Signal"``.
         modulo: of these; one that counts to a multiple of it is well.
         depth: samples that are collected at the same time, of several messages by counter; the next power of 2.
         spare: whether a database need not have the counters.
-        between: with "clock" and several messages, what a value is at a multiple of the period: "held", the newest one;
+        between: with "clock" and several messages, its value at a multiple of the period: "held", the newest one;
             "interpolated", on the line between two frames. None: each frame is a sample.
         age_ms: of the oldest value that is held, or of a part of a set; the longest time over which a line goes.
-        ordered: of a set the message of its last input completes it; what has not come by then is missing.
+        ordered: of a set the message of its last input completes it; values that have not come by then are missing.
         inputs: fields of the inputs that make a sample; (): all whose signals trigger. A monitor can have several
             samplings, each of other fields.
     """
@@ -164,7 +164,7 @@ def prepare(c: Const, sampling: Sampling, messages: int) -> None:
 
     Args:
         c: record of Const.
-        sampling: what is asked for.
+        sampling: as asked for.
         messages: that carry the inputs.
     """
     c.messages, c.counted, c.every = messages, sampling.by != "clock", (1 << messages) - 1
@@ -231,7 +231,7 @@ def _steps(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
     waited = arrived_ns - s.date_ns - steps * period_ns
     rounds = math.floor((waited / period_ns + EARLY) / modulo)
     in_order = 0 if 2 * steps <= modulo else -1
-    if rounds < 0 < s.rounds:  # what seemed to have been lost had only waited for long: it comes now
+    if rounds < 0 < s.rounds:  # frames that seemed lost had only waited for long: they come now
         s.date_ns -= s.rounds * modulo * period_ns
         s.rounds, rounds = 0, in_order
     elif rounds < 0 and s.settled < SETTLES:  # it is the first frames that waited
@@ -256,13 +256,13 @@ def _steps(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
 
 @kernel
 def _follows(s: Numbers, c: Const, counter: float) -> bool:
-    """Tell whether a counter is the next one."""
+    """Return whether a counter is the next one."""
     return bool(counter - s.counter == 1.0 or (counter == 0.0 and s.counter == c.modulo - 1))
 
 
 @kernel
 def _next(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
-    """Take a frame that comes next and in time, as nearly all do; tells whether it is one: else nothing is changed."""
+    """Take a frame that comes next and in time, as nearly all do; returns whether it does: else nothing changes."""
     if s.settled < SETTLES or s.rounds != 0 or s.top < LEAST - 1 or c.counted == 0 or not _follows(s, c, counter):
         return False
     due_ns = s.date_ns + c.period_ns
@@ -283,7 +283,7 @@ def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
     """Take a frame: number its sample; returns by how much that is newer than the newest before, if it is positive.
 
     Let the counter be n modulo M, and a frame wait for w >= 0 until it arrives. Sample n was due at d(n), one period T
-    behind d(n - 1), so that arrival - d(n) = w, and arrival - d(n + M) = w - M T: n is the newest one with this counter
+    after d(n - 1), so that arrival - d(n) = w, and arrival - d(n + M) = w - M T: n is the newest one with this counter
     that was due before the arrival, for all w < M T. d is where the frames of the last window waited least.
 
     Args:
@@ -326,7 +326,7 @@ def _gap(s: Any, c: Const, t_ns: int) -> int:
 
 @kernel
 def is_awaited(s: Any, c: Const, t_ns: int, have: int) -> bool:
-    """Tell whether a message is waited for: it has not come, but did within the window, or may come yet."""
+    """Return whether a message is waited for: it has not come, but did within the window, or may come yet."""
     missing = c.every & ~have
     if missing == 0:
         return False
@@ -393,7 +393,7 @@ def _take_of_set(s: Any, c: Const, message: int, t_ns: int, counter: float) -> i
 
 @kernel
 def _belongs_to_the_next(s: Any, c: Const, t_ns: int) -> bool:
-    """Tell whether a message that has been away came after its sample was taken: its next frame belongs to this one."""
+    """Return whether an absent message came after its sample was taken: its next frame belongs to this one."""
     back = s.away & s.fresh
     s.away = 0
     for k in range(c.messages):
@@ -404,7 +404,7 @@ def _belongs_to_the_next(s: Any, c: Const, t_ns: int) -> bool:
 
 @kernel
 def _waits(s: Any, c: Const, message: int, t_ns: int) -> bool:
-    """Tell whether what has come of a set is not yet a sample."""
+    """Return whether what has come of a set is not yet a sample."""
     if c.ordered == 1:
         return bool(message < c.messages - 1)
     return bool(is_awaited(s, c, t_ns, s.fresh) or _belongs_to_the_next(s, c, t_ns))

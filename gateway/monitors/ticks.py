@@ -1,11 +1,11 @@
-"""Samples of several messages by the clock: at each multiple of a period, whatever the frames' own times are.
+"""Samples of several messages by the clock: at each multiple of a period, with any times of the frames.
 
 A value is **held**: the newest one, none older than ``age_ms``; or it lies **on the line** between the frame before the
-sample and the one behind it, not more than ``age_ms`` apart, so that a sample waits until the slowest message has come,
+sample and the one after it, not more than ``age_ms`` apart, so that a sample waits until the slowest message has come,
 and several follow one another then.
 
 A sample without a message is left out as long as that message is waited for (:mod:`gateway.monitors.sampling`); then
-samples go on without it, and its inputs are NaN. Where nothing comes any more the clock stops, and all begins anew.
+samples go on without it, and its inputs are NaN. Where nothing comes any more the clock stops, and all starts again.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from gateway_fdi.jit import kernel
 
 @kernel
 def _runs(s: Any, c: Const, t_ns: int) -> bool:
-    """Tell whether the clock runs; it begins when each message has come, or is waited for no more.
+    """Return whether the clock runs; it begins when each message has come, or is waited for no more.
 
-    On the line the first sample lies behind what has come: before that there is no line.
+    On the line the first sample lies after the frames that have come: before them there is no line.
     """
     if s.tick_ns == 0:
         have = 0
@@ -37,7 +37,7 @@ def _runs(s: Any, c: Const, t_ns: int) -> bool:
 
 @kernel
 def hear(s: Any, c: Const, t_ns: int) -> None:
-    """Note that a frame came, or a tick; behind a silence all begins anew: each message is waited for."""
+    """Note that a frame came, or a tick; after a silence all starts again: each message is waited for."""
     if s.tick_ns > 0 and t_ns - s.heard_ns > c.window_ns:
         s.tick_ns = s.begun_ns = 0
         for k in range(c.messages):
@@ -94,7 +94,7 @@ def tick(s: Any, c: Const, t_ns: int) -> int:
 
 @kernel
 def draw(s: Any, c: Const, message: int, t_ns: int, cells: Any, at: int, value: float) -> None:
-    """Put a value of a frame onto the line of its input; its message is noted behind (:func:`drawn`).
+    """Put a value of a frame onto the line of its input; its message is noted after it (:func:`drawn`).
 
     Args:
         s: record of State.
@@ -146,7 +146,7 @@ def between(s: Any, c: Const, t_ns: int) -> int:
             if s.came_ns[k] >= s.tick_ns:
                 have |= 1 << k
                 lost = lost or s.known[k] & bit == 0
-        late = (t_ns - c.age_ns - s.tick_ns) // c.period_ns  # what is so late can no longer be on a line
+        late = (t_ns - c.age_ns - s.tick_ns) // c.period_ns  # a value this late can no longer be on a line
         if have == 0 or (late <= 0 and is_awaited(s, c, t_ns, have)):
             return WAITS
         if not lost and not is_awaited(s, c, t_ns, have):

@@ -1,6 +1,6 @@
 """A monitor's kernel is tried before it is on a bus: ordinary, missing, random and extreme inputs, indices checked.
 
-What it finds would switch the monitor off while it runs, or make its results nobody's.
+Its findings would switch the monitor off while it runs, or make results of no fault.
 """
 
 from __future__ import annotations

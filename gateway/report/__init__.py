@@ -23,12 +23,12 @@ from gateway.report.words import MOST_BYTES, REFUSALS
 
 __all__ = ["Answer", "Reporter", "header"]
 
-#: Why a report is not accepted, said by this side: nobody was reached; it has left, and its answer is not there yet.
+#: Why a report is not accepted, by this side: no gateway was reached; it has left, and its answer is not there yet.
 UNDELIVERED, UNANSWERED = "undelivered", "unanswered"
 
 
 class Answer(NamedTuple):
-    """What became of a report; it is true if the gateway has taken it.
+    """Outcome of a report; it is true if the gateway has taken it.
 
     ``refused`` is a word of docs/report.md, "undelivered" if the gateway was not reached, "unanswered" if its answer
     did not come in time; ``why`` is for people.
@@ -50,12 +50,12 @@ class Reporter:
     Args:
         path: of the gateway's socket, ``[report] socket`` of its configuration.
         patience_s: longest time that a call may take [s].
-        retry_s: after a try that reached nobody, calls fail at once for so long [s].
+        retry_s: after a try that reached no gateway, time for which calls fail at once [s].
 
     Attributes:
         accepted: reports that the gateway has taken.
         refused: word of the protocol -> reports that were refused so.
-        undelivered: reports that reached nobody.
+        undelivered: reports that reached no gateway.
         unanswered: reports that have left, and whose answers have not come yet; one that comes later is counted then.
             Those of a gateway that has ended stay here.
     """
@@ -78,7 +78,7 @@ class Reporter:
     ) -> None:
         if kind is None:
             self.goodbye()
-        else:  # whoever fails says no goodbye: its faults are not tested
+        else:  # a process that fails says no goodbye: its faults are not tested
             self._drop("")
 
     def passed(self, fault: str, /, **data: float) -> Answer:
@@ -153,7 +153,7 @@ class Reporter:
             except TimeoutError:
                 self._reason = "the gateway takes no reports at present"
                 break
-            except OSError as error:  # nothing of it has left; who is not let in is told why
+            except OSError as error:  # nothing of it has left; a process that is refused gets the reason
                 told = self._last_word(connection)
                 self._drop(error.strerror or str(error))
                 if told is not None:
@@ -224,14 +224,14 @@ def _wait(connection: socket.socket, until_s: float) -> None:
 
 
 def _told(connection: socket.socket) -> tuple[int | None, Answer] | None:
-    """Return the number of a report and what is answered; None: the connection has ended.
+    """Return the number of a report and the answer; None: the connection has ended.
 
     Raises:
         OSError: nothing has come in time.
     """
     try:
         heard = connection.recv(MOST_BYTES)
-    except ConnectionResetError:  # it has ended with a report unread; what it said before is still there
+    except ConnectionResetError:  # it has ended with a report unread; its earlier answers are still there
         heard = connection.recv(MOST_BYTES)
     try:
         told = json.loads(heard)

@@ -1,4 +1,4 @@
-"""What a gateway says of itself: what it monitors and serves, and at the end what it did."""
+"""A gateway's account of itself: its monitors and servers, and at the end its results."""
 
 from __future__ import annotations
 

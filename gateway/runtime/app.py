@@ -63,12 +63,12 @@ class Gateway:
     Its parts, in the order of a batch: :class:`~gateway.runtime.reception.Reception` gives frames to the engine,
     :class:`~gateway.runtime.verdicts.Verdicts` takes its events into the fault memory,
     :class:`~gateway.runtime.outbox.Outbox` has them committed, tells them and sends them.
-    :class:`~gateway.runtime.interventions.Interventions` is what testers do to the memory,
-    :class:`~gateway.runtime.controls.Controls` how they do it. What is left here: beginning, end and succession, and
-    the order in which the parts have their turn after a batch.
+    :class:`~gateway.runtime.interventions.Interventions` takes the testers' changes of the memory,
+    :class:`~gateway.runtime.controls.Controls` how they do it. This class has the rest: beginning, end and succession,
+    and the order in which the parts have their turn after a batch.
 
     Frames and times that go in are of the engine's time, which no step of the wall clock disturbs; a frame of the
-    condition STEPPED tells where the wall clock was set. What people read (events, the fault memory, recordings) is
+    condition STEPPED tells where the wall clock was set. All that people read (events, the fault memory, recordings) is
     stamped by the wall clock.
 
     Args:
@@ -77,7 +77,8 @@ class Gateway:
         file: where the configuration came from, for errors.
         parts: of this configuration, when they are there already (see :func:`prepare`).
         store: an open fault memory to go on with, instead of ``memory_path``.
-        lasting: whether nobody writes to a batch after it was fed, as to those of a log: it can be kept as it is.
+        lasting: whether batches are not written to after they were fed, as those of a log: they can be kept as they
+            are.
 
     Raises:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
@@ -131,7 +132,7 @@ class Gateway:
         self._connect()
 
     def _connect(self) -> None:
-        """Make what stands between the parts: frames in, verdicts, what is told and sent of them."""
+        """Make the links between the parts: frames in, verdicts, events and frames out."""
         self._off = SwitchedOff(self.engine)
         self._outbox = Outbox(self.memory, self.store, self.engine, self._off.report, self.servers.on_changes)
         self._upkeep = self._outbox.upkeep
@@ -206,12 +207,12 @@ class Gateway:
     def succeed(self, old: Gateway) -> None:
         """Go on where a gateway of another configuration stops: same fault memory, same operation cycle.
 
-        What both have in common (signals, counters, monitors with the same parameters, requests and answers under way)
-        keeps its state; testers find the default session. The other gateway must not be used any more.
+        Common parts of both (signals, counters, monitors with the same parameters, requests and answers under way) keep
+        their state; testers find the default session. The other gateway must not be used any more.
 
         Args:
-            old: first it had all frames until now, then :meth:`finish`, then this one was made with its store: what
-                it does after that is lost.
+            old: first it had all frames until now, then :meth:`finish`, then this one was made with its store: its
+                later changes are lost.
         """
         self.memory.succeed(old.memory)
         self._outbox.succeed(old._outbox)
@@ -269,7 +270,7 @@ class Gateway:
         self._outbox.settle(t_ns, self._verdicts.take, final=True)
         if self.memory.unsaved:
             log.error(
-                "the fault memory was not written at the end; what it had not stored is lost",
+                "the fault memory was not written at the end; changes that it had not stored are lost",
                 file=str(self.store.path),
                 reason=self.memory.outage.reason,
                 changes=self.memory.unsaved,
@@ -300,7 +301,7 @@ class Gateway:
     def feed(self, frames: Frames) -> Frames:
         """Take a batch of frames; returns the frames to send.
 
-        What the returned frames say is stored before they are returned, unless it cannot be (see ``upkeep``).
+        The contents of the returned frames are stored before, unless they cannot be (see ``upkeep``).
 
         Args:
             frames: of FRAME, shape (n,), in order of time.
@@ -342,7 +343,7 @@ class Gateway:
         return self._emit(self._reception.advance(t_ns))
 
     def poll(self, t_ns: int) -> Frames:
-        """Let time pass for the servers that answer others, which the monitors' time lags behind.
+        """Let time pass for the servers that answer others: the monitors' time lags theirs.
 
         Args:
             t_ns: now, of the clock that stamps frames.
@@ -401,7 +402,7 @@ class Gateway:
 
         Args:
             sent: by the monitors.
-            asked: whether somebody asks for what there is now.
+            asked: whether there is a request for the present state.
         """
         now = self.engine.now_ns
         if self._outbox.empty and self._idle and now < self.servers.next_ns:
@@ -431,7 +432,7 @@ class Gateway:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was taken where the configuration leaves it to the databases, one line each."""
+        """Choices where the configuration leaves them to the databases, one line each."""
         return self._parts.notes
 
     @property

@@ -51,7 +51,7 @@ _OWN = (*memory_health.FAULTS, *monitoring_health.FAULTS, *monitor_health.FAULTS
 
 @dataclass(frozen=True)
 class Parts:
-    """What a gateway is made of, before its fault memory is opened.
+    """Parts of a gateway, before its fault memory is opened.
 
     Attributes:
         databases: of each bus.
@@ -64,7 +64,7 @@ class Parts:
         security: of the UDS server; its key functions have been found.
         authentication: of the UDS server; its roots have been read.
         checks: of messages, in the engine's order.
-        notes: what was taken where the configuration leaves it to the databases.
+        notes: choices where the configuration leaves it to the databases.
         codes: base codes of DTCs given out, by message, signal or relation.
         depends: fault id -> what its test sees, the component that it sees best first.
         residuals: fault id -> what reads its signed residual, of those that have one.

@@ -1,6 +1,6 @@
-"""Which components explain the faults that are there: looked at behind a change of verdict, and when a wait is over.
+"""Which components explain the faults that are there: looked at after a change of verdict, and when a wait is over.
 
-What a test says is its qualified verdict; when a test that passes did so last is the time of its latest result. Both
+A test says its qualified verdict; a test that passes did so last at the time of its latest result. Both
 are as the engine has them at that time of the frames, so that a log gives what the live gateway gave.
 """
 
@@ -27,25 +27,25 @@ from gateway_fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
 from gateway_fdi.diagnosis.system import Link, Test
 
 #: Probability that a verdict is wrong though all is well: it is debounced, and thresholds are set for hours. A check of
-#: messages compares what no noise changes.
+#: messages compares values without noise.
 FALSE_ALARM, EXACT = 1e-6, 1e-8
 #: Diagnoses from this probability on are news when their order changes.
 _NEWS = 0.05
 #: Time after which a test has seen a fault, where nothing says it [s].
 DELAY_S = 5.0
-#: Of a timeout, so many times its time: silence may begin right behind a frame, and it is debounced.
+#: Of a timeout, this number of times its time: silence may begin right after a frame, and it is debounced.
 _TIMEOUTS = 2.0
-#: What fails within so long is looked at together; there is no more work than that, whatever happens [ns].
+#: Failures within this time are looked at together, so that the work stays bounded [ns].
 PACE_NS = 100_000_000
-#: A wait that is over without a result is looked at again after so long [ns], then twice that, ...
+#: A wait that is over without a result is looked at again after this time [ns], then twice that, ...
 _AGAIN_NS = 100_000_000
-#: ... so often.
+#: ... up to this number of times.
 _MOST_LOOKS = 10
-#: So many settings of the wall clock are remembered.
+#: Number of settings of the wall clock that are remembered.
 _MOST_OFFSETS = 8
 #: Causes that an event tells of each group, and tests that would tell them apart.
 _TOLD = 5
-#: Components that nothing else has to do with: what they explain, their own fault says.
+#: Components that concern nothing else: their own fault says all that they explain.
 _ALONE = ("gateway", "reported")
 
 
@@ -54,7 +54,7 @@ class Causes:
 
     Args:
         engine: has the verdicts.
-        depends: what each fault's test depends on.
+        depends: components that each fault's test depends on.
         checks: of messages, with their timeouts.
 
     Attributes:
@@ -101,7 +101,7 @@ class Causes:
         self._offsets: list[tuple[int, int]] = []  # of the wall clock, each since a time of the engine
 
     def take(self, events: Events) -> None:
-        """Take events of the engine; what they mean is looked at a moment later, with those that come meanwhile."""
+        """Take events of the engine; they are judged a moment later, with those that come meanwhile."""
         kinds, offset_ns = events["kind"], self._note_offset()
         for event in events[(kinds == QUALIFIED_FAILED) | (kinds == QUALIFIED_PASSED)]:
             fault, failed = int(event["fault"]), event["kind"] == QUALIFIED_FAILED
@@ -234,10 +234,10 @@ class Causes:
             return
         self._engine.pause_ns = due
 
-    # What is told ----------------------------------------------------------------------------------------------------
+    # Events -----------------------------------------------------------------------------------------------------------
 
     def _gist(self, group: Group) -> tuple[object, ...]:
-        """Return what of a group is worth an event when it changes: what fails, by what, in which order."""
+        """Return the parts of a group that are worth an event when they change: failures and causes, in order."""
         system = self._diagnoser.system
         failed = tuple(self._faults(group.failed))
         ranked = [one for one in group.diagnoses if one.probability >= _NEWS]
@@ -295,7 +295,7 @@ def _delays(engine: Engine, checks: Sequence[CheckInstance]) -> dict[str, float]
         for check in checks
         if check.params.timeout_ms is not None
     }
-    # Whenever a timeout is told, it is known that the bus is heard.
+    # Whenever a timeout is reported, it is known that the bus is heard.
     return delays | {slot.id: 0.0 for slot in engine.faults if slot.id.endswith(".bus_silent")}
 
 

@@ -1,4 +1,4 @@
-"""What testers ask of the gateway, whichever protocol they speak."""
+"""Requests of testers to the gateway, by any protocol."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Controls:
         self._mute: set[str] = set()
 
     def connect(self, watcher: Watcher) -> None:
-        """Have somebody know of what is done, who needs this one himself."""
+        """Tell a watcher of changes; it needs this object itself, so it comes later."""
         self._watcher = watcher
 
     def fault_detection_counter(self, fault: str) -> int:
@@ -104,7 +104,7 @@ class Controls:
         return math.nan if age_ns is None or age_ns > self._stale_ns else self.value(name)
 
     def meets(self, conditions: Sequence[ConditionSettings]) -> bool:
-        """Tell whether signals are in their ranges now; one that is unknown or too old is not."""
+        """Return whether signals are in their ranges now; one that is unknown or too old is not."""
         return all(self._is_met(condition) for condition in conditions)
 
     def _is_met(self, condition: ConditionSettings) -> bool:
@@ -119,7 +119,7 @@ class Controls:
             self._watcher.note(replace(intervention, t_ns=self._engine.wall_ns(self._engine.now_ns)))
 
     def knows(self, group: int) -> bool:
-        """Tell whether there is such a DTC or group."""
+        """Return whether there is such a DTC or group."""
         return self._memory.knows(group)
 
     def clear(self, group: int) -> bool:
@@ -136,7 +136,7 @@ class Controls:
         return True
 
     def forget(self, cleared: Iterable[str]) -> None:
-        """Start the debounce of cleared faults anew."""
+        """Start the debounce of cleared faults again."""
         names = list(cleared)
         for index in (self._index[name] for name in names if name in self._index):
             self._engine.reset_debounce([index])
@@ -148,17 +148,17 @@ class Controls:
 
     @property
     def results(self) -> bool:
-        """Whether nobody has switched off that test results count (0x85)."""
+        """Whether test results count: no tester has switched them off (0x85)."""
         return not self._dtcs_off
 
     @property
     def monitoring(self) -> bool:
-        """Whether test results count: nobody has switched them, or reception, off."""
+        """Whether test results count: neither they nor reception are switched off."""
         return not (self._dtcs_off or self._deaf)
 
     @property
     def off_by(self) -> list[str]:
-        """Who has switched something off, reception and sending included; in order."""
+        """Names of all that have switched something off, reception and sending included; in order."""
         return sorted(self._dtcs_off | self._deaf | self._mute)
 
     @property
@@ -196,7 +196,7 @@ class Controls:
         self.go_on()
 
     def go_on(self) -> None:
-        """Take over in the middle of an operation cycle: what fails in the memory is there."""
+        """Take over in the middle of an operation cycle: faults that fail in the memory are there."""
         for fault, index in self._index.items():
             failing = self._memory.status_now(fault) & Status.TEST_FAILED
             self._engine.set_active(index, bool(failing))
@@ -208,7 +208,7 @@ class Controls:
         self.start_cycle(now)
 
     def begin(self, cycle: str, t_ns: int) -> None:
-        """Begin an operation cycle that signals define, at a time for people; its faults are tested anew."""
+        """Begin an operation cycle that signals define, at a time for people; its faults are tested again."""
         self._memory.start_cycle(t_ns, cycle)
         mine = [d.id for d in self._memory.catalogue if d.cycle == cycle]
         self._engine.reset_debounce(self._index[fault] for fault in mine)

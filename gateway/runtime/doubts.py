@@ -1,4 +1,4 @@
-"""Rules that no frame, or too few, ever passed: what fits instead is looked for beside the loop, and told."""
+"""Rules that no frame, or too few, ever passed: rules that fit instead are looked for beside the loop, and told."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Doubts:
                 self._told(each.result())
 
     def succeed(self, old: Doubts) -> None:
-        """Go on with the thread of the gateway before, and what it looks for."""
+        """Go on with the thread of the gateway before, and its search."""
         self._thread, self._sought = old._thread, old._sought
 
     def close(self) -> None:

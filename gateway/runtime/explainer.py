@@ -1,4 +1,4 @@
-"""What the fault memory makes of a diagnosis: each entry gets its cause, and symptoms may be held.
+"""Diagnoses in the fault memory: each entry gets its cause, and symptoms may be held.
 
 An entry's part in its group of faults: it names the cause (of all that its test sees, it sees a component of the proven
 cause best), it is a symptom, or nothing is proven. One entry leads: it stands for the cause, so that there is one DTC
@@ -24,9 +24,9 @@ from gateway.faults.status import Status
 from gateway.runtime.causes import PACE_NS, Causes
 from gateway.runtime.told import symptoms_event
 
-#: A confirmation waits so long for the diagnosis, at most [ns].
+#: Longest time that a confirmation waits for the diagnosis [ns].
 LONGEST_NS = 30_000_000_000
-#: A proven cause stands so long while some of its faults have healed, and no other has come: the rest of them, which
+#: Time that a proven cause stands while some of its faults have healed, and no other has come: the rest of them, which
 #: heal more slowly, say less of it than all did [ns].
 HEALING_NS = 30_000_000_000
 #: Causes that are less probable are not kept.
@@ -92,7 +92,7 @@ class Explainer:
 
     def succeed(self, old: Explainer) -> None:
         """Go on where that of an earlier configuration stops."""
-        # What faults explained that there are no more is looked at with the next diagnosis.
+        # The next diagnosis looks at entries that were explained by faults that no longer exist.
         known = self._depends.keys()
         self._groups = {fault: group for fault, group in old._groups.items() if group.failed <= known}
         self._standing, self._since = old._standing, old._since
@@ -113,7 +113,7 @@ class Explainer:
         self._confirm(overdue, t_ns)
 
     def failed(self, fault: str, t_ns: int) -> None:
-        """Note when a fault failed, by the engine's time: what waits is not judged by an earlier diagnosis."""
+        """Note when a fault failed, by the engine's time: waiting entries are not judged by an earlier diagnosis."""
         self._news = True
         if self._hold:
             self._since[fault] = t_ns
@@ -226,19 +226,19 @@ class Explainer:
             else:
                 freed.append(record.id)
         self._confirm(freed, t_ns)
-        # Where the lead is not confirmed (it takes more cycles, or was cleared), nobody would see the cause.
+        # Where the lead is not confirmed (it takes more cycles, or was cleared), the cause would stay hidden.
         led = {record.id for record in symptoms if self._is_confirmed(record)}
         self._confirm([record.id for record in symptoms if record.id not in led], t_ns)
         self._tell_held([record for record in symptoms if record.id in led and record.hold == WAITING], t_ns)
         return due
 
     def _is_confirmed(self, symptom: Record) -> bool:
-        """Tell whether the entry is confirmed that stands for a symptom's cause."""
+        """Return whether the entry is confirmed that stands for a symptom's cause."""
         cause = symptom.cause
         return cause is not None and bool(self._memory.record(cause.lead).status & Status.CONFIRMED_DTC)
 
     def _is_symptom(self, record: Record) -> bool:
-        """Tell whether an entry is held: a symptom, unless a lamp would stay dark that its lead does not ask for."""
+        """Return whether an entry is held: a symptom, unless a lamp would stay dark that its lead does not ask for."""
         cause = record.cause
         if cause is None or cause.role != SYMPTOM or cause.lead == record.id:
             return False

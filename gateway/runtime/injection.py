@@ -1,6 +1,6 @@
-"""Faults put into recorded frames: what would the gateway say if this sensor, or this sender, failed?
+"""Faults put into recorded frames: answers of the gateway if this sensor, or this sender, failed.
 
-A fault of a signal leaves the message's protection right, as the sender would: it is computed anew over the changed
+A fault of a signal leaves the message's protection right, as the sender would: it is computed again over the changed
 payload. A fault of the frame does not.
 """
 
@@ -24,8 +24,8 @@ from gateway_fdi.errors import InputError, nearest
 
 #: Of a frame: it does not come; the one before comes again; each is as the first; one bit is wrong.
 FRAME_KINDS = ("drop", "repeat", "freeze", "flip")
-#: Of a signal: it stays; something is added; it is so many times what it is; it has one value; something is added and
-#: taken off in turn.
+#: Of a signal: it stays; something is added; it is multiplied; it has one value; something is added and taken off in
+#: turn.
 SIGNAL_KINDS = ("stuck", "offset", "scale", "value", "jump")
 #: Of these, those that want a number.
 _NUMBERED = ("offset", "scale", "value", "jump")
@@ -36,7 +36,7 @@ _TEXT = re.compile(
     rf"(?: +@ *(?P<first>{_NUMBER})(?: *\.\. *(?P<last>{_NUMBER}))?)?\s*"
 )
 
-#: What is to be written, for messages of errors.
+#: Form of an injection, for messages of errors.
 USAGE = 'e.g. "drop SPEED @10..12", "offset SPEED.SPEED=40 @10": KIND MESSAGE[.SIGNAL][=VALUE] [@FROM[..TO] seconds]'
 
 
@@ -49,7 +49,7 @@ class Injection:
         bus: index of the bus.
         message: its name.
         signal: its name, None for a fault of the frame.
-        value: what is added, or what the signal has; signal's unit.
+        value: added, or the signal's own; signal's unit.
         from_s, to_s: when, from the log's first frame on [s]; to_s None: to its end.
     """
 

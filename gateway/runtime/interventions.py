@@ -1,6 +1,6 @@
-"""What testers and other processes do to a gateway: kept, told, and in order with what waits to be told.
+"""Interventions of testers and other processes: kept, told, and in order with events that wait to be told.
 
-What is cleared must not be told as set after it. So all that waits is written and told before a clear.
+A cleared fault must not be told as set after it. So all that waits is written and told before a clear.
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ class Interventions:
         self._entries: set[str] = set()  # before the clear that is done now
 
     def note(self, intervention: Intervention) -> None:
-        """Keep what a tester did; it is told when it is stored."""
+        """Keep an intervention; it is told when it is stored."""
         told = self._memory.note_intervention(intervention)
         if told is not None:
             self._outbox.note(intervention_event(told))
 
     def before_clear(self) -> None:
-        """Write and tell all that waits: what is cleared next must not be told as set after it."""
+        """Write and tell all that waits: a fault that is cleared next must not be told as set after it."""
         self._outbox.release_early(self._engine.now_ns, self._verdicts.take)
         self._entries = {entry.fault for entry in self._memory.entries()}
 

@@ -1,11 +1,12 @@
 """Every mistake of a configuration at once.
 
-A configuration is read and built in stages, each of which refuses what it finds: keys, what one table says of another,
-names of the databases, what monitors want, codes. So that one stage does not hide the next, the tables that are wrong
-are taken out of the configuration, and the rest is tried again until it is right.
+A configuration is read and built in stages, each of which refuses the mistakes it finds: keys, relations between
+tables, names of the databases, inputs of monitors, codes. So that one stage does not hide the next, the tables that are
+wrong are taken out of the configuration, and the rest is tried again until it is right.
 
 A table that is taken out makes others wrong that name it: the faults of a monitor, the monitors of a bus, ... Such
-consequences are taken out, too, and not told. What may be one is not told either: it comes when the rest is mended.
+consequences are taken out, too, and not told. A possible consequence is not told either: it comes when the rest is
+mended.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def _refused(data: dict[str, Any], path: Path) -> Iterator[InputError]:
 
 
 class _Rest:
-    """What is left of a configuration, and what has been found.
+    """The rest of a configuration, and the mistakes found.
 
     Args:
         path: of its file.
@@ -94,7 +95,7 @@ class _Rest:
             placed = placed and bool(places)
             wrong.update(places)
         wrong |= {other for place in wrong for other in self._dependent(place)}
-        # The last of a list first, so that the others keep their numbers, and what is in a table before the table.
+        # The last of a list first, so that the others keep their numbers, and the contents of a table before the table.
         for place in sorted(
             wrong, key=lambda place: [(isinstance(token, str), token) for token in place], reverse=True
         ):
@@ -138,7 +139,7 @@ class _Rest:
 
     def _of_bus(self, tokens: Place) -> Iterator[Place]:
         if not _has(self.data, tokens[:2]) or len(tokens) < 2 or tokens[2:3] == ("name",):
-            return  # what is on which bus is not known
+            return  # the bus of each table is not known
         if tokens[2:3] == ("check",) and len(tokens) > 3:
             yield tokens[:4]
         else:
@@ -180,7 +181,7 @@ class _Rest:
     def _remove(self, place: Place) -> None:
         *above, last = place
         table = _at(self.data, above)
-        if above == ["bus"]:  # the others keep their numbers, and what sends on it a bus
+        if above == ["bus"]:  # the others keep their numbers, and its senders a bus
             table[last] = {"name": table[last].get("name"), "uri": _ALONE["uri"], "health": {"watched": False}}
         elif len(place) == 3 and _ALONE[str(last)] is not None:
             table[last] = _ALONE[str(last)]
@@ -191,7 +192,7 @@ class _Rest:
 
 
 class _Gone:
-    """What others may name of the tables that have been taken out."""
+    """Names in the tables that have been taken out; others may use them."""
 
     def __init__(self) -> None:
         self._owners: set[str] = set()  # of faults and live values: monitors, buses

@@ -1,4 +1,4 @@
-"""What goes out of a gateway, in the one order that holds: committed first, told after, sent last.
+"""Outputs of a gateway, in the one order that holds: committed first, told after, sent last.
 
 A change of a DTC takes four steps, and no step is done before the one above it:
 
@@ -7,7 +7,7 @@ A change of a DTC takes four steps, and no step is done before the one above it:
 3. It is *told*: its event goes to the listeners, with ``stored``. This is false where the file cannot be written.
 4. It is *sent*: the servers make frames of it (the DTC frame, DM1).
 
-So nobody hears of a DTC that the next start does not find, unless he is told so.
+So a DTC that the next start does not find is never told, unless it is told as not stored.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Outbox:
         self.upkeep = Upkeep(memory, store, engine, self.tell)
 
     def succeed(self, old: Outbox) -> None:
-        """Go on where that of an earlier configuration stops: what waits there is told here."""
+        """Go on where that of an earlier configuration stops: events that wait there are told here."""
         self.upkeep.succeed(old.upkeep)
         self._listeners = old._listeners
         self._changes, self._untold = old._changes, old._untold
@@ -99,7 +99,7 @@ class Outbox:
     def settle(self, now: int, sink: Sink, *, asked: bool = False, final: bool = False) -> list[DtcChange]:
         """Commit what was noted, if it is time, and tell it; returns the changes to send.
 
-        What is wrong with the memory itself is told before what it could not store.
+        Errors of the memory itself are told before the changes it could not store.
 
         Args:
             now: of the engine's clock.

@@ -1,7 +1,7 @@
 """Checksums' rules that have been proven: the fault memory keeps them, so that the next ignition knows them.
 
-A sender whose checksum breaks over night is to be accused itself, not the rule that it has fitted for years. What is
-kept is a digest of the rule: another rule has to be proven first.
+A sender whose checksum breaks over night is to be accused itself, not the rule that it has fitted for years. A digest
+of the rule is kept: another rule has to be proven first.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Proofs:
         self._rules = engine.rules()
 
     def recall(self) -> None:
-        """Let the engine know what has been proven; what was proven of rules that have changed since is dropped."""
+        """Let the engine know the proven rules; proofs of rules that have changed since are dropped."""
         for name, digest in self._rules.items():
             kept = self._memory.proven(name)
             if kept == digest:

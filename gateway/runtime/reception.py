@@ -1,4 +1,4 @@
-"""What reaches the monitors: frames, and time.
+"""Inputs of the monitors: frames, and time.
 
 Batches are cut where the usage meter looks. A tester may have switched reception off (ISO 14229-1, 0x28).
 """
@@ -64,7 +64,8 @@ class Reception:
         if self._controls.receive or not len(frames):
             return self._engine.process(frames, self._sink)
         # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
-        # And what conditions of access need: what is blinded because the vehicle stands must see that it moves.
+        # And signals for conditions of access: a gateway that is blinded because the vehicle stands must see that it
+        # moves.
         needed = are_steps(frames) | self._engine.plan.among(frames, self._judged)
         sent = self._engine.process(chosen(frames, needed), self._sink)
         more = self._engine.advance(int(frames["t_ns"].max()), self._sink)

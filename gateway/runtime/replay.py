@@ -10,7 +10,7 @@ from gateway.bus.timeline import LogTime
 
 
 class FrameConsumer(Protocol):
-    """What a log is fed to: the gateway."""
+    """Receiver of a log: the gateway."""
 
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
@@ -40,7 +40,7 @@ def replay(
         progress: called after each batch.
 
     Returns:
-        how many frames were fed. What the gateway would have sent is not sent anywhere.
+        how many frames were fed. Frames that the gateway would have sent are not sent anywhere.
     """
     count = 0
     last_ns = 0

@@ -1,4 +1,4 @@
-"""Test results of other processes: who may report what, how often, and what becomes of it when one is gone.
+"""Test results of other processes: who may report which faults, how often, and the end of a process.
 
 A result goes through the fault's gate and debounce as a monitor's does (``engine/loop.py`` ``take_reports``), at the
 time that the engine has when it comes. Sockets are the affair of :mod:`gateway.live.report_socket`; a replay has none,
@@ -45,7 +45,7 @@ class _RefusedError(Exception):
 
 @dataclass
 class _Sender:
-    """One connection: who it is, and the faults that it was the last one to report."""
+    """One connection: its process, and the faults that it was the last one to report."""
 
     uid: int
     groups: frozenset[int]
@@ -55,7 +55,7 @@ class _Sender:
 
 @dataclass
 class _Reporter:
-    """One table of the configuration, and what has come for it."""
+    """One table of the configuration, and the reports that have come for it."""
 
     params: ReporterParams
     uids: set[int]
@@ -86,7 +86,7 @@ class Reports:
     """Takes reports of other processes.
 
     Args:
-        params: the table ``[report]``; None: nobody reports.
+        params: the table ``[report]``; None: there are no reports.
         engine: debounces the faults.
         controls: say whether results count.
         sink: takes the engine's events.
@@ -228,7 +228,7 @@ class Reports:
             raise _RefusedError("not_enabled" if self._controls.monitoring else "monitoring_off")
 
     def leave(self, number: int) -> None:
-        """Take it that a connection has ended; what it reported, and said no goodbye to, is not tested any more."""
+        """Take it that a connection has ended; its faults without a goodbye are not tested any more."""
         sender = self._senders.pop(number)
         for reporter in self._reporters.values():
             mine = {fault for fault in sender.owns if fault.startswith(f"{reporter.params.name}.")}
@@ -236,7 +236,7 @@ class Reports:
                 self._lose(reporter, mine, f"its connection ended without a goodbye (process {sender.pid})")
 
     def let_go(self, number: int) -> None:
-        """Take it that we end a connection: what it reported stays as it is."""
+        """Take it that we end a connection: its reports stay as they are."""
         del self._senders[number]
 
     def pass_time(self) -> None:

@@ -31,7 +31,7 @@ class Standing:
         self._told: bool | None = False if told else None
 
     def succeed(self, old: Standing) -> None:
-        """Go on where that of an earlier configuration stops: what it reported may be so no longer."""
+        """Go on where that of an earlier configuration stops: its report may be true no longer."""
         if old._told:
             self._told = None
 

@@ -29,7 +29,7 @@ _REASONS = {MISCOUNTED: COUNTS_ITSELF}
 #: Slips that the loop puts right -> what is said of them, once a monitor.
 _PUT_RIGHT = {
     NO_NUMBER: "it reports a value or a threshold that is no number (NaN): that fault is not tested then",
-    NO_FAULT: "it reports a number that is none of its faults: that result is nobody's",
+    NO_FAULT: "it reports a number that is none of its faults: that result is dropped",
     TOO_MANY: f"it reports more than {MAX_RESULTS} results in one step: those beyond are lost",
     TOO_SOON: WAKES_ITSELF,
 }
@@ -50,14 +50,14 @@ class SwitchedOff:
         self._named = np.zeros(len(engine.monitors), np.uint8)  # slips that have been told
 
     def again(self) -> None:
-        """Report anew: what was reported has been cleared."""
+        """Report again: the reports have been cleared."""
         self._reported = -1
 
     def keep_off(self, hung: Hung | None) -> list[dict[str, Any]]:
-        """Leave off whoever did not return from a step before; returns the events that tell it.
+        """Leave off monitors that did not return from a step before; returns the events that tell it.
 
         Args:
-            hung: what the last process left; None: nothing. Of another kernel it says nothing.
+            hung: left by the last process; None: nothing. Of another kernel it says nothing.
         """
         told = []
         for k, instance in enumerate(self._engine.monitors):

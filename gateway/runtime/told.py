@@ -1,4 +1,4 @@
-"""The JSON contract: what the gateway tells people and programs, one dictionary an event."""
+"""The JSON contract: events for people and programs, one dictionary each."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def cycle_event(t_ns: int, bus: str, name: str, *, began: bool, number: int) -> 
 
 
 def symptoms_event(t_ns: int, state: str, faults: Sequence[str], cause: Cause | None, lead: str) -> dict[str, Any]:
-    """Tell that symptoms are held by a proven cause, or that what held them is withdrawn.
+    """Tell that symptoms are held by a proven cause, or that this cause is withdrawn.
 
     Args:
         t_ns: when, of the wall clock.
@@ -125,10 +125,10 @@ def summary_event(
         seconds: how long it took.
         events: of the engine.
         counters: by name.
-        buses: name -> what the controller said of errors, how often.
-        monitors: what each says of itself.
+        buses: name -> errors that the controller reported, how often.
+        monitors: own words of each.
         dtcs: in the fault memory.
-        causes: of them, what is to be read first first.
+        causes: of them, the most important first.
     """
     return {
         "event": "summary",

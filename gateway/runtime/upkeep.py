@@ -1,9 +1,9 @@
-"""What the gateway does about its fault memory's file: it writes in time, and tells when it cannot.
+"""Care of the fault memory's file: it is written in time, and failures to write are told.
 
 Everything that changes is written before it is told. Three things can happen on the way:
 
-- **A storm of changes**: they are written in groups (:class:`Pace`), and wait so long to be told. In a live gateway a
-  thread writes (:meth:`Upkeep.write_beside`): the disk may take its time, testers do not wait for it.
+- **A storm of changes**: they are written in groups (:class:`Pace`), and told when they are written. In a live gateway
+  a thread writes (:meth:`Upkeep.write_beside`): the disk may take its time, testers do not wait for it.
 - **The file cannot be written**: changes are told all the same, as not stored; the fault ``gateway.memory_not_written``
   is there until a later attempt has written everything.
 - **The file was damaged, deleted, replaced or overwritten**: a new one is begun; ``gateway.memory_damaged`` is there
@@ -80,7 +80,7 @@ class Upkeep:
         self._tested = store.path is None  # whether its faults have had their first result
         self._writer: Writer | None = None
         self._patience_s = 0.0
-        self._under_way = NOTHING  # what was noted when the write under way began
+        self._under_way = NOTHING  # events noted when the write under way began
         self._down = False
         self._paused = False
         self.not_stored = 0
@@ -101,7 +101,7 @@ class Upkeep:
         return self._writer is not None
 
     def pause(self) -> None:
-        """Begin no further write in the thread: whoever comes next reads the file."""
+        """Begin no further write in the thread: the next gateway reads the file."""
         self._paused = True
 
     def resume(self) -> None:
@@ -110,7 +110,7 @@ class Upkeep:
 
     @property
     def stored(self) -> bool:
-        """Whether all that is told is where it is kept: in its file, or in this process if there is none."""
+        """Whether all that is told is stored: in its file, or in this process if there is none."""
         return not self._memory.outage.reason
 
     @property
@@ -135,7 +135,7 @@ class Upkeep:
         self._writer, self._patience_s = writer or begin_writer(), patience_s
 
     def close(self) -> None:
-        """End the thread; what it writes is written first."""
+        """End the thread; its write is finished first."""
         self._memory.join()
         if self._writer is not None:
             self._writer.shutdown()
@@ -146,9 +146,9 @@ class Upkeep:
 
         Args:
             t_ns: now, of the engine's clock.
-            noted: what has been noted to be told.
+            noted: events to be told.
             sink: takes the events of the gateway's own faults.
-            asked: whether a tester asks for what there is now; he does not wait for a thread that writes.
+            asked: whether a tester asks for the present state; he does not wait for a thread that writes.
             final: write in any case.
         """
         memory = self._memory
@@ -168,7 +168,7 @@ class Upkeep:
         return noted
 
     def _settle_beside(self, t_ns: int, noted: Noted, sink: Sink, writer: Writer) -> Noted:
-        """Have the thread write, if it is time; returns what may be told: what it has written, in an outage all."""
+        """Have the thread write, if it is time; returns what may be told: written events, in an outage all."""
         memory = self._memory
         down = bool(memory.outage.reason)
         patience_s = self._patience_s if self._pace.calm and not down else 0.0
@@ -189,18 +189,18 @@ class Upkeep:
         return self._pace.allows(t_ns, self._memory.unsaved)
 
     def _written(self, t_ns: int, sink: Sink) -> Noted:
-        """End a write of the thread; returns what of that which was noted is stored now."""
+        """End a write of the thread; returns the noted events that are stored now."""
         memory = self._memory
         joined = memory.join()
         done, self._under_way = self._under_way, NOTHING
         if joined and not memory.outage.reason and not self._store.look():
-            memory.rewrite()  # written, but into a file that nobody will find
+            memory.rewrite()  # written, but into a file that no reader will find
             done = NOTHING
         self._judge(t_ns, sink)
         return done
 
     def look(self, t_ns: int) -> None:
-        """Look whether the file is still there; if not, all is written anew."""
+        """Look whether the file is still there; if not, all is written again."""
         if self._memory.under_way():
             return
         self._memory.join()
@@ -245,7 +245,7 @@ class Upkeep:
     def _tell_mishap(self, mishap: Mishap, t_ns: int) -> None:
         aside = "" if mishap.aside is None else str(mishap.aside)
         log.error(
-            "fault memory begun anew",
+            "new fault memory begun",
             file=str(self._store.path),
             reason=mishap.reason,
             put_aside=aside,

@@ -1,7 +1,7 @@
-"""Measures by signals how the vehicle is used: distance, engine running time, and what the ratios' denominator asks.
+"""Measures by signals how the vehicle is used: distance, engine running time, and the ratios' denominator.
 
-It looks at fixed times, multiples of a tenth of a second of the engine's clock, so that a replay counts what the live
-run did, whatever came in one batch: :meth:`UsageMeter.pieces` cuts batches at these times.
+It looks at fixed times, multiples of a tenth of a second of the engine's clock, so that a replay counts as the live run
+did, even with other batches: :meth:`UsageMeter.pieces` cuts batches at these times.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class UsageMeter:
     """Adds up how the vehicle is used, and keeps it with the fault memory.
 
     Args:
-        params: which signals tell it; None: nobody does, and nothing is to be called.
+        params: which signals tell it; None: none does, and nothing is to be called.
         memory: the fault memory.
         controls: gives signals, and judges conditions.
         stale_ns: a signal that is older tells nothing any more.
@@ -123,7 +123,7 @@ class UsageMeter:
         self._memory.usage.flush()
 
     def succeed(self, old: UsageMeter) -> None:
-        """Go on where another one stops; what it judged is judged anew if the conditions are others."""
+        """Go on where another one stops; conditions are judged again if they are others."""
         self._next_ns, self._heard_ns = old._next_ns, old._heard_ns
         if self._params is not None and self._params == old._params:
             self._odometer_km, self._cycle, self._met_s = old._odometer_km, old._cycle, old._met_s

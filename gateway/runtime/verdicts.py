@@ -43,10 +43,10 @@ class Verdicts:
         memory: takes verdicts.
         controls: give signals, and begin and end operation cycles.
         recorder: of frames around failures, if there is one.
-        outbox: takes what is to be told.
+        outbox: takes events to be told.
         off: monitors that are switched off.
         doubts: rules that no frame passes.
-        causes: what explains the faults.
+        causes: of the faults.
         on_failure: takes id and time, of the engine, of each fault that fails.
 
     Attributes:

@@ -1,6 +1,7 @@
-"""The page: what a daemon says on its status socket, over HTTP, in another process.
+"""The page: a daemon's status socket, shown over HTTP, in another process.
 
 Nothing here is on the way of a frame. A reader of the status socket (:mod:`.link`) feeds a hub (:mod:`.hub`), which
-keeps the last ten minutes (:mod:`.history`) and what the fault memory's file says (:mod:`.memory`); an application of
-Starlette (:mod:`.app`) behind a guard (:mod:`.guard`) shows them to browsers and to Prometheus (:mod:`.metrics`).
+keeps the last ten minutes (:mod:`.history`) and the contents of the fault memory's file (:mod:`.memory`); an
+application of Starlette (:mod:`.app`) with a guard (:mod:`.guard`) shows them to browsers and to Prometheus
+(:mod:`.metrics`).
 """

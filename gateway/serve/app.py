@@ -29,9 +29,9 @@ KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".s
 BOKEH = ("bokeh.min.js", "bokeh-api.min.js")
 #: Pages that may be open at a time.
 MOST_VIEWERS = 32
-#: So often a stream says that it is alive [s].
+#: Period at which a stream says that it is alive [s].
 ALIVE_S = 5.0
-#: Keys by which whoever has the control token overrides a rule of access.
+#: Keys by which a user with the control token overrides a rule of access.
 _FORCE = {"force", "why"}
 #: Faults whose history one request may ask for.
 MOST_FAULTS = 64
@@ -41,7 +41,7 @@ class Page:
     """Answers requests.
 
     Args:
-        hub: what there is to show.
+        hub: has the data to show.
     """
 
     def __init__(self, hub: Hub) -> None:
@@ -92,7 +92,7 @@ class Page:
             return _missing()
         return FileResponse(found, media_type="text/javascript", headers={"cache-control": "private, max-age=86400"})
 
-    # What there is to see
+    # Views
 
     async def _stream(self, _: Request) -> Response:
         if self.hub.viewers >= MOST_VIEWERS:
@@ -134,7 +134,7 @@ class Page:
     async def _show_metrics(self, _: Request) -> Response:
         return Response(self._metrics.text(), media_type=self._metrics.content_type)
 
-    # What is asked
+    # Requests
 
     async def _clear(self, request: Request) -> Response:
         return await self._ask(request, "clear", {"dtc", *_FORCE})
@@ -155,7 +155,7 @@ class Page:
             asked = None
         if not isinstance(asked, dict) or set(asked) - known:
             return PlainTextResponse(f"an object with the keys {', '.join(sorted(known)) or '(none)'}\n", 400)
-        if known:  # an intervention: whoever could ask has the control token (guard.py)
+        if known:  # an intervention: all who could ask have the control token (guard.py)
             asked["by"] = f"page {request.client.host if request.client else ''}".strip()
         try:
             answer = await self.hub.link.ask(do, **asked)

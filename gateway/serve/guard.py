@@ -1,9 +1,9 @@
-"""What stands before the page: whose requests are answered, and what they may ask.
+"""The guard before the page: whose requests are answered, and which they may send.
 
 - **Host** must be one that this server is known by: a page of another site that has its name pointed at this machine
   (DNS rebinding) is refused. **Origin**, where it is sent, must be the same.
 - **Reading** needs no token on a loopback address, elsewhere the reading one; **changing** (clear, operation cycle)
-  needs the control token everywhere: whoever may open a loopback port is not who may open the status socket.
+  needs the control token everywhere: more users may open a loopback port than the status socket.
 - Bodies, headers, time and connections are bounded; every refusal closes its connection.
 """
 
@@ -34,7 +34,7 @@ Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-#: Of every answer. Nothing is loaded from elsewhere, nothing is evaluated, nobody may frame it.
+#: Of every answer. Nothing is loaded from elsewhere, nothing is evaluated, no other page may frame it.
 HEADERS = {
     "content-security-policy": (
         "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
@@ -52,7 +52,7 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Rights:
-    """Who may what.
+    """Rights of the page's users.
 
     Attributes:
         hosts: names that this server is known by, without port, in lower case.
@@ -68,7 +68,7 @@ class Rights:
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether an address is one that no other machine can reach."""
+    """Return whether an address is one that no other machine can reach."""
     if host == "localhost":
         return True
     try:
@@ -82,7 +82,7 @@ class Guard:
 
     Args:
         app: the application.
-        rights: who may what.
+        rights: of the users.
         on_refused: told of each request that was refused: its status.
     """
 
@@ -166,7 +166,7 @@ class _TooLargeError(Exception):
 
 
 class SlowReader(Exception):
-    """Who asked does not take the answer."""
+    """The reader does not take the answer."""
 
 
 def _same(one: str, other: str) -> bool:

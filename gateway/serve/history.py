@@ -20,7 +20,7 @@ FINE, COARSE, TICKS = 1200, 1200, 10
 FINE_MS, COARSE_MS = 60_000.0, 600_000.0
 #: Most that each kind keeps [byte]: a minute and ten minutes of 280 faults with results in each tick, less of more.
 MOST_BYTES = 16 << 20
-#: What a page is told when it comes, all in all and at once [byte]; it asks for the rest where that is looked at.
+#: Most that a new page gets, all in all and at once [byte]; it asks for the rest where a user looks at it.
 PAST_BYTES, PIECE_BYTES = 4 << 20, 64 << 10
 
 #: One column of one fault: when it ended [ms], least, greatest, limit of the worst result, nearest to a failure.
@@ -55,7 +55,7 @@ class _Ring:
 
 
 class History:
-    """What the ticks said.
+    """Columns of the ticks.
 
     Args:
         faults: how many there are.
@@ -104,7 +104,7 @@ class History:
         }
 
     def past(self) -> Iterator[str]:
-        """Yield what a page is told that comes now, in pieces of JSON, the faults that are nearest to a failure first.
+        """Yield the data for a new page, in pieces of JSON, the faults that are nearest to a failure first.
 
         A piece is ``{"faults": {NUMBER: as of() has it}, "end": whether it is the last}``. Each is made when it is
         asked for, of the columns until now.

@@ -1,4 +1,4 @@
-"""What the page shows now, and whom it is told."""
+"""Present contents of the page, and the open pages that get them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ LISTED = {
     "reporter",
 }
 
-#: What is on and off where nobody has switched anything.
+#: State of the switches where none has been used.
 ALL_ON: dict[str, Any] = {"on": True, "dtcs": True, "receive": True, "send": True, "by": []}
 
 log = get_logger(__name__)
@@ -57,10 +57,10 @@ T = TypeVar("T")
 
 
 class Viewer:
-    """One page that is open: what waits for it.
+    """One page that is open, and the messages that wait for it.
 
-    Where it does not keep up, ticks and the like are given up, and of what has a state the latest is told; events are
-    not given up.
+    Where it does not keep up, ticks and the like are given up, and of a state the latest is told; events are not given
+    up.
     """
 
     def __init__(self) -> None:
@@ -152,11 +152,11 @@ class Hub:
         self._ending = False
         self._number = itertools.count(1)
         self._stale = asyncio.Event()
-        # One thread, and no more: each has a heap of its own, in which what SQLite has freed stays.
+        # One thread, and no more: each has a heap of its own, which keeps memory that SQLite has freed.
         self._thread = ThreadPoolExecutor(1, "memory")
 
     async def run(self) -> None:
-        """Listen until cancelled. An error of this process is told to the pages: what they show is old from then on."""
+        """Listen until cancelled. An error of this process is told to the pages: they are out of date from then on."""
         try:
             await asyncio.gather(self.link.run(), self._read_memory())
         except Exception as error:
@@ -303,7 +303,7 @@ class Hub:
 
     def _on_missed(self, message: dict[str, Any], _: bytes) -> None:
         self.missed += message["count"]
-        log.warning("this process does not keep up with the gateway; what it missed", ticks=message["count"])
+        log.warning("this process does not keep up with the gateway; it missed", ticks=message["count"])
 
     async def _read_memory(self) -> None:
         while True:

@@ -1,4 +1,4 @@
-"""What the fault memory's file says, read beside the daemon that writes it."""
+"""Contents of the fault memory's file, read beside the daemon that writes it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BITS = (
 
 
 class MemoryFile:
-    """Reads a fault memory; what cannot be read says why, under ``error``.
+    """Reads a fault memory; of a part that cannot be read it says why, under ``error``.
 
     It stays open between two looks: to open it takes thousands of small pieces of memory, and between those that go
     with the connection lie those of what was read, so that the heap of the process would grow.

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class Metrics(Collector):
-    """What the hub knows, as Prometheus asks for it.
+    """Data of the hub, as Prometheus asks for them.
 
     Args:
-        hub: what there is.
+        hub: has the data.
     """
 
     content_type = CONTENT_TYPE_LATEST
@@ -34,7 +34,7 @@ class Metrics(Collector):
         self._registry.register(self)
 
     def text(self) -> bytes:
-        """Return all of them; what is the worst since the last time begins anew."""
+        """Return all of them; the worst values since the last time start again."""
         return generate_latest(self._registry)
 
     def describe(self) -> list[Metric]:
@@ -45,7 +45,7 @@ class Metrics(Collector):
         """Yield the metrics."""
         yield GaugeMetricFamily("gateway_up", "Whether the gateway runs.", value=float(self._hub.connected))
         yield GaugeMetricFamily(
-            "gateway_monitoring_on", "Whether the gateway runs and nobody has switched monitoring off.",
+            "gateway_monitoring_on", "Whether the gateway runs and monitoring is not switched off.",
             value=float(self._hub.connected and self._hub.monitoring["on"]),
         )  # fmt: skip
         yield from self._faults()

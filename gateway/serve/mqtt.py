@@ -1,16 +1,16 @@
-"""MQTT: what the gateway knows, as retained states of a broker.
+"""MQTT: the gateway's data, as retained states of a broker.
 
 | topic | retained | what |
 |---|---|---|
 | ``BASE/status`` | yes | ``online`` or ``offline``, which the broker says when this process dies (last will) |
-| ``BASE/monitoring`` | yes | ``on``, or ``off`` while somebody has switched it off |
-| ``BASE/causes`` | yes | what explains the faults that are there now: a list, what to look at first first |
+| ``BASE/monitoring`` | yes | ``on``, or ``off`` while it is switched off |
+| ``BASE/causes`` | yes | causes of the faults that are there now: a list, the most important first |
 | ``BASE/dtc/FAULT`` | yes | an entry of the fault memory as JSON; gone when it is cleared |
 | ``BASE/signal/NAME`` | no | a chosen signal, at a limited rate |
 
 It only tells: there is no topic by which a broker could ask for anything.
 
-Nothing is queued while the broker is away: what is told is the state, all of it anew when the broker is back. So memory
+Nothing is queued while the broker is away: only the state is told, all of it again when the broker is back. So memory
 stays flat however many events there are.
 """
 
@@ -36,7 +36,7 @@ from gateway_fdi.errors import GatewayError
 #: Pace of looking for changes [s].
 LOOK_S = 0.1
 ONLINE, OFFLINE = "online", "offline"
-#: Of an entry, what is told.
+#: Keys of an entry that are told.
 _TOLD = (
     "dtc", "fault", "status", "occurrence", "first_ns", "last_ns", "cause", "hold", "evidence", "description",
     "severity", "remedy",
@@ -47,7 +47,7 @@ log = get_logger(__name__)
 
 @dataclass(frozen=True)
 class BrokerSettings:
-    """Where the broker is, and what it is told.
+    """Where the broker is, and which data it gets.
 
     Attributes:
         host, port: of the broker.
@@ -116,7 +116,7 @@ class Publisher:
         self._client.loop_stop()
 
     def _on_connect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
-        """Note that all is to be told anew; called in the client's thread."""
+        """Note that all is to be told again; called in the client's thread."""
         if reason.is_failure:
             log.warning("the broker refuses", broker=self._settings.host, reason=str(reason))
             return
@@ -143,7 +143,7 @@ class Publisher:
     def _tell_states(self) -> None:
         if self._anew:
             self._anew = False
-            # What an earlier process left there of faults that have no entry now goes, too.
+            # Topics that an earlier process left of faults without an entry go, too.
             known = [f"{self.base}/dtc/{topic_part(fault['id'])}" for fault in self._hub.hello["faults"]]
             self._told = dict.fromkeys(known, "?")
         states = self.states()

@@ -21,13 +21,14 @@ from gateway.serve.guard import Guard, Rights, is_loopback
 from gateway.serve.hub import Hub
 from gateway_fdi.errors import GatewayError, InputError
 
-#: A connection that has not said within so long [s] what it wants is closed.
+#: A connection that has sent no request within this time [s] is closed.
 HEAD_S = 10.0
 #: Connections at a time.
 MOST_CONNECTIONS = 128
-#: What the kernel keeps of an answer that is not read; left alone it would be megabytes of each connection.
+#: Most that the kernel keeps of an answer that is not read; by default it keeps megabytes of each connection.
 SEND_BYTES = 128 << 10
-#: What reads nothing when the server ends is cut after so long [s]; before uvicorn cancels its task, with a traceback.
+#: A connection that reads nothing when the server ends is cut after this time [s]; before uvicorn cancels its task,
+#: with a traceback.
 CUT_S = 0.5
 
 
@@ -57,9 +58,10 @@ class ServeSettings:
 
 
 class _Protocol(H11Protocol):
-    """HTTP/1.1, where whoever is silent for long, or says its request slowly, is sent away.
+    """HTTP/1.1, where a client that is silent for long, or sends its request slowly, is sent away.
 
-    Where there are too many connections the one that has been silent for longest goes: who hoards keeps nobody out.
+    Where there are too many connections the one that has been silent for longest goes: hoarded connections block no
+    other.
     """
 
     _silent: asyncio.TimerHandle | None = None
@@ -97,7 +99,7 @@ class _Protocol(H11Protocol):
         return self.cycle is None or self.cycle.response_complete
 
     def _look(self) -> None:
-        """Cut what is silent, and what has been closed but still waits for a peer that reads nothing."""
+        """Cut connections that are silent, or closed but still waiting for a peer that reads nothing."""
         if self.is_silent or self.transport.is_closing():
             self.transport.abort()
         else:
@@ -170,7 +172,7 @@ def open_socket(settings: ServeSettings) -> socket.socket:
 
 
 def url_of(settings: ServeSettings, rights: Rights, port: int) -> str:
-    """Return the address of the page, the control token behind its #, where no server sees it."""
+    """Return the address of the page, the control token after its #, where no server sees it."""
     host = f"[{settings.host}]" if ":" in settings.host and "[" not in settings.host else settings.host
     scheme = "https" if rights.secure else "http"
     own = rights.control_token and settings.control_token_file is None

@@ -1,4 +1,4 @@
-"""The status socket as a reader sees it: messages of one line, some with bytes behind it."""
+"""The status socket as a reader sees it: messages of one line, some with bytes after it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MOST_BYTES = 16 << 20
 
 
 class Garbled(Exception):
-    """What came is not what a daemon says."""
+    """The received bytes are not a daemon's."""
 
 
 class Splitter:

@@ -1,4 +1,4 @@
-"""Evidence in words: what an entry of the fault memory says to somebody who does not read status bytes."""
+"""Evidence in words: an entry of the fault memory for people who do not read status bytes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def told_in_words(entry: Mapping[str, Any]) -> list[str]:
 
 
 def _explained(entry: Mapping[str, Any]) -> list[str]:
-    """Return what explains an entry, and what that means for it."""
+    """Return the explanation of an entry, and its meaning for it."""
     cause = entry.get("cause")
     if cause is None:
         return []

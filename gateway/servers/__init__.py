@@ -1,1 +1,1 @@
-"""What is on the buses on the gateway's behalf: diagnostic servers (UDS, OBD), a J1939 node, the DTC frames."""
+"""The gateway's servers on the buses: diagnostic servers (UDS, OBD), a J1939 node, the DTC frames."""

@@ -1,8 +1,8 @@
-"""Who may intervene, and when: one rule for each kind of intervention, whichever protocol it comes by.
+"""Rules of access: one for each kind of intervention, by any protocol.
 
-Reading is free. What blinds the gateway, clears its memory, or changes what it keeps is *guarded*: unless its rule says
-otherwise it needs the extended session, the lowest security level where there are any, and the conditions of
-``[access] when``. Protocols that know no sessions (OBD mode 04; DM3 and DM11) may clear where ``clear`` needs no
+Reading is free. An intervention that blinds the gateway, clears its memory, or changes kept values is *guarded*: unless
+its rule says otherwise it needs the extended session, the lowest security level where there are any, and the conditions
+of ``[access] when``. Protocols that know no sessions (OBD mode 04; DM3 and DM11) may clear where ``clear`` needs no
 security; those conditions hold for them as well.
 """
 
@@ -22,7 +22,7 @@ SESSIONS = {"default": 0x01, "extended": 0x03}
 _ALL = frozenset(SESSIONS.values())
 _EXTENDED = frozenset({SESSIONS["extended"]})
 
-#: What testers do by UDS, and the service. Those that are guarded unless a rule says otherwise stand first.
+#: Interventions of testers by UDS, and the service. Those that are guarded unless a rule says otherwise stand first.
 GUARDED = {
     "reset": 0x11,
     "clear": 0x14,
@@ -85,12 +85,12 @@ class AccessParams(StrictModel):
     )
     local_unlocked: bool = Field(
         False,
-        description="true: what needs a security level or a role is open to the status socket, the page's control token"
-        " and gateway faults clear",
+        description="true: interventions that need a security level or a role are open to the status socket, the page's"
+        " control token and gateway faults clear",
     )
-    watched: bool = Field(True, description="false: monitoring that is switched off is told, but is no fault")
+    watched: bool = Field(True, description="false: monitoring that is switched off is reported, but is no fault")
     trace_did: int | None = Field(
-        0xFD10, ge=0x0100, le=0xFEFF, description="data identifier that reads what testers did; none: it is not read"
+        0xFD10, ge=0x0100, le=0xFEFF, description="data identifier that reads interventions; none: it is not read"
     )
     session: Access | None = Field(None, description="entering another than the default session (0x10)")
     reset: Access | None = Field(None, description="reset (0x11)")
@@ -116,7 +116,7 @@ class AccessParams(StrictModel):
 
 @dataclass(frozen=True)
 class Need:
-    """What an intervention needs.
+    """Conditions of an intervention.
 
     Attributes:
         sessions: numbers of the sessions in which it is allowed.
@@ -138,7 +138,7 @@ class Need:
         return bool(self.security or self.roles)
 
 
-#: What each intervention needs, by its name.
+#: Conditions of each intervention, by its name.
 Needs = Mapping[str, Need]
 
 

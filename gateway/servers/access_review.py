@@ -1,4 +1,4 @@
-"""What is wrong with rules of access, and what is weak: for the check of a configuration, not for the gateway."""
+"""Errors and weak places of rules of access: for the check of a configuration, not for the gateway."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gateway_fdi.errors import InputError, nearest
 def wrong_rules(
     params: AccessParams, levels: Sequence[int], roles: Sequence[str] = (), uds: Collection[str] = ()
 ) -> Iterator[InputError]:
-    """Yield the rules that nobody can meet.
+    """Yield the rules that no asker can meet.
 
     Args:
         params: all rules that the configuration gives.

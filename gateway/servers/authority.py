@@ -1,4 +1,4 @@
-"""One authority for every intervention: whether it is allowed now, whoever asks, and when what it switched off ends.
+"""One authority for every intervention, by any asker: whether it is allowed now, and when its effect ends.
 
 Testers (UDS), scan tools (OBD mode 04, DM3, DM11) and processes of this machine (status socket, page, command line) all
 ask here. The rules are those of :mod:`gateway.servers.access`; protocols only put the answer into their own words.
@@ -14,7 +14,7 @@ from gateway.faults.interventions import DONE, Intervention
 from gateway.servers.access import SESSIONS, Need, Needs
 from gateway.servers.tester_control import TesterControl
 
-#: How often the conditions of what lasts are looked at [ns].
+#: How often the conditions of lasting interventions are looked at [ns].
 WATCH_NS = 100_000_000
 _DEFAULT, _EXTENDED = SESSIONS["default"], SESSIONS["extended"]
 
@@ -45,7 +45,7 @@ _WORDS = {
 
 @dataclass(frozen=True)
 class Asker:
-    """Who asks, as far as rules look at it.
+    """An asker, as far as rules look at it.
 
     Attributes:
         session: number of the diagnostic session; None: of a protocol that knows no sessions.
@@ -66,7 +66,7 @@ class Authority:
     """Says of each intervention whether it is allowed, and knows all that is switched off for a while.
 
     Args:
-        needs: what each intervention needs.
+        needs: conditions of each intervention.
         control: the gateway; says whether conditions are met.
         local_unlocked: whether a process of this machine counts as unlocked.
     """
@@ -77,7 +77,7 @@ class Authority:
         self._holders: list[Holder] = []
 
     def need(self, action: str, *, undoing: bool = False) -> Need:
-        """Return what an action needs; "": an action without a rule. What only undoes needs nothing."""
+        """Return the conditions of an action; "": an action without a rule. Undoing needs nothing."""
         return self._needs[action] if action and not undoing else Need()
 
     def session_refusal(self, need: Need, asker: Asker) -> Refusal:
@@ -97,14 +97,15 @@ class Authority:
         return Refusal.NONE if self.control.meets(need.when) else Refusal.CONDITIONS
 
     def refusal(self, action: str, asker: Asker) -> Refusal:
-        """Return why somebody may not do this now, in the standard's order of checks; NONE: he may."""
+        """Return why an asker may not do this now, in the standard's order of checks; NONE: it may."""
         need = self.need(action)
         return self.session_refusal(need, asker) or self.security_refusal(need, asker) or self.conditions_refusal(need)
 
     def local_refusal(self, action: str) -> Refusal:
         """Return why a process of this machine may not do this now; NONE: it may.
 
-        What is not allowed in the default session begins an extended one, as a tester would, by the rule of sessions.
+        An action that is not allowed in the default session begins an extended one, as a tester would, by the rule of
+        sessions.
         """
         need = self.need(action)
         session = _DEFAULT if _DEFAULT in need.sessions else _EXTENDED
@@ -114,22 +115,22 @@ class Authority:
         begun = Refusal.NONE if session == _DEFAULT else self.refusal("session", Asker(_DEFAULT))
         return begun or self.refusal(action, asker)
 
-    # What lasts
+    # Lasting interventions
 
     def holder(self, name: str, note: Callable[[str], None], *, yields: bool = False) -> Holder:
-        """Return one who may switch something off for a while.
+        """Return a holder that may switch something off for a while.
 
         Args:
-            name: his own; also for people.
+            name: its own; also for people.
             note: keeps and tells that something has ended: its action.
-            yields: whether what he has switched off ends when somebody else undoes the same.
+            yields: whether its switching off ends when another holder undoes the same.
         """
         made = Holder(self, name, note, yields=yields)
         self._holders.append(made)
         return made
 
     def leave(self, holder: Holder) -> None:
-        """End all that somebody has switched off, who does not come again."""
+        """End all that a holder has switched off that does not come again."""
         holder.end()
         self._holders.remove(holder)
 
@@ -138,7 +139,7 @@ class Authority:
         return [(holder.name, action) for holder in self._holders for action in holder.actions]
 
     def end_yielding(self, actions: tuple[str, ...]) -> None:
-        """End what those have switched off who give way to whoever undoes it."""
+        """End the same actions of holders that give way to an undoing by another."""
         for holder in self._holders:
             if holder.yields:
                 holder.end(actions)
@@ -155,9 +156,9 @@ def local_intervention(
 
     Args:
         action: name of its rule.
-        request: what a tester would have sent.
-        by: who, for people.
-        refusal: what the rules say.
+        request: that a tester would have sent.
+        by: name of the asker, for people.
+        refusal: by the rules.
         force: whether they were overridden.
         why: the reason that was given.
     """
@@ -168,20 +169,20 @@ def local_intervention(
     return Intervention(0, "local", "", 0, action, request, outcome, role=told)
 
 
-#: What lasts until it is undone, or its session ends.
+#: Actions that last until they are undone, or their session ends.
 LASTING = ("communication", "dtc_setting")
 
 
 class Holder:
-    """What one asker has switched off: it ends with his session, with its conditions, or when it is undone.
+    """Actions of one asker that last: they end with its session, with their conditions, or when they are undone.
 
     See :meth:`Authority.holder`.
 
     Attributes:
-        name: his own.
-        yields: whether it ends when somebody else undoes the same.
-        receive: whether he leaves the reception of normal messages on.
-        send: whether he leaves their sending on.
+        name: its own.
+        yields: whether its actions end when another holder undoes the same.
+        receive: whether it leaves the reception of normal messages on.
+        send: whether it leaves their sending on.
     """
 
     def __init__(self, authority: Authority, name: str, note: Callable[[str], None], *, yields: bool) -> None:
@@ -192,7 +193,7 @@ class Holder:
 
     @property
     def actions(self) -> list[str]:
-        """What of his is switched off."""
+        """Its actions that last."""
         return sorted(self._lasting)
 
     def set_dtcs(self, on: bool, *, forced: bool = False) -> None:
@@ -220,7 +221,7 @@ class Holder:
 
     @property
     def watches(self) -> bool:
-        """Whether something lasts that has conditions, which nobody has overridden."""
+        """Whether something lasts that has conditions which were not overridden."""
         return any(self._authority.need(name).when and not forced for name, forced in self._lasting.items())
 
     def end_unmet(self) -> None:

@@ -13,9 +13,10 @@ from gateway.faults.entries import DtcChange
 
 
 class BusServer:
-    """What is on a bus on the gateway's behalf: one that answers testers, or only tells.
+    """A server of the gateway on a bus: it answers testers, or only tells.
 
-    It reads no clock: times come with the calls. What a server does not need of the contract it leaves as it is here.
+    It reads no clock: times come with the calls. A server leaves the parts of the contract that it does not need as
+    they are here.
     """
 
     #: Whether it is normal communication, which a tester can switch off (ISO 14229-1, 0x28).

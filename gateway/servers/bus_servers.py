@@ -1,4 +1,4 @@
-"""All servers of a gateway together: which frames are for them, when they are due, what they may send."""
+"""All servers of a gateway together: frames for them, times when they are due, frames that they may send."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ class BusServers:
             self._set_due(k)
 
     def indifferent(self, frames: Frames) -> bool:
-        """Tell whether a batch is for no server by its identifiers alone, as most are; others are cut."""
+        """Return whether a batch is for no server by its identifiers alone, as most are; others are cut."""
         heard = self._heard
         if heard is None:
             return False
         if len(frames) <= MAX_SMALL_BATCH:
             return heard.isdisjoint(frames["can_id"].tolist())
-        ids = np.ascontiguousarray(frames["can_id"])  # one look at memory that is far apart, whatever is listened to
+        ids = np.ascontiguousarray(frames["can_id"])  # one look at memory that is far apart, for all identifiers
         return not any((ids == mine).any() for mine in heard)
 
     def pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
@@ -120,7 +120,7 @@ class BusServers:
 
         Args:
             t_ns: now.
-            prompt: only for those whose time is that of the bus, which the monitors' lags behind.
+            prompt: only for those whose time is that of the bus; the monitors' time lags it.
         """
         if t_ns < self._next_due:
             return []

@@ -1,4 +1,4 @@
-"""Whether UDS and OBD have one address: then one server with both behind it answers."""
+"""Whether UDS and OBD have one address: then one server with both of them answers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from gateway_fdi.errors import InputError
 
 
 def share_address(one: IsoTpParams, other: IsoTpParams, *, same_bus: bool) -> bool:
-    """Tell whether two servers have one address.
+    """Return whether two servers have one address.
 
     Args:
         one: of the UDS server.

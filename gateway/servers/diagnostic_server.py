@@ -1,4 +1,4 @@
-"""A diagnostic server on a bus: an ISO-TP address with UDS, OBD, or both behind it."""
+"""A diagnostic server on a bus: an ISO-TP address with UDS, OBD, or both."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class DiagnosticServer(BusServer):
 
     @property
     def next_ns(self) -> int:
-        """Time of the next timer of the transport or of what is behind it."""
+        """Time of the next timer of the transport or of an application."""
         return min([self._transport.next_ns, *(each.next_ns for each in self._applications)])
 
     def counters(self) -> dict[str, int]:

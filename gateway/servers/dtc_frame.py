@@ -45,7 +45,7 @@ def message_of(database: Path) -> Message:
 
 @dataclass(frozen=True)
 class DtcReport:
-    """What one DTC frame says; ``dtc`` is None in the all-clear form."""
+    """Contents of one DTC frame; ``dtc`` is None in the all-clear form."""
 
     t_ns: int
     dtc: Dtc | None

@@ -1,4 +1,4 @@
-"""Data identifiers: what UDS 0x22 reads, 0x2E writes, and a freeze frame is made of."""
+"""Data identifiers: UDS 0x22 reads them, 0x2E writes them, and freeze frames consist of them."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class DidParams(StrictModel):
         return self
 
     def encode(self, value: float | None) -> bytes:
-        """Code a signal's value; what is unknown or out of range is all ones, or the nearest end."""
+        """Code a signal's value; an unknown one is all ones, one out of range the nearest end."""
         code = _CODES[self.type]
         known = value is not None and math.isfinite(value)
         if self.type.startswith("f"):

@@ -1,4 +1,4 @@
-"""What a diagnostic tester may ask of the gateway, whichever protocol it speaks."""
+"""Requests that a diagnostic tester may make, by any protocol."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gateway.faults.settings import ConditionSettings
 
 
 class LatestResult(NamedTuple):
-    """A fault's latest test result: what was tested, its limit, whether it failed."""
+    """A fault's latest test result: value, limit, whether it failed."""
 
     value: float
     limit: float
@@ -21,10 +21,10 @@ class TesterControl(Protocol):
     """The gateway, as the servers that testers speak to see it."""
 
     def knows(self, group: int) -> bool:
-        """Tell whether there is such a DTC or group."""
+        """Return whether there is such a DTC or group."""
 
     def meets(self, conditions: Sequence[ConditionSettings]) -> bool:
-        """Tell whether signals are in their ranges now; one that is unknown or too old is not."""
+        """Return whether signals are in their ranges now; one that is unknown or too old is not."""
 
     def note(self, intervention: Intervention) -> None:
         """Keep and tell what a tester did, or was refused; its time is now."""

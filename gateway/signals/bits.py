@@ -1,7 +1,7 @@
 """Raw bits of a payload: the one place where a field is read and written, by its word, shift and byte order.
 
 The payload is read as 64-bit words. A little-endian field starts at bit ``s`` of the payload: word ``s >> 6``, shift
-``s & 63``, what spills over comes from the next word. For a big-endian field count bits from the first byte's most
+``s & 63``, bits that spill over come from the next word. For a big-endian field count bits from the first byte's most
 significant one: its last bit is ``q``; in byte-swapped words that is word ``q >> 6``, shift ``63 - (q & 63)``, and the
 spill comes from the word before.
 """
@@ -115,7 +115,7 @@ def read_bits(words: Any, s: Any) -> Any:
 
 @kernel
 def write_bits(words: Any, s: Any, bits: Any) -> None:
-    """Put raw bits into a field that is zero; what is beyond its length is left out.
+    """Put raw bits into a field that is zero; bits beyond its length are left out.
 
     Args:
         words: payload, 8 little-endian uint64.

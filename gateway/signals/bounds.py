@@ -1,4 +1,4 @@
-"""What no database of a real network has, and what would make nonsense, or gigabytes, of it: refused with its place."""
+"""Bounds of databases: no real network is beyond them; nonsense, or gigabytes, are refused with the place."""
 
 from __future__ import annotations
 

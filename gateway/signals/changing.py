@@ -1,6 +1,6 @@
 """One signal of one message in payloads that are there: read, written, the protection renewed over it.
 
-For faults that are put into frames, recorded or on their way, and for values that somebody sets by hand.
+For faults that are put into frames, recorded or on their way, and for values that a user sets by hand.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class ChangedSignal:
         put_column(words, self.row, values, where)
 
     def put(self, words: Words, value: float) -> None:
-        """Write a value, whatever the bits are before; an integer signal takes the nearest that it can carry."""
+        """Write a value over any bits; an integer signal takes the nearest that it can carry."""
         put_column(words.reshape(1, 8), self.row, np.array([value]), np.ones(1, np.bool_))
 
 

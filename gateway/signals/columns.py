@@ -40,7 +40,7 @@ def write_each(words: Any, s: Any, bits: Any, there: Any) -> None:
 
 
 def put_column(words: NDArray[np.uint64], s: Any, values: NDArray[np.float64], there: NDArray[np.bool_]) -> None:
-    """Put a signal's values into payloads, whatever its bits are before.
+    """Put a signal's values into payloads, over any bits.
 
     An integer signal takes the nearest value that it can carry.
 

@@ -15,7 +15,7 @@ UNSIGNED, SIGNED, FLOAT16, FLOAT32, FLOAT64 = range(5)
 
 #: One signal. ``parent`` is the multiplexer's place among the message's signals (-1: always there),
 #: present when its value is one of ``mux_ids[first_id:+ids]``; a multiplexer's own known values are
-#: ``mux_ids[first_known:+known]``. ``slot`` is -1 for a signal that nobody asked for. A floating-point signal is valid
+#: ``mux_ids[first_known:+known]``. ``slot`` is -1 for a signal that is not asked for. A floating-point signal is valid
 #: between ``low`` and ``high``.
 SIGNAL = record(
     scale=f8,
@@ -131,7 +131,7 @@ def extract(words: Any, s: Any) -> float:
 
 @kernel
 def among(value: int, ids: Any, first: int, count: int) -> bool:
-    """Tell whether a value is one of ``ids[first:first + count]``."""
+    """Return whether a value is one of ``ids[first:first + count]``."""
     for k in range(first, first + count):
         if ids[k] == value:
             return True
@@ -206,7 +206,7 @@ def void(row: int, messages: Any, signals: Any, values: Any, present: Any) -> No
 
 @kernel
 def commit(row: int, messages: Any, signals: Any, values: Any, present: Any, mailbox: Any) -> None:
-    """Copy the decoded signals that somebody asked for into the mailbox."""
+    """Copy the decoded signals that are asked for into the mailbox."""
     m = messages[row]
     for j in range(m.count):
         slot = signals[m.first + j].slot

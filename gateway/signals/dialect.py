@@ -1,4 +1,4 @@
-"""DBC files as people write them: what community databases (opendbc) have that the format does not.
+"""DBC files as people write them: extensions of the format in community databases (opendbc).
 
 A file that is not DBC is first read as it stands; only if that fails are these put right, and said.
 """
@@ -29,7 +29,7 @@ _TEXTS = re.compile(r"^VAL_ +(\d+) +(\w+) ")
 
 
 def mended(text: str) -> tuple[str, list[str]]:
-    """Return a database's text as the format has it, and what was put right in it, for people.
+    """Return a database's text as the format has it, and the corrections made, for people.
 
     Args:
         text: of a DBC file.
@@ -55,7 +55,7 @@ def _numbers(text: str) -> str:
 
 
 def _impossible(text: str) -> str:
-    """Leave out messages whose identifier has more than 29 bits, and what is said of them."""
+    """Leave out messages whose identifier has more than 29 bits, and statements about them."""
     gone = [found[1] for found in _BLOCK.finditer(text) if int(found[1]) & ~_FLAG > _EXTENDED]
     text = _BLOCK.sub(lambda found: "" if found[1] in gone else found[0], text)
     for number in gone:

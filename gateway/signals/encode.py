@@ -32,6 +32,6 @@ def insert(words: Any, s: Any, value: float) -> None:
     if raw < 0.0:
         bits = np.uint64(np.int64(raw))
     else:
-        # 2^64 - 1 is not a float64: what rounds up to 2^64 is the largest value.
+        # 2^64 - 1 is not a float64: values that round up to 2^64 are the largest value.
         bits = np.uint64(raw) if raw < 2.0**64 else np.uint64(0xFFFFFFFFFFFFFFFF)
     write_bits(words, s, bits)

@@ -173,7 +173,7 @@ def _known_values(tree: Any, multiplexer: str) -> set[int]:
 
 
 def sticks_out(message: Message, signal: Signal) -> bool:
-    """Tell whether a signal needs more bytes than its message has."""
+    """Return whether a signal needs more bytes than its message has."""
     start = signal.start
     if signal.byte_order == "big_endian":
         start = 8 * (start // 8) + 7 - start % 8

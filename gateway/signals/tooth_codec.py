@@ -4,8 +4,8 @@ A 12-bit code is a 2-bit range ``r`` above a 10-bit mantissa: ``mantissa << 2 r`
 0.4 % coarse. An interval that a lower range holds is coded in that, so that mantissas below 256 of the highest range
 are free: they carry the long ones, a 3-bit exponent ``x`` above a 5-bit mantissa ``m``, ``(32 + m) << (11 + x)``
 microseconds, 65.5 ms to 16.5 s, at most 3.2 % coarse: an engine that cranks slowly shows no other in its gap. The
-encoder codes the difference to the time already decoded, so that rounding errors do not add up; behind a long code it
-begins anew.
+encoder codes the difference to the time already decoded, so that rounding errors do not add up; after a long code it
+starts again.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def encode_intervals(times_us: NDArray[np.float64], codes: NDArray[np.int64]) ->
     decoded = times_us[0]
     for k in range(codes.shape[0]):
         codes[k] = code_of(times_us[k + 1] - decoded)
-        # What a long code is off can be more than the teeth behind it: they would take it for their own.
+        # The error of a long code can be longer than the teeth after it: they would take it over.
         if codes[k] == OVERFLOW_CODE or _LONG <= codes[k] < _LONG + _LONGS:
             decoded = times_us[k + 1]
         else:

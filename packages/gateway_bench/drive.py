@@ -22,7 +22,7 @@ from gateway_fdi.errors import InputError
 
 
 class Driven(Protocol):
-    """What a scenario is played to: a gateway."""
+    """Receiver of a scenario: a gateway."""
 
     def feed(self, frames: Frames) -> Frames:
         """Take a batch; returns the frames to send."""
@@ -71,7 +71,7 @@ def drive(
         on_report: called with each DTC frame, decoded.
         on_step: called at the end of each step with its time [ns].
         stop: tells to end early; the operation cycle ends then.
-        fed: what is fed instead of the gateway; it feeds the gateway.
+        fed: is fed instead of the gateway, and feeds it.
     """
     driven: Driven = gateway if fed is None else fed
     wires = Wires(gateway)

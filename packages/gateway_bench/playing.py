@@ -14,7 +14,7 @@ def player_of(scenario: Scenario, config: Config, *, seed: int | None = None, st
     """Return the player of a scenario.
 
     Args:
-        scenario: what happens.
+        scenario: to play.
         config: of the gateway.
         seed: instead of the scenario's.
         stepwise: signals may be set while it runs.

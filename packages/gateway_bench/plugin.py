@@ -1,4 +1,4 @@
-"""What the bench brings to the gateway: virtual ECUs that are no plants, scenarios, and the speed of this machine."""
+"""Plug-in of the bench: virtual ECUs that are no plants, scenarios, and the speed of this machine."""
 
 from gateway.plugin import Plugin
 

@@ -16,7 +16,7 @@ def run(work: Callable[[Job], list[Row]], jobs: Sequence[Job], progress: Progres
     """Return the rows of all jobs, in their order.
 
     Args:
-        work: a function of a module; what it compiles should be in the cache before.
+        work: a function of a module; its kernels should be in the cache before.
         jobs: its arguments.
         progress: called at the end of each job.
     """

@@ -1,6 +1,6 @@
 """Python-can's virtual buses between virtual ECUs, a gateway and a tester, all in one thread.
 
-What was sent on a virtual bus has arrived when it is sent. So nobody waits, and there is no thread that reads: a second
+A frame on a virtual bus has arrived when it is sent. So there is no waiting, and no thread that reads: a second
 one for each end would hand over to this one twice for each frame.
 """
 
@@ -40,7 +40,7 @@ class _End:
             self._bus.send(to_message(frame))
 
     def receive(self, count: int) -> Frames:
-        """Return exactly so many frames that have arrived.
+        """Return exactly this number of frames that have arrived.
 
         Raises:
             BusError: there are fewer.

@@ -1,4 +1,4 @@
-"""CUSUM of a residual, paper 004, (26), normalised, (46), and what makes nu and J of healthy residuals.
+"""CUSUM of a residual, paper 004, (26), normalised, (46), and nu and J from healthy residuals.
 
     T := max(0, T + |r| - nu)          fires above J
 

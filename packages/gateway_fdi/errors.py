@@ -1,4 +1,4 @@
-"""Errors that a user can mend: each names the file, the key, the value and what would be right."""
+"""Errors that a user can mend: each names the file, the key, the value and the right form."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class InputError(GatewayError):
     """One thing wrong in a file or an argument of the user.
 
     Args:
-        message: what is wrong, and what would be right.
+        message: the error, and the right form.
         file: the file it stands in.
         line: line number in that file, counted from 1.
         key: dotted path of the key, e.g. ``monitor[0].wheel``.
@@ -99,7 +99,7 @@ def under(key: str, value: object = None, *, whole: bool | None = None) -> Itera
         whole: the key is the whole path, because what is wrong is its own value; None: where there is a value.
 
     Raises:
-        InputError, InputErrors: what was raised within, with its path.
+        InputError, InputErrors: the error raised within, with its path.
     """
     whole = value is not None if whole is None else whole
     try:

@@ -2,7 +2,7 @@
 
 Two questions are asked. All of them, as conflicts come one by one: :func:`grown_by` (Berge's transversals). The few
 heaviest of very many, where elements have weights: :class:`HittingSets`. Neither stands in for the other: the second,
-begun anew for each new conflict, took 200 times as long to find all of 20 sets; the first cannot stop early.
+started again for each new conflict, took 200 times as long to find all of 20 sets; the first cannot stop early.
 
 Reiter, "A theory of diagnosis from first principles" (1987): the minimal diagnoses are the minimal hitting sets of the
 conflicts (theorem 4.4); his tree branches on the elements of a conflict that is not hit yet (section 4.2). Here each
@@ -14,7 +14,7 @@ other sets here, only where an element of the set itself is needed for no confli
 A conflict may be *missed*, at a price: as an element of its own that hits nothing else. A set is minimal if each of
 its elements is needed: without it, one conflict more would be missed.
 
-What a branch can still reach is bounded by conflicts that have no element in common: each needs an element, or to be
+The reach of a branch is bounded by conflicts that have no element in common: each needs an element, or to be
 missed. Sets of elements and of conflicts are bits of integers.
 """
 
@@ -30,10 +30,10 @@ from typing import NamedTuple
 NEVER = -math.inf
 #: Default of the greatest number of branches that are looked at.
 MOST_STEPS = 4000
-#: An exact weight counts as so many of them.
+#: Number of branches that an exact weight counts as.
 _WEIGHED = 4
 
-#: What waits in the queue: a set that is whole, a set that is not, elements that a set may get next.
+#: Entries of the queue: a set that is whole, a set that is not, elements that a set may get next.
 _WHOLE, _PART, _NEXT = range(3)
 
 

@@ -22,11 +22,11 @@ def largest(begun: f8s, weighted: f8s, inverse: f8s, newest: f8s, at: int, kept:
         begun: b of each beginning, a ring whose length is a power of 2, shape (window, changes); changed.
         weighted: S(d)^T V^-1, shape (window, changes, observed).
         inverse: J^-1 at d, shape (window, changes, changes).
-        newest: what is observed, shape (observed,).
+        newest: observed values, shape (observed,).
         at: place of the newest sample in the ring.
         kept: samples that are in the ring, with the newest.
         m: changes that are there.
-        p: of what is observed, how many are there.
+        p: number of observed values.
     """
     mask = begun.shape[0] - 1
     for i in range(m):

@@ -1,4 +1,4 @@
-"""Sets of numbers as bit masks, int64 (words,): what kernels compute sets of equations, tests and faults with."""
+"""Sets of numbers as bit masks, int64 (words,): kernels compute sets of equations, tests and faults with them."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def normal_above(share: float | f8s) -> Any:
 
 
 def chi2_above(share: float | f8s, degrees: float | f8s | i8s) -> Any:
-    """Return the value that chi-square with so many degrees of freedom exceeds with a probability; also of arrays."""
+    """Return the value that chi-square with given degrees of freedom exceeds with a probability; also of arrays."""
     from scipy.special import gammainccinv  # noqa: PLC0415 - slow to load
 
     return 2.0 * gammainccinv(0.5 * degrees, share)

@@ -5,10 +5,10 @@ Every rule makes one number of its symptom, the level, and alarms when that reac
     direct      g = |x|
     gma         m += (1 - lambda) (x - m),  g = |m|                           geometric moving average
     cusum       up = max(0, up + x - nu), down = max(0, down - x - nu),  g = max(up, down)
-    sprt        up += mu/sigma^2 (x - mu/2), from ``low`` on anew; likewise down for -mu,  g = max(up, down)
+    sprt        up += mu/sigma^2 (x - mu/2), from ``low`` on again; likewise down for -mu,  g = max(up, down)
     chi_square  g = sum of (x/sigma)^2 over the last N samples
 
-CUSUM with nu = mu/2 is the SPRT that starts anew at 0 and counts in units of sigma^2/mu. Levels do not depend on the
+CUSUM with nu = mu/2 is the SPRT that starts again at 0 and counts in units of sigma^2/mu. Levels do not depend on the
 threshold, so that one run over healthy data tells what any threshold would have done; but those of CUSUM and SPRT are
 cut off at ``most``, so that an alarm ends soon after its cause has.
 """
@@ -79,7 +79,7 @@ def prepare(
         drift: nu of CUSUM.
         shift: mu, the change of the mean that the SPRT looks for.
         sigma: standard deviation of the symptom, for SPRT and chi-square.
-        low: log likelihood ratio at which the SPRT accepts that all is well, and starts anew.
+        low: log likelihood ratio at which the SPRT accepts that all is well, and starts again.
         most: the levels of CUSUM and SPRT do not rise beyond.
         window: N of chi-square, at most 64.
 
@@ -147,7 +147,7 @@ def update(s: State, c: Const, x: float) -> bool:
         s.at += 1
         if s.at == c.window:
             s.at = 0
-            s.up = 0.0  # the running sum, made anew once a window: rounding does not add up
+            s.up = 0.0  # the running sum, made again once a window: rounding does not add up
             for k in range(c.window):
                 s.up += s.ring[k]
         s.level = s.up
@@ -157,7 +157,7 @@ def update(s: State, c: Const, x: float) -> bool:
 
 @kernel
 def reset(s: State) -> None:
-    """Start anew; the peak stays."""
+    """Start again; the peak stays."""
     s.level = 0.0
     s.up = 0.0
     s.down = 0.0

@@ -1,1 +1,1 @@
-"""Many cars: what logs of healthy drives teach, and what the logs of a fleet show."""
+"""Many cars: learning from logs of healthy drives, and faults in the logs of a fleet."""

@@ -1,4 +1,4 @@
-"""What many cars bring to the gateway: commands."""
+"""Plug-in of many cars: commands."""
 
 from gateway.plugin import Plugin
 

@@ -204,7 +204,7 @@ def test_the_command_learns_updates_and_keeps_a_person_s_lines(tmp_path):
     assert "reading drive.log" in said.stderr, "a line in a pipe, too"
     out = tmp_path / "car.toml"
     first = out.read_text()
-    assert (tmp_path / "car.md").read_text().startswith("# What was learned")
+    assert (tmp_path / "car.md").read_text().startswith("# Learned")
     again = gateway("learn", "car.dbc", log, "-o", "car.toml", cwd=tmp_path)
     assert again.returncode == 2
     assert "--update" in again.stderr

@@ -286,7 +286,7 @@ def test_a_signal_of_a_condition_must_be_there(tmp_path):
         (f"[output.uds]\n{OPEN}[output.obd]\n[access]\nobd_clear = {{ allowed = true }}\n", ["obd_clear: OBD mode 04"]),
         (f"[output.uds]\n{OPEN}[output.j1939]\nallow_clear = true\n", ["j1939_clear: DM3 and DM11"]),
         ("[output.obd]\n", ["obd_clear: anybody on the bus can clear by OBD mode 04"]),
-        (f"[output.uds]\n{LEVEL}[access]\nlocal_unlocked = true\n", ["local_unlocked: whoever"]),
+        (f"[output.uds]\n{LEVEL}[access]\nlocal_unlocked = true\n", ["local_unlocked: every user"]),
         (f"[output.uds]\n{LEVEL.replace(' }', ', seed_length = 2 }')}", ["seed_length"]),
     ],
 )

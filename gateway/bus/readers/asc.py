@@ -46,7 +46,7 @@ from gateway.bus.readers.text import Lines, shown
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
 
-#: What a line became: nothing, a frame, a frame whose line has fewer bytes than it says, no frame but should be one.
+#: Result of a line: nothing, a frame, a frame whose line has fewer bytes than it says, no frame but should be one.
 _NOTHING, _FRAME, _SHORT, _WRONG = 0, 1, 2, 3
 
 _MONTHS = {
@@ -62,7 +62,7 @@ _DATE = re.compile(r"\w+\s+(\w+)\s+(\d+)\s+(\d+):(\d+):(\d+)(?:\.(\d+))?(?:\s+([
 
 @kernel
 def begins(text: Any, at: int, lower: Any) -> bool:
-    """Tell whether a line goes on with letters, whatever their case.
+    """Return whether a line goes on with letters, whatever their case.
 
     Args:
         text: bytes.
@@ -77,13 +77,13 @@ def begins(text: Any, at: int, lower: Any) -> bool:
 
 @kernel
 def is_direction(text: Any, at: int) -> bool:
-    """Tell whether Rx or Tx, in any case, begins here."""
+    """Return whether Rx or Tx, in any case, begins here."""
     return bool((text[at] | 32) in (114, 116) and (text[at + 1] | 32) == 120)
 
 
 @kernel
 def received(text: Any, at: int, end: int) -> bool:
-    """Tell whether a word is Rx."""
+    """Return whether a word is Rx."""
     return bool(end - at == 2 and text[at] == 82 and text[at + 1] == 120)
 
 
@@ -197,7 +197,7 @@ def scan_asc(
         clock: whether stamps count from the event before, and the time of that [ns].
 
     Returns:
-        where the next line begins, lines read, frames that are in, what is of the line there, whether the last frame
+        where the next line begins, lines read, frames that are in, state of the line there, whether the last frame
         had fewer bytes than it said.
     """
     error, fd = marks[:10], marks[10:]
@@ -301,7 +301,7 @@ class Asc(Lines):
         return InputError("not a line of an ASC log", file=self._path, line=number, value=shown(line))
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Tell whether the last line is cut: it is no frame where it should be one, or has too few bytes."""
+        """Return whether the last line is cut: it is no frame where it should be one, or has too few bytes."""
         del before
         text = line.strip().lower()
         if text[:1] in (b";", b"/") or text.startswith(b"end triggerblock"):

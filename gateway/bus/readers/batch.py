@@ -57,7 +57,7 @@ def _place(number: int, names: Names) -> int:
 
 
 class Batch:
-    """Room for frames, filled from the front; what is handed out is not written again.
+    """Room for frames, filled from the front; frames that were handed out are not written again.
 
     Args:
         size: frames at most.
@@ -96,7 +96,7 @@ class Batch:
         self.count = end
 
     def take(self) -> tuple[Frames, NDArray[np.int64]]:
-        """Return what is in, and begin anew."""
+        """Return the frames that are in, and start again."""
         taken = self._frames[: self.count], self.channel[: self.count]
         self._renew()
         return taken
@@ -107,23 +107,23 @@ Read = tuple[Frames, NDArray[np.int64]]
 
 
 class Reader(Protocol):
-    """What reads a format.
+    """Reader of a format.
 
     Attributes:
-        passed_over: what was no frame that can be read, one text each.
-        origin_ns: what makes stamps wall time where they count from the log's begin, 0 where they are wall time [ns].
+        passed_over: lines or records that could not be read as frames, one text each.
+        origin_ns: wall time of the log's begin where stamps count from there, 0 where they are wall time [ns].
     """
 
     @property
     def passed_over(self) -> list[str]:
-        """What was no frame that can be read."""
+        """Lines or records that could not be read as frames."""
 
     @property
     def origin_ns(self) -> int:
-        """What makes stamps wall time [ns]."""
+        """Added to stamps to make them wall time [ns]."""
 
     def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
-        """Yield a log's frames; what ends it early is raised after all that came before.
+        """Yield a log's frames; an error that ends it early is raised after all frames before it.
 
         Args:
             stream: the log, unpacked.

@@ -3,7 +3,7 @@
 A file header (``LOGG``, 144 bytes), then objects (``LOBJ``), each with a header of 16 bytes: length of the whole
 header, its version, length of the object, type. Objects of type 10 are containers; unpacked, joined, they are the
 objects of the log, which may begin in one container and end in the next. Objects that lie outside of containers are
-taken, too. What is neither frame nor error frame is passed over. Vector publishes no description; this follows
+taken, too. Other objects than frames and error frames are skipped. Vector publishes no description; this follows
 python-can's reader (https://github.com/hardbyte/python-can, can/io/blf.py), which follows T. Lorenz's library.
 """
 
@@ -66,13 +66,13 @@ def put_payload(raw: Any, at: int, count: int, words: Any, row: Any, k: int, len
 
 @kernel
 def blf_object(raw: Any, at: int, kind: int, size: int, room: int, t_ns: int, words: Any, row: Any, k: int) -> int:
-    """Read what is behind an object's header into a frame.
+    """Read the bytes after an object's header into a frame.
 
     Args:
         raw: unpacked bytes.
-        at: behind the header.
+        at: first byte after the header.
         kind: of the object.
-        size: bytes behind the header.
+        size: bytes after the header.
         room: bytes of the object that a payload may take, counted as its header has it.
         t_ns: stamp [ns].
         words: the batch.
@@ -250,7 +250,7 @@ class Blf:
         self._need(stream, fields[1] - FILE_HEADER.size)
 
     def _need(self, stream: BinaryIO, count: int) -> bytes:
-        """Return so many bytes, or less: then the file ends within, or unpacking failed there."""
+        """Return this number of bytes, or less: then the file ends within, or unpacking failed there."""
         if count <= 0:
             return b""
         data, broken = pull(stream, count)
@@ -262,7 +262,7 @@ class Blf:
         return data
 
     def _unpacked(self, stream: BinaryIO) -> Iterator[bytes]:
-        """Yield the log's objects, unpacked, some containers at a time; what ends them is in ``_end``."""
+        """Yield the log's objects, unpacked, some containers at a time; the error that ends them is in ``_end``."""
         parts: list[bytes] = []
         held = 0
         while self._end is None:

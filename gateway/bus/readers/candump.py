@@ -136,7 +136,7 @@ def scan_candump(
         hexes: :data:`gateway.bus.readers.scan.HEX`.
 
     Returns:
-        where the next line begins, lines read, frames that are in, what is of the line there.
+        where the next line begins, lines read, frames that are in, state of the line there.
     """
     lines, place = 0, 0
     while at < text.shape[0] and k < words.shape[0]:
@@ -173,7 +173,7 @@ def scan_candump(
 
 
 def cut_short(frame: np.void, before: Frames) -> bool:
-    """Tell whether a log's last frame is shorter than the one before it of the same identifier."""
+    """Return whether a log's last frame is shorter than the one before it of the same identifier."""
     same = before[before["can_id"] == frame["can_id"]]
     return bool(len(same) and frame["length"] < same[-1]["length"])
 
@@ -215,6 +215,6 @@ class Candump(Lines):
         return InputError(_BAD_LINE, file=self._path, line=number, value=shown(line))
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Tell whether the last line is cut: it is no frame, or one that is shorter than its like."""
+        """Return whether the last line is cut: it is no frame, or one that is shorter than its like."""
         del line
         return frame is None or cut_short(frame, before)

@@ -1,6 +1,6 @@
 """CSV as python-can writes it: a line a frame, its payload in base64.
 
-Lines are, behind the header::
+Lines are, after the header::
 
     timestamp,arbitration_id,extended,remote,error,dlc,data
     1483389946.197,0x00dadada,1,0,0,6,WzQyLCA5XQ==
@@ -29,7 +29,7 @@ BASE64 = np.full(256, 255, np.uint8)
 for _value, _character in enumerate(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"):
     BASE64[_character] = _value
 
-#: Stamps of so many nanoseconds have doubles too far apart for more than microseconds (gateway.bus.frames.nanoseconds).
+#: Doubles near stamps this large [ns] are too far apart for more than microseconds (gateway.bus.frames.nanoseconds).
 _COARSE = 10**15
 
 
@@ -118,7 +118,7 @@ def scan_csv(
         sixes: :data:`BASE64`.
 
     Returns:
-        where the next line begins, lines read, frames that are in, what is of the line there.
+        where the next line begins, lines read, frames that are in, state of the line there.
     """
     lines = 0
     while at < text.shape[0] and k < words.shape[0]:
@@ -168,7 +168,7 @@ class Csv(Lines):
         return InputError(text, file=self._path, line=number, value=shown(line))
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Tell whether the last line is cut: it is no frame, or one with fewer bytes than it says."""
+        """Return whether the last line is cut: it is no frame, or one with fewer bytes than it says."""
         del before
         if frame is None:
             return not line.startswith(b"timestamp,")

@@ -1,7 +1,7 @@
 """ASAM MDF 4 with CAN bus logging (CANedge, Vector, python-can), by asammdf: groups of channels in bulk.
 
 A bus logging group has a structure ``CAN_DataFrame``, ``CAN_ErrorFrame`` or ``CAN_RemoteFrame`` with members for
-identifier, length, bytes, direction, channel. asammdf unpacks so many records of it at once into an array; groups are
+identifier, length, bytes, direction, channel. asammdf unpacks a block of its records at once into an array; groups are
 joined by time.
 """
 
@@ -29,16 +29,16 @@ from gateway_fdi.jit import kernel
 _BLOCK, _FIRST = struct.Struct("<4s4xQQ"), 64
 #: Flag of a channel group: it is of a bus (ASAM MDF 4.1, cg_flags).
 _BUS_EVENT = 2
-#: Structures of frames, and what their identifiers get.
+#: Structures of frames, and the flags that their identifiers get.
 _KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 #: It looks through all frames for messages otherwise, for an extraction of its own.
 _OPEN: dict[str, Any] = {"process_bus_logging": False}
-#: Records that are asked of asammdf at once: what a call costs besides is small then.
+#: Records that are asked of asammdf at once: the fixed cost of a call is small then.
 _RECORDS = 250_000
 
 
 def is_cut(path: Path) -> bool:
-    """Tell whether a block of a file lies beyond its end (ASAM MDF 4.1: all blocks are reached by links)."""
+    """Return whether a block of a file lies beyond its end (ASAM MDF 4.1: all blocks are reached by links)."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(3)
@@ -108,7 +108,7 @@ class _Group:
         if len(self.frames) or not self.more:
             return
         count = min(_RECORDS, self._count - self._next)
-        # With conversions: a recorder may keep the DLC as length, and what all frames have in common (CANedge's channel
+        # With conversions: a recorder may keep the DLC as length, and values that all frames share (CANedge's channel
         # and IDE) as a formula of the record's number, a virtual channel.
         found = self._mdf.get(self._kind, self._index, record_offset=self._next, record_count=count, raw=False)
         self._next += count
@@ -129,7 +129,7 @@ def _frames(found: Any, kind: str, begin_ns: int, names: Names) -> tuple[Frames,
     frames = empty(count)
     frames["t_ns"] = begin_ns + np.rint(found.timestamps * 1e9).astype(np.int64)
     ids = records["ID"].astype(np.uint32) & ID_MASK if "ID" in records else np.zeros(count, np.uint32)
-    # What python-can takes where a member is missing: extended.
+    # Default of python-can where a member is missing: extended.
     ids |= np.where(records["IDE"] != 0, np.uint32(EXTENDED), np.uint32(0)) if "IDE" in records else np.uint32(EXTENDED)
     ids |= np.uint32(_KINDS[kind])
     if kind == "CAN_ErrorFrame" and "RTR" in records:

@@ -39,7 +39,7 @@ _MAGIC = b"PAR1"
 
 @kernel
 def scatter(raw: Any, ends: Any, rows: Any, first: int) -> int:
-    """Copy payloads that lie one behind the other into frames.
+    """Copy payloads that lie one after the other into frames.
 
     Args:
         raw: bytes.
@@ -60,14 +60,14 @@ def scatter(raw: Any, ends: Any, rows: Any, first: int) -> int:
 
 
 def is_frame_log(path: Path) -> bool:
-    """Tell whether a Parquet file has the columns of frames, and not those of signals or anything else."""
+    """Return whether a Parquet file has the columns of frames, and not those of signals or anything else."""
     from pyarrow import ArrowException  # noqa: PLC0415 - an extra
     from pyarrow.parquet import read_schema  # noqa: PLC0415
 
     try:
         return set(NEEDED) <= set(read_schema(path).names)
     except (OSError, ArrowException):
-        return path.stem.endswith(".frames")  # as we name them; what is wrong with it is told when it is read
+        return path.stem.endswith(".frames")  # as we name them; its errors are told when it is read
 
 
 class Parquet:

@@ -1,4 +1,4 @@
-"""What the kernels of text formats share: words, numbers and stamps in lines.
+"""Common code of the text formats' kernels: words, numbers and stamps in lines.
 
 ``text`` is bytes that end with a newline; no function goes beyond it. Characters are numbers: 10 newline, 32 blank,
 46 ``.``, 48 ``0``, 57 ``9``.
@@ -13,8 +13,8 @@ import numpy as np
 from gateway.bus.readers.batch import FLAGS, LENGTH
 from gateway_fdi.jit import kernel
 
-#: What a kernel says of the line where it stops: all is read or the batch is full; it is bad; Python is to look at it;
-#: it is no frame but should be one.
+#: State of the line where a kernel stops: all is read or the batch is full; it is bad; Python is to look at it; it is
+#: no frame but should be one.
 DONE, BAD, ASK, PASSED = 0, 1, 2, 3
 
 #: Character -> its value as a hexadecimal digit, 255: none.
@@ -60,7 +60,7 @@ def line_end(text: Any, at: int) -> int:
 
 @kernel
 def is_digit(text: Any, at: int) -> bool:
-    """Tell whether a character is a decimal digit."""
+    """Return whether a character is a decimal digit."""
     return bool(48 <= text[at] <= 57)
 
 
@@ -88,7 +88,7 @@ def decimal(text: Any, at: int, places: int) -> tuple[int, int, int]:
         places: 10 to the power of it times the number is wanted, rounded.
 
     Returns:
-        the number so, -1 if there is none; where it ends; digits behind its point, -1: no point.
+        the number so, -1 if there is none; where it ends; digits after its point, -1: no point.
     """
     begin, value = at, 0
     while 48 <= text[at] <= 57:

@@ -1,4 +1,4 @@
-"""Logs of lines: blocks of whole lines to a format's kernel, and what a log's last line may be."""
+"""Logs of lines: blocks of whole lines to a format's kernel, and rules for a log's last line."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Lines(ABC):
         path: for errors.
 
     Attributes:
-        passed_over: what was no frame that can be read, one text each.
-        origin_ns: what makes stamps wall time [ns].
+        passed_over: lines that could not be read as frames, one text each.
+        origin_ns: added to stamps to make them wall time [ns].
     """
 
     #: Whether channels are numbers, and not places of names.
@@ -51,7 +51,7 @@ class Lines(ABC):
             batch: not full.
 
         Returns:
-            where reading stopped, lines that were read, and what is of the line there (``scan.DONE`` etc.).
+            where reading stopped, lines that were read, and the state of the line there (``scan.DONE`` etc.).
         """
 
     def asked(self, line: bytes, names: Names) -> bool:
@@ -64,11 +64,11 @@ class Lines(ABC):
 
     @abstractmethod
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Tell whether a log ends within its last line, which has no end.
+        """Return whether a log ends within its last line, which has no end.
 
         Args:
             line: it.
-            frame: what it became; None: nothing.
+            frame: made of it; None: nothing.
             before: frames before it.
         """
 
@@ -112,12 +112,12 @@ class TextReader:
 
     @property
     def passed_over(self) -> list[str]:
-        """What was no frame that can be read, one text each."""
+        """Lines that could not be read as frames, one text each."""
         return self._lines.passed_over
 
     @property
     def origin_ns(self) -> int:
-        """What makes stamps wall time [ns]."""
+        """Added to stamps to make them wall time [ns]."""
         return self._lines.origin_ns
 
     def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
@@ -156,7 +156,7 @@ class TextReader:
         return taken[0], placed(taken[1], names) if self._lines.numbered else taken[1]
 
     def _scanned(self, text: bytes, names: Names, batch: Batch) -> Iterator[InputError | None]:
-        """Read lines; yields where the batch is full, and what is wrong in the end."""
+        """Read lines; yields where the batch is full, and the error at the end."""
         array, at = np.frombuffer(text, np.uint8), 0
         while at < len(array):
             at, lines, status = self._lines.scan(array, at, batch)
@@ -178,7 +178,7 @@ class TextReader:
 
     def _endless(self, line: bytes, frames: int) -> InputError:
         """Return the error of a line that is too long to be one."""
-        if not line[:LINE].strip(b"\0"):  # what a file system leaves of a file that was being written
+        if not line[:LINE].strip(b"\0"):  # as a file system leaves a file that was being written
             text = f"cut off after frame {frames}: from here on there is nothing but {LINE} zero bytes and more"
             return CutOffError(text, file=self._path, line=self._line)
         text = f"a line that is longer than {LINE} bytes, after frame {frames}: no log has such lines"

@@ -56,7 +56,7 @@ _NO_FRAME, _BAD, _FRAME = -1, -2, 0
 
 @kernel
 def two(text: Any, at: int, first: int, second: int) -> bool:
-    """Tell whether a word is these two characters."""
+    """Return whether a word is these two characters."""
     return bool(text[at] == first and text[at + 1] == second and text[at + 2] <= 32)
 
 
@@ -162,7 +162,7 @@ def scan_trc(
         begin: scratch, int64, where words begin.
 
     Returns:
-        where the next line begins, lines read, frames that are in, what is of the line there.
+        where the next line begins, lines read, frames that are in, state of the line there.
     """
     lines = 0
     while at < text.shape[0] and k < words.shape[0]:
@@ -214,7 +214,7 @@ class Trc(Lines):
         return at, lines, status
 
     def asked(self, line: bytes, names: Names) -> bool:
-        """Look at a line of the header, or the first one behind it."""
+        """Look at a line of the header, or the first one after it."""
         del names
         text = line.decode("ascii", "replace").strip()
         if not text.startswith(";"):
@@ -255,6 +255,6 @@ class Trc(Lines):
         return InputError(text, file=self._path, line=number, value=shown(line))
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Tell whether the last line is cut: it is no frame where it should be one."""
+        """Return whether the last line is cut: it is no frame where it should be one."""
         del before
         return frame is None and not line.strip().startswith(b";")

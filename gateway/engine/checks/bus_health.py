@@ -1,8 +1,8 @@
 """Health of a bus: bus-off, error passive, error rate, interface lost, frames lost in a queue, silence as a whole.
 
 It judges the kernel's error frames, and the frames by which the gateway tells the condition of its interfaces (see
-``gateway.bus.conditions``). A frame that is received proves that the controller is on the bus, whatever was said
-before it.
+``gateway.bus.conditions``). A frame that is received proves that the controller is on the bus, even if it was reported
+off before.
 
 Failure type bytes (SAE J2012): 88 bus off, 08 bus signal or message failure, 81 invalid serial data received, 31 no
 signal, 04 system internal failure (the gateway's own queue), 87 missing message (of everybody, see ``silence``).
@@ -109,7 +109,7 @@ FAULTS = (
 #: to E, then the other CAN buses).
 CODES = ("U0001", "U0028", "U0037", "U0046", "U0055", "U0064", "U0010", "U0019")
 
-#: What is known of the silence of a bus.
+#: Knowledge about the silence of a bus.
 SPOKEN, AWAITED, WHOLE = range(3)
 
 #: Counters of error frames, by class.
@@ -140,19 +140,19 @@ class Params(MonitorParams):
         description="first part of its DTCs; default: U0001, then U0028 (bus A), ...",
     )
     errors: int = Field(10, ge=1, le=1_000_000, description="protocol errors in the window that are a fault")
-    window_ms: float = Field(1000.0, ge=1, le=3.6e6, description="window; so long without a fault heals it [ms]")
+    window_ms: float = Field(1000.0, ge=1, le=3.6e6, description="window; this time without a fault heals it [ms]")
     silent_ms: float | None = Field(
         None,
         gt=0,
         le=3.6e6,
-        description="the bus is silent as a whole after so long without any frame [ms]; default: when each of its"
+        description="the bus is silent as a whole after this time without any frame [ms]; default: when each of its"
         " senders has a message overdue, 10 s at most; not judged where one sender alone is watched",
     )
     wake_ms: float = Field(
         15_000.0,
         ge=0,
         le=3.6e6,
-        description="after such a silence each message has so long to come [ms]; its timeout at least",
+        description="after such a silence each message has this time to come [ms]; its timeout at least",
     )
 
 
@@ -194,7 +194,7 @@ class Health(HealthState, HealthPlace):
 
 
 def codes_of(buses: Sequence[Params]) -> list[str]:
-    """Return the first part of the DTCs of each bus: the one it asks for, else the next that nobody has.
+    """Return the first part of the DTCs of each bus: the one it asks for, else the next free one.
 
     Args:
         buses: settings, in the order of the buses.
@@ -309,7 +309,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
 
 @kernel
 def tells_loss(can_id: int, word: int) -> bool:
-    """Tell whether an error frame says that frames were lost on our side before it.
+    """Return whether an error frame says that frames were lost on our side before it.
 
     Args:
         can_id: its identifier with flags.
@@ -368,7 +368,7 @@ def on_timer(h: Any, t_ns: int) -> None:
 
 
 class Silence(NamedTuple):
-    """When a bus is silent as a whole: without a frame for so long, 0: not judged; what gap is unusual [ns]."""
+    """When a bus is silent as a whole: time without a frame, 0: not judged; shortest unusual gap [ns]."""
 
     quiet_ns: int = 0
     gap_ns: int = 0

@@ -1,4 +1,4 @@
-"""Health of the buses and of our own clock: what they say of themselves, debounced."""
+"""Health of the buses and of our own clock: their own reports, debounced."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
 
 @kernel
 def on_sign_of_life(T: Any, t_ns: int, bus: int) -> None:
-    """Take a frame that was received: a bus that was said to be off or lost is not, and what it missed is over."""
+    """Take a frame that was received: a bus that was said to be off or lost is not, and its missed time is over."""
     if bus >= T.health.shape[0] - 1:
         return
     h = T.health[bus]
@@ -100,7 +100,7 @@ def on_sign_of_life(T: Any, t_ns: int, bus: int) -> None:
 
 @kernel(inlined=False)
 def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
-    """Take the first frame after nobody was heard for longer than usual.
+    """Take the first frame after the bus was silent for longer than usual.
 
     After a silence of the whole bus each message has its time to wake. A shorter one that is longer than the shortest
     timeout may have been the time of a frame of any message two fifths of whose time is over (a cycle less its jitter,
@@ -112,7 +112,7 @@ def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
         T: the tables.
         t_ns: now.
         bus: its index.
-        silent_ns: how long nobody was heard.
+        silent_ns: how long the bus was silent.
     """
     h = T.health[bus]
     whole = h.silence == WHOLE

@@ -1,8 +1,8 @@
 """Health of the gateway itself: its wall clock, which stamps what people read, was set while it ran.
 
-Time in the engine goes on evenly whatever is done to the wall clock; but stamps before and after the step cannot be
-compared, and somebody has to know. U3000 is the control module; failure type 62 (SAE J2012: signal compare failure),
-because two clocks that must agree, the wall clock and the monotonic one, do not.
+Time in the engine goes on evenly if the wall clock is set; but stamps before and after the step cannot be compared, so
+the step is reported. U3000 is the control module; failure type 62 (SAE J2012: signal compare failure), because two
+clocks that must agree, the wall clock and the monotonic one, do not.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ OWN_FAULTS = (
 class ClockParams(MonitorParams):
     """How the wall clock is watched."""
 
-    watched: bool = Field(True, description="false: a step is told, but is no fault")
+    watched: bool = Field(True, description="false: a step is reported, but is no fault")
     tolerance_ms: float = Field(
         10.0,
         ge=1,

@@ -38,7 +38,7 @@ TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE = range(6)
 ACCEPT = 0
 #: Verdict on a frame: its data must not be used.
 REJECT = 1
-#: Verdict on a frame: some of its signals carry no value; who asks for that may use the others.
+#: Verdict on a frame: some of its signals carry no value; a monitor that asks for that may use the others.
 IN_PART = 2
 
 FAULTS = (
@@ -95,18 +95,18 @@ FAULTS = (
     ),
 )
 
-#: What speaks for a checksum's rule is counted in half bits (see ``weigh_rule``). So much of it, and the rule is the
-#: sender's: by chance it happens once in 2**20 times, whatever the frames are.
+#: Evidence for a checksum's rule is counted in half bits (see ``weigh_rule``). From this much on the rule is the
+#: sender's: any frames give it by chance once in 2**20 times.
 PROVEN = 40
-#: So much of a wrong frame speaks against it: a rule of 4 bits does not gain if every other frame is wrong.
+#: Evidence against it from a wrong frame: a rule of 4 bits does not gain if every other frame is wrong.
 AGAINST = 7
-#: A checksum of so many bits says something with every right frame, one with fewer only if its payload is another one.
+#: From this number of bits on every right frame is evidence, with fewer only if its payload is another one.
 WIDE = 8
-#: So many frames must be wrong before the rule is proven, until it is doubted.
+#: Number of wrong frames, before the rule is proven, from which on it is doubted.
 MISFITS = 20
-#: Of these so many are kept, to try other rules on.
+#: Number of these that are kept, to try other rules on.
 SAMPLES = 4
-#: So often the time of a message that does not come starts anew since frames were lost on our side.
+#: How often the time of a missing message starts again because frames were lost on our side.
 MOST_LOSSES = 10
 
 
@@ -132,7 +132,7 @@ class Params(MonitorParams, ProtectionParams):
     length: bool = Field(True, description="judge frames shorter than the message")
     value: bool = Field(
         True,
-        description="judge floating-point signals that somebody uses: NaN, infinite, far outside of their range",
+        description="judge floating-point signals that are used: NaN, infinite, far outside of their range",
     )
     lost: BaseCode = Field(LOST, description="base code of the timeout's DTC: lost communication, U01xx")
     invalid: BaseCode = Field(INVALID, description="base code of the other checks' DTCs: invalid data received, U04xx")
@@ -160,7 +160,7 @@ class CheckPlace(Record):
 
 
 class CheckConst(Record):
-    """What is asked of the message."""
+    """Limits of the message."""
 
     timeout_ns: i8 = means(unit="ns")
     wake_ns: i8 = means("time to come after the bus was silent as a whole", "ns")
@@ -172,7 +172,7 @@ class CheckConst(Record):
 
 
 class CheckState(Record):
-    """What has come."""
+    """State of the message's checks."""
 
     deadline_ns: i8 = means(unit="ns")
     silent_ns: i8 = means(unit="ns")
@@ -197,7 +197,7 @@ class CheckState(Record):
 
 _COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus", "protection.first")
 
-#: Each state of a check, and what it is counted in: a reload keeps it where these constants are as they were.
+#: Each state of a check, and the constants it is counted in: a reload keeps it where these are as they were.
 COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
     ("deadline_ns", "silent_ns", "losses", "parked_ns", "parks", "asleep"): ("timeout_ns",),
     ("last_counter", "unread", "seen"): _COUNTER,
@@ -223,7 +223,7 @@ class CheckRun(Record):
     run_until_ns: i8 = means("the last of them", "ns")
 
 
-#: What a frame of a run touches: two lines of the cache.
+#: Fields that a frame of a run touches: two lines of the cache.
 _NEAR: tuple[str, ...] = (
     "steady",
     "counted",
@@ -257,7 +257,7 @@ class CheckInstance:
     """The configured communication checks of one message of a bus.
 
     Attributes:
-        params: what is asked.
+        params: its settings.
         bus: its index.
         name: first part of its fault ids.
         key: where the configuration has it, for errors: ``bus[0].check[1]``.

@@ -1,4 +1,4 @@
-"""Communication checks of messages: what a frame shows, and what its absence does."""
+"""Communication checks of messages: tests of a frame, and of its absence."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from gateway_fdi.jit import kernel
 
 #: States of E2E's state machine.
 NO_DATA, STARTING, VALID, INVALID = range(4)
-#: What it is told of a cycle (PRS_E2EProtocol): OK, ERROR, REPEATED or WRONGSEQUENCE, NONEWDATA.
+#: Result of a cycle that it takes (PRS_E2EProtocol): OK, ERROR, REPEATED or WRONGSEQUENCE, NONEWDATA.
 RIGHT, WRONG, NEITHER, NOTHING = range(4)
 
 
@@ -51,7 +51,7 @@ def end_run(T: Any, c: Any) -> None:
 
 @kernel
 def take_timeout(T: Any, due: int, c: Any) -> bool:
-    """Take one elapsed timeout of a message; returns whether it is reported: somebody else is heard, nobody sleeps."""
+    """Take one elapsed timeout of a message; returns whether it is reported: others are heard, and none sleeps."""
     if park(T, due, c):
         return False
     if sleeps(T, T.debounces[c.fault[TIMEOUT]]):
@@ -67,7 +67,7 @@ def take_timeout(T: Any, due: int, c: Any) -> bool:
 
 @kernel
 def report_timeout(T: Any, due: int, c: Any) -> None:
-    """Report one elapsed timeout of a message, and set its next deadline; where its bus is heard, that is told too."""
+    """Report one elapsed timeout of a message, and set its next deadline; also whether its bus is heard."""
     if c.bus < T.health.shape[0] - 1 and T.health[c.bus].fault[SILENT] >= 0:
         h = T.health[c.bus]
         if due - h.heard_ns < h.quiet_ns:  # it is heard
@@ -199,7 +199,7 @@ def keep_misfit(
 def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
     """Test a frame's alive counter; returns whether its data may be used.
 
-    A repeated frame's may not. One out of sequence is told; its data are used (AUTOSAR E2E: OK_SOME_LOST), but not
+    A repeated frame's may not. One out of sequence is reported; its data are used (AUTOSAR E2E: OK_SOME_LOST), but not
     where the protection is strict, as E2E's profiles are beyond their largest step (WRONG_SEQUENCE).
     """
     p = c.protection
@@ -308,7 +308,7 @@ def report_arrival(T: Any, t_ns: int, c: Any, length: int, status: int) -> None:
 
 @kernel
 def is_usual(T: Any, c: Any, words: Any, length: int, status: int) -> bool:
-    """Tell whether a frame passes as those of the run before it did, as far as is seen without its checksum."""
+    """Return whether a frame passes as those of the run before it, as far as can be seen without its checksum."""
     clock = T.clock[0]
     if c.steady == 0 or status != OK or length != c.usual_length:
         return False
@@ -336,7 +336,7 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         c.silent_ns = 0
         c.losses = 0
         c.parks = 0
-        if deadline_ns < before_ns:  # after a late frame; what is noted of a deadline is never later than it
+        if deadline_ns < before_ns:  # after a late frame; the noted time is never later than the deadline
             arm(T, c.timer, deadline_ns)
     usual = is_usual(T, c, words, length, status)
     if not usual:

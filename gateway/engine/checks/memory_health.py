@@ -17,7 +17,7 @@ _AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_up=True, jump_down=True
 NOT_WRITTEN = Fault(
     "memory_not_written",
     "U3000-44",
-    "fault memory cannot be written; what is found is told, but not stored",
+    "fault memory cannot be written; faults are reported, but not stored",
     ("changes waiting",),
     _AT_ONCE,
 )

@@ -1,7 +1,7 @@
 """Health of the gateway's own monitoring: whether test results count at present.
 
-No kernel: that somebody has switched monitoring off (0x85, 0x28, the status socket) is the test result. The fault is
-there for as long as that lasts, so that whoever reads DTCs meanwhile sees why there are no others.
+No kernel: monitoring that is switched off (0x85, 0x28, the status socket) is the test result. The fault lasts as long
+as that, so that a reader of DTCs sees why there are no others.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Nearly every frame is one. Where the debounces of its tests stand at their passed ends, a result equal to the latest
 changes nothing of them, and of the fault's bucket the count and the time only. So it is counted with the message, where
-the frame is at work anyway, and the buckets are told of the whole run: before another result comes, and before they are
-read. What is told is bit for bit what the results would have told one by one.
+the frame is at work anyway, and the buckets get the whole run: before another result comes, and before they are read.
+They are bit for bit as if they had got the results one by one.
 
 A checksum is no part of it: its value is another with each frame.
 """

@@ -1,7 +1,7 @@
 """A bus that falls silent as a whole: it sleeps, or is cut off; or the recorder paused. That is one cause.
 
-The time of a message is over: is it that message, or does nobody speak? If a frame of anybody came just before, it is
-that message. If not, the message is *parked*: the next frame decides, or the bus is silent as a whole.
+The time of a message is over: is it that message, or is the whole bus silent? If any frame came just before, it is that
+message. If not, the message is *parked*: the next frame decides, or the bus is silent as a whole.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from gateway.signals.database import Database
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
 
-#: A gap between two frames of a bus is unusual from so much of the shortest timeout on: then the next frame decides. It
-#: matters to a message from so much of its own timeout on.
+#: A gap between two frames of a bus is unusual from the shortest timeout / UNUSUAL on: then the next frame decides. It
+#: matters to a message from its own timeout / UNUSUAL on.
 UNUSUAL = 3
-#: A bus is silent as a whole after so long, whatever its slowest sender [ns].
+#: A bus is silent as a whole after this time, even with a slower sender [ns].
 _LONGEST_NS = 10_000_000_000
 #: A silence is looked at again and again; after an hour less often [ns].
 _HOUR_NS, _AGAIN_NS = 3_600_000_000_000, 60_000_000_000
-#: A message is missing, if it missed so many silences that were not of the whole bus.
+#: A message is missing if it missed this number of silences that were not of the whole bus.
 MOST_PARKS = 3
 
 
@@ -54,7 +54,7 @@ def silence_of(bus: int, params: Params, checks: Sequence[CheckInstance], databa
 
 
 def _sender(message: str, database: Database) -> str:
-    """Return who sends a message; a message of a sender that nobody knows has one of its own."""
+    """Return the sender of a message; a message of an unknown sender has one of its own."""
     try:
         senders = database.message(message).senders
     except InputError:  # told where the check is filled
@@ -111,7 +111,7 @@ def others_sleep(T: Any, t_ns: int, bus: int) -> bool:
 
 @kernel(inlined=False)
 def judge_silence(T: Any, t_ns: int, bus: int) -> None:
-    """Judge a bus on which nobody was heard for long enough; its verdict is in ``failed``.
+    """Judge a bus that was silent for long enough; its verdict is in ``failed``.
 
     Nothing is said of one that may sleep: no other bus is heard, or ``[power]`` says so. It is looked at again.
 

@@ -60,7 +60,7 @@ class Code(Record):
 
 
 class Memory(Record):
-    """What rate, delay and lowpass remember."""
+    """Memories of rate, delay and lowpass."""
 
     samples: i8 = means("values so far")
     value: f8 = means("last value")
@@ -73,7 +73,7 @@ class Memory(Record):
 
 
 class Machine(Record):
-    """Stack, memories, and what the last comparison compared."""
+    """Stack, memories, and the two sides of the last comparison."""
 
     stack: Annotated[f8s, MOST_STACK] = means("the stack")
     memory: Annotated[list[Memory], MOST_MEMORIES] = means("memories")
@@ -190,10 +190,10 @@ def power(x: float, y: float) -> float:
 
 @kernel
 def compare(s: Machine, op: int, x: float, y: float, tolerance: float) -> float:
-    """Return 1 if a comparison holds, within the tolerance; remembers what was compared.
+    """Return 1 if a comparison holds, within the tolerance; remembers both sides.
 
-    That is the left side, and what the right side allows it to be; of an equality the distance, and the tolerance: the
-    ratio says how near to its limit it is.
+    That is the left side, and its limit by the right side; of an equality the distance, and the tolerance: the ratio
+    says how near to its limit it is.
     """
     s.left, s.right = x, y
     if isnan(x) or isnan(y):
@@ -262,7 +262,7 @@ def load(s: Any, c: Any, program: Program, signals: Sequence[str]) -> None:
     Args:
         s: record of :class:`Machine`.
         c: record of :class:`Code`.
-        program: what it is to run.
+        program: that it is to run.
         signals: names of the values that it will be given, in their order.
     """
     c["length"] = len(program.ops)

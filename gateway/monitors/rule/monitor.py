@@ -50,7 +50,7 @@ class Const(Record):
 
 
 class State(Record):
-    """What both remember."""
+    """Memory of both."""
 
     holds: Machine = means("machine of the relation")
     when: Machine = means("machine of when it is tested")

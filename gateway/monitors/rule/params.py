@@ -1,4 +1,4 @@
-"""What a user says of relations between signals."""
+"""Settings of relations between signals."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Rule(StrictModel):
     holds: str = Field(min_length=1, description='e.g. "abs(Wheels.FL - Wheels.FR) < 3 + 0.1 * Vehicle.Speed"')
     when: str | None = Field(None, min_length=1, description="it is tested only while this holds")
     tolerance: float = Field(0.0, ge=0, allow_inf_nan=False, description="of its comparisons")
-    failed_ms: float = Field(500.0, gt=0, le=3.6e6, description="it must not hold for so long [ms]")
-    passed_ms: float = Field(1000.0, gt=0, le=3.6e6, description="and hold for so long to heal [ms]")
+    failed_ms: float = Field(500.0, gt=0, le=3.6e6, description="it must not hold for this time [ms]")
+    passed_ms: float = Field(1000.0, gt=0, le=3.6e6, description="and hold for this time to heal [ms]")
     code: str | None = Field(
         None, pattern=r"^[PCBU][0-3][0-9A-F]{3}$", description="base code of its DTC; default: its own, U1xxx, U2xxx"
     )

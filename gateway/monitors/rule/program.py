@@ -24,7 +24,7 @@ FUNCTIONS = {
 
 @dataclass
 class Program:
-    """What a text becomes.
+    """The program that a text becomes.
 
     Attributes:
         ops: operation and its argument (place of a number, a signal or a memory), in postfix order.

@@ -1,9 +1,9 @@
 """The signed residual of a relation, and how it depends on errors of its signals: derivatives of its program.
 
-``left == right`` has the residual left - right, ``abs(e) < limit`` has e: of other relations nothing is known but
-whether they hold. Derivatives are carried along with the values (forward differentiation). What a signal goes through
-that a small error cannot stand for (``max``, ``floor``, ``rate``, ...) has no derivative: NaN. A low-pass and a delay
-pass on an error that stays.
+``left == right`` has the residual left - right, ``abs(e) < limit`` has e: of other relations it is known only whether
+they hold. Derivatives are carried along with the values (forward differentiation). Functions that a small error does
+not represent (``max``, ``floor``, ``rate``, ...) have no derivative: NaN. A low-pass and a delay pass on an error that
+stays.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def _reading(part: PartParams, residual: float, noise: float, slope: Floats, ben
 
 
 def _run(program: Program, values: Sequence[float]) -> tuple[_Value, _Value, _Value | None]:
-    """Return both sides of a program's one comparison, and what stands in ``abs`` where that is its left side."""
+    """Return both sides of a program's one comparison, and the argument of ``abs`` where that is its left side."""
     count = len(values)
     stack: list[_Value] = []
     inner: dict[int, _Value] = {}  # place in the stack -> argument of abs that stands there

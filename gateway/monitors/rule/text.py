@@ -21,7 +21,7 @@ _COMPARISONS: dict[type[ast.cmpop], int] = {
     ast.Lt: p.LESS, ast.LtE: p.AT_MOST, ast.Gt: p.MORE, ast.GtE: p.AT_LEAST, ast.Eq: p.EQUAL, ast.NotEq: p.UNEQUAL,
 }  # fmt: skip
 
-#: Function that takes the unit from a value: what is added to it or compared with it has another one on purpose.
+#: Function that takes the unit from a value, which then may be added to and compared with values of other units.
 WITHOUT_UNIT = "number"
 
 #: Unit of an expression: None where it is not known, or a number's, which fits any.

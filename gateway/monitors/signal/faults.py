@@ -1,4 +1,4 @@
-"""What can be wrong with a signal, with its failure type (SAE J2012-DA, table of failure type bytes)."""
+"""Faults of a signal, each with its failure type (SAE J2012-DA, table of failure type bytes)."""
 
 from __future__ import annotations
 

@@ -6,13 +6,13 @@ fault.
 
 The scatter is that of second differences: d_k = x_k - 2 x_(k-1) + x_(k-2) of a course without corners is noise alone,
 with variance 6 sigma^2; sigma^2 is its mean over the samples asked for, divided by 6. They want values of one rhythm:
-after a gap (frames lost, rejected, or not heard by the gateway) it begins anew.
+after a gap (frames lost, rejected, or not heard by the gateway) it starts again.
 
 A multiplexed signal is looked at in the frames that have it.
 
 A change is taken over the usual time between two values, or longer: frames that an adapter hands over together were not
-sampled together. One odd frame with silence after it is no limit that was broken for ``failed_ms``: what failed last is
-not tested any more when no value has come for half of that, and for longer than the usual time.
+sampled together. One odd frame with silence after it is no limit that was broken for ``failed_ms``: a limit that failed
+last is not tested any more when no value has come for half of that, and for longer than the usual time.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ from gateway.monitors.signal.parts import parts
 from gateway.monitors.signal.records import Const, Course, Evidence, Inputs, One, State
 from gateway_fdi.jit import kernel
 
-#: So many times as long as from value to value is a gap: then the scatter begins anew.
+#: Number of usual times between values that make a gap: then the scatter starts again.
 GAP = 4.0
-#: What failed counts for this share of ``failed_ms`` without another value; where values come seldom, for so many times
-#: as long as from one to the next.
+#: A failure counts for this share of ``failed_ms`` without another value; where values come seldom, for this multiple
+#: of the time between two.
 PATIENCE, LATE = 0.5, 1.5
 
 
@@ -120,7 +120,7 @@ def seldom_moves(p: One, s: Course, x: float, other: float, usual_s: float) -> b
 
 @kernel
 def follow_rhythm(s: Course, t_ns: int) -> None:
-    """Learn how often values come; a gap, in which nobody knows what a signal did, begins its scatter again."""
+    """Learn how often values come; a gap, in which the signal is unknown, starts its scatter again."""
     seconds = (t_ns - s.came_ns) * 1e-9
     if s.came_ns > 0:
         if s.usual_s == 0.0:

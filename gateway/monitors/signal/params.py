@@ -1,4 +1,4 @@
-"""What a user says of signals, and what a part of the monitor is told of those of one message."""
+"""Settings of signals, and the settings of a monitor's part for the signals of one message."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ Range = Annotated[
 class Stuck(StrictModel):
     """When a signal must move."""
 
-    seconds: float | None = Field(None, gt=0, le=86400, description="so long without moving is a fault [s]")
+    seconds: float | None = Field(None, gt=0, le=86400, description="time without moving that is a fault [s]")
     by: float = Field(0.0, ge=0, description="a change of no more than this is no movement, signal's unit")
     share: float | None = Field(
-        None, gt=0, lt=1, description="not time alone: of its values in seconds so many must differ from the one before"
+        None, gt=0, lt=1, description="not time alone: least share of its values in seconds that differ from the last"
     )
     during: str | None = Field(None, description='only while this signal is in within: "Message.Signal"')
     within: Range | None = Field(None, description="of during, its unit")
@@ -58,7 +58,7 @@ class Noise(StrictModel):
 
 
 class Limits(StrictModel):
-    """What is asked of one signal; each limit is a fault of its own."""
+    """Limits of one signal; each is a fault of its own."""
 
     signal: str = Field(description='"Message.Signal"')
     name: str | None = Field(None, pattern=r"^[A-Za-z0-9_-]+$", description="of it in fault ids; default: the signal's")
@@ -67,16 +67,16 @@ class Limits(StrictModel):
         pattern=r"^[PCBU][0-3][0-9A-F]{3}$",
         description="base code of its DTCs; default: its own, U1xxx, U2xxx",
     )
-    electrical: Range | None = Field(None, description="what its circuit can give: beyond it, 21 and 22")
-    plausible: Range | None = Field(None, description="what the quantity can be: beyond it, 84 and 85")
+    electrical: Range | None = Field(None, description="range that its circuit can give: beyond it, 21 and 22")
+    plausible: Range | None = Field(None, description="range of the quantity: beyond it, 84 and 85")
     hysteresis: float = Field(0.0, ge=0, allow_inf_nan=False, description="inside of a limit that ends a fault")
     gradient: float | None = Field(None, gt=0, allow_inf_nan=False, description="greatest change per second: 27")
     least_step_ms: float | None = Field(
         None,
         gt=0,
         le=60_000,
-        description="a change is taken over so long at least [ms]; default: the usual time between its values, so that"
-        " frames that an adapter has bunched change no faster",
+        description="a change is taken over this time at least [ms]; default: the usual time between its values, so"
+        " that frames that an adapter has bunched change no faster",
     )
     stuck: Stuck | None = Field(None, description="must move: 2A")
     invalid: Literal["auto"] | tuple[float | str, ...] = Field(
@@ -86,10 +86,10 @@ class Limits(StrictModel):
     all_ones: bool = Field(False, description="all its bits set is a fault: 29")
     noise: Noise | None = Field(None, description="scatter: 2F")
     missing_ms: float | None = Field(
-        None, gt=0, le=3.6e6, description="of a multiplexed one: not selected for so long while its message comes: 31"
+        None, gt=0, le=3.6e6, description="of a multiplexed one: not selected for this time while its message comes: 31"
     )
-    failed_ms: float = Field(500.0, gt=0, le=3.6e6, description="a limit must be broken so long [ms]")
-    passed_ms: float = Field(1000.0, gt=0, le=3.6e6, description="and kept so long to heal [ms]")
+    failed_ms: float = Field(500.0, gt=0, le=3.6e6, description="time that a limit must be broken [ms]")
+    passed_ms: float = Field(1000.0, gt=0, le=3.6e6, description="and kept to heal [ms]")
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:
@@ -105,7 +105,7 @@ class Limits(StrictModel):
 
 
 class Params(MonitorParams):
-    """Signals, and what is asked of each."""
+    """Signals, and the limits of each."""
 
     signal: tuple[Limits, ...] = Field(min_length=1, max_length=10_000)
 

@@ -106,7 +106,7 @@ def _watched(limits: Limits, signal: Signal, code: str, levels: tuple[Level, ...
     """Return a signal with its limits in numbers.
 
     Raises:
-        InputError: what the database does not say, or cannot be.
+        InputError: something that the database does not say, or that cannot be.
     """
     values: tuple[float, ...] = ()
     if limits.undefined:
@@ -139,7 +139,7 @@ def parts(
         give: names -> a network code for each.
 
     Raises:
-        InputError: a signal that is not there; what the database does not say.
+        InputError: a signal that is not there; something that the database does not say.
     """
     assert isinstance(p, Params)
     codes = give(limits.signal for limits in p.signal if limits.code is None)

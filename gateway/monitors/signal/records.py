@@ -19,7 +19,7 @@ class Inputs(Event):
 
 
 class One(Record):
-    """What is asked of one signal; limits that are not are infinite."""
+    """Limits of one signal; those not asked for are infinite."""
 
     electrical_low: f8 = means("least value that the sensor's circuit gives")
     electrical_high: f8 = means("greatest value that the sensor's circuit gives")
@@ -52,14 +52,14 @@ class One(Record):
 
 
 class Const(Record):
-    """What is asked of the signals."""
+    """Limits of the signals."""
 
     signals: i8 = means("signals of the message")
     one: Annotated[list[One], MOST_SIGNALS] = means("what is asked of each")
 
 
 class Course(Record):
-    """What is remembered of one signal."""
+    """Memory of one signal."""
 
     valid: i8 = means("values so far, since the last that was none")
     before: f8 = means("last value")
@@ -80,13 +80,13 @@ class Course(Record):
 
 
 class State(Record):
-    """What is remembered of the signals."""
+    """Memory of the signals."""
 
     one: Annotated[list[Course], MOST_SIGNALS] = means("what is remembered of each")
 
 
 class Evidence(Record):
-    """What a test looked at."""
+    """Values that a test looked at."""
 
     value: f8 = means("value")
     before: f8 = means("before")

@@ -1,5 +1,5 @@
-"""What monitors compute, over time: gathered beside a running gateway, written to files, read again.
+"""Values that monitors compute, over time: gathered beside a running gateway, written to files, read again.
 
-``gather`` looks at the engine behind each frame and each timer and changes nothing in it; ``files`` has the formats;
+``gather`` looks at the engine after each frame and each timer and changes nothing in it; ``files`` has the formats;
 ``envelope`` keeps as much of it as a picture can show.
 """

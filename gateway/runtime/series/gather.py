@@ -1,7 +1,7 @@
 """Gathers series beside a gateway that is fed a log: a reader of what each step leaves, one frame or timer at a time.
 
 A row is written where something has changed: value, limit or result of a fault's test; a quantity of a monitor that
-has stepped; a signal. What lies between two rows of a series is the first one's value. Debounce is not in it: a fault's
+has stepped; a signal. Between two rows a series keeps the first one's value. Debounce is not in it: a fault's
 result is what its test said last.
 """
 
@@ -27,7 +27,7 @@ _NOT_TESTED, _PASSED, _FAILED, _SET, _HEALED = (
 
 
 class _Watch:
-    """Numbers of one kind, and what they were."""
+    """Numbers of one kind, and their last values."""
 
     def __init__(
         self, first: int, count: int, read: Callable[[], NDArray[np.float64]], limits: Sequence[float]
@@ -52,13 +52,13 @@ class Fed(FrameConsumer, Protocol):
 
 
 class Gatherer:
-    """A gateway that is fed a log, and what its monitors compute meanwhile.
+    """A gateway that is fed a log, and the values that its monitors compute.
 
     Args:
         gateway: not started yet.
-        sinks: what takes the rows.
+        sinks: take the rows.
         signals: name -> slot of the mailbox, of the signals that are wanted.
-        fed: what feeds the gateway, if something else wants to see its frames; None: nothing.
+        fed: feeds the gateway, if something else wants to see its frames; None: nothing.
 
     Attributes:
         rows: that were handed on.
@@ -87,7 +87,7 @@ class Gatherer:
         gateway.listen(self._on_event)
         self.stop, self.without_own = self._fed.stop, self._fed.without_own
 
-    # What is watched --------------------------------------------------------------------------------------------------
+    # Watched values ---------------------------------------------------------------------------------------------------
 
     def _faults(self) -> None:
         self._first_fault = len(self._series)
@@ -99,7 +99,7 @@ class Gatherer:
         self._before = [column.copy() for column in self._debounces]
 
     def _quantities(self, k: int) -> _Watch | None:
-        """Watch what a monitor shows of its state, and what it says that it computes."""
+        """Watch the state that a monitor shows, and the quantities that it computes."""
         instance, state = self._engine.monitors[k], self._engine.state_of(k)
         monitor = instance.monitor
         own = monitor.capability(Quantities)
@@ -123,7 +123,7 @@ class Gatherer:
         mailbox = self._engine.tables.mailbox
         return _Watch(first, len(slots), lambda: np.asarray(mailbox[slots]), [math.nan] * len(slots))
 
-    # What comes -------------------------------------------------------------------------------------------------------
+    # Inputs -----------------------------------------------------------------------------------------------------------
 
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
@@ -202,7 +202,7 @@ class Gatherer:
 
     def _flush(self) -> None:
         if self._held:
-            # An event is told behind the results of its frame, with the time of them.
+            # An event is told after the results of its frame, with the time of them.
             k = np.argsort(self._t[: self._held], kind="stable")
             rows = Rows(self._t[k], self._which[k], self._value[k], self._limit[k], self._result[k])
             for sink in self._sinks:

@@ -1,4 +1,4 @@
-"""Rows of series: what they are, and how many are handed on at once."""
+"""Rows of series: their columns, and how many are handed on at once."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 #: Rows that are handed on, and written, at once: a row group of Parquet.
 GROUP = 1 << 16
 
-#: What a series is of.
+#: Kinds of series.
 FAULT, QUANTITY, SIGNAL, DTC = "fault", "quantity", "signal", "dtc"
 #: Results by their numbers: of a fault's test, or of a DTC.
 RESULTS = ("", "not tested", "passed", "failed", "set", "healed")
@@ -20,7 +20,7 @@ RESULTS = ("", "not tested", "passed", "failed", "set", "healed")
 
 @dataclass(frozen=True)
 class Series:
-    """What rows have in common.
+    """Common fields of rows.
 
     Attributes:
         monitor: its name; of a message check that of the check; empty: a signal.
@@ -42,8 +42,8 @@ class Rows:
     Attributes:
         t_ns: wall time [ns].
         series: place in the list of series.
-        value: what was computed, in the series' unit.
-        limit: what it was held against, NaN: nothing.
+        value: computed, in the series' unit.
+        limit: compared with it, NaN: none.
         result: place in :data:`RESULTS`.
     """
 

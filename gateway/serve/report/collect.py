@@ -1,4 +1,4 @@
-"""What a report is made of, collected while frames go through a gateway."""
+"""Data of a report, collected while frames go through a gateway."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gateway.runtime.app import Gateway
 
 #: Finest column [ns], and how many there are at most: beyond, two become one.
 STEP_NS, MOST_COLUMNS = 50_000_000, 800
-#: Around a failure fine columns are kept [ns]: so long before, and after.
+#: Times around a failure with fine columns [ns]: before, and after.
 BEFORE_NS, AFTER_NS = 3_000_000_000, 2_000_000_000
 #: Failures with fine columns, and events that are kept.
 MOST_WINDOWS, MOST_EVENTS = 16, 5000
@@ -141,7 +141,7 @@ class Collector:
                 window.columns[place] = buckets[fault].copy()
 
     def _fails(self, event: dict[str, Any]) -> bool:
-        """Tell whether an event is of a fault that has come, and not of one that is only confirmed later."""
+        """Return whether an event is of a fault that has come, and not of one that is only confirmed later."""
         if event["event"] != "dtc":
             return False
         failing = event["fault"] in self._failing

@@ -22,7 +22,7 @@ _ID = re.compile(r'"id": ?"(p\d+)"')
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure with its place in the page and what it shows, for those who do not see it."""
+    """A figure with its place in the page and its description, for people who do not see it."""
 
     place: str
     model: Any

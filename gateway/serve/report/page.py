@@ -30,20 +30,20 @@ from gateway.serve.words import number, told_in_words
 #: Figures of residuals without a failure.
 MOST_OTHERS = 6
 STYLE = Path(__file__).parent.parent / "static" / "page.css"
-#: What is of this machine and this moment, and not of the run.
+#: Numbers of this machine and this moment, and not of the run.
 OF_THE_MOMENT = ("seconds", "frames_per_s")
 
 
 @dataclass(frozen=True)
 class Told:
-    """What a report says of its run.
+    """A report's words about its run.
 
     Attributes:
         title: of the run.
-        source: what was read or played, and its hash, one line each: name, text.
+        source: files read or played, and their hash, one line each: name, text.
         config_file: the configuration.
         findings: whether it is as expected, and what; none: nothing was expected.
-        truth: what was injected: text and time [ns].
+        truth: injected faults: text and time [ns].
         events: of the JSON contract, after those that the collector has.
     """
 
@@ -71,8 +71,8 @@ def write_report(path: Path, gateway: Gateway, found: Collector, told: Told) -> 
     Args:
         path: of the file.
         gateway: that it went through, still open.
-        found: what was collected.
-        told: what else there is to say.
+        found: collected data.
+        told: further words.
     """
     path.write_text(_Page(gateway, found, told).text(), encoding="utf-8")
 
@@ -197,7 +197,7 @@ class _Page:
             "<ul>" + "".join(f"<li>{escape(text)}</li>" for text in words) + "</ul>",
         ]
         if entry.inputs:
-            parts.append(_values("What its monitor saw then", entry.inputs))
+            parts.append(_values("Inputs of its monitor then", entry.inputs))
         parts += [
             _values(f"Freeze frame {frame.number}, {self._seconds(frame.t_ns):.4f} s", frame.content)
             for frame in entry.freeze_frames

@@ -1,4 +1,4 @@
-"""What was when in a run: a row for each fault and each thing injected, as HTML that fits any width."""
+"""Timeline of a run: a row for each fault and each thing injected, as HTML that fits any width."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 
-#: Most numbers below a timeline; so many have room on a telephone.
+#: Most numbers below a timeline that have room on a telephone.
 MOST_TICKS = 6
 
 
@@ -15,7 +15,7 @@ class Span:
     """A time in a row.
 
     Attributes:
-        row: what the row is called.
+        row: name of the row.
         begin: when it began [s].
         end: when it ended [s]; None: it is a moment.
     """

@@ -1,4 +1,4 @@
-// What the server is asked: with the tokens that this tab has. Tokens come behind the address's #, which no server sees.
+// What the server is asked: with the tokens that this tab has. Tokens come after the address's #, which no server sees.
 
 const tokens = { read: "", control: "" };
 

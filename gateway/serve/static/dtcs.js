@@ -32,7 +32,7 @@ export class Dtcs {
     if (focused && !focused.isConnected) this.rows.get(focused.fault)?.querySelector("button").focus();
   }
 
-  // A cause with the code that stands for it; the others are folded below. What is not proven folds nothing.
+  // A cause with the code that stands for it; the others are folded below. A cause that is not proven folds nothing.
   case(told) {
     const key = `${told.proven} ${told.proven ? told.components.join() : told.faults.join()}`;
     const element = this.cases.get(key) ?? this.newCase(key);
@@ -56,7 +56,7 @@ export class Dtcs {
     return Object.assign(make("section", {}, head, list, more), { key, head, list, folded, summary, more });
   }
 
-  // The row that is there, where nothing of it has changed: what somebody is about to press stays under the finger.
+  // The row that is there, where nothing of it has changed: a button about to be pressed stays under the finger.
   kept(entry) {
     const row = this.rows.get(entry.fault);
     return row?.told === JSON.stringify(entry) ? row : null;

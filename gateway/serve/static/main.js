@@ -1,4 +1,4 @@
-// The page: what the stream tells goes to its parts; drawing has its own pace.
+// The page: messages of the stream go to its parts; drawing has its own pace.
 
 import { get, keepToken, listen, mayChange, post } from "/static/api.js";
 import { byId, clock, say } from "/static/dom.js";

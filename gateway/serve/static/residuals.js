@@ -1,4 +1,4 @@
-// Residuals by monitor: those of a cause first, what stands for it before its symptoms, then the nearest to a fault. The
+// Residuals by monitor: those of a cause first, its lead before its symptoms, then the nearest to a fault. The
 // first are plotted, others when they are opened.
 
 import { get } from "/static/api.js";
@@ -112,7 +112,7 @@ export class Residuals {
     this.sorted = -Infinity;  // at once
   }
 
-  // Before a page's first tick, and after the server has begun anew.
+  // Before a page's first tick, and after the server has started again.
   forget() {
     this.told = false;
     for (const row of this.faults) {

@@ -15,7 +15,7 @@ export class Series {
   load(found) {
     const [fine, coarse] = [unpacked(found.fine), unpacked(found.coarse)];
     const began = this.fine.t[0] ?? Infinity;
-    // A coarse column is told when it is full; what there is of the next one is in fine ones.
+    // A coarse column is told when it is full; the beginning of the next one is in fine ones.
     for (let k = lower(fine.t, (coarse.t.at(-1) ?? -Infinity) + 1); fine.t[k] < began; k++) {
       widen(coarse, ...FIELDS.map((name) => fine[name][k]));
     }

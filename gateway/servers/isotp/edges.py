@@ -1,4 +1,4 @@
-"""What ISO 15765-2 says of frames at its edges, judged before the state machine sees them."""
+"""Edge cases of ISO 15765-2: frames that are judged before the state machine sees them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def judge(data: bytes) -> Judged:
 
 
 def _is_first(data: bytes) -> bool:
-    """Tell whether a first frame is one (9.6.3): full, and of a message that no single frame could carry."""
+    """Return whether a first frame is one (9.6.3): full, and of a message that no single frame could carry."""
     if len(data) < 8:
         return False
     length = (data[0] & 0x0F) << 8 | data[1]

@@ -18,7 +18,7 @@ _CONSECUTIVE, _FLOW_CONTROL = 2, 3
 #: Wait frames in a row that a tester may send.
 MOST_WAITS = 16
 
-# What a tester sends wrongly is counted, not logged frame by frame.
+# A tester's wrong frames are counted, not logged one by one.
 _LOGGER = f"{__name__}.protocol"
 logging.getLogger(_LOGGER).setLevel(logging.CRITICAL)
 

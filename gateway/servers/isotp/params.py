@@ -28,6 +28,6 @@ class IsoTpParams(StrictModel):
         return EXTENDED if self.extended or (self.extended is None and long) else 0
 
     def same_transport(self, other: IsoTpParams) -> bool:
-        """Tell whether another server has the same addresses and transport, on whichever bus."""
+        """Return whether another server has the same addresses and transport, on whichever bus."""
         names = IsoTpParams.model_fields.keys() - {"bus"}
         return all(getattr(other, name) == getattr(self, name) for name in names)

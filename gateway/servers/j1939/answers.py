@@ -1,4 +1,4 @@
-"""What is answered to requests for diagnostic messages (SAE J1939-73): from the fault memory to bytes."""
+"""Answers to requests for diagnostic messages (SAE J1939-73): from the fault memory to bytes."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from gateway_fdi.common.tomlfile import StrictModel
 
 #: Time for others to contend after a claim.
 CONTEND_NS = 250_000_000
-#: What a look's time may lag behind that of the bus: some looks have the time of the monitors.
+#: Most that a look's time may lag that of the bus: some looks have the time of the monitors.
 LAG_NS = 20_000_000
 #: The longest random delay before "cannot claim" (J1939-81, 4.4.4.3): 255 times 0.6 ms.
 DELAYS, DELAY_NS = 255, 600_000
@@ -63,7 +63,7 @@ class Claim:
         self._taken: set[int] = set()
         self.address = address
         self._given_ns: int | None = None  # when the claim was given to be sent
-        self._due_ns: int | None = None  # when the address is ours; None: it is not known that the claim has left
+        self._due_ns: int | None = None  # when the address is claimed; None: it is not known that the claim has left
         self.claimed = False
         self.lost = False
         self._random = random.Random(name.value)
@@ -91,7 +91,7 @@ class Claim:
         return self.start(t_ns)
 
     def on_time(self, t_ns: int) -> list[Pdu]:
-        """Claim at first; have the address once nobody has contended in time."""
+        """Claim at first; have the address once no other has contended in time."""
         if self._given_ns is None:
             return [] if self.lost else self.start(t_ns)
         if self._cannot_ns is not None and t_ns >= self._cannot_ns:

@@ -16,7 +16,7 @@ _NEVER_TOLD = (False, -_CHANGE_NS)
 
 
 class Dm1Schedule:
-    """Knows what was told and when, and so what is to be told next.
+    """Knows which DTCs were told and when, and so which come next.
 
     Args:
         params: settings.
@@ -31,7 +31,7 @@ class Dm1Schedule:
         self._changed: set[str] = set()
 
     def succeed(self, old: Dm1Schedule) -> None:
-        """Keep what was told already."""
+        """Keep the record of DTCs that were told already."""
         self._cyclic_ns, self._told, self._changed = old._cyclic_ns, old._told, old._changed
 
     def note(self, changes: Sequence[DtcChange]) -> None:
@@ -61,7 +61,7 @@ class Dm1Schedule:
         self._cyclic_ns = (t_ns if late else self._cyclic_ns or 0) + cycle
 
     def _is_news(self, fault: str, t_ns: int) -> bool:
-        """Tell whether a DTC became active or inactive, and was not told of in the last second."""
+        """Return whether a DTC became active or inactive, and was not told of in the last second."""
         told, when = self._told.get(fault, _NEVER_TOLD)
         return self._dtcs.is_active(fault) != told and t_ns - when >= _CHANGE_NS
 

@@ -49,5 +49,5 @@ class CodedDtcs:
         return self._coded(self._memory.entry(p.fault) for p in self._memory.permanent())
 
     def is_active(self, fault: str) -> bool:
-        """Tell whether a fault's DTC is active."""
+        """Return whether a fault's DTC is active."""
         return self._memory.status(fault) & _ACTIVE == _ACTIVE

@@ -1,4 +1,4 @@
-"""One address on J1939: claims it, and puts together what others ask of it and what it sends."""
+"""One address on J1939: claims it, and assembles requests to it and messages from it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class J1939Endpoint:
         commandable: whether others may command another address.
 
     Attributes:
-        commanded: addresses that others have commanded: by whom, NAME and address; whoever tells of them clears it.
+        commanded: addresses that others have commanded: by whom, NAME and address; cleared when they are told.
     """
 
     def __init__(self, name: NameParams, address: int, bus: int, *, commandable: bool = False) -> None:
@@ -80,7 +80,7 @@ class J1939Endpoint:
 
     @property
     def claimed(self) -> bool:
-        """Whether the address is ours: else we may not speak."""
+        """Whether the address is claimed: else it may not send."""
         return self._claim.claimed
 
     def wanted(self, frames: Frames) -> NDArray[np.bool_]:
@@ -146,11 +146,11 @@ class J1939Endpoint:
         return PgnRequest(pgn, source, destination)
 
     def answer(self, request: PgnRequest, data: bytes) -> None:
-        """Send what was asked for; what is asked of all is answered to all (J1939-21, 5.4.2)."""
+        """Send the answer to a request; a request to all is answered to all (J1939-21, 5.4.2)."""
         self.send(request.pgn, data, GLOBAL if request.destination == GLOBAL else request.source)
 
     def acknowledge(self, kind: int, request: PgnRequest) -> None:
-        """Acknowledge what was asked of us alone; nobody is told of a request to all."""
+        """Acknowledge a request to this address alone; a request to all is not acknowledged."""
         if request.destination != GLOBAL:
             data = bytes([kind, 0xFF, 0xFF, 0xFF, request.source]) + pgn_bytes(request.pgn)
             self._made.append(Pdu(ACKNOWLEDGMENT, self.transport.address, GLOBAL, data))

@@ -20,7 +20,7 @@ COMMANDED_ADDRESS = 0xFED8
 
 @dataclass(frozen=True)
 class Pdu:
-    """One frame: parameter group, who sent it to whom, up to 8 bytes."""
+    """One frame: parameter group, sender, receiver, up to 8 bytes."""
 
     pgn: int
     source: int

@@ -32,7 +32,7 @@ SYSTEMS = {
     "air_conditioning": 3062,
     "components": 3065,
 }
-#: The greatest count of two bytes, and what stands for one that is not available.
+#: The greatest count of two bytes, and the code for one that is not available.
 _MOST_2, _NO_2 = 0xFAFF, b"\xff\xff"
 #: The greatest occurrence count; 127 says that there is none.
 MOST_OCCURRENCES = 126
@@ -92,7 +92,7 @@ def performance(ignition_cycles: int, conditions: int, ratios: Mapping[str, Rati
     made = _two_bytes(ignition_cycles) + _two_bytes(conditions)
     for group, number in SYSTEMS.items():
         if group in ratios:
-            system = (number | 0x1F << 19).to_bytes(3, "little")  # 19 bits; what is reserved is 1
+            system = (number | 0x1F << 19).to_bytes(3, "little")  # 19 bits; reserved ones are 1
             made += system + b"".join(_two_bytes(count) for count in ratios[group])
     return made.ljust(8, b"\xff")
 

@@ -23,7 +23,7 @@ class FreezeFrameSpn(StrictModel):
     offset: float = Field(0.0, allow_inf_nan=False, description="value of a coded 0, signal's unit")
 
     def encode(self, value: float | None) -> bytes:
-        """Code a value, low byte first; what is unknown is all ones, the rest is clipped to the valid range."""
+        """Code a value, low byte first; an unknown one is all ones, the rest is clipped to the valid range."""
         if value is None or not math.isfinite(value):
             return b"\xff" * self.length
         most = (0xFA << 8 * (self.length - 1)) | ((1 << 8 * (self.length - 1)) - 1)

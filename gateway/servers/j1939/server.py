@@ -57,7 +57,7 @@ class J1939Server(BusServer):
         self._dm1 = Dm1Schedule(params, self._dtcs)
 
     def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
-        """Keep the address, the sessions of the transport protocol, and what was told already."""
+        """Keep the address, the sessions of the transport protocol, and the record of DTCs that were told."""
         if isinstance(old, J1939Server) and self.endpoint.succeed(old.endpoint, buses.get(old.endpoint.bus)):
             self._dm1.succeed(old._dm1)
 
@@ -108,7 +108,7 @@ class J1939Server(BusServer):
             else:
                 for _, entry in self._dtcs.previous():
                     self._control.clear(entry.dtc.value)
-        except StoreError:  # what was not cleared durably is there still
+        except StoreError:  # faults that were not cleared durably are still there
             return NEGATIVE
         return POSITIVE
 

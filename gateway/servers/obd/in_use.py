@@ -1,4 +1,4 @@
-"""What OBD tells of a vehicle's use (SAE J1979): mode 09, infotype 08, and the PIDs of distance and running time."""
+"""A vehicle's use by OBD (SAE J1979): mode 09, infotype 08, and the PIDs of distance and running time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _NONE = Ratio(0, 0)
 
 
 def tracking(performance: Performance) -> bytes:
-    """Return the data of infotype 08, two bytes an item; what is not monitored is 0."""
+    """Return the data of infotype 08, two bytes an item; items that are not monitored are 0."""
     ratios = performance.by_group()
     items = [performance.conditions, performance.ignition_cycles]
     for system in _SYSTEMS:

@@ -65,7 +65,7 @@ class PidParams(StrictModel):
         return self
 
     def encode(self, value: float | None) -> bytes:
-        """Code a value; what is unknown is 0, as J1979 has no code for it; the rest is clipped."""
+        """Code a value; an unknown one is 0, as J1979 has no code for it; the rest is clipped."""
         length, scale, offset = STANDARD.get(self.id, (1, 1.0, 0.0))
         length = self.length or length
         scale = scale if self.scale is None else self.scale

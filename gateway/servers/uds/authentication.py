@@ -1,7 +1,7 @@
-"""Authentication by certificate (ISO 14229-1, 0x29, APCE): who the tester is, rather than that it knows a secret.
+"""Authentication by certificate (ISO 14229-1, 0x29, APCE): proof of the tester's identity.
 
-A tester shows a certificate behind which a configured root stands (see ``certificates``), and proves by a signature
-over a challenge that it has the certificate's private key. What it may do goes by its role. Keys are Ed25519, ECDSA
+A tester shows a certificate that a configured root vouches for (see ``certificates``), and proves by a signature
+over a challenge that it has the certificate's private key. Its rights go by its role. Keys are Ed25519, ECDSA
 over SHA-256, or RSA-PSS over SHA-256. A gateway keeps no private key, and nothing that must be secret.
 """
 
@@ -42,7 +42,7 @@ class Authentication:
 
     Args:
         params: settings; None: it is not offered.
-        random: gives a challenge of so many bytes.
+        random: gives a challenge of a number of bytes.
 
     Raises:
         InputError: a root cannot be read, or may not sign; or cryptography is not installed.
@@ -53,7 +53,7 @@ class Authentication:
     ) -> None:
         self._random = random
         self._certificates = None if params is None else Certificates(params.roots, params.roles, params.revoked)
-        self._pending: tuple[Any, str, bytes] | None = None  # public key, role, what is to be signed
+        self._pending: tuple[Any, str, bytes] | None = None  # public key, role, bytes to be signed
         self.role = ""
 
     @property
@@ -72,7 +72,7 @@ class Authentication:
         self._pending, self.role = None, ""
 
     def challenge(self, certificate: bytes, challenge: bytes, wall_ns: int) -> bytes:
-        """Take a tester's certificate and challenge; returns ours.
+        """Take a tester's certificate and challenge; returns the gateway's challenge.
 
         Args:
             certificate: X.509, DER; after it those between it and a root, each of which has signed the one before.
@@ -104,7 +104,7 @@ class Authentication:
 
 
 def _is_signed(key: Any, signature: bytes, data: bytes) -> bool:
-    """Tell whether a signature is the key's."""
+    """Return whether a signature is the key's."""
     from cryptography.exceptions import InvalidSignature  # noqa: PLC0415 - an extra, and slow to load
     from cryptography.hazmat.primitives import hashes  # noqa: PLC0415 - likewise
     from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding  # noqa: PLC0415 - likewise

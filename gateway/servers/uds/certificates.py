@@ -22,12 +22,12 @@ from gateway_fdi.errors import InputError
 MOST_BETWEEN = 3
 #: Hashes under signatures; older ones can be forged.
 _HASHES = ("sha256", "sha384", "sha512")
-#: A DER sequence: its tag, and that its length takes so many further bytes.
+#: A DER sequence: its tag, and the mark of a length in further bytes (their number is added).
 _SEQUENCE, _LONG = 0x30, 0x80
 
 
 class Certificates:
-    """Roots, and what they vouch for.
+    """Roots, and the certificates they vouch for.
 
     Args:
         roots: files of certificates (PEM).
@@ -83,7 +83,7 @@ class Certificates:
 
 
 def is_strong(key: Any) -> bool:
-    """Tell whether a public key is of a kind that is taken here, and long enough."""
+    """Return whether a public key is of a kind that is taken here, and long enough."""
     from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa  # noqa: PLC0415 - an extra, slow to load
 
     long = not isinstance(key, rsa.RSAPublicKey) or key.key_size >= 2048
@@ -148,7 +148,7 @@ def _check_issued(certificate: Any, issuers: Sequence[Any]) -> None:
 
 
 def _may_sign(certificate: Any, below: int, *, strict: bool) -> bool:
-    """Tell whether a certificate may sign others, over so many between it and a tester's (RFC 5280, 6.1.4 k to n).
+    """Return whether a certificate may sign others, given the number below it (RFC 5280, 6.1.4 k to n).
 
     Args:
         certificate: which one.
@@ -169,7 +169,7 @@ def _may_sign(certificate: Any, below: int, *, strict: bool) -> bool:
 
 
 def _is_a_testers(certificate: Any) -> bool:
-    """Tell whether a certificate is one to sign challenges with, and not to sign others."""
+    """Return whether a certificate is one to sign challenges with, and not to sign others."""
     from cryptography import x509  # noqa: PLC0415 - an extra, and slow to load
     from cryptography.x509.oid import ExtendedKeyUsageOID  # noqa: PLC0415 - likewise
 
@@ -186,7 +186,7 @@ def _is_a_testers(certificate: Any) -> bool:
 
 
 def _is_known_whole(certificate: Any) -> bool:
-    """Tell whether all critical extensions of a certificate are those that are looked at here."""
+    """Return whether all critical extensions of a certificate are those that are looked at here."""
     from cryptography import x509  # noqa: PLC0415 - an extra, and slow to load
 
     known = (x509.BasicConstraints.oid, x509.KeyUsage.oid, x509.ExtendedKeyUsage.oid)

@@ -1,4 +1,4 @@
-"""What the handlers of the services see and change."""
+"""Data that the handlers of the services see and change."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DEFAULT = SESSIONS["default"]
 
 @dataclass
 class EventLogic:
-    """Response on event (0x86): what it waits for and what it answers then.
+    """Response on event (0x86): its event and its answer.
 
     ``set_up`` is (status mask, service to respond to); ``until_ns`` the end of its window, None: for ever.
     """
@@ -34,7 +34,7 @@ class EventLogic:
 
 @dataclass
 class Context:
-    """State of the server, and what it serves."""
+    """State of the server, and the data it serves."""
 
     params: UdsParams
     memory: FaultMemory
@@ -53,14 +53,14 @@ class Context:
     asked_by: int = 0  # identifier of the latest request
     asked_in: tuple[int, int, str] = (DEFAULT, 0, "")  # session, unlocked security level and role when it came
     need: Need = field(default_factory=Need)  # of the request that is served now
-    holder: Holder = field(init=False)  # what the tester at this address has switched off
+    holder: Holder = field(init=False)  # lasting actions of the tester at this address
 
     def __post_init__(self) -> None:
         self.holder = self.authority.holder(self.name, lambda action: self.note(action, protocol="gateway"))
 
     @property
     def name(self) -> str:
-        """What the tester at this address is called inside."""
+        """Internal name of the tester at this address."""
         return f"{self.bus}:{self.params.request:X}"
 
     @property
@@ -107,7 +107,7 @@ def _refuse(refusal: Refusal) -> None:
 
 
 class Later:
-    """An answer that takes its time: 0x78 now, and what ``work`` returns when there is time for it."""
+    """An answer that takes its time: 0x78 now, and the result of ``work`` when there is time for it."""
 
     def __init__(self, work: Callable[[], bytes]) -> None:
         self.work = work

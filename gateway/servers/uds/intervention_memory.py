@@ -1,4 +1,4 @@
-"""The user-defined memory of 0x19 17 to 19: what testers did, as DTCs of their own (ISO 14229-1, 12.3).
+"""The user-defined memory of 0x19 17 to 19: interventions, as DTCs of their own (ISO 14229-1, 12.3).
 
 Each kind of intervention is a DTC ``U1Fxx-68``: xx is the service, 68 is "event information" (SAE J2012-DA). It is
 confirmed if it was done, pending if it was only refused. Snapshot records are the latest interventions of the kind, the
@@ -29,7 +29,7 @@ NUMBERS = {
     "dtc_setting_ended": 0xC5,
     "communication_ended": 0x68,
 }
-#: Of what has no number: what later versions of the file have.
+#: Of actions without a number: later versions of the file have them.
 OTHER = 0x00
 _EVENT_INFORMATION = 0x68
 #: Snapshot records of a kind.
@@ -45,7 +45,7 @@ class InterventionMemory:
     """The interventions, as 0x19 reads them.
 
     Args:
-        interventions: what testers did, the oldest first.
+        interventions: of testers, the oldest first.
         did: data identifier of the trace.
     """
 

@@ -35,7 +35,7 @@ class Nrc(IntEnum):
     SERVICE_NOT_SUPPORTED_IN_SESSION = 0x7F
 
 
-#: What is not answered to a functional request (ISO 14229-1, 7.5): that this server is not meant.
+#: Codes that are not answered to a functional request (ISO 14229-1, 7.5): this server is not meant.
 SILENT_WHEN_FUNCTIONAL = frozenset(
     {
         Nrc.SERVICE_NOT_SUPPORTED,

@@ -11,7 +11,7 @@ from gateway.servers.isotp.params import IsoTpParams
 from gateway.servers.uds.authentication import AuthenticationParams
 from gateway_fdi.common.tomlfile import StrictModel
 
-#: Shorter seeds come again while somebody listens.
+#: Shorter seeds come again while an attacker listens.
 LEAST_SEED = 8
 #: A session without requests ends after this (ISO 14229-2, S3) [ms].
 S3_MS = 5000
@@ -58,9 +58,9 @@ class UdsParams(IsoTpParams):
     p2_star_ms: int = Field(5000, ge=10, le=655350, description="longest time to an answer after 0x78 [ms]")
     s3_ms: int = Field(S3_MS, ge=10, le=600000, description="a session without requests ends after this [ms]")
     status_mask: int = Field(0xFF, ge=1, le=255, description="status bits that it shows")
-    clear: Access | None = Field(None, description="what clearing (0x14) needs; the same as access.clear")
-    write: Access | None = Field(None, description="what writing (0x2E) needs; the same as access.write")
-    routine: Access | None = Field(None, description="what routines (0x31) need; the same as access.routine")
+    clear: Access | None = Field(None, description="conditions of clearing (0x14); the same as access.clear")
+    write: Access | None = Field(None, description="conditions of writing (0x2E); the same as access.write")
+    routine: Access | None = Field(None, description="conditions of routines (0x31); the same as access.routine")
     security: tuple[SecurityLevel, ...] = Field((), description="security levels (0x27)")
     authentication: AuthenticationParams | None = Field(None, description="authentication by certificate (0x29)")
     further: tuple[FurtherAddress, ...] = Field(

@@ -75,7 +75,7 @@ class Security:
 
     Args:
         levels: those of the configuration.
-        random: gives a seed of so many bytes.
+        random: gives a seed of a number of bytes.
 
     Raises:
         InputErrors: a key function that cannot be found.

@@ -40,7 +40,7 @@ class UdsServer(Application):
     """Answers requests; knows sessions and their end, and answers that come later or by themselves.
 
     Args:
-        context: what it serves.
+        context: its state and data.
     """
 
     def __init__(self, context: Context) -> None:
@@ -58,7 +58,7 @@ class UdsServer(Application):
             functional: whether it was meant for every server.
             t_ns: now.
         """
-        # What is still to come of the last request comes before the answer to this one.
+        # The rest of the last request's answer comes before the answer to this one.
         return self.pass_time(t_ns) + self._answer(request, functional, t_ns)
 
     def pending(self, request: bytes) -> list[bytes]:
@@ -153,7 +153,7 @@ class UdsServer(Application):
             c.enter(DEFAULT)
 
     def hold(self, busy: bool, t_ns: int) -> None:
-        """Stop S3 while a message is under way; it begins anew when that is over (ISO 14229-2, 7.5)."""
+        """Stop S3 while a message is under way; it starts again when that is over (ISO 14229-2, 7.5)."""
         c = self._context
         c.now_ns = max(c.now_ns, t_ns)
         if busy and not self._busy:

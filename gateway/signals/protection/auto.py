@@ -1,4 +1,4 @@
-"""What a database says of a message's protection, by names and attributes: ``protection = "auto"``."""
+"""A message's protection in a database, by names and attributes: ``protection = "auto"``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gateway_fdi.errors import InputErrors
 if TYPE_CHECKING:
     from cantools.database.can import Message
 
-#: What a database's file name begins with -> the rule of its signals CHECKSUM, and COUNTER (opendbc's convention).
+#: Begin of a database's file name -> the rule of its signals CHECKSUM, and COUNTER (opendbc's convention).
 _BY_FILE = (
     (("honda_", "acura_"), "honda"),
     (("toyota_", "lexus_"), "toyota"),

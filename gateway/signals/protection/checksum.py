@@ -1,7 +1,7 @@
 """Checksums of a payload: CRCs, sums and exclusive ors of bytes or nibbles, in one form that one kernel computes.
 
-What rules of carmakers and AUTOSAR's profiles differ in is data: which bytes, in which order, what goes in before and
-after them (an identifier, one byte of a list by the counter), and what is done to the result.
+Rules of carmakers and AUTOSAR's profiles differ in data only: which bytes, in which order, bytes before and after them
+(an identifier, one byte of a list by the counter), and the operation on the result.
 """
 
 from __future__ import annotations

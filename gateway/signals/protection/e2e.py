@@ -1,6 +1,6 @@
-"""AUTOSAR's E2E profiles for CAN (PRS_E2EProtocol, R22-11): what each computes, and where its header lies.
+"""AUTOSAR's E2E profiles for CAN (PRS_E2EProtocol, R22-11): the computation of each, and where its header lies.
 
-Byte order, start values and what is covered are the specification's; where its text leaves room, as the open
+Byte order, start values and covered bytes are the specification's; where its text leaves room, as the open
 implementation autosar-e2e has it, which the tests compare with frame by frame.
 """
 
@@ -22,7 +22,7 @@ _J1850_FROM_ZERO = Crc(8, 0x1D)
 
 @dataclass(frozen=True)
 class Header:
-    """What the user says of a protected message.
+    """The user's settings of a protected message.
 
     Attributes:
         length: of the message [byte].
@@ -115,7 +115,7 @@ def _p07(h: Header) -> Protection:
 
 @dataclass(frozen=True)
 class Profile:
-    """A profile: what makes its protection, how long its header is, what it wants to know."""
+    """A profile: maker of its protection, length of its header, keys that it needs."""
 
     make: Callable[[Header], Protection]
     header: int
@@ -141,7 +141,7 @@ def protection_of(name: str, header: Header) -> Protection:
     """Return the protection of a message by a profile.
 
     Raises:
-        InputError: what the profile does not have, or lacks.
+        InputError: a key that the profile does not have, or lacks.
     """
     profile = PROFILES[name]
     if header.offset + profile.header > header.length:

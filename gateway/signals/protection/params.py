@@ -1,4 +1,4 @@
-"""What a user says of a message's protection, and what comes of it for a message of a database."""
+"""A user's settings of a message's protection, and the protection they give a message of a database."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class SumCheck(StrictModel):
 
     rule: str = Field(description="a carmaker's rule; or sum, xor")
     signal: str | None = Field(None, description='name of the checksum signal; default: the one called so; or "byte 7"')
-    of: Literal["bytes", "nibbles"] = Field("bytes", description="what a sum or an exclusive or is of")
+    of: Literal["bytes", "nibbles"] = Field("bytes", description="bytes or nibbles of a sum or an exclusive or")
     plus: int = Field(0, description="added to a sum; first value of an exclusive or")
     negative: bool = Field(False, description="the sum is taken from plus")
     xorout: int = Field(0, ge=0, description="applied to a sum at the end")
@@ -203,7 +203,7 @@ class E2eCheck(StrictModel):
         """Return it for a message.
 
         Raises:
-            InputError: what the profile does not have, or lacks.
+            InputError: a key that the profile does not have, or lacks.
         """
         window = None
         if self.window is not None:
@@ -263,9 +263,9 @@ def signal_of(message: Message, name: str | None, called: tuple[str, ...], what:
 
     Args:
         message: that has it.
-        name: None: by what it is called.
+        name: None: by the end of its name.
         called: how the names of such signals end.
-        what: it is, for people.
+        what: its kind, for people.
         table: whose key "signal" names it.
 
     Raises:

@@ -56,11 +56,11 @@ class Protection:
     """How a message is protected.
 
     Attributes:
-        checksum: what is computed; None: nothing.
+        checksum: to compute; None: none.
         field: where it lies, a record of :class:`gateway.signals.bits.Field`.
         counter: None: there is none.
-        constants: fields of a header with the value that they always have, and what they are, for people.
-        strict: a frame out of sequence is not used (E2E), else it is, and told.
+        constants: fields of a header with the value that they always have, and their names for people.
+        strict: a frame out of sequence is not used (E2E), else it is used and reported.
         window: state machine over the frames; None: each frame is judged alone.
         name: of the rule, for people.
     """
@@ -181,7 +181,7 @@ def same_constants(words: Any, p: Any) -> bool:
 
 @kernel
 def protect(words: Any, length: int, counter: int, p: Any, tables: Any) -> None:
-    """Put counter, constants and checksum into a payload, whatever their bits are before.
+    """Put counter, constants and checksum into a payload, over any bits.
 
     Args:
         words: payload, 8 little-endian uint64, zero beyond its length.

@@ -1,4 +1,4 @@
-"""What carmakers put into their frames: checksums as community databases (opendbc) know them.
+"""Checksums that carmakers put into their frames, as community databases (opendbc) know them.
 
 A rule is what opendbc 0.3.1 computes (MIT licence; the constants of single messages below are facts it lists); each is
 said here in the terms of :class:`gateway.signals.protection.checksum.Checksum`. The tests compare every one with
@@ -20,7 +20,7 @@ from gateway_fdi.errors import InputError
 
 @dataclass(frozen=True)
 class Frame:
-    """What a rule wants to know of a message: identifier, whether it has 29 bits, length [byte]."""
+    """A message as a rule needs it: identifier, whether it has 29 bits, length [byte]."""
 
     can_id: int
     extended: bool

@@ -1,1 +1,1 @@
-"""What the commands of the bench do."""
+"""Work of the bench's commands."""

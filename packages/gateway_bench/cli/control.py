@@ -139,7 +139,7 @@ def ask(path: Path, request: Mapping[str, Any], *, patience_s: float = 30.0) -> 
         patience_s: how long an answer may take [s].
 
     Raises:
-        InputError: nobody listens there, no answer came, or it was refused.
+        InputError: no simulation listens there, no answer came, or it was refused.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as peer:
         peer.settimeout(patience_s)

@@ -56,7 +56,7 @@ class DemoPage:
 
     def begin(self, gateway: Gateway, player: Player) -> None:
         """Open the page, and wait until it is there."""
-        gateway.engine.warm()  # what has to be compiled is, before anybody looks
+        gateway.engine.warm()  # kernels are compiled before anybody looks
         self._truth, self._scenario = TruthReader(player), player.scenario
         self._socket = StatusSocket(self._folder / "status", gateway, lambda: _states(gateway))
         gateway.listen(self._socket.tell)
@@ -89,7 +89,7 @@ class DemoPage:
         """Serve the page until told to stop.
 
         Args:
-            ended: what the page says of the scenario, which is over.
+            ended: words of the page about the scenario, which is over.
         """
         if self._socket is not None:
             self._socket.end(ended)

@@ -40,7 +40,7 @@ def _gateway() -> Gateway:
 
 
 def _times(work: Callable[[int], object], seconds: float, most: int = 1_000_000) -> NDArray[np.float64]:
-    """Return how long each call took [s], for so many seconds, ``most`` at most."""
+    """Return how long each call took [s], for a number of seconds, ``most`` calls at most."""
     found: list[float] = []
     ended = time.perf_counter() + seconds
     while (begun := time.perf_counter()) < ended and len(found) < most:
@@ -143,9 +143,9 @@ def measure(folder: Path, seconds: float = EACH_S) -> dict[str, Any]:
 
 
 def tell(found: dict[str, Any]) -> None:
-    """Print what was measured, and what it means."""
+    """Print the measurements, and their meaning."""
     one, woken, kept = found["one_frame"], found["wake"], found["write"]
-    print(f"{found['processors']} processors, load {found['load']:.1f}: what else runs counts")
+    print(f"{found['processors']} processors, load {found['load']:.1f}: other programs that run count")
     rate = found["replay"]
     print(f"  replay, gateway.toml with four teeth a frame  {rate['us_per_frame']:8.2f} us a frame")
     print(f"                                                {rate['frames_per_s'] / 1e6:8.2f} million frames/s")

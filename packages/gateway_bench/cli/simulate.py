@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     from gateway_bench.cli.demo_page import DemoPage
 
 INSIDE = "inside"
-#: Who is later than this [s] stops the scenario's clock for as long.
+#: A step that is later than this [s] stops the scenario's clock for as long.
 LATE_S = 0.02
-#: What is told of that [s].
+#: Least standstill that is told [s].
 TOLD_S = 0.1
 
 
@@ -293,7 +293,7 @@ class _Tester:
     Args:
         buses: of the scenario.
         judge: takes the reports.
-        hear: takes all frames, stamped by the scenario's clock; None: nobody wants them.
+        hear: takes all frames, stamped by the scenario's clock; None: they are not wanted.
     """
 
     def __init__(self, buses: list[Bus], judge: Judge, hear: Callable[[Frames], None] | None = None) -> None:
@@ -304,7 +304,7 @@ class _Tester:
         for bus in buses if hear is None else ():
             bus.set_filters([message_of(self._database).frame_id])
         self.begun: float | None = None
-        self.turn: Callable[[], None] = lambda: None  # what else is to be done between two steps
+        self.turn: Callable[[], None] = lambda: None  # other work between two steps
 
     @property
     def now_s(self) -> float:
@@ -317,7 +317,7 @@ class _Tester:
         return self._judge.waits_until_s
 
     def listen(self, timeout_s: float) -> int:
-        """Take what comes within so long [s]; returns how many DTC frames."""
+        """Take frames within this time [s]; returns how many DTC frames."""
         self.turn()
         ready, _, _ = select.select([bus.fileno() for bus in self._buses], [], [], timeout_s)
         found = 0
@@ -372,8 +372,8 @@ def _play(
 ) -> None:
     """Send the scenario in real time, listening meanwhile; then half a second more, or to the last deadline.
 
-    Whoever gets no turn on a busy machine does not catch up: the frames that are due would leave all at once, faster
-    than any ECU sends, fill queues, and shorten faults. The scenario's clock stands still instead.
+    A process that gets no turn on a busy machine does not catch up: the frames that are due would leave all at once,
+    faster than any ECU sends, fill queues, and shorten faults. The scenario's clock stands still instead.
     """
     tester.begun = time.monotonic()
     stood_s = 0.0
@@ -385,7 +385,7 @@ def _play(
             tester.begun += late
             stood_s += late
         # A step's frames leave at its end; within a step they follow each other at once.
-        # Who is late listens, too: what is heard is dated when it is heard.
+        # It listens even if it is late: frames are dated when they are heard.
         tester.listen(0.0)
         while (rest := tester.begun + until / 1e9 - time.monotonic()) > 0:
             tester.listen(rest)

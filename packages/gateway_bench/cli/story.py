@@ -1,4 +1,4 @@
-"""The story of a demo: what is injected, what the gateway sees, what it concludes, what to do next."""
+"""The story of a demo: faults injected, the gateway's observations, its conclusion, what to do next."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What failed tests have left, in the JUnit file that pytest wrote: servers look for files in its output."""
+"""Files that failed tests have left, in the JUnit file that pytest wrote: servers look for files in its output."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ class Bench:
         self._buses = {bus.name: index for index, bus in enumerate(self.config.bus)}
         self.gateway.listen(self.events.append)
         if buses:
-            self.gateway.engine.warm()  # what has to be compiled is, before time passes
+            self.gateway.engine.warm()  # kernels are compiled before time passes
         self._wires: Wires = Outside(uris_of(buses, self._buses)) if buses else Inside()
         self.gateway.start(0)
 
@@ -118,7 +118,7 @@ class Bench:
         """Switch on the virtual ECUs of a scenario; its time 0 is now.
 
         Args:
-            scenario: what they do.
+            scenario: of the ECUs.
             seed: instead of the scenario's.
 
         Returns:
@@ -135,11 +135,11 @@ class Bench:
 
     @property
     def truth(self) -> list[Truth]:
-        """What virtual ECUs have injected so far."""
+        """Faults that virtual ECUs have injected so far."""
         return self._off + [fact for sender in self._senders for fact in _truth(sender)]
 
     def set(self, signal: str, value: float | str) -> None:
-        """Give a signal of a virtual ECU a value from its next frame on, whatever its course says.
+        """Give a signal of a virtual ECU a value from its next frame on, instead of its course.
 
         Args:
             signal: "Message.Signal", or "bus.Message.Signal".
@@ -252,7 +252,7 @@ class Bench:
         """Let time pass until the clock shows a time [s]; one that has passed is no error.
 
         Raises:
-            GatewayError: a virtual ECU has no frames for so long.
+            GatewayError: a virtual ECU has no frames for this time.
         """
         end = round(t_s * 1e9)
         while self._now_ns < end:
@@ -269,7 +269,7 @@ class Bench:
         """Let a short time pass [ns]; returns the frames that the gateway sends meanwhile.
 
         Raises:
-            GatewayError: a virtual ECU has no frames for so long.
+            GatewayError: a virtual ECU has no frames for this time.
         """
         until = self._now_ns + step_ns
         parts = [empty(0)]

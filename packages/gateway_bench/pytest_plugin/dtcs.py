@@ -1,4 +1,4 @@
-"""What a test expects of DTCs: judged as the expectations of a scenario are."""
+"""A test's expectations of DTCs: judged as the expectations of a scenario are."""
 
 from __future__ import annotations
 

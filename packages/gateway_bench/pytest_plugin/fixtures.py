@@ -107,8 +107,8 @@ def _folder_name(part: str) -> str:
 def check_monitor(request: pytest.FixtureRequest) -> Callable[..., None]:
     """Tries a monitor, every index checked: ``check_monitor(MONITOR)``, ``check_monitor(MONITOR, low=10.5)``.
 
-    Its inputs are ordinary, missing (NaN), random and extreme. What would switch it off while it runs, or make
-    its results nobody's, fails the test. Random inputs are those of ``--gateway-seed``.
+    Its inputs are ordinary, missing (NaN), random and extreme. A mistake that would switch it off while it runs, or
+    make results of no fault, fails the test. Random inputs are those of ``--gateway-seed``.
     """
     seed = request.config.getoption("--gateway-seed")
 

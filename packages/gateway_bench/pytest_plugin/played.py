@@ -1,4 +1,4 @@
-"""A scenario played for a test, and what is left of one that failed: its frames as a log, and a report."""
+"""A scenario played for a test, and the files of one that failed: its frames as a log, and a report."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from gateway_fdi.common.resources import shipped
 
 @dataclass(frozen=True)
 class Played:
-    """What came of a scenario.
+    """Outcome of a scenario.
 
     Attributes:
         findings: the verdict.
-        truth: what was injected.
+        truth: injected faults.
         frames: on real buses, all of them; else none: it can be played again.
     """
 
@@ -52,7 +52,7 @@ def inside(scenario: Scenario, config: Config, seed: int | None) -> Played:
 
 
 def on_buses(scenario: Scenario, config: Config, seed: int | None, buses: Sequence[str]) -> Played:
-    """Play a scenario on real buses, in real time; what it expects later than its end is waited for.
+    """Play a scenario on real buses, in real time; wait for expectations later than its end.
 
     Raises:
         InputError: an ECU or a fault that is wrong, a bus that is none.

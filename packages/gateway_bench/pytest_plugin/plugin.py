@@ -37,7 +37,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _covered(folder: Path, config: pytest.Config) -> bool:
-    """Tell whether a folder is looked through anyway."""
+    """Return whether a folder is looked through anyway."""
     given = [(config.invocation_params.dir / argument.partition("::")[0]).resolve() for argument in config.args]
     return any(folder.is_relative_to(other) for other in given)
 
@@ -87,7 +87,7 @@ def pytest_sessionfinish(session: pytest.Session) -> Generator[None, None, None]
 
 
 def _mistake(item: pytest.Item, found: pytest.ExceptionInfo[BaseException]) -> str:
-    """Return what is told of a mistake: the way through our own code helps nobody who made it."""
+    """Return the text of a mistake: the way through the gateway's code does not help its author."""
     mine = [entry for entry in found.traceback if Path(entry.path) == item.path]
     if not mine:
         return str(found.value)

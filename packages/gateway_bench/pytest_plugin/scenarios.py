@@ -29,7 +29,7 @@ class ScenarioError(Exception):
     Args:
         findings: the whole verdict.
         seed: that was used.
-        left: what is told of files.
+        left: lines about files.
     """
 
     def __init__(self, findings: list[Finding], seed: int, left: Sequence[str] = ()) -> None:
@@ -38,7 +38,7 @@ class ScenarioError(Exception):
 
     @property
     def text(self) -> str:
-        """Each line of the verdict, what is wrong first."""
+        """Each line of the verdict, wrong ones first."""
         lines = sorted(self.findings, key=lambda finding: finding.good)
         shown = [("as expected: " if line.good else "NOT as expected: ") + line.text for line in lines]
         return "\n".join([*shown, f"seed {self.seed}", *self._left])
@@ -91,7 +91,7 @@ class ScenarioItem(pytest.Item):
             raise ScenarioError(run.findings, scenario.seed if seed is None else seed, left)
 
     def _left(self, scenario: Scenario, config: Config, seed: int | None, run: Played) -> list[str]:
-        """Leave what happened as files; returns what is told of them."""
+        """Leave the run as files; returns lines about them."""
         folders: list[Path] = self.config.getini("gateway_artifacts")
         folder = folders[0] / self.name if folders else Path(tempfile.mkdtemp(prefix=f"gateway-{self.name}-"))
         told = []
@@ -100,11 +100,11 @@ class ScenarioItem(pytest.Item):
                 self.user_properties.append((what, str(path)))
                 told.append(f"{what}: {path}")
         except (GatewayError, OSError) as error:
-            told.append(f"what happened could not be left in {folder}: {error}")
+            told.append(f"the run could not be left in {folder}: {error}")
         return told
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
-        """Return what is told of a failure: the verdict, or the one line of a mistake."""
+        """Return the text of a failure: the verdict, or the one line of a mistake."""
         if isinstance(excinfo.value, ScenarioError):
             return excinfo.value.text
         if isinstance(excinfo.value, GatewayError):
@@ -112,5 +112,5 @@ class ScenarioItem(pytest.Item):
         return super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Path, None, str]:
-        """Return where it stands, and what it is called."""
+        """Return its place and its name."""
         return self.path, None, f"scenario {self.name}"

@@ -75,7 +75,7 @@ class _Transport:
         raise GatewayError("the gateway does not take the request: no flow control frame came")
 
     def receive(self, seconds: float) -> bytes | None:
-        """Return an answer, None if there is none within so long [s] of the bench's clock."""
+        """Return an answer, None if there is none within this time [s] of the bench's clock."""
         end = self._bench.now_s + seconds
         while True:
             self._layer.process()
@@ -86,7 +86,7 @@ class _Transport:
             self._bench.step()
 
     def clear(self) -> None:
-        """Forget answers that nobody took."""
+        """Forget answers that were not taken."""
         self._received.clear()
         self._layer.clear_rx_queue()
 
@@ -127,7 +127,7 @@ def client_of(bench: Bench) -> Client:
             return self.opened
 
         def empty_rxqueue(self) -> None:
-            """Forget answers that nobody took."""
+            """Forget answers that were not taken."""
             transport.clear()
 
         def specific_send(self, payload: bytes, timeout: float | None = None) -> None:

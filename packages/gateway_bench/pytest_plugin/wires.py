@@ -1,4 +1,4 @@
-"""What a bench's frames travel on: nothing but this process, or real buses in real time."""
+"""Wires of a bench's frames: nothing but this process, or real buses in real time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from gateway.bus.frames import Frames, empty
 from gateway.bus.uri import open_bus, parse_uri
 from gateway_fdi.errors import BusError, InputError, UnsupportedError, named
 
-#: Who is later than this [s] stops the bench's clock for as long: a test is not to fail because a machine is busy.
+#: A step that is later than this [s] stops the bench's clock for as long: a test is not to fail because a machine is
+#: busy.
 LATE_S = 0.02
 #: How long frames that were sent are waited for, where the bench hears itself [s].
 PATIENCE_S = 10.0
@@ -41,7 +42,7 @@ class Inside:
         return frames
 
     def send(self, frames: Frames) -> None:
-        """Nobody else is there."""
+        """Do nothing: no others are there."""
 
     def close(self) -> None:
         """Nothing is open."""
@@ -50,7 +51,8 @@ class Inside:
 class Outside:
     """Real buses: virtual ECUs send on them, the gateway hears what is on them, real ECUs and testers take part.
 
-    Each bus is opened twice, once for the ECUs, once for the gateway. What can be opened once only (most adapters) is
+    Each bus is opened twice, once for the ECUs, once for the gateway. A bus that can be opened once only (most
+    adapters) is
     shared: the gateway then gets the ECUs' frames when they are sent.
 
     Args:
@@ -101,7 +103,7 @@ class Outside:
         return np.concatenate([empty(0), *arrived])
 
     def _back(self, missing: int) -> list[Frames]:
-        """Wait for at least so many frames: what the ECUs have sent is to be judged in this step."""
+        """Wait for at least this number of frames: the ECUs' frames are to be judged in this step."""
         found: list[Frames] = []
         limit = time.monotonic() + PATIENCE_S
         while missing > 0:

@@ -48,7 +48,7 @@ def plant_faults(scenario: Scenario) -> tuple[list[Placed], list[Placed]]:
 
 
 def _minds(model: type[EcuFault]) -> bool:
-    """Tell whether an ECU that hears sees to the condition itself: its model declares it again."""
+    """Return whether an ECU that hears sees to the condition itself: its model declares it again."""
     declaring = [each for each in model.__mro__ if "when" in get_annotations(each)]
     return declaring[0] is not EcuFault
 
@@ -76,7 +76,7 @@ def resolved(
         for name in condition.messages:
             message = databases[bus].message(name)
             if message.frame_id | (EXTENDED if message.is_extended_frame else 0) not in there:
-                why = f"no virtual ECU sends {name} that hears nobody: this plant's faults go by what is known before"
+                why = f"no virtual ECU sends {name} without listening: this plant's faults go by values known before"
                 raise InputError(why, key=key, value=text)
         condition.take(frames)
         found += [(place, part) for part in _parts(fault, condition.spans())]

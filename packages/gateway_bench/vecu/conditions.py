@@ -94,7 +94,7 @@ class Condition:
         return list(zip(begins, [*times[1::2], None], strict=False))
 
     def holds(self, t_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell whether it holds at some times [ns], which lie not before the frames taken last."""
+        """Return whether it holds at some times [ns], which lie not before the frames taken last."""
         return np.asarray(self._true[np.searchsorted(self._times, t_ns, side="right")], np.bool_)
 
 

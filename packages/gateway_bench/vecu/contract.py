@@ -41,11 +41,11 @@ class EcuParams(StrictModel):
 
     @property
     def summary(self) -> str:
-        """What it is, for people."""
+        """Its kind, for people."""
         return self.type
 
 
-#: What the key ``when`` of a fault is.
+#: Description of a fault's key ``when``.
 WHEN = 'only while this holds of signals on the bus: "Drive.Speed > 50"'
 
 
@@ -64,7 +64,7 @@ class EcuFault(StrictModel):
 
 @dataclass(frozen=True)
 class Truth:
-    """What was really injected.
+    """A fault that was really injected.
 
     Attributes:
         t_ns: when [ns].
@@ -81,7 +81,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class Run:
-    """What a run asks for.
+    """Settings of a run.
 
     Attributes:
         duration_s: its length [s].
@@ -147,8 +147,8 @@ class VirtualEcu(Generic[P, F]):
         api: version of the contract that it was written for: :data:`API`, as a number.
         params: pydantic model of its parameters.
         fault: pydantic model of its faults; None: it has none.
-        frames: parameters, faults, run -> frames stamped from time 0, and what was injected; of one that hears nobody.
-        begin: parameters, faults, run -> the ECU running; of one that hears what is on its bus. One of the two.
+        frames: parameters, faults, run -> frames stamped from time 0, and injected faults; of one that ignores its bus.
+        begin: parameters, faults, run -> the ECU running; of one that listens to its bus. One of the two.
         sends: parameters, database files -> messages that it sends, by name, with their protections, for faults that
             every ECU can have; None: any message of its bus.
         fits: parameters, fault -> raises ValueError where this ECU cannot have this fault.

@@ -15,7 +15,7 @@ def _read(files: tuple[Path, ...], _changed: tuple[int, ...]) -> Database:
 
 
 def database_of(files: Sequence[Path]) -> Database:
-    """Return the database of a bus, which nobody changes.
+    """Return the database of a bus, which must not be changed.
 
     Raises:
         InputError: a file that cannot be read.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from gateway.faults.status import Status
 from gateway_bench.vecu.scenario import Expectation, Scenario
 
-#: What is expected of DTCs that no line names.
+#: Expectation of DTCs that no line names.
 OTHERS = "no other DTC"
 
 
@@ -25,8 +25,8 @@ class Finding:
 
     Attributes:
         good: whether it is as expected.
-        text: what was seen, and what was expected where that is not the same; with the DTC and times.
-        expected: what was, the same in each run: a name for it in reports.
+        text: observation, and expectation where that is not the same; with the DTC and times.
+        expected: the expectation, the same in each run: a name for it in reports.
     """
 
     good: bool
@@ -47,7 +47,7 @@ class Judge:
     """Compares reported DTCs with a scenario's expectations.
 
     A DTC counts as set when its testFailed bit goes up, or its occurrence counter does, after the start;
-    what was reported before the start is the state to compare with.
+    reports before the start are the state to compare with.
 
     Args:
         scenario: with the expectations.
@@ -121,7 +121,7 @@ class Judge:
                 found.append(Finding(True, f"{line.dtc} set at {inside[0]:.3f} s", named(line)))
             if line.healed_by_s is not None and inside and seen is not None:
                 healed = [t for t in seen.healed_s if inside[0] <= t <= line.healed_by_s]
-                # What is set after the drive is about ECUs that have been switched off.
+                # DTCs set after the drive are about ECUs that have been switched off.
                 again = [t for t in seen.set_s if healed and healed[-1] < t <= self._scenario.duration_s]
                 good = bool(healed) and (not again or any(t > again[-1] for t in seen.healed_s))
                 later = [t for t in seen.healed_s if t > line.healed_by_s]
@@ -130,7 +130,7 @@ class Judge:
                 found.append(Finding(good, f"{line.dtc} {text}", f"{line.dtc} healed by {line.healed_by_s:g} s"))
         if self._scenario.unexpected == "fail":
             for dtc, seen in sorted(self._seen.items()):
-                # What is set after the drive is about ECUs that have been switched off.
+                # DTCs set after the drive are about ECUs that have been switched off.
                 times = [t for t in seen.set_s if t <= self._scenario.duration_s]
                 if dtc not in expected and times:
                     found.append(Finding(False, f"{dtc} set at {times[0]:.3f} s, not expected", OTHERS))

@@ -1,7 +1,7 @@
 """The harness of a virtual ECU: the faults that its frames get on their way to the bus.
 
-Frames come in chunks, in order of time; what a fault remembers (since when, the value that it holds) it remembers from
-chunk to chunk, so that a run all at once and one step by step are the same.
+Frames come in chunks, in order of time; a fault keeps its memory (since when, the value that it holds) from chunk to
+chunk, so that a run all at once and one step by step are the same.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _WIRE: dict[str, WireKind] = {"lost": "lost", "late": "late", "doubled": "duplic
 
 
 class Sender:
-    """What an ECU sends; looked up when it is asked for.
+    """Messages that an ECU sends; looked up when it is asked for.
 
     Args:
         bus: index of its bus.
@@ -64,7 +64,7 @@ class Sender:
         return None if self._sends is None else self._sends()
 
     def has(self, message: str) -> bool:
-        """Tell whether it sends a message, as far as that is known."""
+        """Return whether it sends a message, as far as that is known."""
         if self._protections is not None:
             return message in self._protections
         return any(one.name == message for one in self.database)
@@ -120,7 +120,7 @@ class _Fault(ABC):
 
     @property
     def truth(self) -> list[Truth]:
-        """What it did so far."""
+        """Its injected faults so far."""
         return [Truth(self._first_ns, self.fault.kind, self._count)] if self._count else []
 
     @abstractmethod
@@ -197,7 +197,7 @@ class _OfProtection(_Fault):
         row = self._message.protection
         if not (row.has_counter if fault.kind == "counter" else row.has_checksum):
             raise InputError(f"its protection has no {fault.kind}", value=fault.message)
-        self._good: int | None = None  # what the counter was in the last frame before
+        self._good: int | None = None  # the counter in the last frame before
         self._wrong = 0
 
     def apply(self, frames: Frames, end_ns: int) -> Frames:
@@ -319,7 +319,7 @@ class Harness:
 
     Args:
         faults: place in the scenario, fault.
-        sender: what the ECU sends.
+        sender: messages that the ECU sends.
         rng: source of all randomness.
 
     Raises:
@@ -353,7 +353,7 @@ class Harness:
         self._faults.sort(key=_stage)
 
     def end(self, now_ns: int) -> None:
-        """End all faults at a time [ns]; what was injected stays known."""
+        """End all faults at a time [ns]; injected ones stay known."""
         for fault in self._faults:
             fault.end(now_ns)
 
@@ -364,11 +364,11 @@ class Harness:
 
     @property
     def truth(self) -> list[Truth]:
-        """What was injected so far, in order of time."""
+        """Faults injected so far, in order of time."""
         return sorted((fact for fault in self._faults for fact in fault.truth), key=lambda fact: fact.t_ns)
 
     def apply(self, frames: Frames, end_ns: int) -> Frames:
-        """Return the ECU's frames of a chunk as they go to the bus; late ones may lie behind its end [ns]."""
+        """Return the ECU's frames of a chunk as they go to the bus; late ones may lie after its end [ns]."""
         for fault in self._faults:
             frames = fault.apply(frames, end_ns)
         return frames

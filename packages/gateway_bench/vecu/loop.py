@@ -1,7 +1,7 @@
 """Closes a loop: a model's inputs follow signals on the bus, its outputs become messages in their cycles.
 
-Of each step the model gets what came before it, and what it says is of the step's begin: of two ECUs that hear each
-other, none is ahead of the other, whichever is listed first.
+Of each step the model gets the values before it, and its outputs are of the step's begin: of two ECUs that hear each
+other, none is ahead of the other, in any order.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from gateway_fdi.errors import InputError, named, under
 
 
 class Model(Protocol):
-    """What is in the loop."""
+    """The model in the loop."""
 
     def step(self, t: float, inputs: Mapping[str, float]) -> Mapping[str, float]:
         """Return the outputs at a time [s], and go on from there with inputs that hold until the next step."""
@@ -93,11 +93,11 @@ class _Out:
 
 
 class _Actuator:
-    """A fault of an actuator: what the model gets of an input is not what the bus says.
+    """A fault of an actuator: the model gets another input than the bus says.
 
     Args:
         fault: of the scenario.
-        run: what is asked for.
+        run: its settings.
         database: of its bus.
         key: of its condition, for errors.
 
@@ -156,7 +156,7 @@ class Loop:
     Args:
         params: of the ECU.
         faults: of its actuators.
-        run: what is asked for.
+        run: its settings.
         model: returns the model; made last, when all else is right.
 
     Raises:

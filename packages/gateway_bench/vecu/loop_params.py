@@ -1,4 +1,4 @@
-"""What a scenario says of a plant or controller that closes a loop: its inputs and outputs as signals, its messages."""
+"""Settings of a plant or controller that closes a loop: its inputs and outputs as signals, its messages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gateway_bench.vecu.restbus.params import RestbusMessage
 
 
 class LoopMessage(RestbusMessage):
-    """What differs of one message that it sends."""
+    """Differing settings of one message that it sends."""
 
     at_ms: float = Field(0.0, ge=0, le=3.6e6, allow_inf_nan=False, description="when the first one is sent [ms]")
 
@@ -32,7 +32,7 @@ class LoopParams(EcuParams):
     parameters: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="of the model: arguments of the class, parameters of the FMU"
     )
-    message: tuple[LoopMessage, ...] = Field((), description="what differs of single messages")
+    message: tuple[LoopMessage, ...] = Field((), description="differing settings of single messages")
     cycle_ms: float | None = Field(
         None, gt=0, le=3.6e6, allow_inf_nan=False, description="of messages whose database gives none [ms]"
     )
@@ -53,11 +53,11 @@ class LoopParams(EcuParams):
     @model_validator(mode="after")
     def _something(self) -> Self:
         if not self.outputs:
-            raise ValueError('outputs: at least one "Message.Signal" = "output", or nobody hears of it')
+            raise ValueError('outputs: at least one "Message.Signal" = "output", or it sends nothing')
         return self
 
 
-#: Kinds of faults of an actuator, and what the signals of every ECU call them.
+#: Kinds of faults of an actuator, and their names among the faults of signals.
 ACTUATOR = {
     "actuator_stuck": "stuck",
     "actuator_offset": "offset",
@@ -69,7 +69,7 @@ ACTUATOR = {
 
 
 class LoopFault(EcuFault):
-    """A fault of an actuator: what the model gets of an input is not what the bus says."""
+    """A fault of an actuator: the model gets another input than the bus says."""
 
     kind: Literal[
         "actuator_stuck", "actuator_offset", "actuator_gain", "actuator_drift", "actuator_noise", "actuator_value"

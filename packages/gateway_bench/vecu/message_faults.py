@@ -32,7 +32,7 @@ class Timed(Protocol):
 
 
 def begins(fault: Timed) -> None:
-    """Refuse a fault of which nobody knows when it begins, or that ends before it does.
+    """Refuse a fault without a begin, or one that ends before it begins.
 
     Raises:
         ValueError: it is one.
@@ -91,12 +91,12 @@ class MessageFault(EcuFault):
         return self
 
 
-#: What a message fault can be.
+#: Kinds of message faults.
 KINDS: tuple[str, ...] = get_args(MessageFault.model_fields["kind"].annotation)
 
 
 class Effect:
-    """What a fault makes of a value, sample after sample.
+    """Effect of a fault on a value, sample after sample.
 
     Args:
         kind: stuck, offset, gain, drift, noise; of any other the value is the size.

@@ -1,4 +1,4 @@
-"""Signals that somebody sets while virtual ECUs run: by a test, or by the control channel of ``gateway simulate``."""
+"""Signals that are set while virtual ECUs run: by a test, or by the control channel of ``gateway simulate``."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class _Set:
 
 
 class Overrides:
-    """What stands in place of the courses of signals, until it is released; faults are put over it.
+    """Values in place of the courses of signals, until they are released; faults are put over them.
 
     Args:
-        senders: what the ECUs send.
+        senders: messages of the ECUs.
         buses: name -> index of the buses.
     """
 

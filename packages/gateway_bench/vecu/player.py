@@ -28,7 +28,7 @@ from gateway_bench.vecu.wire_faults import Wire
 from gateway_fdi.common.tomlfile import validate
 from gateway_fdi.errors import InputError, named, under
 
-#: Steps of a run whose ECUs hear nobody [ns].
+#: Steps of a run whose ECUs ignore the buses [ns].
 STEP_NS = 10_000_000
 #: Longest of a run whose frames come seldom [ns].
 LONGEST_STEP_NS = 100_000_000
@@ -49,9 +49,9 @@ class _Source:
     Args:
         key: its key path in the scenario.
         ecu: of the scenario.
-        sender: what it sends.
+        sender: messages that it sends.
         harness: puts its faults in.
-        run: what is asked for.
+        run: its settings.
     """
 
     def __init__(self, key: str, ecu: EcuParams, sender: Sender, harness: Harness, run: Run) -> None:
@@ -66,7 +66,7 @@ class _Source:
 
         Args:
             faults: of plants, with their places in the scenario: its own are taken.
-            run: what is asked for.
+            run: its settings.
 
         Raises:
             InputError: messages that cannot carry what it sends, ...
@@ -120,7 +120,7 @@ class Player:
     """All frames of one run; the same seed gives the same run.
 
     Args:
-        scenario: what happens.
+        scenario: to play.
         buses: name -> index of the buses.
         seed: instead of the scenario's.
         databases: bus index -> database files of the configuration, for ECUs and faults that name messages.
@@ -129,11 +129,12 @@ class Player:
 
     Attributes:
         frames: shape (n,) of FRAME, stamped from 0: all of them, unless it goes step by step.
-        stepwise: it goes step by step, since what is sent depends on what is heard, or set: ``take`` has the frames.
+        stepwise: it goes step by step, since its frames depend on frames of the bus, or on set signals: ``take`` has
+            the frames.
         seed: that was used.
         step_ns: steps in which the frames are to be sent in real time, the shortest that an ECU asks for [ns].
         loop_ns: longest step that it may be taken in, how often an ECU is to hear [ns].
-        overrides: signals that somebody sets while it runs.
+        overrides: signals that are set while it runs.
 
     Raises:
         InputError: an ECU names a bus that is not there, or messages that cannot carry what it sends; a fault of what
@@ -171,7 +172,7 @@ class Player:
         self.frames = empty(0) if self.stepwise else self._all()
 
     def _wait_no_longer(self, faults: Sequence[Placed], waiting: Sequence[Placed], buses: Mapping[str, int]) -> None:
-        """Make those anew that have faults by a condition: what it is of is known now."""
+        """Make those again that have faults by a condition: its signals are known now."""
         of = {source.ecu.name: source.bus for source in self._sources}
         known = {bus: database_of(self._files.get(bus, ())) for bus in {of[fault.ecu] for _, fault in waiting}}
         frames = _joined([source.frames for source in self._sources])
@@ -257,7 +258,7 @@ class Player:
 
     @property
     def truth(self) -> list[Truth]:
-        """What was injected; of a run step by step: so far."""
+        """Injected faults; of a run step by step: so far."""
         found = [fact for source in self._sources for fact in (*source.truth, *source.harness.truth)]
         return [*found, *self._wire.truth]
 
@@ -330,7 +331,7 @@ class Player:
 
 
 class TruthReader:
-    """What was injected, as it comes: each fact once to each reader.
+    """Injected faults, as they come: each fact once to each reader.
 
     Args:
         player: whose.

@@ -1,8 +1,8 @@
 """A class of the user as a virtual ECU: ``type = "package.module:Class"``, or an entry point that names a class.
 
 The class is made with the scenario's ``parameters`` as arguments (and ``rng``, if it takes one). It has
-``step(t, inputs) -> outputs``: the time [s] and a dict of the inputs, a dict of the outputs at that time; what it does
-until its next step it does with these inputs.
+``step(t, inputs) -> outputs``: the time [s] and a dict of the inputs, a dict of the outputs at that time; it uses these
+inputs until its next step.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gateway_fdi.errors import GatewayError, InputError, nearest
 
 
 class _Instance:
-    """An object of the user's class; what it raises is told in one line, with the place in its own file."""
+    """An object of the user's class; its errors are told in one line, with the place in its own file."""
 
     def __init__(self, made: Any) -> None:
         self._made = made
@@ -29,7 +29,7 @@ class _Instance:
     def step(self, t: float, inputs: Mapping[str, float]) -> Mapping[str, float]:
         try:
             said = self._made.step(t, dict(inputs))
-        except Exception as error:  # whatever a user's class does
+        except Exception as error:  # any error of a user's class
             raise InputError(f"step at {t:.4f} s: {_told(error)}", value=type(self._made).__name__) from error
         if not isinstance(said, Mapping):
             text = f"step at {t:.4f} s returned {type(said).__name__}, not a dict of outputs"
@@ -54,7 +54,7 @@ def _made(class_: type, params: LoopParams, run: Run) -> Model:
     """Return an object of the class.
 
     Raises:
-        InputError: parameters that it does not take, or lacks; whatever it raises.
+        InputError: parameters that it does not take, or lacks; any error that it raises.
     """
     try:
         wanted = inspect.signature(class_).parameters
@@ -73,7 +73,7 @@ def _made(class_: type, params: LoopParams, run: Run) -> Model:
     more: dict[str, Any] = {"rng": run.rng} if "rng" in wanted else {}
     try:
         return _Instance(class_(**params.parameters, **more))
-    except Exception as error:  # whatever a user's class does
+    except Exception as error:  # any error of a user's class
         raise InputError(f"{class_.__name__} cannot be made: {_told(error)}", key="parameters") from error
 
 

@@ -180,7 +180,7 @@ class Scenario(StrictModel):
 
 
 def _all(entries: Sequence[Any], name: str, read: Callable[[Any, str], T], wrong: list[InputError]) -> list[T]:
-    """Read all entries of a table; what is wrong is collected."""
+    """Read all entries of a table; errors are collected."""
     found = []
     for k, entry in enumerate(entries):
         try:

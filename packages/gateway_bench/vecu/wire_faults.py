@@ -19,7 +19,7 @@ from gateway_fdi.errors import InputError, named, nearest
 LAST_STANDARD, EXTENDED_DIGITS = 0x7FF, 8
 #: Whose frames a fault concerns: identifier (with EXTENDED) and bus index, None for all.
 Concerned = tuple[int | None, int | None]
-#: What can become of frames.
+#: Kinds of faults of frames.
 WireKind = Literal["lost", "corrupted", "late", "duplicated", "short", "silent"]
 
 
@@ -87,11 +87,11 @@ class Wire:
 
     @property
     def truth(self) -> list[Truth]:
-        """What was done so far, fault by fault."""
+        """Frames changed so far, fault by fault."""
         return [self._done[place] for place in sorted(self._done)]
 
     def apply(self, frames: Frames, end_ns: int) -> Frames:
-        """Return the frames of a chunk as they arrive, in order of time; late ones may lie behind its end [ns]."""
+        """Return the frames of a chunk as they arrive, in order of time; late ones may lie after its end [ns]."""
         for place, (fault, can_id, bus) in enumerate(self._faults):
             end = np.inf if fault.to_s is None else fault.to_s * 1e9
             hit = (frames["t_ns"] >= fault.from_s * 1e9) & (frames["t_ns"] < end)
@@ -144,7 +144,7 @@ def apply_wire_faults(
     rng: np.random.Generator,
     databases: Mapping[int, Database] | None = None,
 ) -> tuple[Frames, list[Truth]]:
-    """Return all frames of a run as they arrive, in order of time, and what was done to them.
+    """Return all frames of a run as they arrive, in order of time, and the faults done to them.
 
     Args:
         frames: shape (n,) of FRAME, in order of time, stamped from 0.

@@ -1,4 +1,4 @@
-"""An injected fault in words, for people: its subject, what happens to it, how much, until when."""
+"""An injected fault in words, for people: its subject, its kind, how much, until when."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def injected(fact: Truth, scenario: Scenario) -> str:
     """Return what was injected, e.g. ``"channel 1: short circuit to ground, until 4.5 s"``.
 
     Args:
-        fact: what was injected.
+        fact: the injected fault.
         scenario: it is of.
     """
     fault = fault_of(fact, scenario)
@@ -107,7 +107,7 @@ def _detail(fault: Any, key: str) -> str:
 
 
 def _parted(kind: str) -> tuple[str, str]:
-    """Return the subject in a kind's name, "" for none, and what happens: ``wheel_angle_offset``."""
+    """Return the subject in a kind's name, "" for none, and its fault: ``wheel_angle_offset``."""
     if kind in WORDS:
         return "", WORDS[kind]
     for end in sorted(WORDS, key=len, reverse=True):

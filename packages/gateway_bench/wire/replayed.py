@@ -16,7 +16,7 @@ from gateway_fdi.common.tomlfile import read_toml
 
 @dataclass
 class Said:
-    """What a gateway said: (seconds, fault, failed) of each DTC that was set or passed; its monitors' readouts."""
+    """Results of a gateway: (seconds, fault, failed) of each DTC that was set or passed; its monitors' readouts."""
 
     dtcs: list[tuple[float, str, bool]] = field(default_factory=list)
     monitors: dict[str, Any] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""What happens to frames on their way: some are lost, some wait, some overtake others."""
+"""Frames on their way: some are lost, some wait, some overtake others."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def road(
         frames: as they are sent, in order.
         rng: of all that is random.
         loss: share of them that is lost.
-        stamps_ms: mean of what each waits, exponentially distributed [ms].
+        stamps_ms: mean wait of each, exponentially distributed [ms].
         reorder: share of them that is swapped with the next one.
-        overtakes: whether one that waits is overtaken, by all that wait less; else all behind it wait, too.
+        overtakes: whether one that waits is overtaken, by all that wait less; else all after it wait, too.
     """
     t = frames["t_ns"].astype(np.float64)
     if stamps_ms:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 if TYPE_CHECKING:
     from structlog.typing import FilteringBoundLogger
 
-#: What sets structlog up once it is loaded; empty when that is done, or nobody wants it.
+#: Calls that set structlog up once it is loaded; empty when that is done, or not wanted.
 _pending: list[Callable[[], None]] = []
 
 

@@ -1,4 +1,4 @@
-"""Who is told when a kernel is compiled: a start never stands silent. This imports nothing."""
+"""Listeners to the compilation of kernels: a start never stands silent. This imports nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _listeners: list[Listener] = []
 
 
 def _say_nothing(_text: str) -> None:
-    """Take a line of a process that nobody listens to."""
+    """Take a line of a process without listeners."""
 
 
 #: Takes a line for people about what costs time, but is not wrong; the command line sets it.

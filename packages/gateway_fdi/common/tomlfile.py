@@ -94,7 +94,7 @@ def _deep_place(text: str) -> tuple[str | None, int | None]:
 
 
 def _is_too_deep(value: Any) -> bool:
-    """Return whether a value of a file is nested too deeply: what looks at it afterwards may call itself."""
+    """Return whether a value of a file is nested too deeply: later readers may be recursive."""
     level = [value]
     for _ in range(DEEPEST):
         level = [
@@ -134,7 +134,7 @@ def _place(location: tuple[int | str, ...], data: Any, *, missing: bool) -> tupl
 
     Args:
         location: pydantic's.
-        data: what was validated.
+        data: that were validated.
         missing: its last part is a key that is not there.
     """
     place: list[int | str] = []
@@ -269,14 +269,14 @@ def input_errors(
     data: Any = None,
     model: type[BaseModel] | None = None,
 ) -> InputErrors:
-    """Turn pydantic's error into ours, one entry for each key.
+    """Turn pydantic's error into a gateway error, one entry for each key.
 
     Args:
         error: pydantic's.
         file: where the data stand.
         prefix: key path of the data in it.
-        data: what was validated.
-        model: what it was validated against, for the names that there are.
+        data: that were validated.
+        model: that they were validated against, for the names that there are.
     """
     found = []
     details = error.errors(include_url=False)
@@ -294,7 +294,7 @@ def validate(data: dict[str, Any], model: type[M], file: Path | None, prefix: st
     """Check data against a model.
 
     Raises:
-        InputErrors: every key that is wrong, with its value and what would be right.
+        InputErrors: every key that is wrong, with its value and the right form.
     """
     try:
         return model.model_validate(data)

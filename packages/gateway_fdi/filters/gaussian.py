@@ -71,7 +71,7 @@ def correct(x: f8s, p: f8s, w: f8s, y_1: float, y_2: float, r: float, n: int) ->
 
 @kernel
 def anchor(x: f8s, p: f8s, w: f8s, state: int, innovation: float, r: float, n: int) -> None:
-    """Correct by a measurement of one state; its innovation comes from the caller, who knows how to wrap it."""
+    """Correct by a measurement of one state; its innovation comes from the caller, which knows how to wrap it."""
     s = 1.0 / (p[state * n + state] + r)
     for i in range(n):
         gain = p[i * n + state] * s

@@ -37,7 +37,7 @@ class Const(Record):
 
 @dataclass(frozen=True)
 class Motor:
-    """Values of a motor. Those of the defaults are assumed: nobody has published an active front steering's.
+    """Values of a motor. Those of the defaults are assumed: those of an active front steering are not published.
 
     Attributes:
         pole_pairs: z_p.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from gateway_fdi.jit import Record, i8, kernel, means
 
-#: What comes of it: it goes on; it never was; it has healed.
+#: Outcomes: it goes on; it never was; it has healed.
 STANDS, DOUBTED, GONE = range(3)
 
 

@@ -1,4 +1,4 @@
-"""State machine of the isolation: when something is told of the tests that have fired, and for how long it stands.
+"""State machine of the isolation: when a fault is named from the tests that have fired, and for how long it stands.
 
     nothing       no test has fired
     pending       tests have fired, and nothing is told: one that is yet to fire may name the fault
@@ -7,8 +7,9 @@
 
 docs/isolation.md has the picture. A test that fires **joins** at once. It **leaves** when it has been down for the hold
 time: alone, or only together with all others. A name needs the confirmation time since a test has joined last, a test
-that is up, and no other one on its way. It stands until its last test has left, or one joins that contradicts it. What
-cannot be named stays pending for a time, so that one fault is told once, not as "not isolated" and then by its name.
+that is up, and no other one on its way. It stands until its last test has left, or one joins that contradicts it. A
+fault that cannot be named stays pending for a time, so that one fault is told once, not as "not isolated" and then by
+its name.
 
 All times are of *use*, in which tests can fire, as the plant says; only the latest time counts always.
 """
@@ -141,7 +142,7 @@ def decide(s: State, c: Const, level: f8s, said: int, contradicts: bool) -> None
         s: state, after :func:`stand`.
         c: constants.
         level: T over J of each test, shape (tests,).
-        said: what the table says: a group, or OPEN (:func:`gateway_fdi.isolation.table.answer`).
+        said: answer of the table: a group, or OPEN (:func:`gateway_fdi.isolation.table.answer`).
         contradicts: a name that stands is contradicted (:func:`contradicted`).
     """
     if empty(s.fired):

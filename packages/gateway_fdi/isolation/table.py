@@ -35,7 +35,7 @@ class Const(Record, lengths=LENGTHS):
 
 
 class State(Record, lengths=LENGTHS):
-    """State: what the tests say."""
+    """State: results of the tests."""
 
     fired: Annotated[i8s, "words"] = means("tests that have fired, a mask")
     explained: Annotated[i8s, "words"] = means("faults that explain them, a mask")

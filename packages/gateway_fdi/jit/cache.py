@@ -1,8 +1,8 @@
-"""Compiled kernels in files: what was compiled once is loaded from then on.
+"""Compiled kernels in files: a kernel is compiled once, and loaded from then on.
 
 A file is written under another name and then renamed, and begins with the digest of the rest: two processes may write
 at once, and one that is cut off or changed is seen. A cache that cannot be read or written costs time, never more; the
-reason is said once. What another user wrote, or could have written, is not used (:mod:`gateway_fdi.jit.owned`).
+reason is said once. Files that another user wrote, or could have written, are not used (:mod:`gateway_fdi.jit.owned`).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class _Private:
 
 @cache
 def _private() -> _Private:
-    """Return a folder that is ours: the user's own cache, else one of this process."""
+    """Return a folder of this user: his own cache, else one of this process."""
     import platformdirs  # noqa: PLC0415 - few starts need it
 
     own = Path(platformdirs.user_cache_dir("ecu-gateway")) / "kernels"
@@ -79,7 +79,7 @@ class Code:
         results: form of its result, as text.
         needs: symbols from elsewhere.
         code: object code.
-        origin: what it was made from, for who ships it: kernel, digest of its signature, key, files.
+        origin: its source, for packages that ship it: kernel, digest of its signature, key, files.
     """
 
     symbol: str
@@ -134,7 +134,7 @@ def write(name: str, key: str, code: Code, bitcode: bytes = b"") -> None:
 
     Args:
         name: of the kernel, with its module.
-        key: what the code depends on.
+        key: digest of all that the code depends on.
         code: the code.
         bitcode: kept beside it, if there is any.
     """

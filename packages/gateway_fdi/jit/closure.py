@@ -1,4 +1,4 @@
-"""What compiled code was made from: a kernel, the kernels that it calls, and the constants that they use.
+"""Source of compiled code: a kernel, the kernels that it calls, and the constants that they use.
 
 The digest of this closure is the key of compiled code. It sees the syntax of each function without comments, docstrings
 and annotations, and the values of the globals that it reads: so a comment compiles nothing, an edit compiles the
@@ -134,7 +134,7 @@ class Closure:
         return name
 
     def _value(self, value: Any, used: set[str]) -> str:
-        """Return a global as text; what it leads to is added."""
+        """Return a global as text; the objects that it leads to are added."""
         function = getattr(value, "py_func", None)
         if function is not None:
             return self._add(function)

@@ -159,7 +159,7 @@ def take(form: Form, cells: Any, at: int = 0) -> tuple[Any, int]:
 
 
 def dtype_text(dtype: np.dtype[Any]) -> str:
-    """Return a dtype as text: the same for the same layout, whatever the version of NumPy."""
+    """Return a dtype as text: the same for the same layout, with every version of NumPy."""
     if dtype.subdtype is not None:
         base, shape = dtype.subdtype
         return f"{dtype_text(base)}{list(shape)}"

@@ -187,7 +187,7 @@ class Kernel:
 
     @property
     def closure(self) -> Closure:
-        """What its code is made from."""
+        """Source of its code."""
         if self._closure is None:
             self._closure = Closure(cast(Any, self.py_func))
         return self._closure

@@ -1,7 +1,7 @@
-"""Files that are code: only from ourselves, or from root, and where nobody else can write.
+"""Files that are code: only from this user, or from root, and where no other user can write.
 
-A cache may lie in a folder that others share (``GATEWAY_CACHE_DIR=/tmp/x``). What another user wrote there would be run
-with our rights. Whose a file is says its descriptor, so that it cannot be exchanged after the look.
+A cache may lie in a folder that others share (``GATEWAY_CACHE_DIR=/tmp/x``). Code that another user wrote there would
+run with this user's rights. Whose a file is says its descriptor, so that it cannot be exchanged after the look.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 def _wrong(status: os.stat_result) -> str:
-    """Return why something may be another's, "" if it is ours."""
+    """Return why something may be another user's, "" if it is this user's."""
     if status.st_uid not in (os.geteuid(), 0):
         return f"it belongs to another user ({status.st_uid})"
     if status.st_mode & _OTHERS:
@@ -25,13 +25,13 @@ def _wrong(status: os.stat_result) -> str:
 
 
 def foreign(folder: Path) -> str:
-    """Return why a folder is not to be used, "" if it is ours, or not there yet."""
+    """Return why a folder is not to be used, "" if it is this user's, or not there yet."""
     try:
         link = folder.lstat()
         if stat.S_ISLNK(link.st_mode) and link.st_uid not in (os.geteuid(), 0):
             return f"it belongs to another user ({link.st_uid})"
         status = folder.stat()
-    except OSError:  # told by whoever reads or writes there
+    except OSError:  # told by the code that reads or writes there
         return ""
     return _wrong(status) if stat.S_ISDIR(status.st_mode) else ""
 
@@ -54,7 +54,7 @@ def read_own(path: Path) -> bytes:
 
 
 def write_own(path: Path, data: bytes) -> None:
-    """Write a file that only we can write, whatever the umask says.
+    """Write a file that only this user can write, with any umask.
 
     Raises:
         OSError: it cannot be written.

@@ -29,7 +29,7 @@ from typing import (
 import numpy as np
 from numpy.typing import NDArray
 
-#: Fields of records: what a kernel computes with, and how it lies in memory.
+#: Fields of records: the data of a kernel, and their layout in memory.
 f8: TypeAlias = Annotated[float, "<f8"]
 i8: TypeAlias = Annotated[int, "<i8"]
 i4: TypeAlias = Annotated[int, "<i4"]
@@ -51,7 +51,7 @@ LINE = 64
 
 
 class Meaning(NamedTuple):
-    """What a field is, for people, and its unit; both may be empty."""
+    """Meaning of a field, for people, and its unit; both may be empty."""
 
     text: str
     unit: str
@@ -77,7 +77,7 @@ class Record:
         meanings: of the fields that say one.
 
     Raises:
-        TypeError: an annotation that is no field, or a length that nobody says.
+        TypeError: an annotation that is no field, or a length that is not given.
         ValueError: a field has the name of an attribute that records of NumPy have: plain Python would not reach it.
     """
 

@@ -1,6 +1,6 @@
-"""What must not be in a kernel from outside: what would stop the process, and what is better told than numba tells it.
+"""Code that must not be in a kernel from outside: it would stop the process, or numba's message would be unclear.
 
-Printing can wait for Python's lock for ever; how deep recursion goes nobody knows; a kernel allocates nothing.
+Printing can wait for Python's lock for ever; the depth of recursion is unknown; a kernel allocates nothing.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def refuse(step: Any) -> None:
     """Refuse a kernel that could stop the process it is in.
 
     Raises:
-        KernelError: what it is, with file and line.
+        KernelError: such code, with file and line.
     """
     kernels = Closure(cast(Any, step.py_func)).kernels
     calls = {function: set(_called(function, kernels)) for function in kernels}

@@ -3,7 +3,7 @@
 ``NUMBA_DISABLE_JIT=1``: as plain Python, for a debugger. ``GATEWAY_BOUNDSCHECK=1``: compiled with every index checked.
 ``GATEWAY_CACHE_DIR`` (else ``NUMBA_CACHE_DIR``, else the user's cache directory): where compiled kernels are kept.
 ``GATEWAY_KERNELS=shipped``: nothing may be compiled; a kernel that would have to be is an error (tests).
-``GATEWAY_KERNELS=source``: what is shipped is not used. ``GATEWAY_KERNELS=changed``: it is used where its key fits.
+``GATEWAY_KERNELS=source``: shipped code is not used. ``GATEWAY_KERNELS=changed``: it is used where its key fits.
 With both, bitcode is kept beside what is compiled (``scripts/precompile``).
 """
 

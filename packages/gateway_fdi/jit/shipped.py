@@ -1,4 +1,4 @@
-"""Compiled kernels that come with the package: nobody compiles who does not write kernels.
+"""Compiled kernels that come with the package: only authors of kernels compile.
 
 ``precompiled/index.json`` of a package names for each entry the key of the closure that it was made from, and the
 digests of the files in which this closure can lie. While these files are as they were, the key need not be computed; if

@@ -1,6 +1,6 @@
 """A Kalman filter over slow errors, within bounds and rates.
 
-An equation of a plant, with what is told of its parameters p and with sensors' readings y = (1 + g) x + b, leaves
+An equation of a plant, with the configured parameters p and with sensors' readings y = (1 + g) x + b, leaves
 
     rest = h' e + noise
 
@@ -14,23 +14,22 @@ many, :func:`add` takes them into a block, :func:`update` a block into the filte
 mean of a block holds the mean of its equations, and a block of B sets costs a B-th. Noise of a mean of B is sqrt(B)
 smaller; COLOURED times that is taken, as not all is white.
 
-What is found is ``error``, without bounds; what a monitor takes is ``taken``. It is the most likely e within the bounds
+The estimate is ``error``, without bounds; a monitor uses ``taken``. It is the most likely e within the bounds
 (:func:`_within`): with e ~ N(m, P) and e_k held at its bound,
 
     E[e_j | e_k = bound] = m_j - P_jk / P_kk (m_k - bound)
 
-so what lies a little beyond the bounds is left, and tests see it. What lies beyond its bound for sure is a fault: it is
+so the part a little beyond the bounds is left, and tests see it. An error beyond its bound for sure is a fault: it is
 not taken at all, nor are those of its group; others do not take it up, and tests see it whole.
 
-``taken`` is what is found while the filter LEARNS. While it is FOLLOWING, ``taken`` changes by its rate at most, and by
-BETTER times what is known better than before: a fault that comes at once is there long before it is followed.
-``error`` does not run away from ``taken`` meanwhile. While it is HELD, because the set may have a fault, ``error`` as
-well moves by its rate at most, and nothing becomes surer.
-Several equations share one filter: what a sensor's gain does in one it does in the other, and what no equation tells
-apart is left as P has it: in what they leave it cancels.
+``taken`` is the estimate while the filter LEARNS. While it is FOLLOWING, ``taken`` changes by its rate at most, and by
+BETTER times the gain in certainty: a fault that comes at once is there long before it is followed. ``error`` does not
+run away from ``taken`` meanwhile. While it is HELD, because the set may have a fault, ``error`` as well moves by its
+rate at most, and nothing becomes surer. Several equations share one filter: a sensor's gain does the same in both, and
+errors that no equation tells apart are left as P has them: in the residuals they cancel.
 
-A test of an equation may doubt by :func:`doubt`, sqrt(h' P h): what is not known yet is no fault, and a threshold
-adapts itself.
+A test of an equation may doubt by :func:`doubt`, sqrt(h' P h): an unknown error is no fault, and a threshold adapts
+itself.
 """
 
 from __future__ import annotations
@@ -44,23 +43,23 @@ from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 MOST = 24
 #: Sets of a block.
 BLOCK = 10
-#: Of the standard deviation of an equation's noise: what is not white in it.
+#: Factor of the standard deviation of an equation's noise, as not all of it is white.
 COLOURED = 3.0
-#: Share of a walk: the rate is what happens at most, not always.
+#: Share of a walk: the rate is the most that happens, not the usual.
 WALK = 0.1
-#: What is done with what is found.
+#: Uses of the estimate.
 LEARNS, FOLLOWING, HELD = range(3)
-#: Of the standard deviation that a set takes away, what an error may move by.
+#: Multiple of the standard deviation that a set takes away by which an error may move.
 BETTER = 2.0
-#: Standard deviations of what is not known by which a residual counts less.
+#: Standard deviations of the uncertainty by which a residual counts less.
 GUARD = 2.0
-#: Steps of its rate that what is found may be ahead of what is taken, beside what is not known.
+#: Steps of its rate that ``error`` may be ahead of ``taken``, beside the uncertainty.
 LEAD = 1000.0
 #: Standard deviations, and share of the bounds' width, by which an error lies beyond its bound for sure.
 SURE, BEYOND = 4.0, 0.03
 #: Passes over the bounds.
 PASSES = 3
-#: Time behind which nothing is known worse for waiting [s].
+#: Time after which waiting makes nothing more uncertain [s].
 LONG = 300.0
 
 
@@ -107,7 +106,7 @@ def prepare(s: State, c: Const) -> None:
 
 @kernel
 def add(b: Block, h: f8s, rest: float, variance: float) -> bool:
-    """Add a set to a block; tells whether it is whole.
+    """Add a set to a block; returns whether it is whole.
 
     Args:
         b: record of Block.
@@ -131,14 +130,14 @@ def drop(b: Block) -> None:
 
 @kernel
 def _refused(s: State, c: Const, k: int) -> bool:
-    """Tell whether an error that is found lies beyond its bound for sure: then it is none of these errors."""
+    """Return whether an error that is found lies beyond its bound for sure: then it is none of these errors."""
     over = max(s.error[k] - c.high[k], c.low[k] - s.error[k])
     return bool(over > max(SURE * sqrt(max(s.p[k, k], 0.0)), BEYOND * (c.high[k] - c.low[k])))
 
 
 @kernel
 def _within(s: State, c: Const, learning: bool) -> None:
-    """Put the most likely errors within the bounds into ``wanted``; what is refused is left as it is taken."""
+    """Put the most likely errors within the bounds into ``wanted``; refused ones are left as they are taken."""
     for k in range(c.count):
         s.wanted[k] = s.error[k]
         s.refused[k] = 1 if _refused(s, c, k) else 0
@@ -180,8 +179,8 @@ def _walk(s: State, c: Const, k: int) -> float:
 def age(s: State, c: Const, dt: float) -> None:
     """Let all errors get older: nothing is followed for now, and each may go as far as its rate lets it in dt [s].
 
-    What tests doubt, GUARD standard deviations, grows by the rate and up to the bound: what fires because of ageing
-    comes down again, what is more than that does not.
+    The doubt of tests, GUARD standard deviations, grows by the rate and up to the bound: a test that fires because of
+    ageing comes down again, one with a larger cause does not.
     """
     for k in range(c.count):
         spread = sqrt(max(s.p[k, k], 0.0)) + dt * c.rate[k] / GUARD
@@ -249,7 +248,7 @@ def measure(s: State, c: Const, h: f8s, rest: float, variance: float, mode: int)
         now = sqrt(max(s.p[k, k], 0.0))
         step = c.rate[k] * s.passed[k] + BETTER * max(s.before[k] - now, 0.0)
         s.taken[k] += min(max(s.wanted[k] - s.taken[k], -step), step)
-        # What it may not follow is none of these errors: it does not run away from what the tests take.
+        # A change that it may not follow is none of these errors: it does not run away from ``taken``.
         lead = LEAD * c.rate[k] * s.passed[k] + GUARD * now
         s.error[k] = s.taken[k] + min(max(s.error[k] - s.taken[k], -lead), lead)
 

@@ -1,6 +1,6 @@
-"""By how much one reading of a quantity is behind another, from their movement; found, and found again.
+"""By how much one reading of a quantity is later than another, from their movement; found, and found again.
 
-x is a quantity that is known without noise (a command), y what a sensor makes of it, both once a set. With a constant
+x is a quantity that is known without noise (a command), y a sensor's reading of it, both once a set. With a constant
 lag of j + f sets, f in [0, 1), a gain g and increments dx(k) = x(k) - x(k-1), bias falls out:
 
     dy(k) = g [(1 - f) dx(k - j) + f dx(k - j - 1)] + noise
@@ -13,8 +13,8 @@ C_j = g [(1 - f) R_0 + f R_1] and C_j+1 = g [(1 - f) R_1 + f R_0], so
 A sensor with white noise s has dy's of variance 2 s^2, neighbours correlated by -s^2; the variance of C_j+1 - C_j is at
 most 8 s^2 (R_0 - R_1), that of f at most 2 s^2 / (R_0 - R_1), for g = 1. Sums forget over KEPT sets of movement.
 
-What the best f leaves beyond noise, as a share of the movement's root mean square, is ``left``: a filter in the sensor
-is no pure lag. Lags of either sign are looked for, up to MOST sets.
+The remainder of the best f beyond noise, as a share of the movement's root mean square, is ``left``: a filter in the
+sensor is no pure lag. Lags of either sign are looked for, up to MOST sets.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
-#: Largest lag of either sign [sets]; so many are compared.
+#: Largest lag of either sign [sets] that is compared.
 MOST = 4
 PLACES = 2 * MOST + 1
 #: Sets of movement that are kept in mind.
 KEPT = 3000.0
-#: A lag is known when its standard deviation is below this [sets], after so many sets of movement.
+#: A lag is known when its standard deviation is below this [sets], after this number of sets of movement.
 KNOWN, AFTER = 0.15, 100.0
 #: A lag this near to a whole number is that [sets]; it changes from this on, and by this many standard deviations.
 WHOLE, CHANGES, SURE = 0.2, 0.15, 4.0
@@ -64,7 +64,7 @@ class State(Record):
 
 @kernel
 def restart(s: State) -> None:
-    """Begin anew behind a gap; what is known stays."""
+    """Start again after a gap; the known lag stays."""
     s.sets = 0
 
 
@@ -107,8 +107,8 @@ def update(s: State, x: float, y: float, most: float, noise: float) -> None:
 
     Args:
         s: record of State.
-        x: what is known.
-        y: what is measured.
+        x: known.
+        y: measured.
         most: largest lag that is none [sets], at most MOST.
         noise: standard deviation of a reading.
     """

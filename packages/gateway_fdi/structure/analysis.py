@@ -55,7 +55,7 @@ class Test:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What structural analysis tells of a model.
+    """Results of a model's structural analysis.
 
     Attributes:
         model: the model.
@@ -63,7 +63,8 @@ class Analysis:
         parts: its Dulmage-Mendelsohn decomposition.
         msos: its MSO sets, shape (sets, equations).
         candidates: all candidates of these, classified.
-        beyond: 0: these are all; else there are more than so many, and these are enough to tell what the model can.
+        beyond: 0: these are all; else there are more than this number, and these are enough for all that the model can
+            tell.
     """
 
     model: Model
@@ -75,7 +76,7 @@ class Analysis:
 
     @property
     def left_out(self) -> str:
-        """What was not looked at, in words; empty: nothing."""
+        """Parts that were not looked at, in words; empty: none."""
         if not self.beyond:
             return ""
         return (
@@ -96,7 +97,7 @@ class Analysis:
 
     @cached_property
     def best(self) -> Isolability:
-        """What the structure tells at best."""
+        """Best isolation that the structure allows."""
         return isolability_of_model(self.model)
 
     def isolability(self, causality: str, algebraic: str = "unique") -> Isolability:

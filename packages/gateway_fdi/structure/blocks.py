@@ -37,7 +37,7 @@ class BlockSearch(NamedTuple):
 
 
 def block_search(equations: int, words: int) -> BlockSearch:
-    """Return the arrays for so many equations, and masks of so many words."""
+    """Return the arrays for a number of equations, and masks of a number of words."""
     discovery, low, stack, path = np.zeros((4, equations), np.int64)
     return BlockSearch(discovery, low, stack, path, np.zeros((equations, words), np.int64))
 
@@ -101,7 +101,7 @@ def find_blocks(
         search: scratch.
 
     Returns:
-        the number behind the last block.
+        the number after the last block.
     """
     discovery, low, path = search.discovery, search.low, search.path
     for k in range(count):

@@ -87,7 +87,7 @@ class Portion(NamedTuple):
 
 @kernel
 def _same(a: Masks, b: Masks) -> bool:
-    """Tell whether two masks are the same set."""
+    """Return whether two masks are the same set."""
     same = True
     for w in range(len(a)):
         same = same and a[w] == b[w]
@@ -184,7 +184,7 @@ class Candidates:
         status: a :class:`Solvable`.
         integral: whether a state is integrated.
         derivative: whether a variable is differentiated, in the sequence or in the consistency relation.
-        derivative_in_sequence: whether one is in the sequence: what the original algorithm looks at.
+        derivative_in_sequence: whether one is in the sequence: the original algorithm looks at this.
     """
 
     model: Model

@@ -100,7 +100,7 @@ class _Residual(StrictModel):
 
 
 class ModelFile(StrictModel):
-    """What stands in the file of a structural model."""
+    """Contents of the file of a structural model."""
 
     text: str = ""
     unknown: dict[str, _Unknown]
@@ -318,7 +318,7 @@ def find_model(path: Path, folder: Path, *, beside: str, key: str) -> Path:
     Args:
         path: as it was told.
         folder: of the file that tells it.
-        beside: what that file is, for people.
+        beside: kind of that file, for people.
         key: of the file that tells it.
 
     Raises:
@@ -339,7 +339,7 @@ def load_own_model(path: Path, *, key: str) -> Model:
     """Read a model that a configuration or a scenario names.
 
     Raises:
-        InputError, InputErrors: what is wrong with it.
+        InputError, InputErrors: the errors in it.
     """
     try:
         return load_model(path)

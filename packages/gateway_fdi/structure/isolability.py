@@ -23,7 +23,7 @@ Bools = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Isolability:
-    """What can be told of the faults.
+    """Detectability and isolability of the faults.
 
     Attributes:
         faults: their names.

@@ -1,4 +1,4 @@
-"""Matchings of equations to the variables that they are solved for, and what alternating paths reach.
+"""Matchings of equations to the variables that they are solved for, and the reach of alternating paths.
 
 ``rows`` is int64 (equations, words), the variables of each equation as masks of :mod:`gateway_fdi.structure.incidence`.
 """

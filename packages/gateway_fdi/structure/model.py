@@ -1,4 +1,4 @@
-"""A structural model: equations, what each contains, and what each can be solved for.
+"""A structural model: equations, the variables of each, and those that each can be solved for.
 
 A dynamic variable, a **state** x, occurs differentiated as ``der(x)`` (semi-explicit form, paper 004, (1); here an
 equation may contain the derivatives of several states). Two ways of writing it:
@@ -58,7 +58,7 @@ class Equation:
         variables: unknowns that it contains; the derivative of a state as ``der(x)``.
         knowns: known variables that it contains.
         faults: faults that it contains.
-        solvable: what it can be solved for, and whether that has one solution; what is not named: not at all.
+        solvable: variables it can be solved for, and whether that has one solution; others: not at all.
         differential: the state x, if this is the relation between x and der(x), (3); else empty.
         relation: the equation itself, for residual generators that run; None: only its structure is known.
         solutions: given solutions for a variable, where algebra does not find them.
@@ -106,11 +106,11 @@ class Loop:
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is known of a variable, a fault or a parameter.
+    """Unit and meaning of a variable, a fault or a parameter.
 
     Attributes:
         unit: of its values.
-        text: what it is.
+        text: its meaning.
         value: of a parameter; a start value of a state.
     """
 
@@ -135,7 +135,7 @@ class ResidualChoice:
     Attributes:
         equations: the set, with the consistency relation.
         consistency: the equation that is not used to compute unknowns.
-        text: what it is for.
+        text: its purpose.
     """
 
     equations: frozenset[str]
@@ -154,11 +154,11 @@ class Model:
         knowns: names of the known variables.
         faults: names of the faults.
         loops: algebraic loops that can be solved.
-        quantities: unit and meaning of what has a name, parameters with their values.
+        quantities: unit and meaning of all names, parameters with their values.
         parameters: names of the parameters.
         tables: functions given by points.
         residuals: residual generators that the model names.
-        text: what the model is, and where it comes from.
+        text: the model's plant, and its source.
 
     Raises:
         ValueError: a name is used twice, or is not declared, or a state is used in a way that has no meaning; names
@@ -214,7 +214,7 @@ class Model:
 
     @cached_property
     def full_equations(self) -> tuple[Equation, ...]:
-        """Equations of the explicit form: with the tacit relations of lumped states behind the model's own."""
+        """Equations of the explicit form: with the tacit relations of lumped states after the model's own."""
         return (*self.equations, *(differential(name) for name in self.lumped_states))
 
     def explicit(self) -> Model:

@@ -1,16 +1,16 @@
 """All minimally structurally overdetermined sets of equations (Krysander, Aslund, Nyberg 2008).
 
 An MSO set has one equation more than unknowns, and no proper subset has redundancy. From the overdetermined part of the
-model, equations are left out one equivalence class at a time until the redundancy is 1; what was left out on one branch
-is not tried again on the next, so that each set is found once. A class is lumped to one equation without its own
-variables, so that the structure shrinks on the way down.
+model, equations are left out one equivalence class at a time until the redundancy is 1; equations left out on one
+branch are not tried again on the next, so that each set is found once. A class is lumped to one equation without its
+own variables, so that the structure shrinks on the way down.
 
-What is not tried again stays in every set that the branch can still find. Once these equations have redundancy of their
-own, the branch holds one set at most, they themselves, and ends. Without that a pack of 64 alike cells, where nearly
-all branches keep two equations too many, does not come to its first thousand sets.
+Equations that are not tried again stay in every set that the branch can still find. Once these equations have
+redundancy of their own, the branch holds one set at most, they themselves, and ends. Without that a pack of 64 alike
+cells, where nearly all branches keep two equations too many, does not come to its first thousand sets.
 
-The number of sets grows exponentially with the redundancy. So there is a limit, and the search can be watched; what is
-enough where there are more, `sufficient` finds.
+The number of sets grows exponentially with the redundancy. So there is a limit, and the search can be watched; where
+there are more, `sufficient` finds enough of them.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def _lump(
 
 @kernel
 def _begin_kept(rows: Masks, state: i8s, size: int, kept: Matching, everything: Masks) -> bool:
-    """Match the equations that stay, from nothing; tells whether they have redundancy."""
+    """Match the equations that stay, from nothing; returns whether they have redundancy."""
     for i in range(len(kept.mate)):
         kept.mate[i] = ABSENT
     for v in range(len(kept.owner)):
@@ -124,7 +124,7 @@ def _only_kept(rows: Masks, ids: Masks, state: i8s, size: int, tried: int, kept:
     """
     for i in range(size):
         if (state[i] == 0 or i < tried) and kept.mate[i] == ABSENT:
-            return False  # there are more of them behind the one that made them redundant
+            return False  # there are more of them after the one that made them redundant
     reach_from_free(rows, size, kept, -1)
     for w in range(len(found)):
         found[w] = 0
@@ -170,7 +170,7 @@ def _search(
         if i == 0:
             size[level] = _lump(rows[level], ids[level], state[level], size[level], matching, done)
             redundant = _begin_kept(rows[level], state[level], size[level], kept, everything)
-        else:  # what was left out stays from here on
+        else:  # the one left out stays from here on
             kept.mate[i - 1] = FREE
             redundant = not augment(rows[level], kept, i - 1, everything)
         if redundant:

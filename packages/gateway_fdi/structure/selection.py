@@ -38,7 +38,7 @@ def requirements(signature: Sets, sizes: NDArray[np.int64] | None = None) -> Set
 
 
 def _needed(wanted: Sets) -> Sets:
-    """Return the requirements that no other one implies: what fulfils a smaller row fulfils each that contains it."""
+    """Return the requirements that no other one implies: a smaller row fulfilled fulfils each that contains it."""
     counts = wanted.sum(1)
     rows = wanted[np.argsort(counts, kind="stable")]
     packed = np.packbits(rows, axis=1)
@@ -72,7 +72,7 @@ def fewest_tests(
 
     Args:
         signature: fault signature matrix, shape (tests, faults).
-        cost: what decides between choices of as many tests, shape (tests,), not negative; for instance the number of
+        cost: decides between choices of as many tests, shape (tests,), not negative; for instance the number of
             equations of each.
         sizes: equations of each, shape (tests,); see :func:`requirements`.
 

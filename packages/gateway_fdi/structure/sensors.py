@@ -1,10 +1,10 @@
 """Where to put sensors so that faults can be detected, or told apart.
 
-More sensors never make a fault of the model harder to find: what is asked is monotone, so that all minimal sets follow
-from counterexamples. A set that is not enough is grown until one sensor more would be enough; what is then left out
-must contain a sensor of every set that is enough. The minimal sets that hit all those are tried in turn, until each of
-them is enough (:mod:`gateway_fdi.hitting`, one counterexample at a time). It does not matter whether the model has too
-few equations somewhere, which Krysander and Frisk (2008) exclude; where theirs applies, the answers are the same.
+More sensors never make a fault of the model harder to find: the question is monotone, so that all minimal sets follow
+from counterexamples. A set that is not enough is grown until one sensor more would be enough; the rest must contain a
+sensor of every set that is enough. The minimal sets that hit all those are tried in turn, until each of them is enough
+(:mod:`gateway_fdi.hitting`, one counterexample at a time). It does not matter whether the model has too few equations
+somewhere, which Krysander and Frisk (2008) exclude; where theirs applies, the answers are the same.
 
 A sensor that can fail itself adds a fault that must be found too. That is not monotone, so the minimal sets for the
 model's own faults are grown, smallest first; a second sensor of the same variable may be what is needed.
@@ -74,7 +74,7 @@ def _confirm(
 
 
 def _equipped(model: Model, sensors: Sequence[str], fallible: frozenset[str]) -> Model:
-    """Return the model with sensors behind its own equations, those in ``fallible`` with a fault of their own."""
+    """Return the model with sensors after its own equations, those in ``fallible`` with a fault of their own."""
     added = tuple(
         Equation(
             f"sensor {k} of {x}",
@@ -102,7 +102,7 @@ def place_sensors(
 ) -> list[tuple[str, ...]]:
     """Return all minimal sets of unknowns to be measured so that the model's faults can be found, smallest first.
 
-    What no choice of sensors achieves is not asked for.
+    Faults that no choice of sensors finds are not asked for.
 
     Args:
         model: the model, with the sensors that it has.

@@ -7,8 +7,8 @@ A set without its consistency relation is matched and falls into blocks in order
   causality** (II-C);
 - another equation alone: solved for its variable;
 - a block of several without such a relation: an **algebraic loop**;
-- a block with such relations: a **differential loop**. Their states are integrated, and so known within the block; what
-  is left is matched and falls into blocks again. If it cannot be matched, the loop is singular (of higher index), and
+- a block with such relations: a **differential loop**. Their states are integrated, and so known within the block; the
+  rest is matched and falls into blocks again. If it cannot be matched, the loop is singular (of higher index), and
   cannot be computed without differentiating equations.
 """
 
@@ -38,7 +38,7 @@ from gateway_fdi.structure.steps import (
 
 
 class Kind(Enum):
-    """What a step of a computation sequence does."""
+    """Kinds of steps of a computation sequence."""
 
     SOLVE = SOLVE
     INTEGRATE = INTEGRATE
@@ -51,9 +51,9 @@ class Step:
     """A step of a computation sequence.
 
     Attributes:
-        kind: what is done.
+        kind: of the step.
         equations: by which; for INTEGRATE and DIFFERENTIATE the relation of the state.
-        variables: what is computed.
+        variables: computed ones.
         block: number of the block of the sequence that it is in: those of a differential loop share one.
     """
 

@@ -1,6 +1,6 @@
 """Kernel of computation sequences: the steps of a matched set of equations, in order of computation.
 
-What the steps are says :mod:`gateway_fdi.structure.sequence`.
+:mod:`gateway_fdi.structure.sequence` explains the steps.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Workspace(NamedTuple):
 
 
 def workspace(equations: int, words: int) -> Workspace:
-    """Return scratch for so many equations, and masks of so many words."""
+    """Return scratch for a number of equations, and masks of a number of words."""
     of_block, relations = np.zeros((2, equations), np.int64)
     return Workspace(of_block, relations, np.zeros(words, np.int64), block_search(equations, words))
 
@@ -156,7 +156,7 @@ def _differential_loop(
         steps: how many steps there are before it.
 
     Returns:
-        how many there are behind it.
+        how many there are after it.
     """
     others = _know_states(explicit.state, matching, work, size)
     relations = size - others

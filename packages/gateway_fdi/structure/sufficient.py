@@ -1,9 +1,10 @@
 """Enough MSO sets, where there are too many to find them all.
 
-What a model can tell is known without its sets (`isolability`). For each fault that can be detected, and each pair that
-can be told apart, one set that does it is enough: of the equations without the second fault's, those with redundancy,
-equations are left out one after the other as long as the first fault's stays in the part with redundancy. Each is tried
-once, since what has to stay, has to stay in every subset too; so a set takes as many steps as there are equations.
+The isolability of a model is known without its sets (`isolability`). For each fault that can be detected, and each pair
+that can be told apart, one set that does it is enough: of the equations without the second fault's, those with
+redundancy, equations are left out one after the other as long as the first fault's stays in the part with redundancy.
+Each is tried once, since what has to stay, has to stay in every subset too; so a set takes as many steps as there are
+equations.
 
 The order in which they are tried says which set comes out. The first orders are tried for all: the equations of other
 faults first, which gives sets with few faults; then all backwards and forwards, which gives sets that do for many pairs
@@ -37,7 +38,7 @@ Ints = NDArray[np.int64]
 def _shrink(
     rows: Masks, members: i8s, count: int, stays: i8s, order: i8s, matching: Matching, everything: Masks
 ) -> bool:
-    """Leave out equations, in an order, as long as one that is to stay has redundancy; what is left is in the matching.
+    """Leave out equations, in an order, as long as one that is to stay has redundancy; the rest is in the matching.
 
     Returns False if it has none from the beginning.
     """
@@ -162,7 +163,7 @@ def _wanted(model: Model) -> Iterator[tuple[int, int | None]]:
 
 
 def _done(signs: Sets, fault: int, other: int | None) -> bool:
-    """Tell whether sets with these faults, shape (sets, faults), do it."""
+    """Return whether sets with these faults, shape (sets, faults), do it."""
     there = signs[:, fault]
     return bool(there.any() if other is None else (there & ~signs[:, other]).any())
 

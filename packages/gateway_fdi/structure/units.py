@@ -10,5 +10,5 @@ def plain_unit(unit: str) -> str:
 
 
 def differ(a: str, b: str) -> bool:
-    """Tell whether two quantities have different units; what has none fits everything."""
+    """Return whether two quantities have different units; one without a unit fits everything."""
     return bool(plain_unit(a)) and bool(plain_unit(b)) and plain_unit(a) != plain_unit(b)

@@ -1,1 +1,1 @@
-"""What the commands of many cars do."""
+"""Work of the commands of many cars."""

@@ -147,7 +147,7 @@ def _plant_claim(plant: plants.Plant) -> str:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What is asked for.
+    """Request of the command line.
 
     Attributes:
         config: the configuration's file.
@@ -157,7 +157,7 @@ class _Asked:
         floor: least threshold of these [nu].
         maps: channels of the logs taken as buses, ``"channel=bus"`` each.
         into: file that gets the thresholds, None: none.
-        json: whether programs are told.
+        json: whether the output is for programs.
     """
 
     config: Path
@@ -187,7 +187,7 @@ class _Fleet:
 
 @dataclass(frozen=True)
 class _Learned:
-    """What the logs say: of stopping rules, of CUSUM tests, None where a configuration has none of these.
+    """Findings of the logs: of stopping rules, of CUSUM tests, None where a configuration has none of these.
 
     Attributes:
         levels: largest levels of stopping rules.
@@ -195,7 +195,7 @@ class _Learned:
         tests: of CUSUM tests, with thresholds.
         plants: of linear plants, with matrices.
         sensors: of redundant sensors, with what they are like.
-        data: what names the logs' contents.
+        data: names of the logs' contents.
         logs: how many they are.
         left_out: rows of logs that nothing was learnt from.
         read: logs that were read; the others had been before.
@@ -224,7 +224,7 @@ class _Learned:
 
 
 def _any(config: Config) -> bool:
-    """Tell whether logs can set anything of a configuration."""
+    """Return whether logs can set anything of a configuration."""
     rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
     return bool(rules or tests or of_kind(config, Refinement) or of_kind(config, SensorCalibration))
 
@@ -275,7 +275,7 @@ class _Told:
     """Tells how far the logs are read.
 
     Args:
-        silent: to nobody.
+        silent: without output.
     """
 
     def __init__(self, *, silent: bool) -> None:
@@ -422,11 +422,11 @@ def calibrate_logs(
         margin: largest healthy T over its threshold, for CUSUM tests.
         floor: least threshold of these [nu].
         into: configuration that gets the thresholds; None: none.
-        parts: folder of what each log said, None: all is done here, each time anew.
+        parts: folder of what each log said, None: all is done here, each time again.
         scheduler: address of Dask's scheduler.
         workers: of this machine.
         maps: channels of the logs taken as buses.
-        json: programs are told.
+        json: the output is for programs.
     """
     if parts is None:
         for key, value in (("--scheduler", scheduler), ("--workers", workers)):

@@ -46,7 +46,7 @@ def learn_car(
     if not logs:
         raise InputError("name a log of a healthy drive, too, e.g. gateway learn car.dbc drive.log", key="LOG")
     if out.exists() and not (update or force):
-        raise InputError("this file is there: --update adds the logs to it, --force writes it anew", file=out)
+        raise InputError("this file is there: --update adds the logs to it, --force overwrites it", file=out)
     asked_buses = _of_file(out) if update else _buses(databases, buses)
     if pgn:
         asked_buses = [replace(bus, match="pgn") for bus in asked_buses]
@@ -107,7 +107,7 @@ def _all_there(paths: Sequence[Path]) -> None:
 
 
 def _write(asked: Asked, result: Result) -> None:
-    """Write the configuration, its report, and what is kept for another drive: each whole, or not at all."""
+    """Write the configuration, its report, and the state kept for another drive: each whole, or not at all."""
     texts = {
         asked.out: result.text,
         asked.out.with_suffix(".md"): markdown(asked, result),

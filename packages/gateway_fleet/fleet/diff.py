@@ -11,7 +11,7 @@ from typing import Any
 
 from gateway_fleet.fleet.verdicts import Row, Verdicts
 
-#: What of an event makes it the same one.
+#: Fields by which an event is the same one.
 _SAME = ("t", "dtc", "fault", "status")
 
 
@@ -43,7 +43,7 @@ class Changed:
 
 @dataclass(frozen=True)
 class Difference:
-    """What differs between two runs.
+    """Differences between two runs.
 
     Attributes:
         same: logs with the same verdict.

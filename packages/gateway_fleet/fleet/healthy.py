@@ -1,9 +1,9 @@
-"""Healthy logs of a fleet: what each says of a configuration's thresholds, found once by workers, put together here.
+"""Healthy logs of a fleet: the findings of each for thresholds, found once by workers, put together here.
 
-What is put together is what ``gateway calibrate`` finds in one process: the same parts
+The result is that of ``gateway calibrate`` in one process: the same parts
 (:mod:`gateway.calibration.part`) in the same order of logs. Parts are kept by the log's contents, the configuration,
-and what they were asked with, so that a second run finds only what is new. A log of which nothing is to be learnt
-(damaged, cut off, foreign, ...), or that kills its worker, is left out and told.
+and their question, so that a second run finds only what is new. A log of which nothing is to be learnt (damaged, cut
+off, foreign, ...), or that kills its worker, is left out and told.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ _STATE, _TEXT = "state", "text"
 
 @dataclass(frozen=True)
 class Ask:
-    """What is asked of a log.
+    """A question to a log.
 
     Attributes:
         setup: configuration, and the folder of the parts.
         recording: the log.
         kind: of the part.
         monitor: whose; "": all that have this kind.
-        given: what it is asked with.
+        given: arguments of the question.
     """
 
     setup: Setup
@@ -65,7 +65,7 @@ class Ask:
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of a question.
+    """Answer to a question.
 
     Attributes:
         ask: it.
@@ -84,11 +84,11 @@ class Answer:
 
 @dataclass
 class Learnt:
-    """What a fleet's logs say.
+    """Findings of a fleet's logs.
 
     Attributes:
         logs: recordings that it is learnt from.
-        data: what names their contents.
+        data: names of their contents.
         read: logs that were read now.
         levels, tests, plants, sensors: of each kind; None, or none: the configuration has no such monitor.
         left_out: rows of the logs that nothing was learnt from, as in the table ``errors``.
@@ -124,7 +124,7 @@ def _part(ask: Ask, config: Config, progress: Progress) -> Part:
 
 
 def answer(ask: Ask) -> Answer:
-    """Find a part, unless it is there already; what a worker does.
+    """Find a part, unless it is there already: the work of a worker.
 
     Raises:
         InputError: the worker has another configuration.
@@ -147,7 +147,7 @@ def answer(ask: Ask) -> Answer:
 
     try:
         part = _part(ask, config, progress)
-    except Exception as error:  # whatever it is, it is this log's
+    except Exception as error:  # any error is this log's
         state, text = _why(error)
         if state not in FAILED:
             save(path, Part(0.0, facts={_STATE: state, _TEXT: text}))
@@ -301,7 +301,7 @@ def learn(
         config_path: the configuration.
         recordings: the logs, in the order in which plants are refined by them.
         out: folder of the parts.
-        workers: who reads the logs.
+        workers: read the logs.
         margin: largest healthy T over its threshold, for CUSUM tests.
         floor: least threshold of these [nu].
         maps: channels of the logs taken as buses.
@@ -312,7 +312,7 @@ def learn(
     """
     path = config_path.absolute()
     config = load_afresh(path)
-    Gateway(config, None, file=path).close()  # what is wrong with it is no log's fault
+    Gateway(config, None, file=path).close()  # an error of the configuration is no log's fault
     setup = Setup(path, digest_of(config, maps), maps, carried=False, out=out.absolute())
     (setup.out / "errors").mkdir(parents=True, exist_ok=True)
     found = Learnt()
@@ -343,7 +343,7 @@ def learn(
 
 
 def _parts(config: Config, survey: _Survey) -> Iterator[tuple[tuple[str, str], dict[Path, Part]]]:
-    """Yield what the logs say, by kind and monitor; what needs all logs comes when those are known that answer."""
+    """Yield the logs' findings, by kind and monitor; those of all logs come when the answering logs are known."""
     if of_kind(config, Calibration):
         yield (LEVELS, ""), survey.ask(LEVELS)
     for sensor in of_kind(config, SensorCalibration):

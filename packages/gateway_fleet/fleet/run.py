@@ -1,4 +1,4 @@
-"""Many recordings judged: which are new, who does them (:mod:`gateway.common.pool`), and what has been done."""
+"""Many recordings judged: new ones, their workers (:mod:`gateway.common.pool`), and the finished ones."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Progress = Callable[[Outcome, int], None]
 
 @dataclass(frozen=True)
 class Order:
-    """What is to be done.
+    """Work to be done.
 
     Attributes:
         recordings: all of them.
@@ -51,7 +51,7 @@ class Order:
 
 @dataclass
 class Result:
-    """What was done.
+    """Work that was done.
 
     Attributes:
         known: recordings that had their verdict.
@@ -106,7 +106,7 @@ def run(order: Order, progress: Progress = lambda outcome, left: None) -> Result
 def _tell_copies(order: Order, manifest: Manifest, verdicts: Verdicts, moved: set[str]) -> list[Path]:
     """Have each verdict name the first recording of these contents, and each other one a row of ``errors``.
 
-    Whoever was judged first, the tables are the same.
+    The tables are the same in any order of judging.
 
     Args:
         order: with all recordings.
@@ -200,7 +200,7 @@ class _Judging:
         return [self._refused(task, recording, "failed", text) for recording in task.recordings]
 
     def killed(self, task: Task) -> tuple[list[Outcome], Task | None]:
-        """Refuse the first recording without a verdict: those before it count, those behind it are done."""
+        """Refuse the first recording without a verdict: those before it count, those after it are done."""
         outcomes = []
         for k, recording in enumerate(task.recordings):
             log = self._log_of(task, recording)

@@ -1,4 +1,4 @@
-"""One recording judged, or those of a device one after the other: what a worker does.
+"""One recording judged, or those of a device one after the other: the work of a worker.
 
 A gateway of its own for each, from a configuration that lies at the same path on every worker. With a memory that is
 carried, the fault memory that one log ends with is the next one's: it ages, heals and confirms over operation cycles
@@ -42,7 +42,7 @@ from gateway_fdi.common.tomlfile import texts_in
 from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.fleet.verdicts import Row, Verdict, Verdicts, error_rows
 
-#: Changes of status that are kept of a log; more is told.
+#: Changes of status that are kept of a log; more are reported.
 MOST_EVENTS = 10_000
 #: Characters of a parameter that may be the name of a file.
 _LONGEST_NAME = 1000
@@ -69,7 +69,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker is asked for.
+    """Request to a worker.
 
     Attributes:
         setup: with what.
@@ -84,7 +84,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a recording.
+    """Outcome of a recording.
 
     Attributes:
         recording: it.
@@ -138,7 +138,7 @@ def judge(task: Task) -> list[Outcome]:
     """Judge recordings, and write what comes out.
 
     Raises:
-        InputError, InputErrors: the configuration is wrong, or another one than at whoever asks.
+        InputError, InputErrors: the configuration is wrong, or another one than the asker's.
     """
     config = load_config(task.setup.config)
     if digest_of(config, task.setup.maps) != task.setup.digest:
@@ -153,7 +153,7 @@ def judge(task: Task) -> list[Outcome]:
 
 
 def _is_next(setup: Setup, outcome: Outcome) -> bool:
-    """Tell whether a memory goes on from a recording: not from a copy, whose memory stands where the first one is."""
+    """Return whether a memory goes on from a recording: not from a copy, whose memory stands where the first one is."""
     if outcome.fresh:
         return True
     rows = Verdicts(setup.out).rows("logs", outcome.log)
@@ -196,7 +196,7 @@ def _one(setup: Setup, config: Config, recording: Recording, before: str) -> Out
         return Outcome(recording, log, row["state"], row["frames"], row["dtcs"], time.monotonic() - begun, fresh=False)
     try:
         verdict = _judged(setup, config, recording, log, before)
-    except Exception as error:  # whatever it is, it is this log's, and must not wait for somebody who can unpickle it
+    except Exception as error:  # any error is this log's, and must not need a reader that can unpickle it
         told = " ".join(str(error).split())
         text = told if isinstance(error, GatewayError) else f"{type(error).__name__}: {told}"
         return refuse(verdicts, recording, log, "failed", text)

@@ -1,4 +1,4 @@
-"""What a fleet's run leaves: tables of verdicts as Parquet, a file a log in each, and what has been done.
+"""Files of a fleet's run: tables of verdicts as Parquet, a file a log in each, and the finished work.
 
 ==========  ======================================================================================================
 table       a row
@@ -11,7 +11,7 @@ table       a row
 ==========  ======================================================================================================
 
 Files are named by the digest of the log's contents, written under another name and renamed; that in ``logs`` comes
-last, and says that the others are there. So whoever writes one twice writes the same, and nobody reads a part of one.
+last, and says that the others are there. So a file written twice is the same, and no reader gets a part of one.
 Nothing in the tables depends on when, where or how fast they were made.
 """
 
@@ -121,7 +121,7 @@ class Verdicts:
         return self.folder / table / f"{log}.parquet"
 
     def has(self, log: str) -> bool:
-        """Tell whether a log has its verdict."""
+        """Return whether a log has its verdict."""
         return self.path("logs", log).exists()
 
     def write(self, log: str, verdict: Verdict) -> None:
@@ -191,7 +191,7 @@ class Verdicts:
 
 @dataclass(frozen=True)
 class Done:
-    """What the manifest says of a recording.
+    """Entry of the manifest for a recording.
 
     Attributes:
         files: name, size [byte] and time of change [ns] of each of its files.
@@ -255,8 +255,8 @@ class Manifest:
 
         Args:
             path: of it.
-            done: what is to be known.
-            more: what people may want to know.
+            done: finished recordings.
+            more: further facts for people.
         """
         self.done[str(path)] = done
         row = {"path": str(path), "log": done.log, "state": done.state, **more, "files": done.files}

@@ -1,4 +1,4 @@
-"""Whether a log is of the car that a database is of: so many identifiers in common are more than chance gives."""
+"""Whether a log is of the car that a database is of: more identifiers are common than by chance."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ FIRST_LOOK = 12
 LEAST_BITS, LEAST_BITS_UNNAMED, MOST_BITS = 4, 8, 64
 #: Fields of a message that are not called checksums, and looked at as if they were.
 MOST_UNNAMED = 8
-#: A field that is not called a checksum is taken for one if so many bytes beside it change, one of which may count.
+#: A field that is not called a checksum is taken for one if this number of bytes beside it change, one may count.
 LEAST_BYTES = 2
 
 
@@ -57,7 +57,7 @@ def _undescribed(message: Message) -> list[Signal]:
 
 
 def _busy(signal: Signal, message: Message, frames: Payloads, counter: CounterFound | None) -> bool:
-    """Tell whether a field changes as a checksum does, and other bytes do, too."""
+    """Return whether a field changes as a checksum does, and other bytes do, too."""
     values = bits_of(frames.words, field_of(signal))
     if len(np.unique(values)) < min(24, len(frames) // 8):
         return False
@@ -103,14 +103,14 @@ def _first(
 def _named(
     message: Message, signal: Signal, counter: CounterFound | None, frames: Payloads
 ) -> Iterator[tuple[Keys, int]]:
-    """Yield what fits the frames, and what was free to be chosen for it [bit]."""
+    """Yield rules that fit the frames, and the bits that were free to be chosen for them [bit]."""
     yield from ((keys, 0) for keys in _rules(message, signal, counter, frames))
 
 
 def _unnamed(
     message: Message, signal: Signal, counter: CounterFound | None, frames: Payloads
 ) -> Iterator[tuple[Keys, int]]:
-    """Yield what fits the frames, and what was free to be chosen for it [bit]."""
+    """Yield rules that fit the frames, and the bits that were free to be chosen for them [bit]."""
     yield from ((keys, 16) for keys in _known(message, signal, frames))
     if signal.length <= 16:
         yield from ((keys, signal.length) for keys in _sums(message, signal, frames))
@@ -151,7 +151,7 @@ def _known(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]
 
 
 def _ranges(message: Message, signal: Signal) -> Iterator[Keys]:
-    """Yield what a checksum may cover: the whole payload, what is behind its own byte, what is before it."""
+    """Yield ranges of a checksum: the whole payload, the bytes after its own, the bytes before it."""
     yield {}
     own = mask_of(field_of(signal))
     bytes_ = [k for k in range(message.length) if own >> (8 * k) & 0xFF]

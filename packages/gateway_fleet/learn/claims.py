@@ -34,7 +34,7 @@ class Claim:
         protection: made of them.
         frames: that were looked at and not used to find it.
         matched: of these.
-        note: for people: what is not sure about it; "" nothing.
+        note: for people: its uncertain parts; "" none.
     """
 
     keys: Mapping[str, Any]
@@ -98,7 +98,7 @@ def evidence(pairs: Payloads, asked: Protection, free_bits: int, hypotheses: int
     Args:
         pairs: a frame for each pair.
         asked: the protection.
-        free_bits: what was chosen so that frames fit [bit].
+        free_bits: chosen so that frames fit [bit].
         hypotheses: how many others were tried.
         called: the database calls the field a checksum.
     """
@@ -114,7 +114,7 @@ def evidence(pairs: Payloads, asked: Protection, free_bits: int, hypotheses: int
 def _copies(pairs: Payloads, mask: NDArray[np.uint64], width: int) -> bool:
     """Return whether one byte alone may say what is taken for a checksum: a copy of it, not a sum.
 
-    A table of as many constants as that byte has values would explain the frames; what is said beyond it counts.
+    A table of as many constants as that byte has values would explain the frames; only evidence beyond it counts.
     """
     bytes_ = Payloads(pairs.words & mask, pairs.lengths).bytes
     most = max(len(np.unique(bytes_[:, k])) for k in range(bytes_.shape[1]))
@@ -141,7 +141,7 @@ def proven(
         message: of the frames.
         keys: of the protection, as a configuration has them.
         proof: frames that were not used to choose ``free_bits``; a rule without a constant may be proven by all frames.
-        free_bits: what was chosen so that other frames fit [bit].
+        free_bits: chosen so that other frames fit [bit].
         hypotheses: how many others were tried.
         note: see :class:`Claim`.
     """

@@ -15,7 +15,7 @@ from gateway_fleet.learn.evidence import LEAST_EVIDENCE
 
 #: Longest counter that is looked for [bit].
 MOST_BITS = 32
-#: Largest loss that explains a step [frames]; it must agree with the time that passed to so many cycles.
+#: Largest loss that explains a step [frames]; it must agree with the time that passed to this number of cycles.
 LONGEST_LOSS, CYCLES_OFF = 8, 1.2
 #: Share of the steps that may be losses, where the time between frames says nothing of them and where it does.
 LOST, LOST_TIMED = 0.1, 0.4
@@ -41,7 +41,7 @@ class CounterFound:
         modulus: how many it has.
         steps: that were looked at.
         ones: of these, those by one.
-        wraps: how often it came round; 0: what it has after its highest bits are set is not known, all are assumed.
+        wraps: how often it came round; 0: its values after its highest bits are set are not known, all are assumed.
         lost: frames that are missing between steps.
     """
 
@@ -75,7 +75,7 @@ def signal_of(message: Message, counter: CounterFound) -> Signal:
 
 
 def called_counter(name: str) -> bool:
-    """Tell whether a signal is called as counters are."""
+    """Return whether a signal is called as counters are."""
     return name.upper().rstrip("0123456789_").endswith(COUNTERS)
 
 
@@ -87,10 +87,10 @@ def of_raw(
     cycles: NDArray[np.float64] | None = None,
     hypotheses: int = 1,
 ) -> CounterFound | None:
-    """Tell whether a field counts: each frame one more, but for frames that were lost.
+    """Return whether a field counts: each frame one more, but for frames that were lost.
 
     Chance is a permutation: the same values in any order, so that a value that comes often follows any other often.
-    What is claimed is less probable than one in 10^9 by it, for each of the fields that are looked at.
+    The claim is less probable than one in 10^9 by it, for each of the fields that are looked at.
 
     Args:
         name: of the signal.
@@ -158,7 +158,7 @@ def _counts(
 
 
 def _always(before: NDArray[np.int64], lost: NDArray[np.bool_]) -> bool:
-    """Tell whether what seem to be losses come nearly always after one value: then that is how the field goes on."""
+    """Return whether what seem to be losses come nearly always after one value: then that is how the field goes on."""
     values, places = np.unique(before, return_inverse=True)
     count = np.bincount(places, minlength=len(values))
     losses = np.bincount(places, weights=lost, minlength=len(values))

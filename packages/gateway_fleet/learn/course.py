@@ -1,4 +1,4 @@
-"""What signals do: extremes, steepness, rest; all signals of a message at once."""
+"""Courses of signals: extremes, steepness, rest; all signals of a message at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: What a signal does in the first time of a log does not count: senders start [ns].
+#: First time of a log, in which signals do not count: senders start [ns].
 START_NS = 1_000_000_000
 #: Different values that are kept, to say whether a signal is a quantity or a state.
 MOST_VALUES = 24
@@ -16,7 +16,7 @@ MOST_VALUES = 24
 
 @dataclass
 class Course:
-    """What one signal did.
+    """Course of one signal.
 
     Attributes:
         count: values, without those that stand for none.
@@ -76,7 +76,7 @@ class Course:
 
 
 class Courses:
-    """What the signals of a message do.
+    """Courses of the signals of a message.
 
     Args:
         codes: of each signal, the values that stand for none.
@@ -103,8 +103,8 @@ class Courses:
         Args:
             t_ns: their stamps, in order.
             values: shape (frames, signals), NaN where there is none.
-            usual_s: time from frame to frame: a change is taken over so long at least, as the monitor takes it; frames
-                that an adapter hands over together change no faster [s].
+            usual_s: time from frame to frame: a change is taken over this time at least, as the monitor takes it;
+                frames that an adapter hands over together change no faster [s].
         """
         none = self._without_codes(t_ns, values)
         started = t_ns >= self._start_ns + START_NS

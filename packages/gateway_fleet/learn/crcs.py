@@ -1,7 +1,7 @@
 """CRCs of any polynomial: recovered from what frames differ in, with what is constant or goes in by the counter.
 
-What goes in after the payload, a data id or the byte of the counter's value, is the same for the frames compared, and
-shifts what they differ in by its bits: so zero bytes in its place are tried.
+Bytes after the payload, a data id or the byte of the counter's value, are the same for the frames compared, and shift
+their difference by their bits: so zero bytes in its place are tried.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ def crcs(
     frames: Payloads,
     ranges: Iterable[Mapping[str, Any]],
 ) -> Iterator[tuple[Keys, int]]:
-    """Yield CRCs that fit the frames, and what was free to be chosen for them [bit].
+    """Yield CRCs that fit the frames, and the bits that were free to be chosen for them [bit].
 
     Args:
         message: of the frames.
         signal: of the CRC.
         counter: of the message.
         frames: different ones.
-        ranges: what the CRC may cover, as keys of a configuration.
+        ranges: bytes that the CRC may cover, as keys of a configuration.
     """
     checksums = bits_of(frames.words, field_of(signal))
     same = np.arange(len(frames))
     groups = [(same, after) for after in range(MOST_AFTER + 1)]
-    if counter is not None:  # frames of one value: what goes in by the counter is the same for them
+    if counter is not None:  # frames of one value: the byte by the counter is the same for them
         values = bits_of(frames.words, field_of(signal_of(message, counter)))
         each, count = np.unique(values, return_counts=True)
         groups.append((np.flatnonzero(values == each[count.argmax()]), 1))
@@ -112,7 +112,7 @@ def _by_counter(
 ) -> tuple[Sequence[int], int] | None:
     """Return the byte that goes in for each value of the counter, and the constant; None where there are none.
 
-    What is common to all bytes and what is constant cannot be told apart: the first one is called 0.
+    The common part of all bytes and the constant cannot be told apart: the first byte is called 0.
     """
     plain = {"signal": counter.signal}
     values = bits_of(frames.words, field_of(signal_of(message, counter)))

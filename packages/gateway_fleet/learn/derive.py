@@ -30,7 +30,7 @@ def derive(
     """Return the lines that a configuration gets, and the notes beside them.
 
     Args:
-        observation: what was seen.
+        observation: of the logs.
         databases: of the buses.
         buses: their names.
         earlier_s: length of earlier logs whose statistics were added [s].
@@ -63,7 +63,7 @@ def derive(
 
 
 def senders(seen: Seen) -> bool:
-    """Tell whether frames look as if two senders sent them, each at its own times.
+    """Return whether frames look as if two senders sent them, each at its own times.
 
     Gaps vary, but those of every second frame do not.
     """

@@ -1,4 +1,4 @@
-"""What was learned as a configuration file: grouped, one line a message, signal or relation, each with its evidence."""
+"""The learned configuration as a file: grouped, one line a message, signal or relation, each with its evidence."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ _HEAD = """\
 # {title}
 #
 # Learned from healthy logs: {logs}.
-# One line a message, signal or relation; behind it what it stands on. Change what you know better: `gateway learn
-# --update` keeps every line that you changed, took out or added. What the keys mean: docs/protections.md,
+# One line a message, signal or relation; after it its evidence. Change lines that you know better: `gateway learn
+# --update` keeps every line that you changed, took out or added. Meaning of the keys: docs/protections.md,
 # docs/signals.md, docs/configure.md.
 
 name = {name}
@@ -80,7 +80,7 @@ def document(name: str, buses: Sequence[BusAsked], learned: Learned, logs: Seque
         name: of the gateway.
         buses: of it.
         learned: lines and notes.
-        logs: what was read, for people.
+        logs: read ones, for people.
     """
     title = f"{name}: {sum(len(learned.of(bus.name, CHECK)) for bus in buses)} messages"
     text = _HEAD.format(title=title, logs="; ".join(logs), name=inline(name))

@@ -37,7 +37,7 @@ class Gaps:
     wakes: tuple[int, int] = (0, 0)
 
     def begin(self) -> None:
-        """Begin with another log: what lies between is no gap."""
+        """Begin with another log: the time between is no gap."""
         self.last_ns = None
 
     def stamps(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -110,17 +110,17 @@ class Gaps:
 CYCLIC, MIXED, ON_CHANGE, TOO_FEW = "cyclic", "cyclic and on change", "on change", "too few"
 #: Gaps that it takes to say anything.
 LEAST_GAPS = 10
-#: A cyclic message's gaps, of its cycle: nine of ten, 99 of 100, and the share that may be longer than so many cycles
-#: (frames were lost one after the other, its ECU began anew).
+#: A cyclic message's gaps, of its cycle: nine of ten, 99 of 100, and the share that may be longer than ``FAR`` cycles
+#: (frames were lost one after the other, its ECU restarted).
 MOST_OF_TEN, MOST_OF_HUNDRED, FAR, SHARE_FAR = 2.5, 4.0, 6.0, 0.005
 #: Share of the gaps that are near the cycle, and how near: of gaps by chance (exponential) fewer are.
 NEAR_CYCLIC, WITHIN_CYCLIC, NEAR_MIXED, WITHIN_MIXED = 0.5, 0.4, 0.25, 0.25
 #: One and a half standard deviations of a share of a half, of one gap.
 FEW = 0.75
-#: A message that once stayed away for so many cycles, and for so long [ns], does so at times: no time says that it is
-#: missing.
+#: A message that once stayed away for this number of cycles, and for this time [ns], does so at times: no timeout fits
+#: it.
 AWAY, AWAY_NS = 100.0, 10_000_000_000
-#: Cycles of a timeout, at least; more where so many lost frames one after the other are not rare enough.
+#: Cycles of a timeout, at least; more where that number of frames lost one after the other is not rare enough.
 CYCLES, RARE = 5.0, 1e-10
 
 
@@ -192,7 +192,7 @@ def _rounded(value: float) -> float:
     return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")
 
 
-#: After a wake-up a message may come so much later than it ever did; the bus's own time to wake is this [ms].
+#: After a wake-up a message may come later than ever by this factor; the bus's own time to wake is this [ms].
 LATER, WAKE_MS = 2.0, 15_000.0
 #: Wake-ups that it takes to wait less than the bus's own time.
 LEAST_WAKES = 3

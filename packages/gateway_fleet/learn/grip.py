@@ -1,8 +1,8 @@
-"""What tyres allow: the faster a car is, the less its steering wheel is turned.
+"""Limits by the tyres: the faster a car is, the less its steering wheel is turned.
 
 A car that turns its steering wheel by an angle goes through a curve with the lateral acceleration
 a = v^2 tan(angle / i) / l, i the ratio of the steering, l the wheelbase. Tyres end it; so angle * v^2 has a bound that
-a healthy car keeps, whatever the road. It is a range by condition: wide at walking pace, narrow at speed.
+a healthy car keeps on any road. It is a range by condition: wide at walking pace, narrow at speed.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from gateway_fleet.learn.observe import Observation
 
 #: Lateral acceleration [m/s2] and the largest product of steering ratio and wheelbase of cars and vans [m].
 GRIP, RATIO_BASE = 8.0, 55.0
-#: Of what was seen the bound is so much at least.
+#: The bound is at least this multiple of the largest value seen.
 WIDER = 2.0
 #: Unit of a speed -> m/s.
 _SPEEDS = {"km/h": 1 / 3.6, "kph": 1 / 3.6, "kmh": 1 / 3.6, "km/hr": 1 / 3.6, "mph": 0.44704, "m/s": 1.0}
 _ANGLE = re.compile(r"STEER\w*(ANGLE|POS)|LENK\w*WINKEL|(ANGLE|SWA)\w*STEER|^SAS_Angle$|^SteeringAngle$", re.IGNORECASE)
-#: Other angles, rates, and what an assistant asks for.
+#: Other angles, rates, and requests of an assistant.
 _OTHER = re.compile(r"RATE|SPEED|REQ|CMD|CMND|TARGET|DESIRED|ZERO|OFFSET|FRACTION|MOTOR", re.IGNORECASE)
 #: Rows that it must have been driven for.
 LEAST_ROWS = 200

@@ -1,4 +1,4 @@
-"""What a protection says of many frames at once: the checksum each has, and the one it should have."""
+"""A protection applied to many frames at once: the checksum each has, and the one it should have."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Judged:
 
     @property
     def difference(self) -> NDArray[np.uint64]:
-        """What is between them by exclusive or."""
+        """Their difference by exclusive or."""
         return self.received ^ self.computed
 
 

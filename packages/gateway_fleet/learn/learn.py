@@ -27,16 +27,16 @@ from gateway_fleet.learn.trial import Outcome, Trials, tried
 from gateway_fleet.learn.update import add_before, dropped, read_file
 from gateway_fleet.learn.widen import owner, widened
 
-#: A limit is widened so often, then taken out; the configuration is replayed so often at most.
+#: How often a limit is widened before it is taken out, and how often the configuration is replayed at most.
 WIDENED, ROUNDS = 3, 8
 
-#: Told: what is done, log or number, how far it is (0 to 1).
+#: Told: the task, log or number, how far it is (0 to 1).
 Progress = Callable[[str, str, float], None]
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What is to be learned.
+    """Request to learn.
 
     Attributes:
         name: of the gateway.
@@ -61,20 +61,20 @@ class Asked:
 
 @dataclass
 class Result:
-    """What was learned.
+    """Result of learning.
 
     Attributes:
         learned: lines and notes.
-        observation: what they come from.
+        observation: their source.
         text: of the configuration.
-        changes: what was widened, one line each.
+        changes: widened limits, one line each.
         alarms: faults that healthy logs set still, none if all is well.
         conditions: faults of the logs themselves: their clock was set, the bus was off.
-        held_s, held_frames: what was held out.
-        trials: what came of the faults that were put into it.
-        state: what is kept for another drive.
+        held_s, held_frames: of the part held out.
+        trials: results of the faults that were put into it.
+        state: kept for another drive.
         kept: lines that a person changed, took out or added; they stay.
-        dropped: what earlier logs gave and is not there any more, one line each.
+        dropped: findings of earlier logs that are not there any more, one line each.
         refused: place and key of what healthy frames broke until it was taken out.
     """
 
@@ -94,7 +94,7 @@ class Result:
 
     @property
     def outcomes(self) -> list[Outcome]:
-        """What came of one fault of each kind and place."""
+        """Results of one fault of each kind and place."""
         return self.trials.outcomes
 
 
@@ -135,8 +135,8 @@ def learn(asked: Asked, progress: Progress) -> Result:
     """Learn a configuration; nothing is written.
 
     Raises:
-        InputError, InputErrors: a database or log that is wrong; nothing in the logs that a database has; to be
-            updated, and not there or not ours.
+        InputError, InputErrors: a database or log that is wrong; nothing in the logs that a database has; a file to be
+            updated that is not there or not of gateway learn.
     """
     before = load_state(asked.out) if asked.update else Kept()
     file = read_file(asked.out) if asked.update else None
@@ -186,7 +186,7 @@ def settle(
 
 
 def _of_log(fault: str, buses: Sequence[str]) -> bool:
-    """Tell whether a fault is one of the recording (its clock was set, its bus was off), not of a limit."""
+    """Return whether a fault is one of the recording (its clock was set, its bus was off), not of a limit."""
     owner_, _, rest = fault.partition(".")
     return owner_ == OWNER or (owner_ in buses and "." not in rest)
 

@@ -24,19 +24,20 @@ from gateway_fleet.learn.moves import Drives, moving
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound
 
-#: A share of lost frames that is told.
+#: A share of lost frames that is reported.
 LOST = 0.005
 #: Values that it takes to say anything of a signal.
 LEAST_VALUES = 100
-#: Share of what its bits can say that a signal must have gone through, and what is added on either side, of its span.
+#: Share of its bits' range that a signal must have gone through, and the margin on either side, of its span.
 EXPLORED, ROOM = 0.2, 2.0
-#: What is added on either side of the database's range, of its width: steering wheels turn farther than databases say.
+#: Margin on either side of the database's range, of its width: steering wheels turn farther than databases say.
 MARGIN = 0.1
 #: Steepest change seen -> limit, at least the whole range in this time [s]: a log of gentle driving shows no emergency.
 STEEPER, ACROSS_S = 3.0, 1.0
 #: A limit must be below this share of the range in one period, or nothing could exceed it.
 TOLD = 0.5
-#: Standstill is learned of logs of so long [s], of signals that moved so often; the limit is so much longer.
+#: Standstill is learned of logs of this length [s], of signals that moved this often; the limit is longer by this
+#: factor.
 LONG_S, MOVES, LONGER, LEAST_REST_S = 600.0, 1000, 10.0, 10.0
 #: A code that stands for no value in healthy logs for longer is no fault [s].
 HEALTHY_NONE_S = 0.25
@@ -99,7 +100,7 @@ def _ms(ns: float) -> str:
 
 
 def _ended(seen: Seen) -> bool:
-    """Tell whether a message stopped before its log did: switched off, with the ignition or otherwise."""
+    """Return whether a message stopped before its log did: switched off, with the ignition or otherwise."""
     return seen.ended_s * 1e9 > max(2e9, 3.0 * seen.gaps.largest_ns)
 
 
@@ -110,7 +111,7 @@ def signal_lines(
 
     Args:
         bus: name of the bus.
-        seen: what they did.
+        seen: courses of signals.
         found: how the message is protected: its counter and checksum are no quantities.
         seconds: length of the logs [s].
         taken: names of faults that are in use; those of the lines are added.
@@ -246,7 +247,7 @@ def _texts(signal: Signal, course: Course) -> tuple[dict[str, Any], str]:
 
 
 def notes_of(observation: Observation, buses: Sequence[str]) -> list[str]:
-    """Return what came and is in no database, and what is in one and never came; one line each."""
+    """Return messages that came and are in no database, and those in one that never came; one line each."""
     notes = []
     for bus, name in enumerate(buses):
         pauses = observation.pauses[bus]

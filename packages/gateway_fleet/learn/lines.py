@@ -1,4 +1,4 @@
-"""What is learned, line by line: an entry of a configuration, with what it stands on."""
+"""Learned lines: each an entry of a configuration, with its evidence."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class Line:
 
     Attributes:
         bus: name of the bus.
-        table: CHECK, SIGNAL, RULE, or CAUSE: what a fault is not told beside.
+        table: CHECK, SIGNAL, RULE, or CAUSE: faults that a fault is not told beside.
         name: of the message, of the signal ("Message.Signal"), of the rule, or of the fault.
         keys: of the entry.
-        why: what it stands on, for people.
+        why: its evidence, for people.
     """
 
     bus: str
@@ -33,7 +33,7 @@ class Line:
 
     @property
     def place(self) -> tuple[str, str, str]:
-        """What it is found by again."""
+        """Key by which it is found again."""
         return self.bus, self.table, self.name
 
     def text(self) -> str:
@@ -49,7 +49,7 @@ class Learned:
 
     Attributes:
         lines: by their places, in the order of the file.
-        notes: what is not in it, and why; one line each.
+        notes: things left out, and why; one line each.
     """
 
     lines: dict[tuple[str, str, str], Line] = field(default_factory=dict)

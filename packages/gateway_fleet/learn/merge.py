@@ -1,4 +1,4 @@
-"""New lines put into a file that a person has edited: what was changed, taken out or added by hand stays as it is."""
+"""New lines put into a file that a person has edited: lines changed, taken out or added by hand stay as they are."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def of_a_person(file: File, written: Mapping[tuple[str, str, str], Line]) -> set
 
     Args:
         file: as it is now.
-        written: what we wrote last, by place.
+        written: lines that we wrote last, by place.
     """
     added = {place for place in file.found if place not in written}
     gone = {place for place in written if place not in file.found}
@@ -125,7 +125,7 @@ def merged(
     Args:
         file: as it is now.
         learned: lines without those of a person's places.
-        written: what we wrote last.
+        written: lines that we wrote last.
         kept: a person's places.
         buses: as asked for.
     """

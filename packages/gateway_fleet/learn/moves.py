@@ -1,7 +1,7 @@
 """Signals that move in nearly every frame: one that does not is frozen, or its frames come twice.
 
-What is learned is the share of values that differ from the one before, in the shortest time that says something of it,
-while the car is driven as it was: a car that stands moves nothing.
+The learned value is the share of values that differ from the one before, in the shortest time that gives evidence of
+it, while the car is driven as it was: a car that stands moves nothing.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from gateway_fleet.learn.tails import limit_above
 VALUES, LEAST_S, MOST_S = 50, 1.0, 15.0
 #: Blocks that it takes to know a share, and the least one that is asked for.
 LEAST_BLOCKS, LEAST_SHARE = 12, 0.1
-#: Of the least share seen so much is asked for at most. Frames that come twice halve the share.
+#: Most that is asked for, of the least share seen. Frames that come twice halve the share.
 OF_LEAST = 0.65
-#: Blocks so much longer are tried, too, where the share that can be asked for is below this one, which shows
+#: Blocks longer by these factors are tried, too, where the share that can be asked for is below this one, which shows
 #: such frames.
 LONGER, TWICE = (1, 3), 0.46
-#: Where nothing says how fast the car is: the signal's own range, if it is so far from zero, of its span.
+#: Where nothing says how fast the car is: the signal's own range, if it is this far from zero, of its span.
 FROM_ZERO = 0.2
 #: The car is not taken to stand above this share of its usual speed.
 DRIVES = 0.25
@@ -103,7 +103,7 @@ def _at(stamps: NDArray[np.int64], column: NDArray[np.float64]) -> Callable[[NDA
 def moving(
     seen: Seen, own: set[str], speeds: Sequence[Drives], checksum: str | None = None
 ) -> Iterator[tuple[Signal, dict[str, Any], str]]:
-    """Yield the signals of a message that move, what is asked of each, and what it stands on.
+    """Yield the signals of a message that move, the limit of each, and its evidence.
 
     Args:
         seen: of the message.
@@ -128,7 +128,7 @@ def moving(
 
 
 def _asked(seen: Seen, signal: Signal, speed: Drives | None, count: int) -> tuple[float, dict[str, Any], str] | None:
-    """Return the least share of values that move, when it is asked for, and what it stands on; None: nothing is."""
+    """Return the least share of values that move, when it is asked for, and its evidence; None: nothing is."""
     field = field_of(signal)
     shares, lows = [], []
     low, high = np.inf, -np.inf

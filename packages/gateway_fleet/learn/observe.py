@@ -1,4 +1,4 @@
-"""One pass over healthy logs: what comes, how often, and what it carries."""
+"""One pass over healthy logs: the messages, how often they come, and their contents."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gateway_fleet.learn.snapshots import Snapshots
 
 @dataclass
 class Seen:
-    """What came of one message.
+    """Observation of one message.
 
     Attributes:
         bus: index of its bus.
@@ -42,9 +42,9 @@ class Seen:
         gaps: between frames.
         courses: of its signals.
         samples: frames that were kept.
-        ended_s: before the end of a log by so much, at most, it came for the last time [s]; with its time in the log.
+        ended_s: longest time from its last frame to the end of a log [s]; with its time in the log.
         columns: of its signals among all.
-        observers: what other packages see in it.
+        observers: of other packages.
     """
 
     bus: int
@@ -64,7 +64,7 @@ class Seen:
 
 @dataclass
 class LogSeen:
-    """What was read of one log.
+    """Data read of one log.
 
     Attributes:
         path: of it.

@@ -1,4 +1,4 @@
-"""What ``gateway learn`` shows of a message beside its signals: observers that other packages bring."""
+"""Observers that other packages bring: ``gateway learn`` shows their values beside a message's signals."""
 
 from __future__ import annotations
 

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from gateway_fleet.learn.gaps import Gaps, cycle_ns
 
-#: A silence of the whole bus is a pause from so many times the gap on that 99.5 % of its gaps do not exceed, and from
-#: so long on [ns]; of a bus of so many identifiers: one or two may fall silent themselves.
+#: A silence of the whole bus is a pause from this multiple on of the gap that 99.5 % of its gaps do not exceed, and
+#: from this time on [ns]; of a bus with this number of identifiers: one or two may fall silent themselves.
 UNUSUAL, SHARE, LEAST_NS, LEAST_IDS = 20.0, 0.995, 100_000_000, 3
 #: Gaps of a bus that it takes to know what is usual.
 LEAST_GAPS = 100
-#: After a pause the bus woke up if a message came later than so many of its cycles, and so long [ns]: after a pause of
-#: the recorder each comes within its cycle.
+#: After a pause the bus woke up if a message came later than this number of its cycles, and this time [ns]: after a
+#: pause of the recorder each comes within its cycle.
 LATE, LATE_NS = 8.0, 200_000_000
 
 

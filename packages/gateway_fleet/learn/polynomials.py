@@ -1,8 +1,8 @@
 """Polynomials over GF(2): the one that a CRC divides by, found from what frames differ in.
 
-A CRC is affine: crc(a) + crc(b) is the CRC of a + b from zero, whatever its start value, final exclusive or, and the
-constant bytes that go in beside the payload; + is exclusive or. So (a + b) x^w + crc(a) + crc(b) is a multiple of
-the polynomial, for each pair of frames, and it is the greatest common divisor of a few of them.
+A CRC is affine: crc(a) + crc(b) is the CRC of a + b from zero, with any start value, final exclusive or, and constant
+bytes beside the payload; + is exclusive or. So (a + b) x^w + crc(a) + crc(b) is a multiple of the polynomial, for each
+pair of frames, and it is the greatest common divisor of a few of them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-#: A CRC has a greatest common divisor of its degree after so many pairs, or none.
+#: A CRC has a greatest common divisor of its degree after this number of pairs, or none.
 MOST_PAIRS = 64
 
 _REVERSED = np.array([int(f"{byte:08b}"[::-1], 2) for byte in range(256)], np.uint8)

@@ -1,7 +1,7 @@
 """AUTOSAR E2E profiles, and their data ids, found in frames.
 
-A data id goes into a CRC linearly: what lies between the CRC of a frame and the one computed with id 0 is the same for
-all frames, and a sum of what each bit of the id does alone. So the id is solved for, not searched.
+A data id goes into a CRC linearly: the difference between the CRC of a frame and the one computed with id 0 is the same
+for all frames, and a sum of the effects of each bit of the id. So the id is solved for, not searched.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def e2e_claim(message: Message, found_with: Payloads, proof: Payloads) -> Claim 
 
 
 def _candidates(message: Message, frames: Payloads) -> Iterator[tuple[Keys, int, str]]:
-    """Yield profiles with ids that fit the frames; what was free to be chosen [bit]; what is not sure."""
+    """Yield profiles with ids that fit the frames; the bits free to be chosen [bit]; their uncertain parts."""
     for name, profile in PROFILES.items():
         last = message.length - profile.header if profile.offset_may_differ else 0
         for offset in range(last + 1):
@@ -139,7 +139,7 @@ _SOLVE = {
 
 
 def _constant(frames: Payloads, field: Any, message: Message) -> bool:
-    """Tell whether a header says the message's length in each frame."""
+    """Return whether a header says the message's length in each frame."""
     return bool((bits_of(frames.words, field) == message.length).all())
 
 
@@ -152,7 +152,7 @@ def _rank(images: list[int]) -> int:
 
 
 def _counts(asked: Protection, frames: Payloads) -> bool:
-    """Tell whether the header's counter goes up by one from frame to frame, nearly always."""
+    """Return whether the header's counter goes up by one from frame to frame, nearly always."""
     assert asked.counter is not None
     values = bits_of(frames.words, asked.counter.field).astype(np.int64)
     if (values < asked.counter.first).any() or (values >= asked.counter.first + asked.counter.modulus).any():

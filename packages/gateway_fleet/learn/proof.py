@@ -39,7 +39,7 @@ class Alarm:
 
 @dataclass
 class Replayed:
-    """What a replay of the logs gave.
+    """Results of a replay of the logs.
 
     Attributes:
         alarms: fault id -> what it was.

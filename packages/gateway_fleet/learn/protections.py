@@ -27,7 +27,7 @@ MOST_FOUND_WITH, MOST_PROOF = 256, 4096
 
 @dataclass(frozen=True)
 class ProtectionFound:
-    """What protects a message.
+    """Protection of a message.
 
     Attributes:
         counter: alive counter that is a signal; None: there is none, or it belongs to an E2E header.

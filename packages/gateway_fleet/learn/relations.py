@@ -19,7 +19,8 @@ from gateway_fleet.learn.tails import block_maxima, limit_above, sustained
 LEAST_ROWS, LEAST_VALUES, LEAST_VALUES_BY = 100, 8, 24
 #: Correlation of the values, of their movements, and of a difference with a third signal.
 SAME, MOVES, DIFFERENCE = 0.995, 0.9, 0.99
-#: Largest deviation from the relation, of the signal's span; and what the second half may add to the first's.
+#: Largest deviation from the relation, of the signal's span; and the factor that the second half may add to the
+#: first's.
 MOST_OFF, MOST_WORSE = 0.1, 3.0
 #: How often both signals must turn around, less often where they agree to their resolution; by this share of a span.
 TURNS, TURNS_EXACT, TURN = 6, 4, 0.01
@@ -27,13 +28,13 @@ TURNS, TURNS_EXACT, TURN = 6, 4, 0.01
 MOST_GROUP = 6
 
 
-#: A row of deviations counts for a fault if it lasts so long [s].
+#: A row of deviations counts for a fault if it lasts this time [s].
 LASTS_S = 1.0
 #: Delays between two signals that are looked for [rows], and by how much one must make the deviations smaller.
 MOST_DELAY, BETTER = 20, 0.85
-#: An offset that is no larger than so many of its standard errors, and this share of the span, is none.
+#: An offset that is no larger than this number of its standard errors, and this share of the span, is none.
 NO_OFFSET, SMALL = 3.0, 0.02
-#: Deviations of so many robust standard deviations do not count for the slope; so often it is fitted again.
+#: Deviations of this number of robust standard deviations do not count for the slope; number of fits.
 OUTLIER, FITS = 4.0, 3
 #: How the others of a relation go together.
 ONE, LESS, TIMES = "one", "difference", "product"
@@ -49,12 +50,12 @@ class Relation:
         of: column of the signal.
         by: columns of the others: one, or two whose difference or product counts.
         slope, offset: of = slope * by + offset.
-        limit: what deviations that last exceed once in hundreds of hours, unit of the signal.
+        limit: exceeded once in hundreds of hours by deviations that last, unit of the signal.
         worst: largest deviation seen, unit of the signal.
         rows: that it was seen in.
         movement: correlation of the movements.
         form: of ONE, LESS, TIMES.
-        delay_s: the signal follows the others by so much; below zero: they follow it [s].
+        delay_s: by which the signal follows the others; below zero: they follow it [s].
         seen: least and greatest value of the right side's signals, as they go together.
         slope_error: standard error of the slope.
     """

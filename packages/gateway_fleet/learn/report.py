@@ -1,4 +1,4 @@
-"""What was learned, for people: a page in Markdown, and the same as data."""
+"""Report of learning, for people: a page in Markdown, and the same as data."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def markdown(asked: Asked, result: Result) -> str:
     """Return the page."""
     found = summary(result)
     parts = [
-        f"# What was learned: {asked.name}",
+        f"# Learned: {asked.name}",
         f"From {found['frames']} frames, {found['seconds']:.0f} s of {len(asked.logs)} log(s);"
         f" {found['held_out_frames']} frames, {found['held_out_s']:.0f} s were held out.",
         f"{found['messages']} messages: {found['timeouts']} timeouts, {found['counters']} counters,"
@@ -111,7 +111,7 @@ def _faults(result: Result) -> list[str]:
     of = f"; {left} more signals were not tried" if left else ""
     kinds = sorted({outcome.trial.injection.kind for outcome in result.outcomes})
     head = f"{named} of {len(result.outcomes)} faults put into what was held out were named{of}."
-    head += " An offset is as large as the signal's own spread, whatever its limits are."
+    head += " An offset is as large as the signal's own spread, not as its limits."
     table = ["| message | " + " | ".join(kinds) + " |", "|---" * (len(kinds) + 1) + "|"]
     for message in sorted({outcome.trial.message for outcome in result.outcomes}):
         mine = [outcome for outcome in result.outcomes if outcome.trial.message == message]
@@ -126,7 +126,7 @@ def _faults(result: Result) -> list[str]:
     parts = ["## Faults put in", head, "\n".join(table), *_list("Not named", missed, level=3), *_smallest(result)]
     return [
         *parts,
-        *_list("What nothing watches", [", ".join(result.trials.unwatched)] if result.trials.unwatched else []),
+        *_list("Not watched", [", ".join(result.trials.unwatched)] if result.trials.unwatched else []),
     ]
 
 

@@ -16,16 +16,17 @@ from gateway_fleet.learn.protections import ProtectionFound
 from gateway_fleet.learn.relations import LASTS_S, LEAST_VALUES, LESS, ONE, TIMES, Relation, relations
 from gateway_fleet.learn.tails import HOURS
 
-#: What deviations that last exceed once in hundreds of hours -> tolerance: with this share of the largest value: tyres
-#: wear, a car is loaded, logs seldom show tight turns and slip.
+#: Limit that lasting deviations exceed once in hundreds of hours -> tolerance: with this share of the largest value:
+#: tyres wear, a car is loaded, logs seldom show tight turns and slip.
 WIDER, SHARE = 1.2, 0.06
 #: A law with a product is true for small angles, and for slow movements: it gets more.
 SHARE_PRODUCT = 0.2
-#: Outside of what was seen the tolerance grows by this share of how far, and so many standard errors of the slope.
+#: Outside of values seen the tolerance grows by this share of the distance, and this number of the slope's standard
+#: errors.
 GROWTH, ERRORS = 0.15, 4.0
-#: A range that begins so near to nothing has no lower end.
+#: A range that begins this near to nothing has no lower end.
 NEAR_NOTHING = 0.05
-#: A relation must not hold for so long [ms].
+#: Time that a relation must not hold [ms].
 FAILED_MS = 1000.0
 
 
@@ -76,7 +77,7 @@ def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Sequ
     right = _TOGETHER[relation.form].format(*by)
     slope, offset = short(relation.slope), short(relation.offset)
     side = right if slope == 1.0 else f"{inline(slope)} * {right}"
-    # What rounding the numbers adds at the ends of what was seen is part of the deviation.
+    # The error by rounding the numbers, at the ends of the values seen, is part of the deviation.
     course = seen.courses.each[relation.of - seen.columns.start]
     high = max(abs(course.lowest), abs(course.highest))
     rounding = 1e-3 * high
@@ -102,7 +103,7 @@ _TOGETHER = {ONE: "{0}", LESS: "({0} - {1})", TIMES: "({0} * {1})"}
 
 
 def _in_sum(side: str) -> str:
-    """Return a right side as it stands behind a minus."""
+    """Return a right side as it stands after a minus."""
     return f"({side})" if re.search(r" [-+] [^()]*$", side) else side
 
 

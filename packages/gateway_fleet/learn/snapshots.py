@@ -1,4 +1,4 @@
-"""The values of all signals at the same times: what relations between them are looked for in."""
+"""The values of all signals at the same times: the data for relations between them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was seen and written, kept beside the configuration: to add another drive, and to know a person's hand."""
+"""Observations and written lines, kept beside the configuration: to add another drive, and to know a person's hand."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ FORM = 1
 
 @dataclass
 class Kept:
-    """What earlier logs gave.
+    """Findings of earlier logs.
 
     Attributes:
         seconds: their length [s].
-        logs: what was read, for people.
-        messages: (bus, message) -> what was seen of it.
+        logs: read ones, for people.
+        messages: (bus, message) -> its observation.
         written: lines as they were written, by place.
-        refused: place and key of what healthy logs broke until it was taken out: it stays out.
+        refused: place and key of limits that healthy logs broke until they were taken out: they stay out.
     """
 
     seconds: float = 0.0
@@ -55,7 +55,7 @@ def load_state(out: Path) -> Kept:
     try:
         data = json.loads(path.read_text())
         if data["form"] != FORM:
-            raise InputError(f"form {data['form']} is not known here, {FORM} is: learn anew", file=path, key="form")
+            raise InputError(f"form {data['form']} is not known here, {FORM} is: learn again", file=path, key="form")
         return Kept(
             data["seconds"],
             data["logs"],
@@ -64,7 +64,7 @@ def load_state(out: Path) -> Kept:
             {((bus, table, name), key) for bus, table, name, key in data["refused"]},
         )
     except FileNotFoundError as error:
-        text = "what was learned before is not there: --update goes on from a file that gateway learn has made"
+        text = "the state of earlier learning is not there: --update goes on from a file that gateway learn has made"
         raise InputError(text, file=path) from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"this is not what gateway learn keeps: {error}", file=path) from error
@@ -80,7 +80,7 @@ def state_of(
     by_hand: Collection[tuple[str, str, str]],
     refused: Set[Refused],
 ) -> dict[str, Any]:
-    """Return what is to be kept, after :func:`merge`; of a person's places, what we wrote there last.
+    """Return the state to be kept, after :func:`merge`; of a person's places, the lines that we wrote there last.
 
     Args:
         observation: of the new logs, with the earlier ones added.
@@ -88,9 +88,9 @@ def state_of(
         buses: names, by index.
         seconds: length of all logs [s].
         logs: all of them, for people.
-        before: what earlier logs gave.
+        before: findings of earlier logs.
         by_hand: places that a person changed, took out or added.
-        refused: what was taken out now.
+        refused: taken out now.
     """
     messages = dict(before.messages)
     for (bus, name), seen in observation.seen.items():

@@ -1,7 +1,7 @@
-"""How far healthy values go beyond those that were seen: the tail of what was seen, at a told rate of false alarms.
+"""How far healthy values go beyond those that were seen: the tail of the values seen, at a given rate of false alarms.
 
-Above a high quantile of block maxima what exceeds it is taken for exponential (peaks over threshold): its mean excess
-says how much farther the next ones go. The limit is what is exceeded once in so many hours.
+Above a high quantile of block maxima the excess is taken for exponential (peaks over threshold): its mean excess
+says how much farther the next ones go. The limit is exceeded once in ``HOURS`` hours.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ def limit_above(maxima: NDArray[np.float64], block_s: float, floor: float) -> fl
 
 
 def sustained(off: NDArray[np.float64], rows: int) -> NDArray[np.float64]:
-    """Return how far a deviation stays on one side of zero for so many rows at least, shape (len(off) - rows + 1,)."""
+    """Return how far a deviation stays on one side of zero for ``rows`` rows at least, shape (len(off) - rows + 1,)."""
     windows = np.lib.stride_tricks.sliding_window_view(off, min(rows, len(off)))
     return np.asarray(np.maximum(np.maximum(windows.min(axis=1), -windows.max(axis=1)), 0.0), np.float64)
 
 
 def block_maxima(values: NDArray[np.float64], rows: int) -> NDArray[np.float64]:
-    """Return the largest value of each block of so many rows; what is left over at the end is a block of its own."""
+    """Return the largest value of each block of ``rows`` rows; the rest at the end is a block of its own."""
     return np.maximum.reduceat(values, np.arange(0, len(values), max(rows, 1)))

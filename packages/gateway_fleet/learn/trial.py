@@ -1,4 +1,4 @@
-"""What the configuration sees: faults put into frames that it did not learn from, one at a time.
+"""Trials of the configuration: faults put into frames that it did not learn from, one at a time.
 
 Their sizes come from what a signal itself does, not from its limits: an offset of its own spread, and from there up and
 down to the smallest that is seen.
@@ -26,7 +26,7 @@ from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.proof import Replayed, restore
 
-#: A fault begins so long after the cut [s]; signals that are tried at most: others are drawn by chance.
+#: Time from the cut to the begin of a fault [s]; signals that are tried at most: others are drawn by chance.
 LEAD_S, MOST = 1.0, 60
 #: Offsets in spreads of the signal, and factors: the first is tried first, then smaller ones if it is seen, else
 #: larger.
@@ -39,7 +39,7 @@ SPREAD = (0.05, 0.95)
 
 @dataclass(frozen=True)
 class Trial:
-    """A fault, and what watches it.
+    """A fault, and its watchers.
 
     Attributes:
         injection: the fault.
@@ -54,14 +54,14 @@ class Trial:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a trial.
+    """Outcome of a trial.
 
     Attributes:
         trial: it.
         frames: that the fault was in.
-        named: whether what watches the message or signal was set.
+        named: whether a watcher of the message or signal was set.
         others: further faults that were set.
-        by: what was set first; "": nothing.
+        by: fault that was set first; "": none.
         after_s: how long after the fault began [s].
     """
 
@@ -75,7 +75,7 @@ class Outcome:
 
 @dataclass
 class Seeing:
-    """What is seen of one signal: the smallest fault that was named, unit of the signal; None: none was.
+    """Visibility of one signal: the smallest fault that was named, unit of the signal; None: none was.
 
     Attributes:
         name: bus, message and signal.
@@ -83,7 +83,7 @@ class Seeing:
         spread: of it.
         offset: smallest offset seen.
         scale: factor seen, nearest to one.
-        stuck_s: after so long a standing value was seen [s].
+        stuck_s: time after which a standing value was seen [s].
     """
 
     name: str
@@ -201,7 +201,7 @@ def tried(
     Args:
         proof: replay of the configuration.
         learned: its lines.
-        observation: what was learned from.
+        observation: source of learning.
         buses: as asked for.
         seed: of the faults.
         progress: told how many of how many were tried.
@@ -251,7 +251,7 @@ def _of(observation: Observation, bus: int, full: str) -> tuple[Seen | None, Sig
 def _signals(
     observation: Observation, buses: Sequence[BusAsked], watched: Mapping[tuple[str, str], set[str]], result: Trials
 ) -> list[tuple[int, Seen, Signal, frozenset[str]]]:
-    """Return the quantities that something watches; those that nothing watches are told."""
+    """Return the quantities that something watches; the others are reported."""
     found = []
     for (bus, name), seen in observation.seen.items():
         for signal, course in zip(seen.signals, seen.courses.each, strict=True):
@@ -309,7 +309,7 @@ def _see(
 
 
 def _asks_size(line: Line, full: str) -> bool:
-    """Tell whether a line may see that a signal has another value."""
+    """Return whether a line may see that a signal has another value."""
     if line.table == SIGNAL:
         return line.name == full and bool({"plausible", "gradient"} & set(line.keys))
     return line.table == RULE and full in SIGNAL_NAME.findall(line.keys["holds"])

@@ -32,9 +32,9 @@ def read_file(out: Path) -> File:
 
 
 def add_before(learned: Learned, before: Kept, file: File, buses: tuple[BusAsked, ...]) -> set[tuple[str, str, str]]:
-    """Add what earlier logs said to what the new ones do; returns a person's places, which are taken out.
+    """Add findings of earlier logs to those of the new ones; returns a person's places, which are taken out.
 
-    What earlier logs said of a message that did not come now stays. A relation keeps the wider of its tolerances. A
+    Findings of earlier logs for a message that did not come now stay. A relation keeps the wider of its tolerances. A
     protection that was proven before and for which the new logs have too few frames stays.
     """
     kept = {place for place in of_a_person(file, before.written) if place[1] != CAUSE}

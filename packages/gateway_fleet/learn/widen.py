@@ -12,7 +12,7 @@ from gateway_fleet.learn.proof import Alarm
 
 #: Kind of a message's fault -> key that is taken out, or said to be off.
 _OUT = {"counter": "counter", "timeout": "timeout_ms"}
-#: A limit is widened so much.
+#: Factor by which a limit is widened.
 WIDER = 2.0
 
 
@@ -35,7 +35,7 @@ def owner(learned: Learned, fault: str, buses: Sequence[BusAsked]) -> tuple[Line
 
 
 def widened(line: Line, kind: str, alarm: Alarm, again: bool) -> tuple[Line | None, str]:
-    """Return a line with the limit that alarmed widened, None if nothing of it is left; and what was done.
+    """Return a line with the limit that alarmed widened, None if nothing of it is left; and the change in words.
 
     Args:
         line: of the configuration.
@@ -52,7 +52,7 @@ def widened(line: Line, kind: str, alarm: Alarm, again: bool) -> tuple[Line | No
 
 
 def asks(table: str, keys: Mapping[str, Any]) -> bool:
-    """Tell whether a line of a table asks for something, by its keys."""
+    """Return whether a line of a table asks for something, by its keys."""
     if table == SIGNAL:
         return (bool(set(keys) - {"signal", "name", "failed_ms", "passed_ms"}) and keys.get("invalid") != []) or bool(
             set(keys) & {"plausible", "gradient", "stuck", "undefined"}

@@ -1,1 +1,1 @@
-"""How good learning is, and how well causes are told."""
+"""How good learning is, and how well causes are named."""

@@ -10,7 +10,7 @@ from gateway.servers.uds.dtc_reports.common import ALL_RECORDS, available, entry
 from gateway.servers.uds.extended_data import EXTENDED_DATA
 from gateway.servers.uds.nrc import Nrc, refuse_unless
 
-#: The greatest number of a record; above are "all" and what is reserved.
+#: The greatest number of a record; above are "all" and reserved ones.
 MOST_RECORDS = 0xFE
 
 #: Data identifiers with their bytes.

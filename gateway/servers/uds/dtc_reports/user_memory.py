@@ -1,4 +1,4 @@
-"""The user-defined memory: what testers did."""
+"""The user-defined memory: interventions of testers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _user_memory(c: Context, selection: int) -> InterventionMemory:
 
 
 def user_by_status(c: Context, rest: bytes) -> bytes:
-    """17 reportUserDefMemoryDTCByStatusMask: what testers did."""
+    """17 reportUserDefMemoryDTCByStatusMask: interventions of testers."""
     mask, selection = rest
     memory = _user_memory(c, selection)
     found = memory.by_status(mask & c.params.status_mask)

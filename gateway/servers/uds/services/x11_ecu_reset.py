@@ -1,7 +1,7 @@
 """0x11 ECUReset (ISO 14229-1, 9.3): the operation cycle ends and the next one begins.
 
-The process goes on: what a reset of a control unit means to a fault memory is a new operation cycle, and to the
-server the default session. Hard reset, key off and on, and soft reset are the same here.
+The process goes on: a reset means a new operation cycle for the fault memory, and the default session for the server.
+Hard reset, key off and on, and soft reset are the same here.
 """
 
 from __future__ import annotations

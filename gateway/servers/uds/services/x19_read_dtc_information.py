@@ -1,7 +1,7 @@
 """0x19 ReadDTCInformation (ISO 14229-1, 12.3): everything that the fault memory knows.
 
 DTCs are in the format of SAE J2012-DA with failure type byte (format identifier 0x00, in WWH-OBD 0x04); their order
-is that of their codes. What each sub-function reports is in ``dtc_reports``.
+is that of their codes. The reports of the sub-functions are in ``dtc_reports``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from gateway.servers.uds.dtc_reports import lists, records, user_memory, wwh_obd
 from gateway.servers.uds.dtc_reports.common import Report
 from gateway.servers.uds.nrc import Nrc, refuse_unless
 
-#: Sub-functions: how many bytes follow each, and what it reports.
+#: Sub-functions: how many bytes follow each, and its report.
 REPORTS: dict[int, tuple[int, Report]] = {
     0x01: (1, lists.number_by_status),
     0x02: (1, lists.by_status),

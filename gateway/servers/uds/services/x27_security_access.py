@@ -31,6 +31,6 @@ SERVICE = Service(
     shortest=2,
     sessions=NOT_DEFAULT,
     action="unlock",
-    traced=lambda request: len(request) > 1 and request[1] % 2 == 0,  # a key; who only asks for a seed does nothing yet
+    traced=lambda request: len(request) > 1 and request[1] % 2 == 0,  # a key; asking for a seed does nothing yet
     offered=lambda c: bool(c.security.levels),
 )

@@ -1,8 +1,8 @@
 """0x28 CommunicationControl (ISO 14229-1, 9.5): normal messages on and off, both ways.
 
-What the gateway sends of its own accord (DTC frames, J1939 messages, monitors' values) is normal communication;
-answers are not. With reception off the monitors see nothing, and no test result counts, as a silent bus would
-otherwise look like many faults. There is no network management here, which is accepted and changes nothing.
+Frames that the gateway sends of its own accord (DTC frames, J1939 messages, monitors' values) are normal communication;
+answers are not. With reception off the monitors see nothing, and no test result counts, as a silent bus would otherwise
+look like many faults. There is no network management here, which is accepted and changes nothing.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ APCE, ENDED, PROVE_NEXT, COMPLETE = 0x02, 0x10, 0x11, 0x12
 
 
 def _parts(data: bytes, count: int) -> list[bytes]:
-    """Return so many fields, each with its length in two bytes before it, that fill the data."""
+    """Return a number of fields, each with its length in two bytes before it, that fill the data."""
     found = []
     for _ in range(count):
         refuse_unless(len(data) >= 2, Nrc.INCORRECT_LENGTH)
@@ -38,7 +38,7 @@ def _handle(c: Context, request: bytes) -> bytes:
     if number == VERIFY:
         refuse_unless(len(request) > 3, Nrc.INCORRECT_LENGTH)
         certificate, challenge = _parts(request[3:], 2)
-        refuse_unless(request[2] == 0, Nrc.REQUEST_OUT_OF_RANGE)  # what follows is not encrypted
+        refuse_unless(request[2] == 0, Nrc.REQUEST_OUT_OF_RANGE)  # the next messages are not encrypted
         c.check_conditions()
         ours = c.authentication.challenge(certificate, challenge, c.control.wall_ns())
         return bytes([number, PROVE_NEXT]) + _field(ours) + _field(b"")

@@ -1,4 +1,4 @@
-"""0x31 RoutineControl (ISO 14229-1, 13.2): what a bench needs beside reading and clearing.
+"""0x31 RoutineControl (ISO 14229-1, 13.2): services for a bench beside reading and clearing.
 
 | routine | does |
 |---|---|

@@ -155,7 +155,7 @@ class FmuModel:
             self._go_on(t)
         except InputError:
             raise
-        except Exception as error:  # FMPy's own, and what its functions for C raise
+        except Exception as error:  # FMPy's own errors, and those of its functions for C
             raise InputError(f"at {t:.4f} s: {_told(error)}", key="file", value=str(self._file)) from error
         return said
 

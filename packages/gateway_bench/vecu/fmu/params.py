@@ -19,5 +19,5 @@ class FmuParams(LoopParams):
 
     @property
     def summary(self) -> str:
-        """What it is, for people."""
+        """Its kind, for people."""
         return f"FMU {self.file.name}"

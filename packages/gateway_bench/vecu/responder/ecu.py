@@ -75,7 +75,7 @@ class _Replier:
         rows = {s.name: ChangedSignal(bus, database, reply.send, s.name) for s in message.signals if s.length <= 64}
         starts = {s.name: start_value(s) for s in message.signals if s.length <= 64}
         self._check(reply, rows, database)
-        # Multiplexers and what is given last: where signals share bits, these are what is sent.
+        # Multiplexers and given values last: where signals share bits, these are sent.
         for signal in sorted(message.signals, key=lambda s: (s.name in reply.signals, s.is_multiplexer)):
             if signal.name in rows:
                 rows[signal.name].put(self._words, reply.signals.get(signal.name, starts[signal.name]))
@@ -198,7 +198,7 @@ class _Responder:
         return self._protected(frames[ready])
 
     def _protected(self, frames: Frames) -> Frames:
-        """Count and protect answers as they are sent: one counter a message, whatever it answers."""
+        """Count and protect answers as they are sent: one counter a message, for all answers."""
         for frame in frames:
             can_id = int(frame["can_id"])
             message = self._messages.get(can_id)

@@ -1,4 +1,4 @@
-"""What an ECU answers to which request."""
+"""Answers of an ECU to requests."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class ResponderParams(EcuParams):
 
     @property
     def summary(self) -> str:
-        """What it is, for people."""
+        """Its kind, for people."""
         known = 0 if self.uds is None else len(self.uds.answers) + len(self.uds.identifiers)
         return f"answers {known} UDS requests, {len(self.reply)} messages"
 

@@ -1,6 +1,6 @@
 """A UDS server that knows some answers: ISO-TP by can-isotp, the scenario's time for all that it waits for.
 
-What it does not know is answered as ISO 14229-1 wants: serviceNotSupported where no request with this service is known,
+Unknown requests are answered as ISO 14229-1 wants: serviceNotSupported where no request with this service is known,
 requestOutOfRange else; nothing where the request came to all and nothing but that could be said (7.5.5).
 """
 
@@ -36,7 +36,7 @@ class UdsResponder:
         self._now_ns = 0
         self._waiting: deque[isotp.CanMessage] = deque()
         self._sent: list[Frames] = []
-        self._answers: deque[tuple[int, bytes]] = deque()  # due [ns], what
+        self._answers: deque[tuple[int, bytes]] = deque()  # due [ns], answer
         mode = isotp.AddressingMode.Normal_29bits if params.extended else isotp.AddressingMode.Normal_11bits
         address = isotp.Address(mode, txid=params.response, rxid=params.request)
         # The pause that a tester asks for would be taken by the machine's clock, which a scenario does not go by.

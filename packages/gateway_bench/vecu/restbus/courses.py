@@ -43,13 +43,13 @@ class Sine(StrictModel):
 
 
 class Ramp(StrictModel):
-    """A straight line from one value to another, which then stays, or begins anew."""
+    """A straight line from one value to another, which then stays, or starts again."""
 
     start: Number = Field(description="value before and at its beginning")
     end: Number = Field(description="value at its end")
     in_s: Number = Field(gt=0, description="how long it takes [s]")
     at_s: Number = Field(0.0, ge=0, description="when it begins [s]")
-    repeat: bool = Field(False, description="begin anew at each end: a saw")
+    repeat: bool = Field(False, description="start again at each end: a saw")
 
 
 class Csv(StrictModel):
@@ -59,7 +59,7 @@ class Csv(StrictModel):
     time: str = Field("time", description="name of the column of times, which rise [s]")
     value: str = Field(description="name of the column of values, signal's unit")
     hold: bool = Field(False, description="a value stays until the next one; else: straight lines in between")
-    repeat: bool = Field(False, description="begin anew at the end; else the last value stays")
+    repeat: bool = Field(False, description="start again at the end; else the last value stays")
 
 
 class Log(StrictModel):
@@ -70,7 +70,7 @@ class Log(StrictModel):
     channel: str | None = Field(None, description="interface or channel in the log; default: any")
     from_s: Number = Field(0.0, ge=0, description="where in the log it begins [s]")
     hold: bool = Field(True, description="a value stays until the next frame; else: straight lines in between")
-    repeat: bool = Field(False, description="begin anew at the end; else the last value stays")
+    repeat: bool = Field(False, description="start again at the end; else the last value stays")
 
 
 class Course(StrictModel):
@@ -163,7 +163,7 @@ def resampled(points: Values, times: Values, *, hold: bool, repeat: bool) -> Val
         points: time [s], value, shape (n, 2), n > 0; times rise.
         times: at which the values are asked for [s].
         hold: a value stays until the next one; else: straight lines in between.
-        repeat: begin anew at the end; else the last value stays.
+        repeat: start again at the end; else the last value stays.
     """
     if repeat and len(points) > 1:
         first, last = points[0, 0], points[-1, 0]

@@ -38,7 +38,7 @@ class _Senders:
 
     Args:
         params: of the ECU.
-        run: what is asked for.
+        run: its settings.
     """
 
     def __init__(self, params: RestbusParams, run: Run) -> None:

@@ -22,7 +22,7 @@ def run_each(s: Any, c: Any, times: Any, columns: Any, values: Any) -> None:
         c: record of Code.
         times: int64, shape (n,) [ns].
         columns: of the signals, float64, shape (n, signals).
-        values: what comes of it, float64, shape (n,); NaN where it has no value yet.
+        values: its results, float64, shape (n,); NaN where it has no value yet.
     """
     for k in range(times.shape[0]):
         values[k] = run(s, c, times[k], columns[k], 0.0)

@@ -1,4 +1,4 @@
-"""What a scenario says of the rest of a bus: whose messages, their cycles, their signals."""
+"""Settings of the rest of a bus: its messages, their cycles, their signals."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gateway_bench.vecu.restbus.courses import Short, rising
 
 
 class RestbusMessage(ProtectionParams):
-    """What differs of one message; without a protection it has that of the ECU."""
+    """Differing settings of one message; without a protection it has that of the ECU."""
 
     name: str = Field(description="of the message in the bus's database")
     period_ms: float | None = Field(
@@ -40,7 +40,7 @@ class RestbusParams(EcuParams):
     protection: Literal["auto", "none"] = Field(
         "auto", description="auto: as names and attributes in the database say, as of a check"
     )
-    message: tuple[RestbusMessage, ...] = Field((), description="what differs of single messages")
+    message: tuple[RestbusMessage, ...] = Field((), description="differing settings of single messages")
     signals: dict[str, Short] = Field(
         default_factory=dict,
         description='"Message.Signal" -> value, [[time s, value], ...], "expression", or a table; '
@@ -49,7 +49,7 @@ class RestbusParams(EcuParams):
 
     @property
     def summary(self) -> str:
-        """What it is, for people."""
+        """Its kind, for people."""
         of = f"nodes {', '.join(self.nodes)}" if self.nodes else "all messages"
         return "rest of the bus: " + (f"{len(self.messages)} messages" if self.messages and not self.nodes else of)
 

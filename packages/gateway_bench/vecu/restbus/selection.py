@@ -120,7 +120,8 @@ def usual(checked: Mapping[str, ProtectionParams], message: Message, database: D
     """Return how a message is protected of which the scenario says nothing.
 
     Args:
-        checked: what the configuration's checks say, by message; it goes before the database, which may not say all.
+        checked: protections by the configuration's checks, by message; it goes before the database, which may not say
+            all.
         message: of the database.
         database: of its bus.
     """

@@ -33,7 +33,7 @@ def start_value(signal: Signal) -> float:
 
 
 class Courses:
-    """Courses of signals, and what the database says of those that have none.
+    """Courses of signals, and values by the database for those that have none.
 
     Args:
         given: "Message.Signal" -> course.

@@ -1,4 +1,4 @@
-"""Messages with their signals over time, and what can be wrong with them."""
+"""Messages with their signals over time, and their faults."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class TableParams(EcuParams):
 
     @property
     def summary(self) -> str:
-        """What it is, for people."""
+        """Its kind, for people."""
         return f"{len(self.message)} message(s) by tables"
 
 

@@ -25,14 +25,14 @@ from gateway_fdi.jit import zeros
 from gateway_fdi.structure.generator.loading import Loaded
 from gateway_fdi.structure.sequence import shown
 
-#: Samples of the test, and what residuals may differ by, of their size or of one.
+#: Samples of the test, and the allowed difference of residuals, of their size or of one.
 SAMPLES, TOLERANCE = 50, 1e-12
 #: Sets of inputs that are tried: the one with the most numbers among its residuals is taken.
 SEEDS = 10
-#: Bandwidths of the filters, unless others are told [rad/s].
+#: Bandwidths of the filters, unless others are given [rad/s].
 FILTER, DERIVATIVE = 0.5, 10.0
 
-#: Words of C and what this file uses itself: a name of the model that is one of them gets a "_".
+#: Words of C and names that this file uses itself: a name of the model that is one of them gets a "_".
 _WORDS = """
 auto break case char const continue default do double else enum extern float for goto if inline int long register
 restrict return short signed sizeof static struct switch typedef union unsigned void volatile while

@@ -166,7 +166,7 @@ class Generated:
     Attributes:
         name: of it.
         source: of the module.
-        realisation: what it does.
+        realisation: its statements.
         knowns: known variables that it reads, names of the fields of ``u``.
         rates: derivatives of known variables that ``start`` reads, as fields of ``u``: ``<known>_rate<order>``.
         states: names of the states that it integrates.
@@ -213,7 +213,7 @@ class _Writer:
 
         Returns:
             the states whose derivatives do; whether b of (20) does; the commands that are held beside these sensors.
-            What is computed from a derivative that is filtered does not: it has the filter's state of the sample.
+            Values from a filtered derivative do not: they have the filter's state of the sample.
         """
         shown_by = sensors(self.model)
         reads: dict[Algebra, set[str]] = {self.of[z]: {z} for z in self.model.knowns}
@@ -240,7 +240,7 @@ class _Writer:
         name = identifier(variable)
         return f"{name}_" if name in _LOCALS or keyword.iskeyword(name) else name
 
-    # What is read -----------------------------------------------------------------------------------------------------
+    # Inputs -----------------------------------------------------------------------------------------------------------
 
     def used(self) -> set[Algebra]:
         return {x for e in self.expressions() for x in e.free_symbols}
@@ -641,7 +641,7 @@ _MATH = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "isf
 
 
 def correctable(realisation: Realisation) -> bool:
-    """Tell whether a generator's states can be corrected by its residual: no filter, and one solution."""
+    """Return whether a generator's states can be corrected by its residual: no filter, and one solution."""
     return not realisation.transformed and not realisation.differentiated and realisation.branches == 1
 
 
@@ -650,7 +650,7 @@ def write(name: str, realisation: Realisation, *, sized: bool = False, observed:
 
     Args:
         name: of it.
-        realisation: what it does.
+        realisation: its statements.
         sized: its state shows the gain of the fault that the residual tells the size of, if there is one.
         observed: its states are corrected by the residual, by gains in its constants; then it tells no size.
 

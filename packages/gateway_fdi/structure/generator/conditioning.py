@@ -1,6 +1,6 @@
 """Numbers put into a residual generator: does it forget where its states began, and do they have a beginning at all?
 
-What is asked is where poles lie, and whether an expression is finite, at the model's parameters; known variables and
+The questions are where poles lie, and whether an expression is finite, at the model's parameters; known variables and
 states get values drawn around 1 with a fixed seed. How noise of the known variables reaches the residual is asked where
 states begin, and known variables are 1.
 """
@@ -23,7 +23,7 @@ from gateway_fdi.structure.model import Quantity, Table, der
 
 #: Points that are tried; step of differences; a pole so near the axis, of the farthest one, lies on it.
 _POINTS, _STEP, _SLOW = 3, 1e-6, 1e-6
-#: Of what adds up to a gain, what is rounding of differences.
+#: Share of the terms of a gain that is rounding of differences.
 _NOTHING = 1e-6
 
 
@@ -60,7 +60,7 @@ def _slope(table: Table) -> Callable[[float], float]:
 
 
 def forgets(realisation: Realisation, states: Sequence[str]) -> bool:
-    """Tell whether what some integrated states are off by dies away, whatever combination of them it is.
+    """Return whether the errors of some integrated states die away, in any combination.
 
     That is so where all poles of the linearised generator lie left of the axis, at one of the points at least; where
     there are no numbers, it is taken so.
@@ -104,7 +104,7 @@ def _difference(slopes: Callable[[dict[Algebra, float]], Any], point: dict[Algeb
 
 
 def begins(realisation: Realisation, initial: Initial) -> bool:
-    """Tell whether (24) gives numbers at the model's parameters: it may divide by what is zero there.
+    """Return whether (24) gives numbers at the model's parameters: it may divide by what is zero there.
 
     Derivatives of known variables are zero, as where a monitor begins: it has one sample, and knows none.
     """
@@ -173,10 +173,10 @@ def noise_gains(realisation: Realisation) -> tuple[tuple[str, float, float], ...
 def fleeting(realisation: Realisation) -> tuple[str, ...]:
     """Return the faults that leave nothing in the residual once they, and all derivatives, are constant.
 
-    With the derivatives zero, the equations that compute the unknowns v are A dv + B df = 0, and what the check is off
-    by is (e_f - e_v A^-1 B) df: that is the residual's gain at zero frequency. Where A has no inverse a state
-    integrates, and what it is off by grows. What is nearly zero at all of the points that are tried is fleeting
-    (a fault that is weakly detectable: Chen, Patton: Robust Model-Based Fault Diagnosis, 1999, section 2.5).
+    With the derivatives zero, the equations that compute the unknowns v are A dv + B df = 0, and the check is off by
+    (e_f - e_v A^-1 B) df: that is the residual's gain at zero frequency. Where A has no inverse a state integrates, and
+    its error grows. A gain that is nearly zero at all of the points that are tried is fleeting (a fault that is weakly
+    detectable: Chen, Patton: Robust Model-Based Fault Diagnosis, 1999, section 2.5).
     """
     model, numbers = realisation.model, _Numbers(realisation)
     symbols = Symbols(model, faulty=True)

@@ -2,8 +2,7 @@
 
     r(t0) = r'(t0) = ... = r^(n-1)(t0) = 0 for n states
 
-The derivatives of the residual contain those of the known variables when n > 1; whoever starts the generator gives
-them.
+The derivatives of the residual contain those of the known variables when n > 1; the caller gives them at the start.
 """
 
 from __future__ import annotations

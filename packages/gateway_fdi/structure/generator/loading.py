@@ -21,7 +21,7 @@ class Loaded:
     """A residual generator that runs.
 
     Attributes:
-        generated: the code and what it does.
+        generated: the code and its statements.
         state: dtype of its states.
         const: dtype of its constants.
         inputs: dtype with a field for each known variable, and for each rate that a start needs.

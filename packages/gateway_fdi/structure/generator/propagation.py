@@ -18,9 +18,9 @@ whose solution at h, by variation of constants, is
 
 That is the exponential Rosenbrock-Euler method (Hochbruck, Ostermann: Exponential integrators, Acta Numerica 19, 2010,
 section 2.4). Where f is linear in x, and in the sensors, it is the matrix exponential over the hold: exact for any h.
-Elsewhere its error is of order h^3 a step, and a mode lambda of J becomes exp(h lambda): what dies away in the plant
-does so here, however long the step. Forward Euler's 1 + h lambda does not: a mode with damping D diverges for
-h > 2 D / abs(lambda).
+Elsewhere its error is of order h^3 a step, and a mode lambda of J becomes exp(h lambda): a mode that dies away in the
+plant does so here, at any step length. Forward Euler's 1 + h lambda does not: a mode with damping D diverges for h > 2
+D / abs(lambda).
 
 States that do not see each other, by whatever way, are propagated apart (`components`). One that no state acts on, an
 integral, has phi1 = 1 and phi2 = 1/2.
@@ -42,7 +42,7 @@ from gateway_fdi.structure.generator.realisation import Realisation, Statement
 from gateway_fdi.structure.generator.symbols import Algebra
 from gateway_fdi.structure.model import Model, der
 
-#: What the function is called that is the slope of a table, before the table's name.
+#: Prefix of the function that is the slope of a table, before the table's name.
 SLOPE = "slope_of_"
 
 
@@ -120,7 +120,7 @@ def _table(name: str) -> Algebra:
 def slope(expression: Algebra, symbol: Algebra) -> Algebra:
     """Return the derivative of an expression as code can compute it: of abs, sign, min, max and tables to a side.
 
-    What algebra has no formula for is zero.
+    A derivative without a formula in algebra is zero.
     """
     if not expression.has(symbol):
         return sympy.Integer(0)
@@ -155,7 +155,7 @@ def tangents(realisation: Realisation, statement: Statement, wanted: Iterable[st
     """Yield the derivatives of a statement's variables by the states that they depend on.
 
     Args:
-        realisation: what it is of.
+        realisation: that it is of.
         statement: one of its statements, not one that differentiates.
         wanted: variables whose derivatives are used.
     """

@@ -1,4 +1,4 @@
-"""A residual generator as statements: what is computed in which order, from which states, and the residual.
+"""A residual generator as statements: the variables in order of computation, their states, and the residual.
 
 Three kinds of state:
 
@@ -45,7 +45,7 @@ class Statement:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """What is computed."""
+        """Computed variables."""
         return (der(self.differentiates),) if self.differentiates else tuple(self.solutions[0])
 
     @property

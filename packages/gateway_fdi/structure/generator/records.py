@@ -19,7 +19,7 @@ GAIN = "gain_"
 JACOBIAN = "jacobian_"
 #: Fields of Const for the correction of a state, and of its derivative, by the residual, before the state's name.
 FEED, FEED_SLOPE = "feed_", "feed_slope_"
-#: And of their step: slopes, their change, what is moved; functions of the Jacobian; 1 where there are no derivatives.
+#: And of their step: slopes, their change, the moves; functions of the Jacobian; 1 where there are no derivatives.
 SLOPES, HOLD, DEAD = "slopes_", "hold_", "dead_"
 
 

@@ -1,4 +1,4 @@
-"""What generated residual generators call."""
+"""Functions that generated residual generators call."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 from gateway_fdi.jit import f8s, kernel
 
-#: Terms of the series behind the first one, for a matrix of norm 1/2 to the last bit; most doublings of it.
+#: Terms of the series after the first one, for a matrix of norm 1/2 to the last bit; most doublings of it.
 _TERMS, _DOUBLINGS = 13, 64
 
 
@@ -82,7 +82,7 @@ def _exponentials(z: f8s, phi: f8s, space: f8s, n: int) -> None:
 
     Args:
         z: the matrix, row by row, shape (n n,).
-        phi: written, one behind the other, shape (3 n n,).
+        phi: written, one after the other, shape (3 n n,).
         space: scratch, shape (2 n n,).
         n: rows.
     """

@@ -1,7 +1,7 @@
 """One step of a computation sequence solved: an equation for its variable, or a loop for all of its.
 
-What the model declares decides: a loop, or a solve, that it does not declare is refused, and what algebra finds must be
-as many solutions as it declares. A solution that the model gives itself is taken as it stands.
+The model's declarations decide: a loop, or a solve, that it does not declare is refused, and algebra must find as many
+solutions as it declares. A solution that the model gives itself is taken as it stands.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A model run over time: inputs and faults by courses, the states by SciPy's solver (LSODA: stiff and smooth systems).
 
-The solver begins anew wherever an input bends or a fault sets in, so that no step goes over one.
+The solver starts again wherever an input bends or a fault sets in, so that no step goes over one.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Course:
     Attributes:
         t: times [s], rising; two at the same time are a jump.
         value: at these.
-        repeat_s: it begins anew behind so many seconds; 0: never.
+        repeat_s: it starts again after this time [s]; 0: never.
     """
 
     t: tuple[float, ...]
@@ -84,7 +84,7 @@ class Plant:
 
     Args:
         model: the model.
-        inputs: a course for each variable that is told: commands, loads; the others are computed.
+        inputs: a course for each variable that is given: commands, loads; the others are computed.
         parameters: values instead of the model's.
         start: where states begin; those that it does not name begin at the model's start value.
         rest: states without a start value begin where they stay; else at 0.
@@ -115,7 +115,7 @@ class Plant:
         reduced = reduce(model, symbols, tuple(self.inputs), there, tuple(start or {}))
         for x in start or {}:
             if x in reduced.bound:
-                raise NotSimulatedError(f"{x} follows from other states, and cannot begin where it is told")
+                raise NotSimulatedError(f"{x} follows from other states, and cannot begin at a given value")
         self.system: System = system_of(model, symbols, reduced, tuple(self.inputs), self.values)
         names = self.system.names[: self.system.states]
         self.start = np.array([given.get(x, 0.0) for x in names], np.float64)

@@ -34,7 +34,7 @@ class Equations:
 
     Attributes:
         names: of each, ``e1``, its derivative ``d/dt e1``.
-        zero: of each, what is zero.
+        zero: of each, the expression that is zero.
         source: of a derivative the place of the equation that it is of, else -1.
         up: variable -> its derivative.
         rates: input -> its derivative.
@@ -80,10 +80,10 @@ class Reduced:
 
     Attributes:
         names: of its equations.
-        zero: of each, what is zero.
-        states: what is integrated.
+        zero: of each, the expression that is zero.
+        states: integrated variables.
         slopes: of each state, its derivative.
-        computed: what the equations give at each time; as many as they are.
+        computed: variables that the equations give at each time; as many as they are.
         bound: states of the model that follow from others.
     """
 
@@ -96,7 +96,7 @@ class Reduced:
 
 
 def equations_of(model: Model, symbols: Symbols, inputs: Sequence[str]) -> Equations:
-    """Return a model's equations; what is measured is a variable, too, unless it is an input.
+    """Return a model's equations; a measured quantity is a variable, too, unless it is an input.
 
     An unknown that no equation determines (a load, a slope) may be an input.
 
@@ -231,7 +231,7 @@ def reduce(
     Args:
         model: the model.
         symbols: with its faults.
-        inputs: variables that are told.
+        inputs: given variables.
         values: of parameters, inputs and states, where the choice of states is made.
         kept: states that are to be such, if there is a choice.
 
@@ -246,10 +246,10 @@ def reduce(
     point |= {of[f]: 0.0 for f in model.faults} | dict.fromkeys(found.rates.values(), 0.0)
     gone = _dummies(found, point, (of[x] for x in kept))
     states = tuple(x for x in sorted(found.up, key=str) if found.up[x] not in gone)
-    # What is a derivative and a state at once (x'' of x) is integrated, and is the slope of another.
+    # A variable that is derivative and state at once (x'' of x) is integrated, and is the slope of another.
     computed = tuple(sorted(found.unknown - set(states), key=str))
     if len(computed) != len(found.zero):
-        raise NotSimulatedError(f"{len(found.zero)} equations for {len(computed)} unknowns behind index reduction")
+        raise NotSimulatedError(f"{len(found.zero)} equations for {len(computed)} unknowns after index reduction")
     names = {str(x) for x in states}
     return Reduced(
         tuple(found.names), tuple(found.zero), states, tuple(found.up[x] for x in states), computed,

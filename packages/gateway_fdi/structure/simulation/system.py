@@ -25,7 +25,7 @@ from gateway_fdi.structure.matching import Matching, match_set
 from gateway_fdi.structure.model import Model, Solvable
 from gateway_fdi.structure.simulation.reduction import NotSimulatedError, Reduced
 
-#: Newton's method: steps, and what is left relative to the values.
+#: Newton's method: steps, and the remainder relative to the values.
 _STEPS, _LEFT = 50, 1e-10
 #: Halvings of a step that does not come nearer.
 _HALVINGS = 8
@@ -39,9 +39,9 @@ class _Block:
 
     Attributes:
         names: of the equations.
-        variables: what they give.
+        variables: that they give.
         formula: of one variable, None: they are solved by numbers.
-        zero: of each equation, what is zero.
+        zero: of each equation, the expression that is zero.
         flat: the Jacobian does not depend on the variables.
     """
 
@@ -147,11 +147,11 @@ def newton(
     """Solve a block.
 
     Args:
-        residual: (variables, *given) -> what is to be zero, a list.
+        residual: (variables, *given) -> values that are to be zero, a list.
         jacobian: (variables, *given) -> rows of its derivatives.
         guess: shape (variables,), where to begin; the solution is written into it.
         flat: the Jacobian does not depend on the variables: one step is enough.
-        given: what else the functions need.
+        given: further arguments of the functions.
 
     Returns:
         shape (variables,); NaN where there is no solution to be found.
@@ -261,7 +261,7 @@ class _Writer:
 
 
 class _Naming:
-    """What both printers write alike."""
+    """Common part of both printers."""
 
     def __init__(self, names: Mapping[Algebra, str], tables: Mapping[str, Any]) -> None:
         super().__init__({"user_functions": {name: f"table_{name}" for name in tables}})  # type: ignore[call-arg]
@@ -302,7 +302,7 @@ def system_of(
         model: the model.
         symbols: with its faults.
         reduced: its equations.
-        inputs: known variables that are told.
+        inputs: given variables.
         values: of its parameters.
 
     Raises:

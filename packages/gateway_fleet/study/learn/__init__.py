@@ -1,1 +1,1 @@
-"""What ``gateway learn`` claims of a virtual car whose truth is known, and what it says of healthy drives."""
+"""Claims of ``gateway learn`` about a virtual car whose truth is known, and its alarms on healthy drives."""

@@ -11,7 +11,7 @@ from gateway_fleet.study.learn.drive import Way
 from gateway_fleet.study.learn.judge import healthy, judged
 from gateway_fleet.study.learn.network import network
 
-#: What becomes of the frames of a drive that is learned of, by name.
+#: Treatment of the frames of a drive that is learned of, by name.
 WAYS = {
     "clean": Way(),
     "lost": Way(lost=0.04, pauses=14),

@@ -17,7 +17,7 @@ from gateway_fleet.study.learn.network import Network, Sent
 STEP_S = 0.01
 #: Track and wheelbase [m], steering wheel to wheels, tyres' growth by wheel.
 TRACK, BASE, RATIO = 1.55, 2.7, 15.5
-#: Lateral acceleration that nobody goes beyond [m/s2].
+#: Largest lateral acceleration of the drivers [m/s2].
 GRIP = 5.0
 #: First stamp [ns].
 BEGIN_NS = 1_700_000_000_000_000_000
@@ -27,14 +27,14 @@ Course = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Way:
-    """What becomes of frames between their sender and the log.
+    """Treatment of frames between their sender and the log.
 
     Attributes:
         lost: share of frames that the recorder loses.
         pauses: of the recorder.
         sleeps: of the bus; ECUs wake at their own times after them.
         late: ECUs that come seconds after a wake-up.
-        batch_s: the host stamps frames in batches of so long, now and then.
+        batch_s: length of batches in which the host stamps frames, now and then.
     """
 
     lost: float = 0.0
@@ -125,8 +125,8 @@ def courses(seed: int, seconds: float) -> Callable[[str], Course]:
 def _own(name: str, seed: int, count: int) -> Course:
     """Return a course of the rest bus in steps of its bits: ``kind message signal bits``."""
     kind, message, signal, bits = name.split()
-    rng = np.random.default_rng([9, int(message), int(signal)])  # what the signal is
-    drive = np.random.default_rng([10, seed, int(message), int(signal)])  # what it does today
+    rng = np.random.default_rng([9, int(message), int(signal)])  # of the signal
+    drive = np.random.default_rng([10, seed, int(message), int(signal)])  # of today's drive
     top = (1 << int(bits)) - 1
     t = np.arange(count)
     if kind == "constant":

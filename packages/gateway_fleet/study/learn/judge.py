@@ -1,4 +1,4 @@
-"""What was claimed of the virtual car beside its truth, and what the configuration says of other healthy drives."""
+"""Claims about the virtual car beside its truth, and alarms of the configuration on other healthy drives."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def judged(folder: Path, net: Network, seed: int, seconds: float, way: Way) -> t
 
 
 def _compare(claims: Claims, m: Sent, keys: dict[str, object], often: bool, changes: bool) -> None:
-    """Count what is so, and what was claimed of it.
+    """Count the facts, and the claims about them.
 
     A protection counts as missed only where the log shows it: a counter of a message that came often enough, a checksum
     of one that had different payloads enough.

@@ -22,7 +22,7 @@ ECUS = 9
 
 @dataclass(frozen=True)
 class Field:
-    """A signal: where it lies, what it says (name of a course), and in which steps."""
+    """A signal: its place, its contents (name of a course), and their steps."""
 
     name: str
     start: int
@@ -43,7 +43,7 @@ class Sent:
     Attributes:
         name, can_id, length: of it; length in bytes.
         period_s: 0: it comes when something happens.
-        ecu: who sends it.
+        ecu: its sender.
         fields: its signals, counter and checksum not among them.
         counter: name, first bit, bits and modulus; None: it has none.
         checksum: name and first bit of one of 8 bits, with its rule; None: it has none.
@@ -140,7 +140,7 @@ def _rest(k: int, rng: np.random.Generator) -> tuple[list[Field], int]:
 def _protected(
     name: str, can_id: int, period: float, ecu: int, fields: Sequence[Field], used: int, rng: np.random.Generator
 ) -> Sent:
-    """Return a message with a protection drawn for it: counter behind its signals, checksum in its last byte."""
+    """Return a message with a protection drawn for it: counter after its signals, checksum in its last byte."""
     kind = str(rng.choice(KINDS))
     counter = checksum = None
     length = 8
