@@ -15,16 +15,11 @@ from gateway_plants.crank.monitor import anchor, defects, noise, reversal, waiti
 from gateway_plants.crank.monitor.faults import RESIDUALS, Reports
 from gateway_plants.crank.monitor.isolation import (
     UNSEEN_PULSES,
-    broken_silence,
     decide,
-    decided,
     fall_noisy,
-    fall_silent,
     hold_to_gap,
     lose,
     prove,
-    turned,
-    turned_back,
     unwatched,
     wait,
 )
@@ -38,6 +33,8 @@ from gateway_plants.crank.monitor.place import (
     search,
     unlearned,
 )
+from gateway_plants.crank.monitor.silence import broken_silence, fall_silent
+from gateway_plants.crank.monitor.turns import decided, turned, turned_back
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import WINDOW, restart, seek
 from gateway_plants.crank.pulse_tracking.branching import MOST_MISSED
@@ -87,7 +84,7 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
 @kernel
 def _pass_over(s: State, c: Const, number: int) -> None:
     """Go on by teeth that passed without an interval of their own; the gap has to prove the place again."""
-    anchor.skip(s.anchor, c.pulses, number)
+    anchor.skip(s.anchor, c.anchor.length, number)
     if s.phase == SEARCHING:
         restart(s.search)
     else:
@@ -109,7 +106,7 @@ def recount(s: State, c: Const, number: int) -> None:
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
         doubt(s)
-        anchor.skip(s.anchor, c.pulses, c.pulses)
+        anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
         s.hole = 1
 
 
@@ -137,7 +134,7 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
     if s.burst.count > 0:
         _wait_for_end(s, c, y, out)
         return
-    anchor.note(s.anchor, c.pulses, y)
+    anchor.note(s.anchor, c.anchor.length, y)
     if s.looks == 1:
         wrong_wheel.note(s, c, y, out)
     if s.wrong == 1:
@@ -209,7 +206,7 @@ def regular(s: State, c: Const, us: f8s, first: int, last: int) -> int:
     for k in range(first, first + taken):
         y = us[k]
         s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
-        anchor.note(s.anchor, c.pulses, y)
+        anchor.note(s.anchor, c.anchor.length, y)
         profile.note(pr, index, y)
         index += 1
         s.y2 = s.y1
@@ -236,7 +233,7 @@ def _plain(s: State, c: Const, y: float) -> bool:
         return False
     s.teeth += 1
     s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
-    anchor.note(s.anchor, c.pulses, y)
+    anchor.note(s.anchor, c.anchor.length, y)
     s.residuals[s.teeth % RESIDUALS] = tr.residual
     profile.note(pr, index, y)
     s.index = index + 1
@@ -333,7 +330,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.profile.clean = 0
         s.profile.turn_us = 0.0
         anchor.restart(s.anchor)
-        s.sure = 1 if anchor.shows(s.anchor, c.anchor, c.pulses, index, WINDOW) else 0
+        s.sure = 1 if anchor.shows(s.anchor, c.anchor, index, WINDOW) else 0
 
 
 @kernel

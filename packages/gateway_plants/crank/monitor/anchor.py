@@ -18,7 +18,7 @@ The whole test takes all pulses times all shifts, so it is spared while the gap 
 
 from __future__ import annotations
 
-from math import log
+from math import exp, log
 from typing import Annotated
 
 import numpy as np
@@ -31,6 +31,9 @@ from gateway_plants.crank.wheel import MOST_TEETH
 ODDS, UNIQUE = 12.0, 4.0
 #: Most that one contrast counts (a pulse missed or added is about so far off), least variance of a contrast.
 MOST, LEAST_VARIANCE = 0.5, 0.05**2
+#: Intervals of a turn whose contrast is not known, because a neighbour is not. Of a wheel of fewer pulses than
+#: :data:`FEW` they would be half of all, the gap's among them: there two intervals more are looked at.
+EDGES, FEW = 2, 10
 #: A contrast that is not known, because one of its intervals is not.
 UNKNOWN = 1e9
 #: The gap is where it is expected when the square of its ratio is right within this factor.
@@ -47,6 +50,7 @@ ABSENT, UNDECIDED, HERE = -2, -1, 0
 class Const(Record):
     """Constants."""
 
+    length: i4 = means("intervals that are looked at")
     ratio: f8 = means("largest gap squared over its neighbours; 0: not distinct")
     width: f8 = means("largest gap", "pitch")
     largest: f8 = means("largest contrast")
@@ -73,6 +77,7 @@ def prepare(c: Const, pitches: NDArray[np.float64]) -> None:
         pitches: shape (P,), nominal; the last one is the largest gap.
     """
     logs = np.log(pitches)
+    c.length = len(logs) + (EDGES if len(logs) < FEW else 0)
     c.contrast[: len(logs)] = logs - (np.roll(logs, 1) + np.roll(logs, -1)) / 2
     c.largest = np.abs(c.contrast[: len(logs)]).max()
     c.width = pitches.max()
@@ -89,19 +94,19 @@ def restart(an: State) -> None:
 
 
 @kernel
-def note(an: State, pulses: int, y: float) -> None:
+def note(an: State, size: int, y: float) -> None:
     """Note one interval [us]."""
     an.intervals[an.at] = y
-    an.at = an.at + 1 if an.at + 1 < pulses else 0
+    an.at = an.at + 1 if an.at + 1 < size else 0
     an.age += 1
 
 
 @kernel
-def skip(an: State, pulses: int, number: int) -> None:
+def skip(an: State, size: int, number: int) -> None:
     """Pass over intervals that nobody told."""
-    for _ in range(min(number, pulses)):
+    for _ in range(min(number, size)):
         an.intervals[an.at] = 0.0
-        an.at = an.at + 1 if an.at + 1 < pulses else 0
+        an.at = an.at + 1 if an.at + 1 < size else 0
     an.age += number
     an.verified = 0
 
@@ -121,7 +126,7 @@ def seen(an: State, c: Const, y2: float, y1: float, y: float) -> bool:
 
 
 @kernel
-def shows(an: State, c: Const, pulses: int, index: int, window: int) -> bool:
+def shows(an: State, c: Const, index: int, window: int) -> bool:
     """Tell whether the largest gap is among the last intervals, and stands out from its neighbours as it should.
 
     A straight line through a few logarithms is not what an engine does that spins up over a compression: a place that
@@ -130,15 +135,14 @@ def shows(an: State, c: Const, pulses: int, index: int, window: int) -> bool:
     Args:
         an: record of State.
         c: record of Const.
-        pulses: of one turn.
         index: of the latest tooth; the gap ended so many pulses ago.
         window: intervals that the place was found by.
     """
     if index > window - 2:
         return False
-    at = an.at - 1 - index
-    before, here = an.intervals[(at - 1) % pulses], an.intervals[at % pulses]
-    behind = an.intervals[(at + 1) % pulses] if index > 0 else before
+    at, ring = an.at - 1 - index, c.length
+    before, here = an.intervals[(at - 1) % ring], an.intervals[at % ring]
+    behind = an.intervals[(at + 1) % ring] if index > 0 else before
     squared, expected = here * here, c.ratio * before * behind
     return bool(c.ratio > 0.0 and expected > 0.0 and expected / RIGHT <= squared <= RIGHT * expected)
 
@@ -152,7 +156,7 @@ def squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
         slot += pulses
     while slot >= pulses:
         slot -= pulses
-    for k in range(1, pulses - 1):
+    for k in range(1, c.length - 1):
         d = an.logs[k] - c.contrast[slot]
         if d < UNKNOWN:
             total += min(d * d, MOST)
@@ -161,15 +165,15 @@ def squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
 
 
 @kernel
-def contrasts(an: State, pulses: int) -> int:
+def contrasts(an: State, size: int) -> int:
     """Compute the contrasts; returns how many are known."""
     known = 0
     at = int(an.at)
-    for k in range(1, pulses - 1):
+    for k in range(1, size - 1):
         before, here, after = at - 2 - k, at - 1 - k, at - k
-        y0 = an.intervals[before if before >= 0 else before + pulses]
-        y1 = an.intervals[here if here >= 0 else here + pulses]
-        y2 = an.intervals[after if after >= 0 else after + pulses]
+        y0 = an.intervals[before if before >= 0 else before + size]
+        y1 = an.intervals[here if here >= 0 else here + size]
+        y2 = an.intervals[after if after >= 0 else after + size]
         if y0 > 0.0 and y1 > 0.0 and y2 > 0.0:
             an.logs[k] = log(y1) - 0.5 * (log(y0) + log(y2))
             known += 1
@@ -180,19 +184,29 @@ def contrasts(an: State, pulses: int) -> int:
 
 @kernel
 def least_known(pulses: int) -> int:
-    """Return how many contrasts a turn needs to be judged: half of them, four, or all that a small wheel has."""
-    return max((pulses + 1) // 2, min(4, pulses - 2)) if pulses > 5 else pulses - 2
+    """Return how many contrasts a turn needs to be judged: half of them, five at least, or all of a small wheel."""
+    return max((pulses + 1) // 2, min(5, pulses))
 
 
 @kernel
-def plain(an: State, pulses: int) -> float:
+def plain(an: State, size: int) -> float:
     """Return S of a wheel without a gap; the contrasts are in ``logs``."""
     total = 0.0
-    for k in range(1, pulses - 1):
+    for k in range(1, size - 1):
         d = an.logs[k]
         if d < UNKNOWN:
             total += min(d * d, MOST)
     return total
+
+
+@kernel
+def unique(first: float, known: int) -> float:
+    """Return by how much the second S has to exceed the ``first``, for that to be likelier by :data:`UNIQUE`.
+
+    The variance is not known but estimated from as many contrasts: the log likelihood is half their number times the
+    logarithm of the ratio. Of two or three contrasts ripple may fit another place well by chance.
+    """
+    return float(max(first, LEAST_VARIANCE * (known - 1)) * (exp(2.0 * UNIQUE / known) - 1.0))
 
 
 @kernel
@@ -209,7 +223,7 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     Returns:
         the shift that is likelier than the present place, HERE, ABSENT or UNDECIDED.
     """
-    known = contrasts(an, pulses)
+    known = contrasts(an, c.length)
     if known < least_known(pulses):
         return UNDECIDED
     present = squares(an, c, pulses, index, 0)
@@ -221,10 +235,10 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
         elif rest < second:
             second = rest
     variance = max(first / (known - 1), LEAST_VARIANCE)
-    even = plain(an, pulses)
+    even = plain(an, c.length)
     if first - even > 2.0 * ODDS * max(even / (known - 1), LEAST_VARIANCE):
         return ABSENT
-    if second - first < 2.0 * UNIQUE * variance or even - first < 2.0 * ODDS * variance:
+    if second - first < unique(first, known) or even - first < 2.0 * ODDS * variance:
         return UNDECIDED
     if shift == 0:
         return HERE

@@ -61,22 +61,27 @@ def is_left(s: State, c: Const, whole: float) -> bool:
 
 
 @kernel
-def left_at(s: State, c: Const) -> tuple[int, int]:
-    """Return two teeth each of which may be the first one missing of the configured wheel; NONE: there are no two.
+def left_at(s: State, c: Const, parts: int, missing: int) -> tuple[int, int]:
+    """Return two teeth each of which may be the first one missing of the configured wheel; NONE: there is no such one.
 
-    Beside a gap it is the last tooth before it as well as the first one behind.
+    Beside the only gap it is the last tooth before it as well as the first one behind. Another gap tells which.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        parts: how often a turn has what is seen.
+        missing: teeth that a turn lacks.
     """
-    missing = c.pulses - s.seen.pulses
     one = NONE
     if c.repeats < c.pulses or missing < 1 or missing > MOST_BESIDE:
         return NONE, NONE
     for first in range(c.pulses):
-        tooth = _missing_at(s, c, first, 1, missing)
+        tooth = _missing_at(s, c, first, parts, missing)
         if tooth != NONE and one == NONE:
             one = tooth
         elif tooth not in (NONE, one):
             return one, tooth
-    return NONE, NONE
+    return one, NONE
 
 
 @kernel

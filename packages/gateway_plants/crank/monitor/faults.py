@@ -135,6 +135,8 @@ class TwoPlaces(Record):
     tooth: f8 = means("tooth missing, if the place is right")
     other: f8 = means("tooth missing, if the other place is")
     speed: f8 = means(unit="rpm")
+    here: f8 = means("cam edges that fit the place alone")
+    there: f8 = means("cam edges that fit the other place alone")
 
 
 class WrongWheel(Record):

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.monitor import anchor, defects, noise, rival, runout, waiting, wrong_wheel
+from gateway_plants.crank.monitor import anchor, defects, noise, rival, runout, turns, waiting, wrong_wheel
 from gateway_plants.crank.monitor.faults import (
     ADDED,
-    CRANK_FAULTS,
-    DAMAGED,
     DOUBLED,
     MISSED,
     NO_GAP,
@@ -16,31 +14,28 @@ from gateway_plants.crank.monitor.faults import (
     PULSES_LOST,
     RELOCATED,
     RESIDUALS,
-    RUNOUT,
     SYNC_LOST,
     TWO_PLACES,
     UNWATCHED,
-    WRONG_WHEEL,
     Reports,
-    Shape,
 )
 from gateway_plants.crank.monitor.place import (
     BY_CAM,
     CONFIRMED,
+    NEVER,
     TENTATIVE,
     Const,
     State,
     decides,
     doubt,
     search,
+    shape,
     speed,
     tooth_of,
-    unlearned,
 )
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import begin_later
 from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS
-from gateway_plants.crank.pulse_tracking.motion import Q3
 from gateway_plants.crank.pulse_tracking.tracker import (
     COARSE,
     agreed,
@@ -57,32 +52,17 @@ LOSS = wrong_wheel.LOSS
 TOGETHER = 8
 #: Revolutions, and pulses beyond, without synchronisation after which the reason is named.
 PATIENCE, PATIENCE_PULSES, LONG_PATIENCE = 4, 100, 10
-#: Share of the teeth with a second pulse from which on the edges are doubled.
-DOUBLE_SHARE = 0.25
-#: Revolutions that the pitches must have been learned from before they are believed.
-LEARNED = 3
-#: Teeth behind a silence among which one has to show the speed before, and within what factor that is the same.
-SILENT, SAME = 3, 1.5
-#: Runout and single teeth are judged above this speed, where torsional ripple is small [rpm].
-RUNOUT_RPM = 800.0
-#: A tooth is damaged when it is off by more than the least of these [pitch], and by so many standard deviations of the
-#: other teeth, but at the most by this.
-BENT, BENT_SIGMAS, BENT_MOST = 0.17, 5.5, 0.3
-#: A decision that took more pulses than this is held until the next gap has proven it.
+#: A decision that took more pulses than this, or than half a turn, is held until the next gap has proven it.
 LATE = 8
 #: Parts of a turn: by one more the search begins later for each place that was refused. What follows in each turn may
 #: be like the gap.
 PARTS = 8
+#: Pulses of a turn below which one too many in each turn makes the edges look as if they were noisy.
+MARKED = 24
 #: Turns that have to show the same teeth missing before two places are told: until then it may be another wheel.
 SURE = 3
-#: Turns in a row without a fault, the gap at its place in each, that only the configured wheel has.
-FITTED = 3
 #: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
 EVEN_TURNS = 2
-#: Tooth of the next revolution by which one has to be decided to count.
-DECIDED_BY = 4
-#: Revolutions in a row with a defect in each, from which on the speed is the filter's, and no clean revolution's.
-UNCLEAN = 3
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
 MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
@@ -121,19 +101,9 @@ def fall_noisy(s: State, c: Const, count: int) -> None:
     keep_best(s.tracker)
     h = best(s.tracker)
     noise.begin(s.burst, h, count, speed(s, c), known, tooth_of(s, c, h.index))
-    anchor.skip(s.anchor, c.pulses, c.pulses)
+    anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
     anchor.restart(s.anchor)
     doubt(s)
-
-
-@kernel
-def _shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
-    """Fill the evidence of missed or added pulses; ``first`` is the tooth concerned."""
-    e.count = number
-    e.tooth = tooth_of(s, c, first)
-    e.speed = speed(s, c)
-    for k in range(RESIDUALS):
-        e.residual[k] = s.residuals[(s.teeth + 1 + k) % RESIDUALS]
 
 
 @kernel
@@ -146,10 +116,10 @@ def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int)
         return
     if s.phase == TENTATIVE:
         s.held_fault = fault
-        _shape(s, c, number, first, s.held)
+        shape(s, c, number, first, s.held)
         return
     s.named = s.teeth
-    _shape(s, c, number, first, report(out, fault, True, s.tracker.residual, 0.5).pulses)
+    shape(s, c, number, first, report(out, fault, True, s.tracker.residual, 0.5).pulses)
 
 
 @kernel
@@ -189,14 +159,14 @@ def decide(s: State, c: Const, out: Reports) -> None:
     added_at = int(h.added_at)
     marginalise_decided(s.tracker)
     s.profile.clean = 0
-    s.fitted = 0
+    s.fitted = -1  # this turn does not count
     s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
-    if s.phase == CONFIRMED and (s.tracker.took > LATE or wrong_wheel.unsure(s, c)):
+    if s.phase == CONFIRMED and (s.tracker.took > min(LATE, c.pulses // 2) or wrong_wheel.unsure(s, c)):
         doubt(s)
     if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
         lose(s, c, out, s.tracker.mean_cost)
         s.refused += 1
-        begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= waiting.FEW else 0)
+        begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= anchor.FEW else 0)
         return
     s.since = 0
     if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
@@ -232,7 +202,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     if added > 0:
         burst = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
         if burst or s.teeth - s.burst.told <= TOGETHER:
-            if s.y1 < c.firing_us:
+            if noise.close(s.burst, c.firing_us):
                 _tell_noise(s, c, out)
             else:
                 doubt(s)  # pulses no closer than those of an engine that the starter turns may be an engine's
@@ -253,62 +223,14 @@ def _tell_noise(s: State, c: Const, out: Reports) -> None:
 
 
 @kernel
-def fall_silent(s: State, c: Const, out: Reports, pitches: float) -> None:
-    """Report a silence too long to count its teeth, and search.
-
-    An engine that was too slow can have come to rest in it; then it depends on the teeth that follow
-    (:func:`broken_silence`).
-
-    Args:
-        s: record of State.
-        c: record of Const.
-        out: record of Out.
-        pitches: that have passed at the speed before.
-    """
-    period = best(s.tracker).period
-    proven = s.phase == CONFIRMED
-    if proven:
-        turns = int(pitches / c.wheel.whole)
-        number, slot, span = turns * c.pulses - 1, int(s.index), turns * c.wheel.whole
-        while span + 0.5 * c.wheel.nominal[slot] < pitches:
-            span += c.wheel.nominal[slot]
-            slot = slot + 1 if slot + 1 < c.pulses else 0
-            number += 1
-        _shape(s, c, number, s.index + 1, s.held)
-    search(s, c)
-    if proven and period < c.turning_us:
-        _tell_silence(s, out)
-    elif proven:
-        s.silent_us = period
-        s.silent = SILENT
-
-
-@kernel
-def _tell_silence(s: State, out: Reports) -> None:
-    s.missed += int(s.held.count)
-    s.losses += 1
-    e = report(out, PULSES_LOST, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
-    e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
-    for k in range(RESIDUALS):
-        e.residual[k] = s.held.residual[k]
-
-
-@kernel
-def broken_silence(s: State, y: float, out: Reports) -> None:
-    """Take a tooth soon after a silence: an engine that has its speed at once has not stood still in between."""
-    s.silent -= 1
-    if s.silent_us / SAME < y < SAME * s.silent_us:
-        s.silent = 0
-        _tell_silence(s, out)
-
-
-@kernel
 def prove(s: State, c: Const, out: Reports) -> None:
     """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
 
-    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. None does while it is
-    filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth that
-    are missing of it in each turn.
+    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. Where single pulses
+    cannot be told from noise the index may slip; if a defect of each turn alone can look like such noise, more turns
+    have to show the gap where the turn before did than elsewhere, at first. None proves it while it is filled by a
+    pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth that are missing
+    of it in each turn.
     """
     if c.even == 1:
         if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
@@ -316,6 +238,8 @@ def prove(s: State, c: Const, out: Reports) -> None:
         return
     proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
     if s.since < proof or s.filled == 1 or not decides(s, c) or _held_back(s, c):
+        return
+    if c.pulses < MARKED and s.tracker.variance > COARSE and s.doubted == NEVER and s.waiting.same <= s.waiting.moved:
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         confirm(s, out)
@@ -349,114 +273,6 @@ def confirm(s: State, out: Reports) -> None:
 
 
 @kernel
-def _trust(s: State, c: Const) -> None:
-    """Trust the pitches as far as they are learned, and as the turns repeat."""
-    turns = s.profile.turns
-    wander = max(Q3, s.profile.rest * s.profile.rest * c.rest)
-    s.tracker.wander = unlearned(c, best(s.tracker).period) if turns == 0 else wander
-    for i in range(c.pulses):
-        s.tracker.slack[i] = c.slack[i] / (1 + turns * turns)
-
-
-@kernel
-def turned(s: State) -> None:
-    """End a revolution, which :func:`decided` takes when its gap is."""
-    s.revolutions += 1
-    if s.anchor.verified == 0 or s.anchor.wins > 0:
-        s.profile.clean = 0
-    profile.end(s.profile)
-
-
-@kernel
-def turned_back(s: State) -> None:
-    """Take the end of a revolution back: the gap had not come yet, after all."""
-    s.revolutions -= 1
-    s.profile.ended = 0
-    s.profile.clean = 0
-
-
-@kernel
-def decided(s: State, c: Const, out: Reports) -> None:
-    """Take a revolution that has ended, once the hypotheses agree, at the latest at tooth :data:`DECIDED_BY`.
-
-    A gap that real sensors make longer or shorter than it is leaves a doubt for a pulse or two.
-    """
-    if not agreed(s.tracker):
-        if s.index < min(DECIDED_BY, c.pulses // 2):
-            return
-        s.profile.ended_clean = 0
-    _take_turn(s, c, out)
-
-
-@kernel
-def _take_turn(s: State, c: Const, out: Reports) -> None:
-    """Take a revolution: speed, learning, passed results of a clean one, doubled edges, runout."""
-    us = s.profile.ended_us
-    before = s.profile.turns
-    clean = profile.turn(s.profile, c.wheel, s.tracker.pitches, s.index)
-    if s.profile.turns != before or before == 0:
-        _trust(s, c)
-    if s.profile.turns != before:
-        runout.take(s.law, 60e6 * c.turns / us, s.profile.even, s.profile.odd)
-    s.fitted = s.fitted + 1 if clean else 0
-    if s.fitted >= FITTED:
-        s.known = 1
-    doubled = s.doubled
-    s.doubled = 0
-    if s.phase != CONFIRMED:
-        return
-    s.doubling = 1 if doubled > DOUBLE_SHARE * c.pulses else 0
-    if s.doubling == 1:
-        share = doubled / c.pulses
-        s.named = s.teeth
-        d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
-        d.share, d.teeth, d.speed = share, s.teeth, speed(s, c)
-    s.unclean = 0 if clean else s.unclean + 1
-    if clean:
-        _note_speed(s, 60e6 * c.turns / us)
-    elif s.unclean >= UNCLEAN:
-        _note_speed(s, speed(s, c))
-    if not clean:
-        return
-    s.recent_missed = 0
-    s.recent_added = 0
-    for fault in range(CRANK_FAULTS):
-        if fault != RUNOUT:
-            report(out, fault, False, 0.0, 0.0)
-    report(out, RELOCATED, False, 0.0, 0.0)
-    report(out, UNWATCHED, False, 0.0, 0.0)
-    report(out, NOISE, False, 0.0, 0.0)
-    report(out, TWO_PLACES, False, 0.0, 0.0)
-    report(out, WRONG_WHEEL, False, 0.0, 0.0)
-    if c.turns == 1 and s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
-        _judge_wheel(s, c, out)
-
-
-@kernel
-def _note_speed(s: State, rpm: float) -> None:
-    """Note the speed of a revolution [rpm]."""
-    s.speed_rpm = rpm
-    s.fastest_rpm = max(s.fastest_rpm, rpm)
-    if s.slowest_rpm == 0.0 or rpm < s.slowest_rpm:
-        s.slowest_rpm = rpm
-
-
-@kernel
-def _judge_wheel(s: State, c: Const, out: Reports) -> None:
-    """Judge the wheel as it was learned: off centre, a tooth out of its place."""
-    learned_rpm = 60e6 / (s.profile.period * c.wheel.whole)
-    amplitude, most = runout.geometry(s.law, learned_rpm, s.profile.first, c.runout)
-    if profile.tells_runout(c.wheel):
-        r = report(out, RUNOUT, amplitude > most, amplitude, most).runout
-        r.amplitude, r.tooth = amplitude, tooth_of(s, c, s.profile.worst)
-        r.speed = s.speed_rpm
-    off = s.profile.off
-    limit = max(BENT, min(BENT_SIGMAS * s.profile.scatter, BENT_MOST))
-    d = report(out, DAMAGED, abs(off) > limit, abs(off), limit).damaged
-    d.tooth, d.off, d.speed = tooth_of(s, c, s.profile.bent), off, s.speed_rpm
-
-
-@kernel
 def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
     """Hold the place on the wheel to the gap: behind it when it comes where it is expected, else once a turn.
 
@@ -467,15 +283,15 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
     an = s.anchor
     if c.even == 1:
         if an.age >= c.pulses:
-            an.age = 0
+            an.age = c.pulses + anchor.EDGES - c.anchor.length
         an.verified = 1
     elif s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
         _witness(s, c, out)
-    elif an.age >= c.pulses + 2 and not decides(s, c):
-        an.age = 2
+    elif an.age >= c.pulses + anchor.EDGES and not decides(s, c):
+        an.age = c.pulses + anchor.EDGES - c.anchor.length
         an.verified = 1
-    elif an.age >= c.pulses + 2:
-        an.age = 2
+    elif an.age >= c.pulses + anchor.EDGES:
+        an.age = c.pulses + anchor.EDGES - c.anchor.length
         an.verified = 0
         found = anchor.ask(an, c.anchor, c.pulses, c.repeats, s.index)
         if found == anchor.HERE:
@@ -484,7 +300,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             _witness(s, c, out)
         elif found == anchor.ABSENT and s.known == 0:
             doubt(s)
-        elif found > 0 and s.teeth - s.uneven > c.pulses:
+        elif found > 0 and s.teeth - s.uneven > c.anchor.length:
             an.wins = an.wins + 1 if found == an.shift else 1
             an.shift = found
             if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0):
@@ -513,7 +329,7 @@ def _laid(s: State, c: Const) -> bool:
 @kernel
 def _broken_off(s: State, c: Const, out: Reports) -> bool:
     """Tell whether teeth that are missing in each turn are so by this place alone; reports another place as likely."""
-    missing = rival.seek(s.rival, s.anchor, c.wheel, c.repeats, s.index)
+    missing = rival.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index)
     if missing != defects.missing(s.defects):
         return False
     if s.rival.other == rival.NONE:
@@ -521,8 +337,9 @@ def _broken_off(s: State, c: Const, out: Reports) -> bool:
     if s.defects.turns < SURE:
         return False
     waiting.clear(s.waiting)
-    e = report(out, TWO_PLACES, True, 1.0, 1.0).two_places
+    e = report(out, TWO_PLACES, True, s.defects.turns, SURE).two_places
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
+    e.here, e.there = s.rival.here, s.rival.there
     return False
 
 
@@ -558,7 +375,7 @@ def place_by_cam(s: State, c: Const, number: int) -> None:
     s.index = best(s.tracker).index
     profile.forget(s.profile, c.wheel, s.tracker.pitches)
     runout.forget(s.law)
-    _trust(s, c)
+    turns.trust(s, c)
     defects.clear(s.defects)
 
 
@@ -603,7 +420,7 @@ def relocate(s: State, c: Const, out: Reports, found: int) -> None:
     s.held_fault = -1
     profile.forget(s.profile, c.wheel, s.tracker.pitches)
     runout.forget(s.law)
-    _trust(s, c)
+    turns.trust(s, c)
     anchor.restart(s.anchor)
 
 
@@ -632,9 +449,9 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
     if wa.pulses < patience or (wa.pulses > patience and wa.pulses % c.pulses != 0):
         return
     share = wa.short / wa.pulses - c.short
-    fires = waiting.turn_us(s.anchor, c.pulses) < 60e6 / runout.FIRING_RPM * c.turns
-    if share > DOUBLE_SHARE:
-        d = report(out, DOUBLED, True, share, DOUBLE_SHARE).doubled
+    fires = waiting.turn_us(s.anchor, c.anchor.length, c.pulses) < 60e6 / runout.FIRING_RPM * c.turns
+    if share > turns.DOUBLE_SHARE:
+        d = report(out, DOUBLED, True, share, turns.DOUBLE_SHARE).doubled
         d.share, d.teeth = share, s.teeth
     elif c.even == 1:
         pass  # it has no gap that could be missing

@@ -37,7 +37,7 @@ from gateway_plants.crank.monitor.records import (
     Outputs,
     State,
 )
-from gateway_plants.crank.pulse_tracking.profile import MOST_SHARE
+from gateway_plants.crank.pulse_tracking.profile import FEWEST, MOST_SHARE
 from gateway_plants.crank.wheel import WheelText
 
 #: Longest interval of CTW_FD27: 16 bits of 0.5 us << 7 [us].
@@ -169,7 +169,8 @@ def _limits(p: Params) -> tuple[str, ...]:
             " and another number of teeth looks like another speed"
         )
     untested = ["runout", "damaged_tooth", "reversed"] if wheel.tiles > 1 else []
-    if not untested and wheel.lone and 3.0 * max(wheel.pitches) > MOST_SHARE * wheel.turn:
+    of_gap = wheel.lone and 3.0 * max(wheel.pitches) > MOST_SHARE * wheel.turn
+    if not untested and (of_gap or wheel.pulses < FEWEST):
         untested = ["runout"]
     if wheel.even:
         untested += ["no_gap", "relocated", "two_places"] + ([] if untested else ["reversed"])

@@ -37,6 +37,7 @@ class Burst(Record):
     rpm: f8 = means("speed before the burst", "rpm")
     known: u1 = means("1: the place was proven before the burst")
     crowd: i4 = means("pulses that came sooner than half a pitch, one behind the other")
+    crowd_us: f8 = means("sum of the intervals of these pulses", "us")
     crowded: i8 = means("number of the latest of these pulses")
     told: i8 = means("pulse at which a burst was last told")
 
@@ -46,7 +47,9 @@ def note(b: Burst, number: int, y: float, period: float) -> None:
     """Note an interval [us] that ends with pulse ``number``, at a time of a pitch [us]."""
     if y >= SHORT * period:
         return
-    b.crowd = b.crowd + 1 if number == b.crowded + 1 else 1
+    again = number == b.crowded + 1
+    b.crowd = b.crowd + 1 if again else 1
+    b.crowd_us = y + (b.crowd_us if again else 0.0)
     b.crowded = number
 
 
@@ -54,6 +57,19 @@ def note(b: Burst, number: int, y: float, period: float) -> None:
 def crowd(b: Burst, number: int) -> int:
     """Return how many pulses, just before pulse ``number``, came as a crowd; the one it began at counts."""
     return int(b.crowd) + 1 if number - b.crowded <= BEHIND else 0
+
+
+@kernel
+def close(b: Burst, firing_us: float) -> bool:
+    """Tell whether the last crowd's pulses are closer than those of an engine that is turned by its starter.
+
+    One that nearly stood, and was thrown back, has pulses that come sooner than half a pitch as well.
+
+    Args:
+        b: record of Burst.
+        firing_us: time of a pitch of the slowest engine that fires [us].
+    """
+    return bool(b.crowd_us < firing_us * b.crowd)
 
 
 @kernel

@@ -41,9 +41,6 @@ UNLEARNED, UNLEARNED_RPM, UNLEARNED_ORDER = 0.08, 720.0, 3.0
 BRAKE = 4.0
 #: A pitch that is less than this share of the one before is short: with ripple it may look like a pulse too many.
 SHORT = 0.7
-#: Largest change of the growth from pitch to pitch, as a multiple of the speed's ripple, where a pitch is as long as
-#: half of the ripple's wave: of a wheel of few pulses every other one may be longer.
-ALTERNATING = 8.0
 #: Ripple of the speed that an engine may have at most, amplitude (it falls with the square of the speed, as
 #: :data:`runout.ALLOWED` says), and how many times that much two places have to be apart by their contrasts.
 MOST_RIPPLE, CONTRASTS = 0.4, 5.0
@@ -223,14 +220,16 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
 def _changes(amplitude: float, order: float, wheel: Wheel) -> float:
     """Return the process noise of the growth per pitch that a ripple of the speed needs.
 
+    Between teeth the squared speed ``1 + 2 A sin(2 pi n k / S)`` grows by ``4 A sin(pi n / S) cos(..)``, which changes
+    from one pitch to the next by up to ``8 A sin^2(pi n / S)``: most where a pitch is half a wave.
+
     Args:
-        amplitude: of the speed.
-        order: per turn.
-        wheel: the wheel.
+        amplitude: A, of the speed.
+        order: n, per turn.
+        wheel: the wheel, of S pitches a turn; one of few pulses may have a wave of two pitches.
     """
-    if wheel.tiles > 1:
-        return (ALTERNATING * amplitude) ** 2
-    return float((2 * amplitude * (order * 2 * np.pi / wheel.turn) ** 2) ** 2)
+    half = min(order / wheel.turn, 0.5) if wheel.tiles == 1 else 0.5
+    return float((8.0 * amplitude * np.sin(np.pi * half) ** 2) ** 2)
 
 
 def proof_rpm(wheel: Wheel) -> float:
@@ -301,7 +300,7 @@ def displace(s: State) -> None:
 def stand(s: State, c: Const) -> None:
     """The engine stands: no place, no speed, and nothing to wait for."""
     search(s, c)
-    anchor.skip(s.anchor, c.pulses, c.pulses)
+    anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
     anchor.restart(s.anchor)
     waiting.clear(s.waiting)
     skip(s.seen)
@@ -366,6 +365,16 @@ def speed(s: State, c: Const) -> float:
     if s.phase == SEARCHING:
         return 0.0
     return float(60e6 / (best(s.tracker).period * c.turn))
+
+
+@kernel
+def shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
+    """Fill the evidence of missed or added pulses; ``first`` is the tooth concerned."""
+    e.count = number
+    e.tooth = tooth_of(s, c, first)
+    e.speed = speed(s, c)
+    for k in range(RESIDUALS):
+        e.residual[k] = s.residuals[(s.teeth + 1 + k) % RESIDUALS]
 
 
 @kernel

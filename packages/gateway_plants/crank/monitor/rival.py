@@ -114,7 +114,7 @@ def _walk(rv: Rival, nominal: f8s, pulses: int, first: int) -> int:
 
 
 @kernel
-def _lay(rv: Rival, an: anchor.State, nominal: f8s, pulses: int, index: int) -> int:
+def _lay(rv: Rival, an: anchor.State, size: int, nominal: f8s, pulses: int, index: int) -> int:
     """Lay the intervals of the last turn onto the wheel, the latest one first; notes the teeth that are gone.
 
     Each interval is of so many pitches that the time of one changes least.
@@ -122,6 +122,7 @@ def _lay(rv: Rival, an: anchor.State, nominal: f8s, pulses: int, index: int) -> 
     Args:
         rv: record of Rival.
         an: record of anchor.State.
+        size: of its intervals.
         nominal: pitches of the wheel.
         pulses: of one turn.
         index: of the latest tooth, at least 1.
@@ -134,7 +135,7 @@ def _lay(rv: Rival, an: anchor.State, nominal: f8s, pulses: int, index: int) -> 
     tooth, number, period, left = index, 0, 0.0, pulses
     at = int(an.at)
     while left > 0:
-        at = at - 1 if at > 0 else pulses - 1
+        at = at - 1 if at > 0 else size - 1
         y = an.intervals[at]
         if y <= 0.0:
             return NONE
@@ -157,12 +158,13 @@ def _lay(rv: Rival, an: anchor.State, nominal: f8s, pulses: int, index: int) -> 
 
 
 @kernel
-def seek(rv: Rival, an: anchor.State, c: LearnedWheel, repeats: int, index: int) -> int:
+def seek(rv: Rival, an: anchor.State, size: int, c: LearnedWheel, repeats: int, index: int) -> int:
     """Look for a rival of a place at which teeth are missing in each turn.
 
     Args:
         rv: record of Rival.
         an: record of anchor.State.
+        size: of its intervals.
         c: record of LearnedWheel.
         repeats: pulses after which the wheel's pattern repeats.
         index: of the latest tooth.
@@ -171,7 +173,7 @@ def seek(rv: Rival, an: anchor.State, c: LearnedWheel, repeats: int, index: int)
         the teeth that are missing, :data:`NONE` where the last turn does not fit the place.
     """
     had, before = rv.other != NONE, rv.tooth + MOST_TEETH * rv.number
-    number = _lay(rv, an, c.nominal, c.pulses, index)
+    number = _lay(rv, an, size, c.nominal, c.pulses, index)
     if number == NONE:
         return NONE
     tooth = 0

@@ -22,10 +22,6 @@ SHORT = 0.45
 LEVEL = 0.55
 #: Share of the contrasts that are small in an even turn.
 EVEN = 0.6
-#: Intervals of a turn whose contrast is not known, because a neighbour is not.
-EDGES = 2
-#: Pulses of a turn from which on an engine that the starter turns shows whether it has a gap.
-FEW = 10
 #: What is found of a turn: it cannot be told; an even turn that is not one of this wheel.
 UNDECIDED, AGAINST = -1, -2
 
@@ -69,10 +65,10 @@ def note(wa: Waiting, y2: float, y1: float, y: float) -> None:
 
 
 @kernel
-def turn_us(an: anchor.State, pulses: int) -> float:
+def turn_us(an: anchor.State, size: int, pulses: int) -> float:
     """Return the time that as many intervals take as a turn has, from those that are known [us]."""
     total, known = 0.0, 0
-    for k in range(pulses):
+    for k in range(size):
         total += an.intervals[k]
         known += 1 if an.intervals[k] > 0.0 else 0
     return total * pulses / known if known > 0 else 0.0
@@ -82,15 +78,16 @@ def turn_us(an: anchor.State, pulses: int) -> float:
 def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> None:
     """Look at the last turn, when it is time.
 
-    The contrasts of a turn of intervals lack the first and the last: a look two pulses earlier each turn sees the gap
+    Where the first and the last contrast of a turn are not known, a look two pulses earlier each turn sees the gap
     that hides there. The place then has gone on by the pulses in between.
     """
-    if wa.pulses % (pulses - EDGES) != 0:
+    step = c.length - anchor.EDGES
+    if wa.pulses % step != 0:
         return
     found = _place(an, c, pulses, repeats)
     wa.turns += 1
     if wa.place >= 0:
-        wa.place = (wa.place + pulses - EDGES) % repeats
+        wa.place = (wa.place + step) % repeats
     if found == AGAINST:
         wa.against += 1
     elif found >= 0 and wa.place >= 0:
@@ -98,7 +95,7 @@ def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: i
             wa.same += 1
         else:
             wa.moved += 1
-            wa.shifted += 1 if _even(an, pulses, anchor.contrasts(an, pulses), _hidden_by(c)) else 0
+            wa.shifted += 1 if _even(an, c, anchor.contrasts(an, c.length)) else 0
     wa.place = found
 
 
@@ -114,7 +111,7 @@ def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
         fires: whether the engine is faster than its starter turns it.
         pulses: of one turn of the wheel.
     """
-    if not fires and pulses < FEW:
+    if not fires and pulses < anchor.FEW:
         return False
     against = wa.against + (wa.moved if fires else wa.shifted)
     return bool(wa.same == 0 and 4 * against >= 3 * (wa.turns - 1))
@@ -123,15 +120,15 @@ def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
 @kernel
 def _place(an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> int:
     """Return the place that the latest pulse has by the contrasts of the last turn, UNDECIDED or AGAINST."""
-    known = anchor.contrasts(an, pulses)
+    known = anchor.contrasts(an, c.length)
     if known < anchor.least_known(pulses):
         return UNDECIDED
     largest = 0.0
-    for k in range(1, pulses - 1):
+    for k in range(1, c.length - 1):
         d = an.logs[k]
         if d < anchor.UNKNOWN:
             largest = max(largest, abs(d))
-    beside = AGAINST if _even(an, pulses, known, _hidden_by(c)) else UNDECIDED
+    beside = AGAINST if _even(an, c, known) else UNDECIDED
     if largest < LEVEL * c.largest:
         return beside
     first, second, found = np.inf, np.inf, 0
@@ -143,21 +140,21 @@ def _place(an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> int:
             second = rest
     variance = max(first / (known - 1), anchor.LEAST_VARIANCE)
     if (
-        second - first < 2.0 * anchor.UNIQUE * variance
-        or anchor.plain(an, pulses) - first < 2.0 * anchor.ODDS * variance
+        second - first < anchor.unique(first, known)
+        or anchor.plain(an, c.length) - first < 2.0 * anchor.ODDS * variance
     ):
         return beside
     return found
 
 
 @kernel
-def _even(an: anchor.State, pulses: int, known: int, rms: float) -> bool:
+def _even(an: anchor.State, c: anchor.Const, known: int) -> bool:
     """Tell whether the turn is even but for some places: its ripple is too small to hide a gap.
 
     Of a sine that has this rms, half of the contrasts are below it.
     """
-    small = 0
-    for k in range(1, pulses - 1):
+    small, rms = 0, _hidden_by(c)
+    for k in range(1, c.length - 1):
         if abs(an.logs[k]) < rms:
             small += 1
     return bool(small > EVEN * known)

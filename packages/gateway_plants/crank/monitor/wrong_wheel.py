@@ -13,7 +13,7 @@ from __future__ import annotations
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
 from gateway_plants.crank import wheel_pairs, wheel_seen
-from gateway_plants.crank.monitor import explained, made, runout, waiting
+from gateway_plants.crank.monitor import anchor, explained, made, runout, turns, waiting
 from gateway_plants.crank.monitor.faults import ADDED, MISSED, PULSES_LOST, TWO_PLACES, WRONG_WHEEL, Reports
 from gateway_plants.crank.monitor.place import CONFIRMED, SEARCHING, Const, State, search
 from gateway_plants.crank.wheel import MOST_GAPPED
@@ -86,23 +86,31 @@ def _whole(s: State) -> float:
 @kernel
 def _cranked(s: State, c: Const) -> bool:
     """Return whether the engine is so slow that a compression may look like a gap to a wheel of few pulses."""
-    return bool(waiting.turn_us(s.anchor, c.pulses) > 60e6 / runout.FIRING_RPM * c.turns)
+    return bool(waiting.turn_us(s.anchor, c.anchor.length, c.pulses) > 60e6 / runout.FIRING_RPM * c.turns)
+
+
+@kernel
+def _speed(s: State, c: Const) -> float:
+    """Return the speed by the pitch that is seen [rpm], and note it, which nothing else does without a place."""
+    rpm = 60e6 / (s.seen.pitch * c.turn)
+    turns.note_speed(s, rpm)
+    return float(rpm)
 
 
 @kernel
 def _tell_filled(s: State, c: Const, tooth: int, out: Reports) -> None:
     """Report the pulse too many in a gap. Meanwhile nothing is proven, and the gap is not told as missing."""
     e = report(out, ADDED, True, s.seen.turns, TURNS).pulses
-    e.count, e.tooth, e.speed = 1.0, tooth, 60e6 / (s.seen.pitch * c.turn)
+    e.count, e.tooth, e.speed = 1.0, tooth, _speed(s, c)
     waiting.clear(s.waiting)
 
 
 @kernel
-def _tell_broken(s: State, c: Const, out: Reports) -> None:
-    """Report teeth broken off a wheel of equal pitches, of so few that none of its turns is even enough to follow."""
-    missing = c.teeth - s.seen.pulses
+def _tell_missing(s: State, c: Const, missing: int, tooth: int, out: Reports) -> None:
+    """Report teeth broken off, from ``tooth`` on (-1: not known), that the tracker could not take for missed ones."""
     e = report(out, MISSED if missing < LOSS else PULSES_LOST, True, s.seen.turns, TURNS).pulses
-    e.count, e.tooth, e.speed = missing, -1.0, 60e6 / (s.seen.pitch * c.turn)
+    e.count, e.tooth, e.speed = missing, tooth, _speed(s, c)
+    waiting.clear(s.waiting)
 
 
 @kernel
@@ -124,7 +132,7 @@ def _judge(s: State, c: Const, out: Reports) -> None:
         if s.phase == CONFIRMED:
             s.looks = 0
         elif s.seen.turns >= _least(s):
-            _judge_defects(s, c, out)
+            _judge_defects(s, c, int(c.turn / whole + 0.5), out)
         return
     if s.seen.turns < _least(s) or (c.turns > 1 and _cranked(s, c)):
         return
@@ -135,34 +143,42 @@ def _judge(s: State, c: Const, out: Reports) -> None:
 
 
 @kernel
-def _judge_defects(s: State, c: Const, out: Reports) -> None:
-    """Name what makes the configured wheel look as it is seen, where its place is not proven for that."""
+def _judge_defects(s: State, c: Const, parts: int, out: Reports) -> None:
+    """Name what makes the configured wheel look as it is seen, ``parts`` times a turn, so that it is not proven."""
+    missing = c.teeth - parts * s.seen.pulses
     if c.even == 1:
-        _tell_broken(s, c, out)
+        _tell_missing(s, c, missing, explained.NONE, out)
         return
     gap = explained.filled(s, c)
     if gap != explained.NONE:
         s.filled = 1
         _tell_filled(s, c, gap, out)
     elif s.recurring == 0 and c.turns == 1:
-        _tell_beside(s, c, out)
+        _tell_beside(s, c, parts, missing, out)
 
 
 @kernel
-def _tell_beside(s: State, c: Const, out: Reports) -> None:
-    """Report teeth that are missing beside a gap, on either side of it."""
-    tooth, other = explained.left_at(s, c)
+def _tell_beside(s: State, c: Const, parts: int, missing: int, out: Reports) -> None:
+    """Report teeth that are missing beside a gap, on either side of it where that is the only one."""
+    tooth, other = explained.left_at(s, c, parts, missing)
     if tooth == explained.NONE:
         return
+    if other == explained.NONE:
+        _tell_missing(s, c, missing, tooth, out)
+        return
     e = report(out, TWO_PLACES, True, s.seen.turns, TURNS).two_places
-    e.tooth, e.other, e.speed = tooth, other, 60e6 / (s.seen.pitch * c.turn)
+    e.tooth, e.other, e.speed = tooth, other, _speed(s, c)
     waiting.clear(s.waiting)
 
 
 @kernel
 def _judge_pairs(s: State, c: Const, out: Reports) -> None:
-    """Take two pitches that alternate for another wheel: between two gaps of the configured one they could not."""
-    if c.even == 1 or c.turns > 1 or c.repeats == 2:
+    """Take two pitches that alternate for another wheel: between two gaps of the configured one they could not.
+
+    Of a wheel of few pulses, an even number, ripple can make them while it is cranked.
+    """
+    ripple = c.pulses < anchor.FEW and c.pulses % 2 == 0 and _cranked(s, c)
+    if c.even == 1 or c.turns > 1 or c.repeats == 2 or ripple:
         return
     if s.wrong == 0 or s.pairs.count % (2 * AGAIN) == 0:
         e = report(out, WRONG_WHEEL, True, s.pairs.count // 2, TURNS).wrong_wheel

@@ -44,6 +44,8 @@ MOST_ORDERS = 6
 MOST_OFF, MOST_GAP_OFF = 0.35, 0.4
 #: Share of the turn that a gap and its part in the first order have at most, so that its error can be told from that.
 MOST_SHARE = 0.5
+#: Pulses below which the first order is the teeth's own errors.
+FEWEST = 6
 #: Neighbouring pitches over which the edges' jitter is averaged.
 SMOOTHED = 5
 #: Order per turn that ripple which is not learned is taken for.
@@ -282,13 +284,15 @@ def _harmonics(pr: Profile, wh: LearnedWheel) -> None:
             pr.ripple[i] += even * wh.cosine[at + i] + odd * wh.sine[at + i]
     even, odd = _without_gap(pr, wh, pr.evens[0], pr.odds[0])
     pr.even, pr.odd = pr.even + even, pr.odd + odd
-    pr.first = (even * even + odd * odd) ** 0.5
+    # Ripple of other orders and errors of teeth look like an error of the gap as well: runout is what is there by both.
+    pr.first = min(even * even + odd * odd, pr.evens[0] * pr.evens[0] + pr.odds[0] * pr.odds[0]) ** 0.5
 
 
 @kernel
 def tells_runout(wh: LearnedWheel) -> bool:
-    """Return whether runout can be told from an error of the wheel's only gap: not where that is a third of a turn."""
-    return bool(wh.lone == 0 or 3.0 * wh.nominal[wh.pulses - 1] <= MOST_SHARE * wh.whole)
+    """Return whether runout can be told from an error of the wheel's only gap, and of a few teeth."""
+    share = 3.0 * wh.nominal[wh.pulses - 1] / wh.whole if wh.lone == 1 else 0.0
+    return bool(wh.pulses >= FEWEST and share <= MOST_SHARE)
 
 
 @kernel
