@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gateway.bus.logs import open_writer
+from gateway.monitors.rule.text import compile_text
 from gateway.signals.database import Database, load_database
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.learn.document import BusAsked
@@ -84,12 +85,8 @@ def injected(car: Car) -> Iterator[Injected]:
                     continue
                 yield Injected(car, f"value {one['signal']}={value:g}", _signal(name, one["signal"]))
         for rule in monitor.get("rule", ()):
-            left, _, right = rule["holds"].partition(" == ")
-            for side in (left, right.rpartition("* ")[2].split()[0]):
-                signal = side.removeprefix("number(").removesuffix(")").strip("()")
-                if signal.count(".") == 1:
-                    size = 2.5 * rule["tolerance"]
-                    yield Injected(car, f"offset {signal}={size:g}", _signal(name, signal))
+            for signal in compile_text(rule["holds"], lambda _: None).signals if "tolerance" in rule else ():
+                yield Injected(car, f"offset {signal}={2.5 * rule['tolerance']:g}", _signal(name, signal))
 
 
 def _signal(bus: str, name: str) -> Truth:
