@@ -574,16 +574,24 @@ class Reading(NamedTuple):
     beyond: float = math.nan
 
 
+class Result(NamedTuple):
+    """The last result of a test: its evidence, value and limit, and the monitor's state record."""
+
+    evidence: Sequence[float]
+    value: float
+    limit: float
+    state: Any
+
+
 @dataclass(frozen=True)
 class Residuals:
     """Signed residuals behind a monitor's faults: one size of a part's error has to explain all that fail.
 
     Attributes:
-        of: parameters -> name of a fault -> evidence, value and limit of a result -> what it says of sizes; None:
-            nothing.
+        of: parameters -> name of a fault -> a result -> what it says of sizes; None: nothing.
     """
 
-    of: Callable[[Any], Mapping[str, Callable[[Sequence[float], float, float], Reading | None]]]
+    of: Callable[[Any], Mapping[str, Callable[[Result], Reading | None]]]
 
 
 #: Something that a monitor can do beside monitoring; at most one of each class.

@@ -20,6 +20,7 @@ from gateway.engine.depends.derive import Dependences
 from gateway.engine.depends.parts import Seen
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.engine.instances import FaultSlot
+from gateway.monitors.contract import Result
 from gateway_fdi.diagnosis.answer import Group
 from gateway_fdi.diagnosis.apart import telling
 from gateway_fdi.diagnosis.diagnoser import Diagnoser
@@ -178,8 +179,10 @@ class Causes:
         """Read the residual of a test; one whose results are others than its verdict says nothing new of sizes."""
         d = self._engine.tables.debounces[fault]
         if verdict != NOT_TESTED and int(d["last"]) == verdict:
-            read = self._read[name](d["evidence"].tolist(), float(d["value"]), float(d["limit"]))
-            self._diagnoser.size(name, read)
+            read = self._read[name]
+            state = self._engine.state_of(read.monitor)[0]
+            result = Result(d["evidence"].tolist(), float(d["value"]), float(d["limit"]), state)
+            self._diagnoser.size(name, read(result))
 
     def _last_ns(self, fault: int) -> int:
         """Return when a fault's test said something last; a bus is not silent while it is heard [ns]."""

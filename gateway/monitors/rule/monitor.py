@@ -7,7 +7,7 @@ negative number).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any
 
 from gateway.monitors.contract import (
@@ -21,6 +21,7 @@ from gateway.monitors.contract import (
     Parts,
     Reading,
     Residuals,
+    Result,
     Signal,
     report,
 )
@@ -32,6 +33,10 @@ from gateway.monitors.rule.residual import blames, residual_of
 from gateway.monitors.rule.text import compile_text, is_relation
 from gateway_fdi.errors import Gathered, InputError
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel
+
+
+#: Results over which is averaged what a relation is off while it holds.
+LATELY = 1000
 
 
 class Inputs(Event):
@@ -50,10 +55,12 @@ class Const(Record):
 
 
 class State(Record):
-    """What both remember."""
+    """What both remember; ``square``: mean of what is off, squared, of the results lately that held, ``held`` of them."""
 
     holds: Machine
     when: Machine
+    square: f8
+    held: i8
 
 
 class Evidence(Record):
@@ -72,6 +79,9 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Any]) -> None:
             return
     if s.holds.unknown == 1:
         return
+    if result == 1.0:
+        s.held = min(s.held + 1, LATELY)
+        s.square += (s.holds.left**2 - s.square) / s.held
     evidence = report(out, 0, result == 0.0, s.holds.left, s.holds.right)
     for k in range(min(c.signals, EVIDENCE)):
         evidence.value[k] = u.value[k]
@@ -106,7 +116,7 @@ def _faults(p: PartParams) -> tuple[Fault, ...]:
     )
 
 
-def _residuals(p: PartParams) -> dict[str, Callable[[Sequence[float], float, float], Reading | None]]:
+def _residuals(p: PartParams) -> dict[str, Callable[[Result], Reading | None]]:
     read = residual_of(p)
     return {} if read is None else {p.rule.name: read}
 

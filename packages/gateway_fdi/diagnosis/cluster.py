@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 
 from gateway_fdi.diagnosis import sizes
 from gateway_fdi.diagnosis.answer import Against, Size, Wait
-from gateway_fdi.diagnosis.state import PASSED, State
+from gateway_fdi.diagnosis.state import FAILED, PASSED, State
 from gateway_fdi.diagnosis.system import Floats, Ints, System
 from gateway_fdi.hitting import NEVER
 
 #: A contradiction is worth telling from this factor on.
 TOLD = 0.5
+#: Sizes that fit less well by chance once in so many times ask for one part more.
+MISFIT = 1e-3
 
 
 class Cluster:
@@ -36,18 +38,20 @@ class Cluster:
         system: what there is.
         state: what the tests say.
         failed: places of the tests, ascending.
+        more: places of components that are suspected though none of them blames these.
 
     Attributes:
         failed: places of the tests, ascending.
-        suspects: places of the components that they blame, ascending.
+        suspects: places of the components that they blame, and of those more, ascending.
         power: of each test for each suspect, 0: it does not see it, shape (tests, suspects).
         weights: of each suspect, by its prior and what passed, shape (suspects,).
     """
 
-    def __init__(self, system: System, state: State, failed: tuple[int, ...]) -> None:
+    def __init__(self, system: System, state: State, failed: tuple[int, ...], more: tuple[int, ...] = ()) -> None:
         self._system, self._state, self.failed = system, state, failed
         links = np.concatenate([system.of_test[t] for t in failed]) if failed else np.zeros(0, np.int64)
-        self.suspects, column = np.unique(system.link_component[links], return_inverse=True)
+        self.suspects = np.union1d(system.link_component[links], np.array(more, np.int64))
+        column = np.searchsorted(self.suspects, system.link_component[links])
         self._row = {t: k for k, t in enumerate(failed)}
         row = np.repeat(np.arange(len(failed)), [len(system.of_test[t]) for t in failed])
         self.power: Floats = np.zeros((len(failed), len(self.suspects)))
@@ -59,8 +63,13 @@ class Cluster:
         self._alarm: Floats = system.false_alarm[places]
         sized = np.isfinite(state.gain[links]) & np.isfinite(self._residual_of(system.link_test[links]))
         self._sized = np.bincount(column, weights=sized, minlength=len(self.suspects)) > 0
+        self._sized |= np.isin(self.suspects, more)
         self._known: dict[int, dict[int, float]] = {}
         self._count_passes()
+
+    def widened(self, more: tuple[int, ...]) -> Cluster:
+        """Return the same failed tests with more suspects, by their places."""
+        return Cluster(self._system, self._state, self.failed, more)
 
     def _residual_of(self, tests: Ints) -> Floats:
         """Return the residuals of tests whose noise is known, NaN for others."""
@@ -75,7 +84,8 @@ class Cluster:
         test = system.link_test[links]
         passed = state.verdict[test] == PASSED
         links, column, test = links[passed], column[passed], test[passed]
-        latest = np.where(self.power > 0.0, self._since[:, None], np.iinfo(np.int64).min).max(axis=0, initial=0)
+        blames = (self.power > 0.0) | ~(self.power > 0.0).any(axis=0)  # what none blames may be behind any
+        latest = np.where(blames, self._since[:, None], np.iinfo(np.int64).min).max(axis=0, initial=0)
         due = latest[column] + system.delay_ns[test]
         counts = state.until[test] >= due
         by_size = self._sized[column] & np.isfinite(state.gain[links]) & np.isfinite(self._residual_of(test))
@@ -169,6 +179,23 @@ class Cluster:
         return sizes.fit(
             state.residual[tests], np.array([gains[t] for t in tests]), state.noise[tests], state.gain_error[tests]
         )
+
+    def hidden_by(self, suspects: tuple[int, ...]) -> tuple[int, ...]:
+        """Return places of components that may cancel what one of a set of suspects does; none, where its sizes fit.
+
+        Two errors that cancel each other in a test leave it passing, so that no failed test needs the second one.
+        """
+        fitted = self.fit(suspects)
+        if fitted is None or fitted.chance >= MISFIT:
+            return ()
+        system, state = self._system, self._state
+        tests = sorted({test for k in suspects for test in self._signed(k)})
+        links = np.concatenate([system.of_test[t] for t in tests])
+        found = np.unique(system.link_component[links[np.isfinite(state.gain[links])]])
+        own = np.isin(system.link_test, self.failed)
+        others = system.link_component[(state.verdict[system.link_test] == FAILED) & ~own]
+        gone = np.union1d(others, self.suspects[list(suspects)])  # of another group, or there already
+        return tuple(np.setdiff1d(found, gone).tolist())
 
     # What people are told of it --------------------------------------------------------------------------------------
 
