@@ -20,7 +20,7 @@ from gateway.engine.depends.derive import Dependences
 from gateway.engine.depends.parts import Seen
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.engine.instances import FaultSlot
-from gateway.monitors.contract import Result
+from gateway.monitors.contract import Tested
 from gateway_fdi.diagnosis.answer import Group
 from gateway_fdi.diagnosis.apart import telling
 from gateway_fdi.diagnosis.diagnoser import Diagnoser
@@ -181,7 +181,7 @@ class Causes:
         if verdict != NOT_TESTED and int(d["last"]) == verdict:
             read = self._read[name]
             state = self._engine.state_of(read.monitor)[0]
-            result = Result(d["evidence"].tolist(), float(d["value"]), float(d["limit"]), state)
+            result = Tested(d["evidence"].tolist(), float(d["value"]), float(d["limit"]), state)
             self._diagnoser.size(name, read(result))
 
     def _last_ns(self, fault: int) -> int:

@@ -21,8 +21,8 @@ from gateway.monitors.contract import (
     Parts,
     Reading,
     Residuals,
-    Result,
     Signal,
+    Tested,
     report,
 )
 from gateway.monitors.contract import Inputs as Event
@@ -33,7 +33,6 @@ from gateway.monitors.rule.residual import blames, residual_of
 from gateway.monitors.rule.text import compile_text, is_relation
 from gateway_fdi.errors import Gathered, InputError
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel
-
 
 #: Results over which is averaged what a relation is off while it holds.
 LATELY = 1000
@@ -55,7 +54,7 @@ class Const(Record):
 
 
 class State(Record):
-    """What both remember; ``square``: mean of what is off, squared, of the results lately that held, ``held`` of them."""
+    """What both remember; ``square``: mean square of what was off lately while it held, of ``held`` results."""
 
     holds: Machine
     when: Machine
@@ -116,7 +115,7 @@ def _faults(p: PartParams) -> tuple[Fault, ...]:
     )
 
 
-def _residuals(p: PartParams) -> dict[str, Callable[[Result], Reading | None]]:
+def _residuals(p: PartParams) -> dict[str, Callable[[Tested], Reading | None]]:
     read = residual_of(p)
     return {} if read is None else {p.rule.name: read}
 

@@ -8,14 +8,19 @@ says it in words, not as a monitor does.
 from __future__ import annotations
 
 import copy
+import itertools
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from gateway_fdi.common.resources import shipped
+from gateway_fdi.structure.decomposition import overdetermined
+from gateway_fdi.structure.file import load_model
+from gateway_fdi.structure.incidence import counted
+from gateway_fdi.structure.isolability import incidence_of_faults
 
 #: Components, each of which is right: nobody could tell them apart.
 Truth = frozenset[str]
@@ -65,7 +70,14 @@ _SENSORS = {
     "motor": {"f_i": "i", "f_w": "w"},
     "brake": {"f_i": "i", "f_a": "a", "f_F": "c"},
     "cooling": {"f_1": "y1", "f_2": "y2", "f_3": "y3", "f_m": "ym"},
-    "battery": {"f_I": "y_I", "f_V": "y_V", "f_y2": "y2"},
+    "battery": {"f_I": "y_I", "f_V": "y_V", **{f"f_y{k}": f"y{k}" for k in range(1, 5)}},
+}
+#: Residuals that a component of the steering stands in, as its equations have it (docs/steering.md).
+_STANDS_IN = {
+    "wheel_angle_offset": {"gear", "rate"},
+    "pinion_angle_offset": {"gear"},
+    "current_offset": {"voltages"},
+    "voltage_offset": {"voltages"},
 }
 #: Kind of a fault of the steering -> its component.
 _STEERING = {
@@ -106,11 +118,16 @@ def _bus(base: str) -> str:
 
 def _structural(plant: str) -> Iterator[Fault]:
     base = f"{plant}_faults"
-    sent = {known: f"{m['name']}.{s}" for m in read(base)["ecu"][0]["message"] for s, known in m["signals"].items()}
     for entry in read(base)["fault"]:
-        known = _SENSORS[plant].get(entry["name"])
-        part = f"signal {_bus(base)}.{sent[known]}" if known else f"plant {plant}.{entry['name']}"
-        yield Fault(plant, base, entry["name"], entry, _one(part))
+        yield Fault(plant, base, entry["name"], entry, _structural_part(plant, entry["name"]))
+
+
+def _structural_part(plant: str, fault: str) -> Truth:
+    """Return the component that a fault of a model is of."""
+    base = f"{plant}_faults"
+    sent = {known: f"{m['name']}.{s}" for m in read(base)["ecu"][0]["message"] for s, known in m["signals"].items()}
+    known = _SENSORS[plant].get(fault)
+    return _one(f"signal {_bus(base)}.{sent[known]}" if known else f"plant {plant}.{fault}")
 
 
 def _linear(plant: str) -> Iterator[Fault]:
@@ -207,6 +224,44 @@ def faults() -> list[Fault]:
     found = [fault for plant in _SENSORS for fault in _structural(plant)]
     found += [fault for plant in _LINEAR for fault in _linear(plant)]
     return [*found, *_steering(), *_truck(), *_pedal(), *_signals(), *_restbus()]
+
+
+def alike(one: Fault, other: Fault) -> frozenset[Truth]:
+    """Return what explains all that two faults do, whatever their sizes and courses: other parts, two at most.
+
+    By the structure of the model (Krysander, Frisk 2008): without the equations that these parts stand in, nothing
+    overdetermined is left that one of the two faults stands in.
+    """
+    if one.plant == "steering":
+        seen = _STANDS_IN[one.name] | _STANDS_IN[other.name]
+        whole = {fault.name: fault.truth for fault in _steering() if fault.name in _STANDS_IN}
+        known = {names for names in _some(whole) if seen <= set().union(*(_STANDS_IN[name] for name in names))}
+    elif one.plant in _SENSORS:
+        model = load_model(shipped(f"models/{one.plant}.toml"))
+        whole = {fault: _structural_part(one.plant, fault) for fault in model.faults}
+        where = dict(zip(model.faults, incidence_of_faults(model).T, strict=True))
+        mine = where[one.name] | where[other.name]
+
+        def explain(names: tuple[str, ...]) -> bool:
+            without = ~np.any([where[name] for name in names], axis=0)
+            return not (overdetermined(counted(model), without) & mine).any()
+
+        known = {names for names in _some(whole) if explain(names)}
+    else:
+        return frozenset()
+    own = {one.name, other.name}
+    return frozenset(
+        frozenset(part)
+        for names in known
+        if set(names) != own
+        for part in itertools.product(*(whole[name] for name in names))
+    )
+
+
+def _some(names: Iterable[str]) -> Iterator[tuple[str, ...]]:
+    """Yield one or two of some faults."""
+    listed = list(names)
+    return itertools.chain(((name,) for name in listed), itertools.combinations(listed, 2))
 
 
 def drawn(fault: Fault, rng: np.random.Generator) -> dict[str, Any]:

@@ -33,8 +33,11 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
         print_json({"seed": seed, **{kind: [asdict(row) for row in some] for kind, some in rows.items()}})
         return 0
     for kind, some in rows.items():
+        apart = [row for row in some if row.verdict.told_apart]
         if some:
             console.print(_table(kind, some))
+        if len(apart) < len(some):
+            console.print(_table(f"{kind} that the models' structure tells apart", apart))
     return 0
 
 
