@@ -1,6 +1,6 @@
-"""Which two parts may be at fault together: the last samples, without what these parts could have done to them.
+"""Which parts may be at fault together: the last samples, without what these parts could have done to them.
 
-A bank names one part at a time. For each two parts the samples of a window are asked what is left of them when sensors
+A bank names one part at a time. For each part, and each two, the samples of a window are asked what is left of them when sensors
 of these parts count for nothing and their actuators may have done anything, whatever the state was at the beginning
 (parity space with unknown inputs; Chow, Willsky, "Analytical redundancy and the design of robust failure detection
 systems" (1984)): in its own standard deviations, chi-square. Where it is too much, some other part is at fault. It is
@@ -62,7 +62,7 @@ class Windows:
     """The tests of a plant.
 
     Attributes:
-        apart: the parts that each test leaves out, actuators from 0, sensors behind them: none, then each two.
+        apart: the parts that each test leaves out, actuators from 0, sensors behind them: none, then each one, then each two.
         forced: what commands make of the outputs, shape (LENGTH outputs, LENGTH inputs).
         checks: of each test.
     """
@@ -106,7 +106,7 @@ def windows_of(plant: LinearPlant, noise: Array, disturbance: Array) -> Windows:
         forced[j * p : (j + 1) * p, k * m : (k + 1) * m] = reach @ plant.gamma
         noisy[j * p : (j + 1) * p, k * n : (k + 1) * n] = reach
     spread = noisy @ np.kron(np.eye(LENGTH), disturbance) @ noisy.T + np.diag(np.tile(noise**2, LENGTH))
-    apart = ((), *itertools.combinations(range(m + p), 2))
+    apart = tuple(itertools.chain.from_iterable(itertools.combinations(range(m + p), count) for count in range(3)))
     return Windows(apart, forced, tuple(_checks(apart, free, forced, spread, m, p)))
 
 
