@@ -44,7 +44,7 @@ class _Group:
 
 @dataclass(frozen=True)
 class _Standing:
-    """A proven cause: the group that it was proven for, and until when it stands, once some of that have healed [ns]."""
+    """A proven cause: the group that it was proven for, and until when it stands, once some have healed [ns]."""
 
     failed: frozenset[str]
     until_ns: int = NEVER

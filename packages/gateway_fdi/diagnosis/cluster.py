@@ -54,6 +54,7 @@ class Cluster:
         column = np.searchsorted(self.suspects, system.link_component[links])
         self._row = {t: k for k, t in enumerate(failed)}
         row = np.repeat(np.arange(len(failed)), [len(system.of_test[t]) for t in failed])
+        self._rows, self._columns = row, column
         self.power: Floats = np.zeros((len(failed), len(self.suspects)))
         self.power[row, column] = system.power[links] * state.weaker[links]
         places = np.array(failed, np.int64)
@@ -78,18 +79,21 @@ class Cluster:
     def _count_passes(self) -> None:
         """Weigh suspects by their priors, and by the tests that would have seen them."""
         system, state = self._system, self._state
-        mine = [system.of_component[c] for c in self.suspects]
-        links = np.concatenate(mine) if mine else np.zeros(0, np.int64)
-        column = np.repeat(np.arange(len(mine)), [len(each) for each in mine])
+        number = np.full(len(system.components), -1)
+        number[self.suspects] = np.arange(len(self.suspects))
+        links = system.by_component[number[system.link_component[system.by_component]] >= 0]
+        column = number[system.link_component[links]]
         test = system.link_test[links]
         passed = state.verdict[test] == PASSED
         links, column, test = links[passed], column[passed], test[passed]
-        blames = (self.power > 0.0) | ~(self.power > 0.0).any(axis=0)  # what none blames may be behind any
-        latest = np.where(blames, self._since[:, None], np.iinfo(np.int64).min).max(axis=0, initial=0)
+        never = np.iinfo(np.int64).min
+        latest = np.full(len(self.suspects), never)
+        np.maximum.at(latest, self._columns, self._since[self._rows])
+        latest[latest == never] = self._since.max(initial=never)  # what none blames may be behind any
         due = latest[column] + system.delay_ns[test]
         counts = state.until[test] >= due
         by_size = self._sized[column] & np.isfinite(state.gain[links]) & np.isfinite(self._residual_of(test))
-        clear = np.where(counts & ~by_size, np.log1p(-system.power[links]), 0.0)
+        clear = np.where(counts & ~by_size, system.log_escape[links], 0.0)
         self.weights: Floats = system.odds[self.suspects] + np.bincount(
             column, weights=clear, minlength=len(self.suspects)
         )

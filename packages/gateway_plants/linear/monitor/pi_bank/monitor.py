@@ -126,7 +126,7 @@ def _behind(p: Params) -> dict[str, list[Blame]]:
     """Return whom each test of a window blames: all parts but those that it leaves out."""
     parts = [*(Blame(part.signal, "actuator") for part in p.input), *(Blame(part.signal) for part in p.output)]
     model = Blame("model", "model")
-    named = [part.name for part in (*p.input, *p.output)]
+    named = [*(part.name for part in p.input), *p.sensor_names]
     return {
         f"without {' and '.join(named[k] for k in apart) or 'none'}": [
             *(one._replace(share=_SHOWS) for k, one in enumerate(parts) if k not in apart),

@@ -1,9 +1,10 @@
 """Which parts may be at fault together: the last samples, without what these parts could have done to them.
 
-A bank names one part at a time. For each part, and each two, the samples of a window are asked what is left of them when sensors
-of these parts count for nothing and their actuators may have done anything, whatever the state was at the beginning
-(parity space with unknown inputs; Chow, Willsky, "Analytical redundancy and the design of robust failure detection
-systems" (1984)): in its own standard deviations, chi-square. Where it is too much, some other part is at fault. It is
+A bank names one part at a time. For each part, and each two, the samples of a window are asked what is left of them
+when sensors of these parts count for nothing and their actuators may have done anything, whatever the state was at the
+beginning (parity space with unknown inputs; Chow, Willsky, "Analytical redundancy and the design of robust failure
+detection systems" (1984)): in its own standard deviations, chi-square. Where it is too much, some other part is at
+fault. It is
 computed where a cause is looked for, not at each sample.
 """
 
@@ -62,7 +63,8 @@ class Windows:
     """The tests of a plant.
 
     Attributes:
-        apart: the parts that each test leaves out, actuators from 0, sensors behind them: none, then each one, then each two.
+        apart: the parts that each test leaves out, actuators from 0, sensors behind them: none, each one,
+            each two.
         forced: what commands make of the outputs, shape (LENGTH outputs, LENGTH inputs).
         checks: of each test.
     """
