@@ -14,8 +14,8 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
 
-import time  # noqa: E402
-import tracemalloc  # noqa: E402
+import time
+import tracemalloc
 
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp

@@ -574,7 +574,7 @@ class Reading(NamedTuple):
     beyond: float = math.nan
 
 
-class Tested(NamedTuple):
+class LastResult(NamedTuple):
     """The last result of a test: its evidence, value and limit, and the monitor's state record."""
 
     evidence: Sequence[float]
@@ -591,7 +591,7 @@ class Residuals:
         of: parameters -> name of a fault -> a result -> what it says of sizes; None: nothing.
     """
 
-    of: Callable[[Any], Mapping[str, Callable[[Tested], Reading | None]]]
+    of: Callable[[Any], Mapping[str, Callable[[LastResult], Reading | None]]]
 
 
 #: Something that a monitor can do beside monitoring; at most one of each class.

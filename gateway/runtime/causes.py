@@ -20,7 +20,7 @@ from gateway.engine.depends.derive import Dependences
 from gateway.engine.depends.parts import Seen
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.engine.instances import FaultSlot
-from gateway.monitors.contract import Tested
+from gateway.monitors.contract import LastResult
 from gateway_fdi.diagnosis.answer import Group
 from gateway_fdi.diagnosis.apart import telling
 from gateway_fdi.diagnosis.diagnoser import Diagnoser
@@ -38,7 +38,8 @@ DELAY_S = 5.0
 _TIMEOUTS = 2.0
 #: What fails within so long is looked at together; there is no more work than that, whatever happens [ns].
 PACE_NS = 100_000_000
-#: A wait that is over without a result is looked at again after so long [ns], then twice that, ...
+#: A wait that is over without a result, and tests behind a fault, are looked at again after so long [ns], twice
+#: that, ...
 _AGAIN_NS = 100_000_000
 #: ... so often.
 _MOST_LOOKS = 10
@@ -98,6 +99,7 @@ class Causes:
         self._silent = {fault: bus for bus, fault in enumerate(silent) if fault >= 0}
         self._told: list[tuple[object, ...]] = []
         self._looks = self._failing = 0
+        self._followed = False  # whether faults have failed whose tests go on to change, without an event
         engine.on_pause = self.look
         self._offsets: list[tuple[int, int]] = []  # of the wall clock, each since a time of the engine
 
@@ -181,7 +183,7 @@ class Causes:
         if verdict != NOT_TESTED and int(d["last"]) == verdict:
             read = self._read[name]
             state = self._engine.state_of(read.monitor)[0]
-            result = Tested(d["evidence"].tolist(), float(d["value"]), float(d["limit"]), state)
+            result = LastResult(d["evidence"].tolist(), float(d["value"]), float(d["limit"]), state)
             self._diagnoser.size(name, read(result))
 
     def _last_ns(self, fault: int) -> int:
@@ -217,8 +219,10 @@ class Causes:
     def _look_behind(self, t_ns: int) -> None:
         """Bring up to date the tests that the faults are made of which have failed."""
         diagnoser, place = self._diagnoser, self._diagnoser.system.test_place
+        self._followed = False
         for tests in self._behind:
             failed = any(diagnoser.state.verdict[place[fault]] == FAILED for fault in tests.faults)
+            self._followed |= failed
             levels = tests.levels(self._engine.state_of(tests.monitor)[0]) if failed else [math.nan] * len(tests.seen)
             for name, level in zip(tests.seen, levels, strict=True):
                 verdict = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED
@@ -230,7 +234,7 @@ class Causes:
         later = [until for until in untils if until > t_ns]
         if later:
             due = min(later)
-        elif untils and self._looks < _MOST_LOOKS:
+        elif (untils or self._followed) and self._looks < _MOST_LOOKS:
             due = t_ns + (_AGAIN_NS << self._looks)
             self._looks += 1
         else:

@@ -11,7 +11,7 @@ from gateway.engine.depends.monitors import of_monitor
 from gateway.engine.depends.parts import Network, strongest
 from gateway.engine.depends.residuals import residuals
 from gateway.engine.instances import MonitorInstance
-from gateway.monitors.contract import Behind, Blame, Blames, Gain, Reading, Residuals, Tested
+from gateway.monitors.contract import Behind, Blame, Blames, Gain, LastResult, Reading, Residuals
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.assemble import prepare
 from gateway.signals.database import load_database
@@ -225,7 +225,7 @@ def test_it_may_tell_its_residuals_and_the_tests_behind_its_faults(stranger, net
         Behind(lambda p: {"T1": [Blame(p.signal)]}, lambda p, state: [3.0]),
     )
     made = MonitorInstance("battery", replace(stranger, capabilities=knows), stranger.params())
-    sized = residuals([made], network)[f"battery.{fault}"](Tested([0.0] * 8, 11.0, 9.0, None))
+    sized = residuals([made], network)[f"battery.{fault}"](LastResult([0.0] * 8, 11.0, 9.0, None))
     assert sized.residual == 2.0
     assert sized.gains == {"signal a.BATT.Voltage": 2.0, "actuator battery.alternator": -1.0}
     (tests,) = behind([made], network)

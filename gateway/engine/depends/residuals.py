@@ -10,7 +10,7 @@ from gateway.engine.depends.monitors import inputs_of, part_of
 from gateway.engine.depends.parts import Network
 from gateway.engine.instances import MonitorInstance
 from gateway.monitors.conformance import checked_faults
-from gateway.monitors.contract import Gain, Reading, Residuals, Tested
+from gateway.monitors.contract import Gain, LastResult, Reading, Residuals
 from gateway.signals.tables import SignalRef
 from gateway_fdi.diagnosis.state import Sized
 from gateway_fdi.errors import InputError, nearest
@@ -25,12 +25,12 @@ class Read:
     """
 
     monitor: int
-    read: Callable[[Tested], Reading | None]
+    read: Callable[[LastResult], Reading | None]
     m: MonitorInstance
     inputs: Mapping[str, SignalRef]
     network: Network
 
-    def __call__(self, result: Tested) -> Sized | None:
+    def __call__(self, result: LastResult) -> Sized | None:
         """Return what a result says of sizes; None: nothing."""
         reading = self.read(result)
         if reading is None or not (math.isfinite(reading.residual) and reading.noise > 0.0):

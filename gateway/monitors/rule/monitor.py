@@ -16,13 +16,13 @@ from gateway.monitors.contract import (
     Connection,
     Debounce,
     Fault,
+    LastResult,
     Monitor,
     Out,
     Parts,
     Reading,
     Residuals,
     Signal,
-    Tested,
     report,
 )
 from gateway.monitors.contract import Inputs as Event
@@ -115,7 +115,7 @@ def _faults(p: PartParams) -> tuple[Fault, ...]:
     )
 
 
-def _residuals(p: PartParams) -> dict[str, Callable[[Tested], Reading | None]]:
+def _residuals(p: PartParams) -> dict[str, Callable[[LastResult], Reading | None]]:
     read = residual_of(p)
     return {} if read is None else {p.rule.name: read}
 

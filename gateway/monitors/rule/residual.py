@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.monitors.contract import EVIDENCE, Blame, Gain, Reading, Tested
+from gateway.monitors.contract import EVIDENCE, Blame, Gain, LastResult, Reading
 from gateway.monitors.rule import program as p
 from gateway.monitors.rule.machine import one_of, two_of
 from gateway.monitors.rule.params import PartParams
@@ -41,7 +41,7 @@ class _Value(NamedTuple):
     bent: bool = False
 
 
-def residual_of(part: PartParams) -> Callable[[Tested], Reading | None] | None:
+def residual_of(part: PartParams) -> Callable[[LastResult], Reading | None] | None:
     """Return what reads the residual of a relation; None: it has none."""
     program = part.holds
     if len(part.signals) > EVIDENCE or not program.ops:
@@ -51,7 +51,7 @@ def residual_of(part: PartParams) -> Callable[[Tested], Reading | None] | None:
     last = program.ops[-1][0]
     equal = last == p.EQUAL
 
-    def read(result: Tested) -> Reading | None:
+    def read(result: LastResult) -> Reading | None:
         values = [result.evidence[part.signals.index(name)] for name in program.signals]
         left, right, inner = _run(program, values)
         off = _two(p.SUBTRACT, left, right) if equal else inner
@@ -66,7 +66,7 @@ def residual_of(part: PartParams) -> Callable[[Tested], Reading | None] | None:
     return read
 
 
-def _noise(result: Tested) -> float:
+def _noise(result: LastResult) -> float:
     """Return the standard deviation of a residual: of what it was off lately while the relation held."""
     most = result.limit / SPREADS
     if result.state["held"] < KNOWN:

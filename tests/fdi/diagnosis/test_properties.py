@@ -150,6 +150,23 @@ def test_one_size_has_to_fit_all():
             assert 0.5 < error < 2.0
 
 
+@pytest.mark.parametrize("cancels", [True, False])
+def test_two_errors_that_cancel_each_other_are_found(cancels):
+    """The rule of a wheel that is off as the speed is holds: no failed test needs the wheel, but sizes do."""
+    tests = [Test(f"rule {k}", (Link("speed", 0.3, -1.0), Link(f"s{k}", 0.3, 1.0)), 1e-6, noise=1.0) for k in range(4)]
+    diagnoser = a_diagnoser(*tests)
+    for k in range(3):
+        diagnoser.update(f"rule {k}", FAILED, 0, -40.0)
+    diagnoser.update("rule 3", PASSED, 0, 0.3 if cancels else math.nan)
+    (group,) = diagnoser.diagnose()
+    names = [c.name for c in diagnoser.system.components]
+    assert [names[c] for c in group.cause.components] == (["s3", "speed"] if cancels else ["speed"])
+    if cancels:
+        diagnoser.update("rule 3", PASSED, 1, -40.0)
+        (group,) = diagnoser.diagnose()
+        assert [names[c] for c in group.cause.components] == ["speed"]
+
+
 def test_a_test_that_passes_has_to_fit_the_size_too():
     sized = [Test(f"t{k}", (Link("a", 0.9, 1.0), Link("b", 0.9, 1.0)), 1e-5, noise=1.0) for k in range(2)]
     diagnoser = a_diagnoser(*sized, Test("small", (Link("a", 0.9, 0.01), Link("c", 0.9, 1.0)), noise=1.0))

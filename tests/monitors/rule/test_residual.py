@@ -7,7 +7,7 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway.monitors.contract import Tested
+from gateway.monitors.contract import LastResult
 from gateway.monitors.rule.params import PartParams, Rule
 from gateway.monitors.rule.residual import BENT, LINEAR, blames, residual_of
 from gateway.monitors.rule.text import compile_text
@@ -28,7 +28,7 @@ def read(holds, values, value=0.0, limit=3.0, square=0.0, held=0, **more):
     if reader is None:
         return None
     evidence, state = [*values, *[0.0] * (8 - len(values))], {"square": square, "held": held}
-    return reader(Tested(evidence, value, limit, state))
+    return reader(LastResult(evidence, value, limit, state))
 
 
 def gains(reading):

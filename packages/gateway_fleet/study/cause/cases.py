@@ -72,12 +72,13 @@ _SENSORS = {
     "cooling": {"f_1": "y1", "f_2": "y2", "f_3": "y3", "f_m": "ym"},
     "battery": {"f_I": "y_I", "f_V": "y_V", **{f"f_y{k}": f"y{k}" for k in range(1, 5)}},
 }
-#: Residuals that a component of the steering stands in, as its equations have it (docs/steering.md).
-_STANDS_IN = {
+#: Residuals that a fault of the steering shows in, as its equations have it (docs/steering.md).
+_SHOWS = {
     "wheel_angle_offset": {"gear", "rate"},
     "pinion_angle_offset": {"gear"},
     "current_offset": {"voltages"},
     "voltage_offset": {"voltages"},
+    "motor_angle": {"gear", "voltages", "increments"},  # however it fails
 }
 #: Kind of a fault of the steering -> its component.
 _STEERING = {
@@ -150,9 +151,10 @@ def _steering() -> Iterator[Fault]:
 
 def _truck() -> Iterator[Fault]:
     for kind, truth in _TRUCK.items():
-        base = f"truck_{kind}"
-        for entry in read(base)["fault"]:
-            yield Fault("truck", base, kind, {**entry, "to_s": read(base)["duration_s"]}, truth)
+        own = read(f"truck_{kind}")
+        base = next(b for b in map("truck_{}".format, _TRUCK) if read(b)["ecu"] == own["ecu"])  # of the same drive
+        for entry in own["fault"]:
+            yield Fault("truck", base, kind, {**entry, "to_s": own["duration_s"]}, truth)
 
 
 def _pedal() -> Iterator[Fault]:
@@ -230,32 +232,52 @@ def alike(one: Fault, other: Fault) -> frozenset[Truth]:
     """Return what explains all that two faults do, whatever their sizes and courses: other parts, two at most.
 
     By the structure of the model (Krysander, Frisk 2008): without the equations that these parts stand in, nothing
-    overdetermined is left that one of the two faults stands in.
+    overdetermined is left that one of the two faults stands in. Where residuals are known instead of a model: these
+    parts stand in all in which the faults show.
     """
-    if one.plant == "steering":
-        seen = _STANDS_IN[one.name] | _STANDS_IN[other.name]
-        whole = {fault.name: fault.truth for fault in _steering() if fault.name in _STANDS_IN}
-        known = {names for names in _some(whole) if seen <= set().union(*(_STANDS_IN[name] for name in names))}
-    elif one.plant in _SENSORS:
-        model = load_model(shipped(f"models/{one.plant}.toml"))
-        whole = {fault: _structural_part(one.plant, fault) for fault in model.faults}
-        where = dict(zip(model.faults, incidence_of_faults(model).T, strict=True))
-        mine = where[one.name] | where[other.name]
-
-        def explain(names: tuple[str, ...]) -> bool:
-            without = ~np.any([where[name] for name in names], axis=0)
-            return not (overdetermined(counted(model), without) & mine).any()
-
-        known = {names for names in _some(whole) if explain(names)}
+    if one.plant in _SENSORS:
+        found = _alike_in_model(one.plant, {one.name, other.name})
     else:
-        return frozenset()
-    own = {one.name, other.name}
-    return frozenset(
-        frozenset(part)
-        for names in known
-        if set(names) != own
-        for part in itertools.product(*(whole[name] for name in names))
-    )
+        shows, stands = _residuals(one.plant)
+        if not {one.name, other.name} <= shows.keys():
+            return frozenset()
+        seen = shows[one.name] | shows[other.name]
+        found = {parts for parts in _some(stands) if seen <= frozenset().union(*(stands[part] for part in parts))}
+    own = set(itertools.product(one.truth, other.truth))
+    whole = {frozenset(parts) for parts in found} - {frozenset(parts) for parts in own}
+    return frozenset(parts for parts in whole if not any(less < parts for less in whole))
+
+
+def _alike_in_model(plant: str, own: set[str]) -> set[tuple[str, ...]]:
+    model = load_model(shipped(f"models/{plant}.toml"))
+    where = dict(zip(model.faults, incidence_of_faults(model).T, strict=True))
+    mine = np.any([where[name] for name in own], axis=0)
+
+    def explain(names: tuple[str, ...]) -> bool:
+        without = ~np.any([where[name] for name in names], axis=0)
+        return not (overdetermined(counted(model), without) & mine).any()
+
+    part = {name: next(iter(_structural_part(plant, name))) for name in model.faults}
+    return {tuple(part[name] for name in names) for names in _some(model.faults) if explain(names)}
+
+
+def _residuals(plant: str) -> tuple[dict[str, Truth], dict[str, Truth]]:
+    """Return the residuals in which each fault shows, and in which each part stands; none: they are not known."""
+    shows: dict[str, Truth] = {}
+    stands: dict[str, Truth] = {}
+    for fault in _steering() if plant == "steering" else _pedal() if plant == "pedal" else ():
+        if plant == "steering":
+            name = "motor_angle" if fault.name.startswith("motor_angle") else fault.name
+            shown = {part: frozenset(_SHOWS[name]) for part in fault.truth}
+        elif fault.base == "pedal_faults":  # two channels are compared; what is out of range shows by itself
+            out = fault.entry["kind"].startswith("short")
+            shown = {part: frozenset({"two", part} if out else {"two"}) for part in fault.truth}
+        else:
+            continue
+        shows[fault.name] = frozenset().union(*shown.values())
+        for part, residuals in shown.items():
+            stands[part] = stands.get(part, frozenset()) | residuals
+    return shows, stands
 
 
 def _some(names: Iterable[str]) -> Iterator[tuple[str, ...]]:

@@ -24,7 +24,8 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
         "healthy": list(healthy(range(seed, seed + healthy_runs))),
     }
     console = wide_console()
-    with Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), console=console) as progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console, disable=json) as progress:
         rows: dict[str, list[Row]] = {}
         for kind, jobs in kinds.items():
             task = progress.add_task(kind, total=len(jobs))
