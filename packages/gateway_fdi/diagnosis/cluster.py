@@ -231,10 +231,20 @@ class Cluster:
         return tuple(sorted(told, key=lambda one: (one.factor, one.test)))
 
     def waiting(self, suspects: set[int]) -> tuple[Wait, ...]:
-        """Return the tests that passed, but not late enough, and that could clear one of some suspects."""
+        """Return the tests that can still speak.
+
+        Those that passed, but not late enough, and that could clear one of some suspects; and those that fail still
+        where another one has healed since, until they have had their time: they may heal by the same cause.
+        """
         column, test, _, counts, due, sharp = self._passes
         open_ = ~counts & sharp & np.isin(column, list(suspects))
         until: dict[int, int] = {}
         for t, at in zip(test[open_].tolist(), due[open_].tolist(), strict=True):
             until[t] = max(until.get(t, 0), at)
+        state = self._state
+        healed = np.unique(test[state.healed[test] > self._since.min()]) if len(self.failed) else test[:0]
+        for t, since, takes in zip(self.failed, self._since, self._due, strict=True):
+            mine = healed[(state.healed[healed] > since) & (state.until[healed] < state.healed[healed] + takes)]
+            if len(mine):
+                until[t] = int(state.healed[mine].max() + takes)
         return tuple(Wait(t, until[t]) for t in sorted(until))

@@ -108,6 +108,27 @@ def test_a_pass_before_the_fault_could_show_clears_nothing_and_is_waited_for():
     assert probabilities(diagnoser)["b"] < 0.01
 
 
+def test_while_symptoms_heal_one_after_the_other_nobody_else_is_the_cause():
+    """Two messages of an ECU come again, the slow one later: until then it is not the slow message's own fault."""
+    tests = (
+        Test("fast", (Link("ecu", 0.95), Link("m0", 0.6)), 1e-8, 0.1),
+        Test("slow", (Link("ecu", 0.95), Link("m1", 0.6)), 1e-8, 2.0),
+    )
+    diagnoser = a_diagnoser(*tests)
+    diagnoser.update("fast", FAILED, 0)
+    diagnoser.update("slow", FAILED, seconds(1))
+    names = [c.name for c in diagnoser.system.components]
+    (group,) = diagnoser.diagnose()
+    assert [names[c] for c in group.cause.components] == ["ecu"]
+    diagnoser.update("fast", PASSED, seconds(10))
+    (group,) = diagnoser.diagnose()
+    assert group.cause is None
+    assert [(wait.test, wait.until_ns) for wait in group.waiting] == [(1, seconds(12))]
+    diagnoser.update("fast", PASSED, seconds(12))
+    (group,) = diagnoser.diagnose()
+    assert [names[c] for c in group.cause.components] == ["m1"]
+
+
 def test_a_false_alarm_is_a_diagnosis():
     diagnoser = a_diagnoser(Test("nervous", (Link("a", 0.9),), false_alarm=0.1))
     diagnoser.update("nervous", FAILED, 0)

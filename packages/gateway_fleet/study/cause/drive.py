@@ -53,13 +53,19 @@ def played(base: str, entries: Sequence[Mapping[str, Any]], seconds: float, seed
 def recorded(log: Path, path: Path, injections: Sequence[str], seed: int) -> tuple[Config, Frames]:
     """Return the frames of a log with faults put in, and the configuration that looks at them."""
     config = load_config(path)
-    frames = _frames(log, config.bus[0].channel)
+    return config, injected_into(config, _frames(log, config.bus[0].channel), injections, seed, path)
+
+
+def injected_into(
+    config: Config, frames: Frames, injections: Sequence[str], seed: int, path: Path | None = None
+) -> Frames:
+    """Return frames with faults put in, as --inject has them; ``path``: of the configuration."""
     parts = prepare(config, path)
     names = [bus.name for bus in config.bus]
     for k, text in enumerate(injections):
         asked = parse_injection(text, names, parts.databases)
         frames = Injector(asked, parts.databases, parts.checks, np.random.default_rng([seed, k])).apply(frames)
-    return config, frames
+    return frames
 
 
 @lru_cache(maxsize=2)
@@ -69,6 +75,13 @@ def _frames(log: Path, channel: str) -> Frames:
 
 def diagnoses(config: Config, frames: Frames) -> list[Told]:
     """Return the diagnoses of a run."""
+    told = [e for e in events_of(config, frames) if e["event"] == "diagnosis"]
+    start = int(frames["t_ns"][0])
+    return [Told((e["t_ns"] - start) * 1e-9, tuple(e["groups"])) for e in told]
+
+
+def events_of(config: Config, frames: Frames) -> list[Mapping[str, Any]]:
+    """Return the events of a run."""
     gateway = Gateway(config)
     events: list[Mapping[str, Any]] = []
     gateway.listen(events.append)
@@ -78,4 +91,4 @@ def diagnoses(config: Config, frames: Frames) -> list[Told]:
         gateway.feed(frames[begin : begin + _BATCH])
     gateway.advance(end)
     gateway.close()
-    return [Told((e["t_ns"] - start) * 1e-9, tuple(e["groups"])) for e in events if e["event"] == "diagnosis"]
+    return events
