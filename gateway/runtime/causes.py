@@ -217,12 +217,20 @@ class Causes:
         return [place for place in found if place < len(self._tests)]
 
     def _look_behind(self, t_ns: int) -> None:
-        """Bring up to date the tests that the faults are made of which have failed."""
+        """Bring up to date the tests that the faults are made of which have failed.
+
+        A monitor that tells one of its faults says nothing of the others by that: its tests do.
+        """
         diagnoser, place = self._diagnoser, self._diagnoser.system.test_place
+        verdict = diagnoser.state.verdict
         self._followed = False
         for tests in self._behind:
-            failed = any(diagnoser.state.verdict[place[fault]] == FAILED for fault in tests.faults)
+            failed = any(verdict[place[fault]] == FAILED for fault in tests.faults)
             self._followed |= failed
+            for fault in tests.faults:
+                now = int(self._engine.tables.debounces["verdict"][self._index[place[fault]]])
+                if verdict[place[fault]] != FAILED and now == PASSED:
+                    diagnoser.update(fault, NOT_TESTED if failed else PASSED, t_ns)
             levels = tests.levels(self._engine.state_of(tests.monitor)[0]) if failed else [math.nan] * len(tests.seen)
             for name, level in zip(tests.seen, levels, strict=True):
                 verdict = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 
@@ -24,6 +24,17 @@ _MOST = 4
 _SUPPLY = DiagnosisParams(supply=(SupplyParams(name="front_5V", feeds=("WheelSpeeds.FL", "WheelSpeeds.FR")),))
 
 
+class _Case(NamedTuple):
+    """A case: its name and title, what is played to which configuration, and the time that is drawn [s]."""
+
+    name: str
+    title: str
+    config: Config
+    frames: Frames
+    begin_s: float
+    end_s: float
+
+
 @dataclass
 class _Course:
     """What was told: when each fault failed [s], and how probable each cause was from when on [s]."""
@@ -37,31 +48,28 @@ class _Course:
 def draw_all(folder: Path, work: Path) -> list[Path]:
     """Draw each case into a file of a folder; returns the files. ``work``: folder for cars that are learned."""
     folder.mkdir(parents=True, exist_ok=True)
-    return [_draw(folder / f"cause-{name}.svg", *case) for name, *case in _cases(work)]
+    return [_draw(folder / f"cause-{case.name}.svg", case) for case in _cases(work)]
 
 
-def _cases(folder: Path) -> Iterator[tuple[str, str, Config, Frames, float, float]]:
-    """Yield name, title, configuration, frames, and the time that is drawn [s]."""
+def _cases(folder: Path) -> Iterator[_Case]:
     car, vehicle = learned(folder)
-    yield (
-        "speed",
-        "SPEED is 40 too high from 20 s to 25 s",
-        *recorded(car.log, car.config, ["offset SPEED.SPEED=40 @20..25"], 1),
-        19.5,
-        29.0,
-    )
+    title, wrong = "SPEED is 40 too high from 20 s to 25 s", ["offset SPEED.SPEED=40 @20..25"]
+    yield _Case("speed", title, *recorded(car.log, car.config, wrong, 1), 19.5, 29.0)
     config, frames = played("signals_faults", (), 6.0, 1)
     silent = [f"drop {name} @2..4" for name in ("WheelSpeeds", "Vehicle", "Climate")]
-    yield "silent", "nobody is heard from 2 s to 4 s", config, injected_into(config, frames, silent, 1), 1.5, 5.0
+    title = "nobody is heard from 2 s to 4 s"
+    yield _Case("silent", title, config, injected_into(config, frames, silent, 1), 1.5, 5.0)
     dead = [f"drop {name} @20..26" for name in ("Vehicle", "Climate")]
-    yield "ecu", "Body is dead from 20 s to 26 s", *recorded(vehicle.log, vehicle.config, dead, 1), 19.0, 28.0
+    title = "Body is dead from 20 s to 26 s"
+    yield _Case("ecu", title, *recorded(vehicle.log, vehicle.config, dead, 1), 19.0, 28.0)
     high = ["value WheelSpeeds.FR=300 @2..5", "value WheelSpeeds.FL=300 @3..5"]
     fed = config.model_copy(update={"diagnosis": _SUPPLY})
-    yield "supply", "FR is too high from 2 s on, FL from 3 s", fed, injected_into(fed, frames, high, 1), 1.5, 6.0
+    title = "FR is above its range from 2 s on, FL from 3 s"
+    yield _Case("supply", title, fed, injected_into(fed, frames, high, 1), 1.5, 6.0)
     entries = [one for one in read("brake_faults")["fault"] if one["name"] in ("f_R", "f_F")]
     faults = [{**one, "from_s": 20.0, "to_s": 60.0} for one in entries]
-    both = "resistance and force's sensor are wrong from 20 s on"
-    yield "plant", both, *played("brake_faults", faults, 60.0, 1), 15.0, 60.0
+    title = "resistance and force's sensor are wrong from 20 s on"
+    yield _Case("plant", title, *played("brake_faults", faults, 60.0, 1), 15.0, 60.0)
 
 
 def _course(events: Sequence[Mapping[str, Any]], start_ns: int) -> _Course:
@@ -83,17 +91,19 @@ def _course(events: Sequence[Mapping[str, Any]], start_ns: int) -> _Course:
     return course
 
 
-def _draw(path: Path, title: str, config: Config, frames: Frames, begin_s: float, end_s: float) -> Path:
-    course = _course(events_of(config, frames), int(frames["t_ns"][0]))
+def _draw(path: Path, case: _Case) -> Path:
+    begin_s, end_s = case.begin_s, case.end_s
+    course = _course(events_of(case.config, case.frames), int(case.frames["t_ns"][0]))
     rows = list(course.failed)
     sizes = [0.3 * len(rows) + 0.3, 2.2]
+    plt.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": case.name})  # the same file each time
     figure, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(8.5, sum(sizes) + 1.0), height_ratios=sizes)
     for k, fault in enumerate(rows):
         spans = [(a, min(b, end_s) - a) for a, b in course.failed[fault] if a < end_s]
         above.broken_barh(spans, (k - 0.35, 0.7), color="#b03a2e")
     above.set_yticks(range(len(rows)), rows)
     above.invert_yaxis()
-    above.set_title(f"{title}: what fails", loc="left", fontsize="medium")
+    above.set_title(f"{case.title}: what fails", loc="left", fontsize="medium")
     ranked = [name for one in course.probable for name in sorted(one, key=lambda n: -one[n])[:2]]
     for k, name in enumerate(list(dict.fromkeys(ranked))[:_MOST]):
         times = [begin_s, *course.times, end_s]
