@@ -228,14 +228,14 @@ class Causes:
             failed = any(verdict[place[fault]] == FAILED for fault in tests.faults)
             self._followed |= failed
             for fault in tests.faults:
-                now = int(self._engine.tables.debounces["verdict"][self._index[place[fault]]])
-                if verdict[place[fault]] != FAILED and now == PASSED:
+                qualified = int(self._engine.tables.debounces["verdict"][self._index[place[fault]]])
+                if verdict[place[fault]] != FAILED and qualified == PASSED:
                     diagnoser.update(fault, NOT_TESTED if failed else PASSED, t_ns)
             levels = tests.levels(self._engine.state_of(tests.monitor)[0]) if failed else [math.nan] * len(tests.seen)
             for name, level in zip(tests.seen, levels, strict=True):
-                verdict = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED
-                diagnoser.update(name, verdict, t_ns)
-                diagnoser.size(name, Sized(math.nan, math.nan, {}, 0.0, level) if verdict == FAILED else None)
+                now = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED
+                diagnoser.update(name, now, t_ns)
+                diagnoser.size(name, Sized(math.nan, math.nan, {}, 0.0, level) if now == FAILED else None)
 
     def _plan_next(self, groups: Sequence[Group], t_ns: int) -> None:
         untils = [wait.until_ns for group in groups for wait in group.waiting]

@@ -62,7 +62,7 @@ def _cases(folder: Path) -> Iterator[_Case]:
     dead = [f"drop {name} @20..26" for name in ("Vehicle", "Climate")]
     title = "Body is dead from 20 s to 26 s"
     yield _Case("ecu", title, *recorded(vehicle.log, vehicle.config, dead, 1), 19.0, 28.0)
-    high = ["value WheelSpeeds.FR=300 @2..5", "value WheelSpeeds.FL=300 @3..5"]
+    high = ["value WheelSpeeds.FR=320 @2..5", "value WheelSpeeds.FL=320 @3..5"]
     fed = config.model_copy(update={"diagnosis": _SUPPLY})
     title = "FR is above its range from 2 s on, FL from 3 s"
     yield _Case("supply", title, fed, injected_into(fed, frames, high, 1), 1.5, 6.0)
@@ -97,11 +97,11 @@ def _draw(path: Path, case: _Case) -> Path:
     rows = list(course.failed)
     sizes = [0.3 * len(rows) + 0.3, 2.2]
     plt.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": case.name})  # the same file each time
-    figure, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(8.5, sum(sizes) + 1.0), height_ratios=sizes)
+    figure, (above, below) = plt.subplots(2, 1, sharex=True, figsize=(8.5, sum(sizes) + 1.4), height_ratios=sizes)
     for k, fault in enumerate(rows):
         spans = [(a, min(b, end_s) - a) for a, b in course.failed[fault] if a < end_s]
         above.broken_barh(spans, (k - 0.35, 0.7), color="#b03a2e")
-    above.set_yticks(range(len(rows)), rows)
+    above.set_yticks(range(len(rows)), rows, fontsize="x-small")
     above.invert_yaxis()
     above.set_title(f"{case.title}: what fails", loc="left", fontsize="medium")
     ranked = [name for one in course.probable for name in sorted(one, key=lambda n: -one[n])[:2]]
@@ -113,5 +113,5 @@ def _draw(path: Path, case: _Case) -> Path:
         below.stairs(sure, times, baseline=None, color=line.get_edgecolor(), linewidth=4.0)
     below.set_title("how probable each cause is (thick: told as the cause)", loc="left", fontsize="medium")
     below.set(xlim=(begin_s, end_s), ylim=(-0.03, 1.05), xlabel="s")
-    below.legend(fontsize="small", loc="center right")
+    below.legend(fontsize="small", loc="upper left", bbox_to_anchor=(0.0, -0.25), ncols=2, frameon=False)
     return save(figure, path)
