@@ -25,7 +25,7 @@ class Bounds:
 
     diagnoses: int = 16
     least: float = 1e-6
-    steps: int = 1000
+    steps: int = 600
 
 
 #: So many of the likeliest diagnoses are asked whether their sizes fit.
