@@ -80,9 +80,14 @@ def injected(car: Car) -> Iterator[Injected]:
         for one in monitor.get("signal", ()):
             if "plausible" in one and one["plausible"][0] >= -40 and one["plausible"][1] < 1000:
                 low, high = one["plausible"]
-                value = high + 0.02 * (high - low)
-                if value > representable(database.signal(*one["signal"].split(".")))[1]:
-                    continue
+                value, carrier = high + 0.02 * (high - low), database.signal(*one["signal"].split("."))
+                carried = (
+                    value - signal.offset
+                    if signal.is_float
+                    else round((value - signal.offset) / signal.scale) * signal.scale
+                )
+                if value > representable(carrier)[1] or carried + carrier.offset <= high:
+                    continue  # its bits cannot say it
                 yield Injected(car, f"value {one['signal']}={value:g}", _signal(name, one["signal"]))
         for rule in monitor.get("rule", ()):
             for signal in compile_text(rule["holds"], lambda _: None).signals if "tolerance" in rule else ():
