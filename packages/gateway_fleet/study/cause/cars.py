@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from cantools.database.can.signal import Signal
+
 from gateway.bus.logs import open_writer
 from gateway.monitors.rule.text import compile_text
 from gateway.signals.database import Database, load_database
@@ -80,18 +82,20 @@ def injected(car: Car) -> Iterator[Injected]:
         for one in monitor.get("signal", ()):
             if "plausible" in one and one["plausible"][0] >= -40 and one["plausible"][1] < 1000:
                 low, high = one["plausible"]
-                value, carrier = high + 0.02 * (high - low), database.signal(*one["signal"].split("."))
-                carried = (
-                    value - signal.offset
-                    if signal.is_float
-                    else round((value - signal.offset) / signal.scale) * signal.scale
-                )
-                if value > representable(carrier)[1] or carried + carrier.offset <= high:
-                    continue  # its bits cannot say it
+                value = high + 0.02 * (high - low)
+                if not _says(database.signal(*one["signal"].split(".")), value, high):
+                    continue
                 yield Injected(car, f"value {one['signal']}={value:g}", _signal(name, one["signal"]))
         for rule in monitor.get("rule", ()):
             for signal in compile_text(rule["holds"], lambda _: None).signals if "tolerance" in rule else ():
                 yield Injected(car, f"offset {signal}={2.5 * rule['tolerance']:g}", _signal(name, signal))
+
+
+def _says(signal: Signal, value: float, limit: float) -> bool:
+    """Return whether a signal's bits can say a value, and one beyond a limit if it is rounded to them."""
+    step = 0.0 if signal.is_float else signal.scale
+    carried = signal.offset + round((value - signal.offset) / step) * step if step else value
+    return value <= representable(signal)[1] and carried > limit
 
 
 def _signal(bus: str, name: str) -> Truth:
