@@ -10,6 +10,10 @@ its time over ours.
 from __future__ import annotations
 
 import argparse
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
+
 import time
 import tracemalloc
 

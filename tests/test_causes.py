@@ -11,6 +11,7 @@ from gateway.cli.replay import replay
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
+from gateway.runtime.causes import Causes
 from gateway.runtime.injection import Injector, parse_injection
 from gateway_bench.playing import player_of
 from gateway_bench.vecu.scenario import load_scenario
@@ -97,6 +98,28 @@ def test_two_faults_that_no_test_of_one_explains_are_named_together():
     (group,) = last["groups"]
     assert group["failed"] == ["brake.unisolated"]  # tests that it is made of have no DTCs, and are not told
     assert set(group["causes"][0]["components"]) == {"plant brake.f_R", "signal brake.Sensors.Force"}
+
+
+def test_frames_without_a_change_of_verdict_cost_nothing(monkeypatch):
+    """Of some hundred frames, those are followed by work at which a verdict changes, and a wait ends."""
+    config, frames = frames_of("signals_faults", 8.5)
+    calls = {"take": 0, "look": 0}
+    for name in calls:
+        inner = getattr(Causes, name)
+
+        def counted(self, *arguments, name=name, inner=inner):
+            calls[name] += 1
+            return inner(self, *arguments)
+
+        monkeypatch.setattr(Causes, name, counted)
+    told = diagnoses(played(config, frames[frames["t_ns"] < 2e9], list(np.array_split(frames, 400))))
+    assert len(told) == 2, "one fault comes and goes"
+    assert len(frames) > 600
+    assert 2 <= calls["look"] <= 6
+    assert calls["take"] <= 2 * 400 + 20
+    calls["look"] = 0
+    assert diagnoses(played(config, frames[frames["t_ns"] < 2e9])) == []
+    assert calls["look"] == 0
 
 
 def test_a_cause_that_is_gone_is_told_as_gone():

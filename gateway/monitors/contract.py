@@ -533,12 +533,12 @@ class Behind:
 
     Attributes:
         of: parameters -> name of each test -> the parts that its failure blames, as :class:`Blame` has them.
-        levels: state record -> of each test, in this order: 1 and above: it has failed, and how far its residual is
-            beyond its limit; below 1: it has passed; NaN: not tested.
+        levels: parameters, state record -> of each test, in this order: 1 and above: it has failed, and how far its
+            residual is beyond its limit; below 1: it has passed; NaN: not tested.
     """
 
     of: Callable[[Any], Mapping[str, Sequence[Blame]]]
-    levels: Callable[[np.void], Iterable[float]]
+    levels: Callable[[Any, np.void], Iterable[float]]
 
 
 class Gain(NamedTuple):
@@ -574,16 +574,24 @@ class Reading(NamedTuple):
     beyond: float = math.nan
 
 
+class LastResult(NamedTuple):
+    """The last result of a test: its evidence, value and limit, and the monitor's state record."""
+
+    evidence: Sequence[float]
+    value: float
+    limit: float
+    state: Any
+
+
 @dataclass(frozen=True)
 class Residuals:
     """Signed residuals of a monitor's faults: one size of a part's error has to explain all that fail.
 
     Attributes:
-        of: parameters -> name of a fault -> evidence, value and limit of a result -> what it says of sizes; None:
-            nothing.
+        of: parameters -> name of a fault -> a result -> what it says of sizes; None: nothing.
     """
 
-    of: Callable[[Any], Mapping[str, Callable[[Sequence[float], float, float], Reading | None]]]
+    of: Callable[[Any], Mapping[str, Callable[[LastResult], Reading | None]]]
 
 
 #: Something that a monitor can do beside monitoring; at most one of each class.

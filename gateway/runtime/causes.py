@@ -20,6 +20,7 @@ from gateway.engine.depends.derive import Dependences
 from gateway.engine.depends.parts import Seen
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.engine.instances import FaultSlot
+from gateway.monitors.contract import LastResult
 from gateway_fdi.diagnosis.answer import Group
 from gateway_fdi.diagnosis.apart import telling
 from gateway_fdi.diagnosis.diagnoser import Diagnoser
@@ -37,7 +38,8 @@ DELAY_S = 5.0
 _TIMEOUTS = 2.0
 #: Failures within this time are looked at together, so that the work stays bounded [ns].
 PACE_NS = 100_000_000
-#: A wait that is over without a result is looked at again after this time [ns], then twice that, ...
+#: A wait that is over without a result, and tests behind a fault, are looked at again after this time [ns], then twice
+#: that, ...
 _AGAIN_NS = 100_000_000
 #: ... up to this number of times.
 _MOST_LOOKS = 10
@@ -97,6 +99,7 @@ class Causes:
         self._silent = {fault: bus for bus, fault in enumerate(silent) if fault >= 0}
         self._told: list[tuple[object, ...]] = []
         self._looks = self._failing = 0
+        self._followed = False  # whether faults have failed whose tests go on to change, without an event
         engine.on_pause = self.look
         self._offsets: list[tuple[int, int]] = []  # of the wall clock, each since a time of the engine
 
@@ -178,8 +181,10 @@ class Causes:
         """Read the residual of a test; one whose results are others than its verdict says nothing new of sizes."""
         d = self._engine.tables.debounces[fault]
         if verdict != NOT_TESTED and int(d["last"]) == verdict:
-            read = self._read[name](d["evidence"].tolist(), float(d["value"]), float(d["limit"]))
-            self._diagnoser.size(name, read)
+            read = self._read[name]
+            state = self._engine.state_of(read.monitor)[0]
+            result = LastResult(d["evidence"].tolist(), float(d["value"]), float(d["limit"]), state)
+            self._diagnoser.size(name, read(result))
 
     def _last_ns(self, fault: int) -> int:
         """Return when a fault's test said something last; a bus is not silent while it is heard [ns]."""
@@ -212,22 +217,32 @@ class Causes:
         return [place for place in found if place < len(self._tests)]
 
     def _look_behind(self, t_ns: int) -> None:
-        """Bring up to date the tests that the faults are made of which have failed."""
+        """Bring up to date the tests that the faults are made of which have failed.
+
+        A monitor that tells one of its faults says nothing of the others by that: its tests do.
+        """
         diagnoser, place = self._diagnoser, self._diagnoser.system.test_place
+        verdict = diagnoser.state.verdict
+        self._followed = False
         for tests in self._behind:
-            failed = any(diagnoser.state.verdict[place[fault]] == FAILED for fault in tests.faults)
+            failed = any(verdict[place[fault]] == FAILED for fault in tests.faults)
+            self._followed |= failed
+            for fault in tests.faults:
+                qualified = int(self._engine.tables.debounces["verdict"][self._index[place[fault]]])
+                if verdict[place[fault]] != FAILED and qualified == PASSED:
+                    diagnoser.update(fault, NOT_TESTED if failed else PASSED, t_ns)
             levels = tests.levels(self._engine.state_of(tests.monitor)[0]) if failed else [math.nan] * len(tests.seen)
             for name, level in zip(tests.seen, levels, strict=True):
-                verdict = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED
-                diagnoser.update(name, verdict, t_ns)
-                diagnoser.size(name, Sized(math.nan, math.nan, {}, 0.0, level) if verdict == FAILED else None)
+                now = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED
+                diagnoser.update(name, now, t_ns)
+                diagnoser.size(name, Sized(math.nan, math.nan, {}, 0.0, level) if now == FAILED else None)
 
     def _plan_next(self, groups: Sequence[Group], t_ns: int) -> None:
         untils = [wait.until_ns for group in groups for wait in group.waiting]
         later = [until for until in untils if until > t_ns]
         if later:
             due = min(later)
-        elif untils and self._looks < _MOST_LOOKS:
+        elif (untils or self._followed) and self._looks < _MOST_LOOKS:
             due = t_ns + (_AGAIN_NS << self._looks)
             self._looks += 1
         else:

@@ -10,7 +10,7 @@ With ``symptoms = "hold"`` the confirmation of a fault waits until the diagnosis
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from gateway.common.times import NEVER
@@ -44,10 +44,10 @@ class _Group:
 
 @dataclass(frozen=True)
 class _Standing:
-    """A proven cause: the group that it was proven for, and until when it stands while that heals [ns]."""
+    """A proven cause: the group that it was proven for, and until when it stands, once some have healed [ns]."""
 
     failed: frozenset[str]
-    until_ns: int
+    until_ns: int = NEVER
 
 
 class Explainer:
@@ -166,10 +166,12 @@ class Explainer:
         cause = self._cause(fault, group, lead, self._engine.wall_ns(t_ns))
         standing = self._standing.get(fault)
         if cause.proven:
-            self._standing[fault] = _Standing(group.failed, t_ns + HEALING_NS)
+            self._standing[fault] = _Standing(group.failed)
         elif standing is not None and record.cause is not None and group.failed < standing.failed:
-            if t_ns < standing.until_ns:
-                return standing.until_ns
+            until_ns = min(standing.until_ns, t_ns + HEALING_NS)
+            if t_ns < until_ns:
+                self._standing[fault] = replace(standing, until_ns=until_ns)
+                return until_ns
             del self._standing[fault]
         elif standing is not None:
             del self._standing[fault]

@@ -26,6 +26,9 @@ from heapq import heappop, heappush
 from itertools import count
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 #: Price of a conflict that must not be missed.
 NEVER = -math.inf
 #: Default of the greatest number of branches that are looked at.
@@ -96,6 +99,13 @@ def bits(mask: int) -> Iterator[int]:
         mask ^= low
 
 
+def _matrix(masks: Sequence[int], size: int) -> NDArray[np.bool_]:
+    """Return numbers as their bits, shape (masks, size)."""
+    width = (size + 7) // 8
+    packed = np.frombuffer(b"".join(mask.to_bytes(width, "little") for mask in masks), np.uint8)
+    return np.unpackbits(packed.reshape(len(masks), width), axis=1, count=size, bitorder="little").astype(np.bool_)
+
+
 class HittingSets:
     """Finds minimal hitting sets, heaviest first; iterate over it.
 
@@ -126,16 +136,18 @@ class HittingSets:
         self._masks = [conflicts[k] for k in self._rank]
         self._prices = [NEVER if prices is None else prices[k] for k in self._rank]
         self._weights, self._exact, self._span, self._most = weights, exact, span, most_steps
-        self._members = [sorted(bits(mask), key=lambda e: (-weights[e], e)) for mask in self._masks]
-        self._hits: dict[int, int] = dict.fromkeys((e for members in self._members for e in members), 0)
-        for k, members in enumerate(self._members):
-            for e in members:
-                self._hits[e] |= 1 << k
+        there = _matrix(self._masks, len(weights))
+        order = np.lexsort((np.arange(len(weights)), -np.asarray(weights, float)))
+        by_weight = there[:, order]
+        self._members: list[list[int]] = [order[row].tolist() for row in by_weight]
+        packed = np.packbits(there.T, axis=1, bitorder="little")
+        self._hits = [int.from_bytes(row.tobytes(), "little") for row in packed]  # conflicts of each element
         self._best = [
             max(price, weights[members[0]] if members else NEVER)
             for price, members in zip(self._prices, self._members, strict=True)
         ]
         self._apart = self._pack()
+        self._reached: dict[int, tuple[float, float]] = {0: (0.0, 0.0)}
         self._queue: list[tuple[float, int, int, int, _Set, int]] = []
         self._number = count()
         self.steps = 0
@@ -184,8 +196,16 @@ class HittingSets:
         """Return what conflicts that are left cost at least, as the weight that cannot be exceeded."""
         apart = left & self._apart
         if apart:
-            return math.fsum(self._best[k] for k in bits(apart))
+            return self._cost(apart)[0]
         return self._best[(left & -left).bit_length() - 1] if left else 0.0
+
+    def _cost(self, apart: int) -> tuple[float, float]:
+        """Return what conflicts that have no element in common cost together, and the dearest of them alone."""
+        known = self._reached.get(apart)
+        if known is None:
+            costs = [self._best[k] for k in bits(apart)]
+            known = self._reached[apart] = (math.fsum(costs), min(costs))
+        return known
 
     def _open(self, one: _Set) -> None:
         """Look at the first conflict that is left: an element hits it, or it is missed."""
@@ -204,9 +224,9 @@ class HittingSets:
         if at == len(members):
             return
         apart = one.left & self._apart
-        rest = self._reach(one.left) if apart else 0.0
+        rest, dearest = self._cost(apart)
         if apart:  # an element hits one of them at most
-            rest -= self._best[first] if apart >> first & 1 else min(self._best[k] for k in bits(apart))
+            rest -= self._best[first] if apart >> first & 1 else dearest
         self._push(min(one.bound, one.weight + self._weights[members[at]] + rest), _NEXT, one, at)
 
     def _branch(self, one: _Set, at: int) -> None:

@@ -211,6 +211,9 @@ def evaluate_cause(
     healthy: Annotated[int, typer.Option(min=0, help="Number of healthy runs of each scenario; 0: none.")] = 3,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
     work: Annotated[Path, typer.Option(help="Folder for the two cars that are learned.")] = Path("cause"),
+    figures: Annotated[
+        Path | None, typer.Option(help="Draw the pictures of docs/cause.md into this folder, only.")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Evaluate which component is named as the cause.
@@ -218,5 +221,8 @@ def evaluate_cause(
     One or two faults are put into plants and learned cars.
     """
     from gateway_fleet.study.cause.command import cause as run
+    from gateway_fleet.study.cause.command import draw
 
+    if figures is not None:
+        raise typer.Exit(draw(figures, work))
     raise typer.Exit(run(seeds=seeds, pair_runs=pairs, healthy_runs=healthy, seed=seed, work=work, json=json))

@@ -11,7 +11,7 @@ from gateway.engine.depends.monitors import of_monitor
 from gateway.engine.depends.parts import Network, strongest
 from gateway.engine.depends.residuals import residuals
 from gateway.engine.instances import MonitorInstance
-from gateway.monitors.contract import Behind, Blame, Blames, Gain, Reading, Residuals
+from gateway.monitors.contract import Behind, Blame, Blames, Gain, LastResult, Reading, Residuals
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.assemble import prepare
 from gateway.signals.database import load_database
@@ -221,11 +221,11 @@ def test_it_may_tell_its_residuals_and_the_tests_behind_its_faults(stranger, net
     fault = stranger.faults(stranger.params())[0].name
     gains = (Gain("BATT.Voltage", 2.0), Gain("alternator", -1.0, "actuator"))
     knows = (
-        Residuals(lambda p: {fault: lambda evidence, value, limit: Reading(value - limit, 0.1, gains)}),
-        Behind(lambda p: {"T1": [Blame(p.signal)]}, lambda state: [3.0]),
+        Residuals(lambda p: {fault: lambda result: Reading(result.value - result.limit, 0.1, gains)}),
+        Behind(lambda p: {"T1": [Blame(p.signal)]}, lambda p, state: [3.0]),
     )
     made = MonitorInstance("battery", replace(stranger, capabilities=knows), stranger.params())
-    sized = residuals([made], network)[f"battery.{fault}"]([0.0] * 8, 11.0, 9.0)
+    sized = residuals([made], network)[f"battery.{fault}"](LastResult([0.0] * 8, 11.0, 9.0, None))
     assert sized.residual == 2.0
     assert sized.gains == {"signal a.BATT.Voltage": 2.0, "actuator battery.alternator": -1.0}
     (tests,) = behind([made], network)

@@ -3,7 +3,7 @@
 import pytest
 from amount import amount
 
-from gateway_fleet.study.cause.cases import faults
+from gateway_fleet.study.cause.cases import alike, faults
 from gateway_fleet.study.cause.matrix import Job, pair_of, run
 
 SEED = 31
@@ -34,7 +34,13 @@ def test_a_single_fault_is_named_first_and_nobody_else_alone(fault):
 
 
 @pytest.mark.parametrize(
-    ("plant", "one", "other"), [("signals", "value Vehicle.Coolant", "value WheelSpeeds.FL"), ("brake", "f_R", "f_F")]
+    ("plant", "one", "other"),
+    [
+        ("signals", "value Vehicle.Coolant", "value WheelSpeeds.FL"),
+        ("brake", "f_R", "f_F"),
+        ("belt", "output_offset 2", "output_stuck 1"),
+        ("truck", "battery_short", "machine_voltage_sensor"),
+    ],
 )
 def test_two_faults_are_both_in_the_first_diagnosis(plant, one, other):
     first, second = (next(f for f in faults() if (f.plant, f.name) == (plant, name)) for name in (one, other))
@@ -48,3 +54,12 @@ def test_two_faults_are_both_in_the_first_diagnosis(plant, one, other):
 def test_without_a_fault_nothing_is_told(base):
     (row,) = run(Job(base, "healthy", SEED, base=base))
     assert not row.verdict.before
+
+
+def test_what_others_explain_as_well_is_known_by_the_structure():
+    named = {(fault.plant, fault.name): fault for fault in faults()}
+    motor = alike(named["motor", "f_R"], named["motor", "f_b"])
+    assert len(motor) == 5, "each other pair of its four faults"
+    assert alike(named["tanks", "f_p"], named["tanks", "f_2"]) == frozenset()
+    short, offset = named["pedal", "short_to_ground 1"], named["pedal", "offset 2"]
+    assert alike(short, offset) == {short.truth}, "beside a channel that is out of range the other one is not seen"

@@ -32,16 +32,17 @@ rule = [
 """
 
 
-def rule(name, condition="", tolerance=3):
+def rule(name, condition="", tolerance=3, holds="{0}.V == Speed.V"):
     """Return a rule: what an ECU sends is what Speed sends."""
-    return f'    {{ name = "{name}", holds = "{name}.V == Speed.V", tolerance = {tolerance}{condition} }},\n'
+    return f'    {{ name = "{name}", holds = "{holds.format(name)}", tolerance = {tolerance}{condition} }},\n'
 
 
-def write(folder, memory="", more="", rules=OTHERS, checks=("Speed", *OTHERS)):
+def write(folder, memory="", more="", rules=OTHERS, checks=("Speed", *OTHERS), **text_of_rule):
     """Write database and configuration; returns its path."""
     (folder / "car.dbc").write_text(_DBC)
     checked = "".join(f'[[bus.check]]\nmessage = "{name}"\ntimeout_ms = 100.0\n' for name in checks)
-    text = _TOML.format(memory=memory, more=more, rules="".join(rule(name) for name in rules), checks=checked)
+    written = "".join(rule(name, **text_of_rule) for name in rules)
+    text = _TOML.format(memory=memory, more=more, rules=written, checks=checked)
     (folder / "car.toml").write_text(text)
     return folder / "car.toml"
 

@@ -44,13 +44,13 @@ def behind(monitors: Sequence[MonitorInstance], network: Network) -> tuple[Tests
             continue
         own = {f"{m.name}/{m.part}/{name}": each for name, each in seen.items()}
         faults = tuple(f"{m.name}.{fault.name}" for fault in m.monitor.faults(m.params))
-        found.append(Tests(k, faults, own, _reader(capability, len(own))))
+        found.append(Tests(k, faults, own, _reader(capability, m, len(own))))
     return tuple(found)
 
 
-def _reader(capability: Behind, count: int) -> Callable[[np.void], Sequence[float]]:
+def _reader(capability: Behind, m: MonitorInstance, count: int) -> Callable[[np.void], Sequence[float]]:
     def read(state: np.void) -> Sequence[float]:
-        levels = [float(level) for level in capability.levels(state)][:count]
+        levels = [float(level) for level in capability.levels(m.params, state)][:count]
         return levels + [math.nan] * (count - len(levels))
 
     return read

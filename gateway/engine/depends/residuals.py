@@ -10,26 +10,29 @@ from gateway.engine.depends.monitors import inputs_of, part_of
 from gateway.engine.depends.parts import Network
 from gateway.engine.instances import MonitorInstance
 from gateway.monitors.conformance import checked_faults
-from gateway.monitors.contract import Gain, Reading, Residuals
+from gateway.monitors.contract import Gain, LastResult, Reading, Residuals
 from gateway.signals.tables import SignalRef
 from gateway_fdi.diagnosis.state import Sized
 from gateway_fdi.errors import InputError, nearest
 
-#: Evidence, value and limit of a result -> what it says of sizes.
-Read = Callable[[Sequence[float], float, float], Sized | None]
-
 
 @dataclass(frozen=True)
-class _Reader:
-    """Reads a fault's residual, and names components as the whole gateway does."""
+class Read:
+    """Reads a fault's residual, and names components as the whole gateway does.
 
-    read: Callable[[Sequence[float], float, float], Reading | None]
+    Attributes:
+        monitor: place of its monitor in the engine.
+    """
+
+    monitor: int
+    read: Callable[[LastResult], Reading | None]
     m: MonitorInstance
     inputs: Mapping[str, SignalRef]
     network: Network
 
-    def __call__(self, evidence: Sequence[float], value: float, limit: float) -> Sized | None:
-        reading = self.read(evidence, value, limit)
+    def __call__(self, result: LastResult) -> Sized | None:
+        """Return what a result says of sizes; None: nothing."""
+        reading = self.read(result)
         if reading is None or not (math.isfinite(reading.residual) and reading.noise > 0.0):
             return None
         gains = {self._name(one): one.gain for one in reading.gains if math.isfinite(one.gain) and one.gain != 0.0}
@@ -46,7 +49,7 @@ def residuals(monitors: Sequence[MonitorInstance], network: Network) -> dict[str
         InputError: a monitor's author gives one of a fault that it does not have.
     """
     found: dict[str, Read] = {}
-    for m in monitors:
+    for k, m in enumerate(monitors):
         capability = m.monitor.capability(Residuals)
         if capability is None:
             continue
@@ -57,5 +60,5 @@ def residuals(monitors: Sequence[MonitorInstance], network: Network) -> dict[str
                 key = f'monitor type "{m.monitor.type}".Residuals.of'
                 text = f"the monitor has no such fault{nearest(str(name), faults)}"
                 raise InputError(text, file=m.monitor.file, key=key, value=name)
-            found[f"{m.name}.{name}"] = _Reader(read, m, inputs, network)
+            found[f"{m.name}.{name}"] = Read(k, read, m, inputs, network)
     return found

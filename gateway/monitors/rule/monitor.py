@@ -7,7 +7,7 @@ negative number).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any
 
 from gateway.monitors.contract import (
@@ -16,6 +16,7 @@ from gateway.monitors.contract import (
     Connection,
     Debounce,
     Fault,
+    LastResult,
     Monitor,
     Out,
     Parts,
@@ -32,6 +33,9 @@ from gateway.monitors.rule.residual import blames, residual_of
 from gateway.monitors.rule.text import compile_text, is_relation
 from gateway_fdi.errors import Gathered, InputError, under
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
+
+#: Results over which is averaged what a relation is off while it holds.
+LATELY = 1000
 
 
 class Inputs(Event):
@@ -54,6 +58,8 @@ class State(Record):
 
     holds: Machine = means("machine of the relation")
     when: Machine = means("machine of when it is tested")
+    square: f8 = means("mean square of what the relation was off lately while it held")
+    held: i8 = means("results in that mean")
 
 
 class Evidence(Record):
@@ -72,6 +78,9 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Any]) -> None:
             return
     if s.holds.unknown == 1:
         return
+    if result == 1.0:
+        s.held = min(s.held + 1, LATELY)
+        s.square += (s.holds.left**2 - s.square) / s.held
     evidence = report(out, 0, result == 0.0, s.holds.left, s.holds.right)
     for k in range(min(c.signals, EVIDENCE)):
         evidence.value[k] = u.value[k]
@@ -106,7 +115,7 @@ def _faults(p: PartParams) -> tuple[Fault, ...]:
     )
 
 
-def _residuals(p: PartParams) -> dict[str, Callable[[Sequence[float], float, float], Reading | None]]:
+def _residuals(p: PartParams) -> dict[str, Callable[[LastResult], Reading | None]]:
     read = residual_of(p)
     return {} if read is None else {p.rule.name: read}
 

@@ -14,15 +14,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gateway.monitors.contract import EVIDENCE, Blame, Gain, Reading
+from gateway.monitors.contract import EVIDENCE, Blame, Gain, LastResult, Reading
 from gateway.monitors.rule import program as p
 from gateway.monitors.rule.machine import one_of, two_of
 from gateway.monitors.rule.params import PartParams
 from gateway.monitors.rule.program import Program
 from gateway_fdi.diagnosis.system import Floats
 
-#: Standard deviations of a residual without a fault that a tolerance has room for.
-SPREADS = 3.0
+#: Standard deviations of a residual without a fault that a tolerance has room for; and more, by a factor up to this,
+#: where it was off by less lately: its root of the mean square, times LATELY, for movements may be of another kind now.
+SPREADS, SHARPER, LATELY = 3.0, 10.0, 3.0
+#: Results behind which that is known.
+KNOWN = 100
 #: By what share gains are wrong: of a relation that is linear; of others, by which they change with the error.
 LINEAR, BENT = 0.05, 0.3
 #: How likely a relation fails if a signal of it is wrong, against its own validity: a third of the errors is beyond its
@@ -38,31 +41,37 @@ class _Value(NamedTuple):
     bent: bool = False
 
 
-def residual_of(part: PartParams) -> Callable[[Sequence[float], float, float], Reading | None] | None:
+def residual_of(part: PartParams) -> Callable[[LastResult], Reading | None] | None:
     """Return what reads the residual of a relation; None: it has none."""
-    program, tolerance = part.holds, part.rule.tolerance
+    program = part.holds
     if len(part.signals) > EVIDENCE or not program.ops:
         return None
     if _compares(program) != [len(program.ops) - 1]:
         return None  # several comparisons, or something made of one
     last = program.ops[-1][0]
-    equal = last == p.EQUAL and tolerance > 0.0
-    remembers = bool(program.times_s)
+    equal = last == p.EQUAL
 
-    def read(evidence: Sequence[float], value: float, limit: float) -> Reading | None:
-        values = [evidence[part.signals.index(name)] for name in program.signals]
+    def read(result: LastResult) -> Reading | None:
+        values = [result.evidence[part.signals.index(name)] for name in program.signals]
         left, right, inner = _run(program, values)
-        if equal:
-            slope, bent = left.slope - right.slope, left.bent or right.bent
-            return _reading(part, value - limit, tolerance / SPREADS, slope, bent)
-        if inner is None or remembers or not limit > 0.0:
+        off = _two(p.SUBTRACT, left, right) if equal else inner
+        if off is None or not result.limit > 0.0:
             return None
-        noise = (right.value + tolerance) / SPREADS
-        return _reading(part, inner.value, noise, inner.slope, inner.bent) if noise > 0.0 else None
+        # A relation with memory has its own value, and the sign of the terms without memory.
+        signed = math.copysign(result.value, off.value)
+        return _reading(part, signed, result.limit, _noise(result), off)
 
     if not equal and (last not in (p.LESS, p.AT_MOST) or not any(op == p.ABS for op, _ in program.ops)):
         return None
     return read
+
+
+def _noise(result: LastResult) -> float:
+    """Return the standard deviation of a residual: of what it was off lately while the relation held."""
+    most = result.limit / SPREADS
+    if result.state["held"] < KNOWN:
+        return most
+    return min(max(LATELY * math.sqrt(result.state["square"]), most / SHARPER), most)
 
 
 def blames(part: PartParams) -> dict[str, list[Blame]]:
@@ -90,12 +99,12 @@ def _compares(program: Program) -> list[int]:
     return [k for k, (op, _) in enumerate(program.ops) if p.LESS <= op <= p.UNEQUAL]
 
 
-def _reading(part: PartParams, residual: float, noise: float, slope: Floats, bent: bool) -> Reading | None:
-    named = zip(part.holds.signals, slope.tolist(), strict=True)
+def _reading(part: PartParams, residual: float, limit: float, noise: float, off: _Value) -> Reading | None:
+    named = zip(part.holds.signals, off.slope.tolist(), strict=True)
     gains = tuple(Gain(name, gain) for name, gain in named if math.isfinite(gain) and gain != 0.0)
     if not gains or not math.isfinite(residual):
         return None
-    return Reading(residual, noise, gains, BENT if bent else LINEAR, abs(residual) / (SPREADS * noise))
+    return Reading(residual, noise, gains, BENT if off.bent else LINEAR, abs(residual) / limit)
 
 
 def _run(program: Program, values: Sequence[float]) -> tuple[_Value, _Value, _Value | None]:

@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 
 from gateway_fdi.diagnosis import sizes
 from gateway_fdi.diagnosis.answer import Against, Size, Wait
-from gateway_fdi.diagnosis.state import PASSED, State
+from gateway_fdi.diagnosis.state import FAILED, PASSED, State
 from gateway_fdi.diagnosis.system import Floats, Ints, System
 from gateway_fdi.hitting import NEVER
 
 #: A contradiction is worth telling from this factor on.
 TOLD = 0.5
+#: Sizes that fit less well by chance once in so many times ask for one part more.
+MISFIT = 1e-3
 
 
 class Cluster:
@@ -36,20 +38,23 @@ class Cluster:
         system: what there is.
         state: what the tests say.
         failed: places of the tests, ascending.
+        more: places of components that are suspected though none of them blames these.
 
     Attributes:
         failed: places of the tests, ascending.
-        suspects: places of the components that they blame, ascending.
+        suspects: places of the components that they blame, and of those more, ascending.
         power: of each test for each suspect, 0: it does not see it, shape (tests, suspects).
         weights: of each suspect, by its prior and what passed, shape (suspects,).
     """
 
-    def __init__(self, system: System, state: State, failed: tuple[int, ...]) -> None:
+    def __init__(self, system: System, state: State, failed: tuple[int, ...], more: tuple[int, ...] = ()) -> None:
         self._system, self._state, self.failed = system, state, failed
         links = np.concatenate([system.of_test[t] for t in failed]) if failed else np.zeros(0, np.int64)
-        self.suspects, column = np.unique(system.link_component[links], return_inverse=True)
+        self.suspects = np.union1d(system.link_component[links], np.array(more, np.int64))
+        column = np.searchsorted(self.suspects, system.link_component[links])
         self._row = {t: k for k, t in enumerate(failed)}
         row = np.repeat(np.arange(len(failed)), [len(system.of_test[t]) for t in failed])
+        self._rows, self._columns = row, column
         self.power: Floats = np.zeros((len(failed), len(self.suspects)))
         self.power[row, column] = system.power[links] * state.weaker[links]
         places = np.array(failed, np.int64)
@@ -59,8 +64,13 @@ class Cluster:
         self._alarm: Floats = system.false_alarm[places]
         sized = np.isfinite(state.gain[links]) & np.isfinite(self._residual_of(system.link_test[links]))
         self._sized = np.bincount(column, weights=sized, minlength=len(self.suspects)) > 0
+        self._sized |= np.isin(self.suspects, more)
         self._known: dict[int, dict[int, float]] = {}
         self._count_passes()
+
+    def widened(self, more: tuple[int, ...]) -> Cluster:
+        """Return the same failed tests with more suspects, by their places."""
+        return Cluster(self._system, self._state, self.failed, more)
 
     def _residual_of(self, tests: Ints) -> Floats:
         """Return the residuals of tests whose noise is known, NaN for others."""
@@ -69,17 +79,21 @@ class Cluster:
     def _count_passes(self) -> None:
         """Weigh suspects by their priors, and by the tests that would have seen them."""
         system, state = self._system, self._state
-        mine = [system.of_component[c] for c in self.suspects]
-        links = np.concatenate(mine) if mine else np.zeros(0, np.int64)
-        column = np.repeat(np.arange(len(mine)), [len(each) for each in mine])
+        number = np.full(len(system.components), -1)
+        number[self.suspects] = np.arange(len(self.suspects))
+        links = system.by_component[number[system.link_component[system.by_component]] >= 0]
+        column = number[system.link_component[links]]
         test = system.link_test[links]
         passed = state.verdict[test] == PASSED
         links, column, test = links[passed], column[passed], test[passed]
-        latest = np.where(self.power > 0.0, self._since[:, None], np.iinfo(np.int64).min).max(axis=0, initial=0)
+        never = np.iinfo(np.int64).min
+        latest = np.full(len(self.suspects), never)
+        np.maximum.at(latest, self._columns, self._since[self._rows])
+        latest[latest == never] = self._since.max(initial=never)  # what none blames may be behind any
         due = latest[column] + system.delay_ns[test]
         counts = state.until[test] >= due
         by_size = self._sized[column] & np.isfinite(state.gain[links]) & np.isfinite(self._residual_of(test))
-        clear = np.where(counts & ~by_size, np.log1p(-system.power[links]), 0.0)
+        clear = np.where(counts & ~by_size, system.log_escape[links], 0.0)
         self.weights: Floats = system.odds[self.suspects] + np.bincount(
             column, weights=clear, minlength=len(self.suspects)
         )
@@ -170,6 +184,23 @@ class Cluster:
             state.residual[tests], np.array([gains[t] for t in tests]), state.noise[tests], state.gain_error[tests]
         )
 
+    def hidden_by(self, suspects: tuple[int, ...]) -> tuple[int, ...]:
+        """Return places of components that may cancel what one of a set of suspects does; none, where its sizes fit.
+
+        Two errors that cancel each other in a test leave it passing, so that no failed test needs the second one.
+        """
+        fitted = self.fit(suspects)
+        if fitted is None or fitted.chance >= MISFIT:
+            return ()
+        system, state = self._system, self._state
+        tests = sorted({test for k in suspects for test in self._signed(k)})
+        links = np.concatenate([system.of_test[t] for t in tests])
+        found = np.unique(system.link_component[links[np.isfinite(state.gain[links])]])
+        own = np.isin(system.link_test, self.failed)
+        others = system.link_component[(state.verdict[system.link_test] == FAILED) & ~own]
+        gone = np.union1d(others, self.suspects[list(suspects)])  # of another group, or there already
+        return tuple(np.setdiff1d(found, gone).tolist())
+
     # What people are told of it --------------------------------------------------------------------------------------
 
     def sizes(self, suspects: tuple[int, ...]) -> tuple[Size, ...]:
@@ -200,10 +231,20 @@ class Cluster:
         return tuple(sorted(told, key=lambda one: (one.factor, one.test)))
 
     def waiting(self, suspects: set[int]) -> tuple[Wait, ...]:
-        """Return the tests that passed, but not late enough, and that could clear one of some suspects."""
+        """Return the tests that can still speak.
+
+        Those that passed, but not late enough, and that could clear one of some suspects; and those that fail still
+        where another one has healed since, until they have had their time: they may heal by the same cause.
+        """
         column, test, _, counts, due, sharp = self._passes
         open_ = ~counts & sharp & np.isin(column, list(suspects))
         until: dict[int, int] = {}
         for t, at in zip(test[open_].tolist(), due[open_].tolist(), strict=True):
             until[t] = max(until.get(t, 0), at)
+        state = self._state
+        healed = np.unique(test[state.healed[test] > self._since.min()]) if len(self.failed) else test[:0]
+        for t, since, takes in zip(self.failed, self._since, self._due, strict=True):
+            mine = healed[(state.healed[healed] > since) & (state.until[healed] < state.healed[healed] + takes)]
+            if len(mine):
+                until[t] = int(state.healed[mine].max() + takes)
         return tuple(Wait(t, until[t]) for t in sorted(until))

@@ -113,10 +113,14 @@ class Diagnoser:
         return stale or None
 
     def _failed_beside(self, test: int) -> Iterable[int]:
-        """Yield tests of groups that share a component with a test."""
+        """Yield tests of groups that share a component with a test, or whose diagnoses have one of its components."""
         system = self.system
         if not self._of:
             return
+        own = set(system.link_component[system.of_test[test]].tolist())
+        yield from (
+            key[0] for key, of in self._groups.items() if any(own.intersection(d.components) for d in of.diagnoses)
+        )
         for component in system.link_component[system.of_test[test]].tolist():
             for other in system.link_test[system.of_component[component]].tolist():
                 if other in self._of:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from gateway_fdi.diagnosis.answer import Diagnosis, Group
 from gateway_fdi.diagnosis.cluster import Cluster
 from gateway_fdi.hitting import HittingSet, HittingSets
@@ -23,27 +25,25 @@ class Bounds:
 
     diagnoses: int = 16
     least: float = 1e-6
-    steps: int = 1000
+    steps: int = 600
 
 
+#: So many of the likeliest diagnoses are asked whether their sizes fit.
+_LOOKED = 16
+#: Logarithm of how probable it is that a further error has a size that no test has to fail by.
+_CANCELS = math.log(0.1)
 #: A test can still speak if it sees a component that is as probable as this.
 _SUSPECTED = 0.01
 
 
 def solve(cluster: Cluster, bounds: Bounds) -> Group:
     """Return the diagnoses of a cluster, likeliest first."""
-    span = -math.log(bounds.least) if bounds.least > 0.0 else math.inf
-    search = HittingSets(
-        cluster.conflicts, cluster.weights.tolist(), cluster.prices, exact=cluster.weight, span=span,
-        most_steps=bounds.steps,
-    )  # fmt: skip
-    found = list(search)
-    waiting = search.waiting
-    if waiting and search.steps >= bounds.steps:
-        near = _near(cluster)
-        if all(near.elements != one.elements for one in found):
-            found.append(near)
-            found.sort(key=lambda one: -one.weight)
+    found, waiting = _found(cluster, bounds)
+    for one in found[:_LOOKED]:
+        hidden = cluster.hidden_by(one.elements)
+        if hidden:
+            cluster, found = _beside(cluster, found, one, hidden)
+            break
     top = found[0].weight
     shares = [math.exp(one.weight - top) for one in found]
     whole = sum(shares) + sum(math.exp(min(bound - top, 700.0)) for bound in waiting)
@@ -52,6 +52,43 @@ def solve(cluster: Cluster, bounds: Bounds) -> Group:
     suspected = {k for one, d in zip(found, told, strict=False) if d.probability >= _SUSPECTED for k in one.elements}
     rest = max(1.0 - sum(one.probability for one in told), 0.0)
     return Group(cluster.failed, told, rest, cluster.waiting(suspected))
+
+
+def _found(cluster: Cluster, bounds: Bounds) -> tuple[list[HittingSet], list[float]]:
+    """Return the minimal diagnoses, likeliest first, and the bounds of what has not been looked at."""
+    span = -math.log(bounds.least) if bounds.least > 0.0 else math.inf
+    search = HittingSets(
+        cluster.conflicts, cluster.weights.tolist(), cluster.prices, exact=cluster.weight, span=span,
+        most_steps=bounds.steps,
+    )  # fmt: skip
+    found = list(search)
+    if search.waiting and search.steps >= bounds.steps:
+        near = _near(cluster)
+        if all(near.elements != one.elements for one in found):
+            found.append(near)
+            found.sort(key=lambda one: -one.weight)
+    return found, search.waiting
+
+
+def _beside(
+    cluster: Cluster, found: list[HittingSet], one: HittingSet, hidden: tuple[int, ...]
+) -> tuple[Cluster, list[HittingSet]]:
+    """Return the diagnoses with those that have one component more than one of them, and the cluster that they are of.
+
+    De Kleer and Williams (1987), section 4: any superset of a diagnosis explains what fails; it is likelier only where
+    what passes asks for it.
+    """
+    wide = cluster.widened(hidden)
+    number = {int(c): k for k, c in enumerate(wide.suspects)}
+    moved = [each._replace(elements=tuple(number[int(cluster.suspects[k])] for k in each.elements)) for each in found]
+    base = moved[found.index(one)]
+    known = {each.elements for each in moved}
+    for c in hidden:
+        elements = tuple(sorted({*base.elements, number[c]}))
+        weight = wide.weight(elements, base.missed) + _CANCELS
+        if elements not in known and weight > base.weight:
+            moved.append(HittingSet(elements, base.missed, weight))
+    return wide, sorted(moved, key=lambda each: -each.weight)
 
 
 def _told(cluster: Cluster, one: HittingSet, probability: float) -> Diagnosis:
@@ -67,19 +104,19 @@ def _told(cluster: Cluster, one: HittingSet, probability: float) -> Diagnosis:
 def _near(cluster: Cluster) -> HittingSet:
     """Return a diagnosis that is found at once: each time the component that saves most false alarms for its weight."""
     sees = cluster.power > 0.0
-    prices, left = cluster.prices, set(range(len(cluster.failed)))
+    priced, left = np.array(cluster.prices)[:, None] * sees, np.ones(len(cluster.failed), np.bool_)
+    saved = cluster.weights - priced.sum(axis=0)
     chosen: list[int] = []
-    while left:
-        rows = sorted(left)
-        saved = cluster.weights - sum(prices[k] * sees[k] for k in rows)
+    while left.any():
         best = int(saved.argmax())
         if not saved[best] > 0.0 or best in chosen:
             break
         chosen.append(best)
-        left -= {k for k in rows if sees[k, best]}
+        saved += priced[left & sees[:, best]].sum(axis=0)
+        left &= ~sees[:, best]
     for k in list(chosen):  # the first ones may not be needed behind the last
         rest = [j for j in chosen if j != k]
         if not (sees[:, k] & ~sees[:, rest].any(axis=1)).any():
             chosen.remove(k)
-    elements, missed = tuple(sorted(chosen)), tuple(sorted(left))
+    elements, missed = tuple(sorted(chosen)), tuple(np.flatnonzero(left).tolist())
     return HittingSet(elements, missed, cluster.weight(elements, missed))

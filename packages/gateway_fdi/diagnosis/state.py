@@ -46,6 +46,7 @@ class State:
         since: when it became that, shape (tests,) [ns].
         until: when a test that passes did last, shape (tests,) [ns].
         passed_from: of a test that fails: since when it had passed until then; NEVER: it had not, shape (tests,) [ns].
+        healed: of a test that passes: since when, if it had failed before; -NEVER: it had not, shape (tests,) [ns].
         residual: of the last test; NaN: not known, shape (tests,).
         noise, gain_error: of the residual, as the system has them, or as it was told last, shape (tests,).
         gain: of each link, likewise, shape (links,).
@@ -57,6 +58,7 @@ class State:
         self.verdict = np.zeros(tests, np.int8)
         self.since, self.until = np.zeros((2, tests), np.int64)
         self.passed_from: NDArray[np.int64] = np.full(tests, NEVER, np.int64)
+        self.healed: NDArray[np.int64] = np.full(tests, -NEVER, np.int64)
         self.residual = np.full(tests, math.nan)
         self.noise, self.gain_error, self.gain = system.noise.copy(), system.gain_error.copy(), system.gain.copy()
         self.weaker = np.ones_like(system.gain)
@@ -65,7 +67,7 @@ class State:
 
     def take_over(self, test: int, other: State, place: int) -> None:
         """Take over what another state has of a test, at its place there."""
-        for name in ("verdict", "since", "until", "passed_from", "residual"):
+        for name in ("verdict", "since", "until", "passed_from", "healed", "residual"):
             getattr(self, name)[test] = getattr(other, name)[place]
 
     def size(self, test: int, sized: Sized | None) -> bool:
@@ -101,5 +103,6 @@ class State:
             self.until[test] = max(t_ns, int(self.until[test]))
             return renewed or not same
         self.passed_from[test] = self.since[test] if before == PASSED and verdict == FAILED else NEVER
+        self.healed[test] = t_ns if before == FAILED and verdict == PASSED else -NEVER
         self.verdict[test], self.since[test], self.until[test] = verdict, t_ns, t_ns
         return True

@@ -135,11 +135,20 @@ class System:
         return np.split(np.arange(len(self.link_test)), np.cumsum(self._counts)[:-1]) if self.tests else []
 
     @cached_property
+    def by_component(self) -> Ints:
+        """All links, components one after the other, each in the order of the tests."""
+        return np.argsort(self.link_component, kind="stable")
+
+    @cached_property
+    def log_escape(self) -> Floats:
+        """Logarithm of how likely each link's component escapes its test."""
+        return np.log1p(-self.power)
+
+    @cached_property
     def of_component(self) -> list[Ints]:
         """Links of each component, in the order of the tests."""
-        order = np.argsort(self.link_component, kind="stable")
         counts = np.bincount(self.link_component, minlength=len(self.components))
-        return np.split(order, np.cumsum(counts)[:-1]) if self.components else []
+        return np.split(self.by_component, np.cumsum(counts)[:-1]) if self.components else []
 
 
 def _places(what: str, names: Iterable[str]) -> dict[str, int]:

@@ -46,7 +46,6 @@ class Oracle:
         for t in self.failed:
             mine = self.sees[t.name].union(*(one for one in self.apart if one & self.sees[t.name]))
             self.apart = [one for one in self.apart if not one & mine] + [mine]
-        self.single = {name: self.of_component(name) for name in self.components}
 
     def signed(self, test, name):
         return (
@@ -55,68 +54,84 @@ class Oracle:
             and not math.isnan(self.gain.get((test.name, name), math.nan))
         )
 
+    def diagnoses(self):
+        """Return each set all of whose members are needed, or but one that sizes ask for -> its probability."""
+        whole = {frozenset(): 0.0}
+        for apart in self.apart:
+            mine = Apart(self, [t for t in self.failed if self.sees[t.name] & apart]).weights()
+            whole = {a | b: w + v for a, w in whole.items() for b, v in mine.items()}
+        top = max(whole.values())
+        every = sum(math.exp(w - top) for w in whole.values())
+        return {chosen: math.exp(w - top) / every for chosen, w in whole.items()}
+
+
+class Apart:
+    """Failed tests that components connect."""
+
+    def __init__(self, oracle, failed):
+        self.o, self.failed = oracle, failed
+        self.blamed = [name for name in oracle.components if any(name in oracle.sees[t.name] for t in failed)]
+        self.more = frozenset()
+
     def is_sized(self, name):
-        return any(self.signed(t, name) for t in self.failed)
+        return name in self.more or any(self.o.signed(t, name) for t in self.failed)
 
     def counts(self, test, name):
-        latest = max(self.now[t.name][1] for t in self.failed if name in self.sees[t.name])
-        verdict, _, until, _, _ = self.now[test.name]
-        return verdict == PASSED and until >= latest + self.delay[test.name]
+        mine = [t for t in self.failed if name in self.o.sees[t.name]] or self.failed
+        latest = max(self.o.now[t.name][1] for t in mine)
+        verdict, _, until, _, _ = self.o.now[test.name]
+        return verdict == PASSED and until >= latest + self.o.delay[test.name]
 
     def of_component(self, name):
-        """Return the weight of a component; None: nothing that failed blames it."""
-        if not any(name in self.sees[t.name] for t in self.failed):
-            return None
-        p = self.prior[name]
+        p = self.o.prior[name]
         weight = math.log(p / (1 - p))
-        for t in self.tests:
-            if name in self.sees[t.name] and self.counts_by_power(t, name):
-                weight += math.log(1 - self.power[t.name, name])
+        for t in self.o.tests:
+            by_size = self.is_sized(name) and self.o.signed(t, name)
+            if name in self.o.sees[t.name] and not by_size and self.counts(t, name):
+                weight += math.log(1 - self.o.power[t.name, name])
         return weight
 
-    def counts_by_power(self, test, name):
-        by_size = self.is_sized(name) and self.signed(test, name)
-        return not by_size and self.now[test.name][0] == PASSED and self.counts(test, name)
-
-    def needed(self, chosen):
-        own = [self.sees[t.name] & chosen for t in self.failed]
-        return {next(iter(one)) for one in own if len(one) == 1} == chosen
-
     def weight(self, chosen):
-        total = sum(self.single[name] for name in chosen)
+        o = self.o
+        total = sum(self.of_component(name) for name in chosen)
         alone = {}
         for t in self.failed:
-            mine = self.sees[t.name] & chosen
+            mine = o.sees[t.name] & chosen
             if len(mine) == 1:
                 name = next(iter(mine))
-                alone[name] = min(alone.get(name, math.inf), self.now[t.name][1])
+                alone[name] = min(alone.get(name, math.inf), o.now[t.name][1])
         for t in self.failed:
             passes = 1 - t.false_alarm
-            _, since, _, passed_from, _ = self.now[t.name]
-            for name in sorted(self.sees[t.name] & chosen):
-                power = self.power[t.name, name]
+            _, since, _, passed_from, _ = o.now[t.name]
+            for name in sorted(o.sees[t.name] & chosen):
+                power = o.power[t.name, name]
                 if name in alone and passed_from is not None:
-                    due = alone[name] + self.delay[t.name]
+                    due = alone[name] + o.delay[t.name]
                     if passed_from <= due < since:
                         power *= 1 - power
                 passes *= 1 - power
             total += math.log(1 - passes)
-        return total + sum(math.log(self.chance(chosen & apart)) for apart in self.apart)
+        return total + math.log(self.chance(chosen))
+
+    def rows(self, chosen):
+        """Return the tests that say something of the sizes of a set."""
+        for t in self.o.tests:
+            mine = self.o.sees[t.name] & chosen
+            if mine and all(self.is_sized(name) and self.o.signed(t, name) for name in mine):
+                fails = t in self.failed
+                if fails or all(self.counts(t, name) for name in mine):
+                    yield t, mine
 
     def chance(self, chosen):
         from scipy.stats import chi2
 
         sized = sorted(name for name in chosen if self.is_sized(name))
-        rows = []
-        for t in self.tests:
-            mine = self.sees[t.name] & chosen
-            fails = self.now[t.name][0] == FAILED
-            told = mine and all(name in sized and self.signed(t, name) for name in mine)
-            if told and (fails or all(self.counts(t, name) for name in mine)):
-                rows.append((t, [self.gain[t.name, name] if name in mine else 0.0 for name in sized]))
+        rows = [
+            (t, [self.o.gain[t.name, name] if name in mine else 0.0 for name in sized]) for t, mine in self.rows(chosen)
+        ]
         if not rows:
             return 1.0
-        r = np.array([self.now[t.name][4] for t, _ in rows])
+        r = np.array([self.o.now[t.name][4] for t, _ in rows])
         gains, expected = np.array([g for _, g in rows]), r
         for _ in range(2):
             most = np.maximum(abs(r), abs(expected))
@@ -127,29 +142,37 @@ class Oracle:
         misfit = float((((r - expected) / spread) ** 2).sum())
         return max(float(chi2.sf(misfit, degrees)), 1e-9) if degrees > 0 else 1.0
 
-    def diagnoses(self):
-        """Return each set all of whose members are needed -> its probability."""
-        blamed = [name for name in self.components if self.single[name] is not None]
-        index = np.arange(1 << len(blamed))
+    def needed(self):
+        """Yield each set all of whose members are needed."""
+        index = np.arange(1 << len(self.blamed))
         hit = np.zeros((len(self.failed), len(index)), np.int64)
-        for k, name in enumerate(blamed):
+        for k, name in enumerate(self.blamed):
             for row, t in enumerate(self.failed):
-                if name in self.sees[t.name]:
+                if name in self.o.sees[t.name]:
                     hit[row] += index >> k & 1
         needed = np.ones(len(index), bool)
-        for k, name in enumerate(blamed):
+        for k, name in enumerate(self.blamed):
             own = np.zeros(len(index), bool)
             for row, t in enumerate(self.failed):
-                if name in self.sees[t.name]:
+                if name in self.o.sees[t.name]:
                     own |= hit[row] == 1
             needed &= own | (index >> k & 1 == 0)
-        found = {}
         for mask in index[needed].tolist():
-            chosen = {name for k, name in enumerate(blamed) if mask >> k & 1}
-            found[frozenset(chosen)] = self.weight(chosen)
-        top = max(found.values())
-        whole = sum(math.exp(w - top) for w in found.values())
-        return {chosen: math.exp(w - top) / whole for chosen, w in found.items()}
+            yield frozenset(name for k, name in enumerate(self.blamed) if mask >> k & 1)
+
+    def weights(self):
+        """Return each set -> its weight; of the likeliest ones the first whose sizes do not fit, with one more."""
+        found = {chosen: self.weight(chosen) for chosen in self.needed()}
+        for chosen in sorted(found, key=lambda one: -found[one])[:16]:
+            if self.chance(chosen) < 1e-3:
+                others = {n for t in self.o.failed if t not in self.failed for n in self.o.sees[t.name]}
+                tests = {t for name in chosen for t, _ in self.rows({name})}
+                near = {n for t in tests for n in self.o.sees[t.name] if not math.isnan(self.o.gain[t.name, n])}
+                self.more = frozenset(near - others - chosen)
+                if self.more:
+                    with_one = {chosen | {n}: self.weight(chosen | {n}) + math.log(0.1) for n in self.more}
+                    return {one: w for one, w in with_one.items() if w > found[chosen]} | found
+        return found
 
 
 def combined(groups, names):

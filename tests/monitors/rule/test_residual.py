@@ -7,6 +7,7 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.monitors.contract import LastResult
 from gateway.monitors.rule.params import PartParams, Rule
 from gateway.monitors.rule.residual import BENT, LINEAR, blames, residual_of
 from gateway.monitors.rule.text import compile_text
@@ -22,10 +23,12 @@ def part(holds, tolerance=3.0, when=None):
     )  # fmt: skip
 
 
-def read(holds, values, value=0.0, limit=0.0, **more):
-    made = part(holds, **more)
-    reader = residual_of(made)
-    return None if reader is None else reader([*values, *[0.0] * (8 - len(values))], value, limit)
+def read(holds, values, value=0.0, limit=3.0, square=0.0, held=0, **more):
+    reader = residual_of(part(holds, **more))
+    if reader is None:
+        return None
+    evidence, state = [*values, *[0.0] * (8 - len(values))], {"square": square, "held": held}
+    return reader(LastResult(evidence, value, limit, state))
 
 
 def gains(reading):
@@ -43,7 +46,7 @@ def test_derivatives_are_those_of_small_differences(values):
     def side(x, y, z):
         return x * y - math.sqrt(z) - (2 * x / z + math.exp(y / 5) ** 2 - math.sin(z))
 
-    found = gains(read(text, values, side(*values)))
+    found = gains(read(text, values))
     for k, name in enumerate(("A.x", "B.y", "C.z")):
         step = 1e-6
         up, down = ([v + s * step * (j == k) for j, v in enumerate(values)] for s in (1, -1))
@@ -52,8 +55,8 @@ def test_derivatives_are_those_of_small_differences(values):
 
 
 def test_an_equation_has_what_is_left_of_it():
-    reading = read("A.x == 0.5 * (B.y + B.z)", [60.0, 20.0, 20.0], 60.0, 20.0)
-    assert reading.residual == 40.0
+    reading = read("A.x == 0.5 * (B.y + B.z)", [10.0, 60.0, 40.0], 40.0)
+    assert reading.residual == -40.0  # the distance, with its sign
     assert reading.noise == pytest.approx(1.0)  # a third of the tolerance
     assert gains(reading) == {"A.x": 1.0, "B.y": -0.5, "B.z": -0.5}
     assert reading.gain_error == LINEAR
@@ -62,7 +65,7 @@ def test_an_equation_has_what_is_left_of_it():
 
 def test_a_limit_of_a_difference_has_the_difference_with_its_sign():
     text = "abs(A.x - A.y) < 3 + 0.1 * B.v"
-    reading = read(text, [10.0, 50.0, 60.0], 40.0, 9.0, tolerance=0.0)
+    reading = read(text, [10.0, 50.0, 60.0], 40.0, 9.0)
     assert reading.residual == -40.0
     assert reading.noise == pytest.approx(3.0)
     assert gains(reading) == {"A.x": 1.0, "A.y": -1.0}  # how far they may be apart is no part of it
@@ -76,15 +79,25 @@ def test_a_limit_of_a_difference_has_the_difference_with_its_sign():
     ["A.x < 3", "A.x > 3 and A.y > 2", "A.x != A.y", "not A.x == A.y", "abs(lowpass(A.x, 100)) < 2 and A.y > 1"],
 )
 def test_of_other_relations_nothing_is_known_of_sizes(holds):
-    assert read(holds, [1.0, 2.0], 1.0, 3.0) is None
+    assert read(holds, [1.0, 2.0]) is None
 
 
 def test_what_no_small_error_can_stand_for_has_no_gain():
-    assert gains(read("max(A.x, A.y) + B.z == 5", [1.0, 2.0, 3.0], 5.0, 5.0)) == {"B.z": 1.0}
-    assert gains(read("rate(A.x) == B.z", [1.0, 2.0], 1.0, 2.0)) == {"B.z": -1.0}
-    assert gains(read("lowpass(A.x, 100) == B.z", [1.0, 2.0], 1.0, 2.0)) == {"A.x": 1.0, "B.z": -1.0}
-    assert read("A.x * A.y == 5", [1.0, 2.0], 2.0, 5.0).gain_error == BENT
+    assert gains(read("max(A.x, A.y) + B.z == 5", [1.0, 2.0, 3.0])) == {"B.z": 1.0}
+    assert gains(read("rate(A.x) == B.z", [1.0, 2.0])) == {"B.z": -1.0}
+    assert gains(read("lowpass(A.x, 100) == B.z", [1.0, 2.0])) == {"A.x": 1.0, "B.z": -1.0}
+    assert read("A.x * A.y == 5", [1.0, 2.0]).gain_error == BENT
 
 
 def test_a_tolerance_of_nothing_says_nothing_of_noise():
-    assert read("A.x == A.y", [1.0, 2.0], 1.0, 2.0, tolerance=0.0) is None
+    assert read("A.x == A.y", [1.0, 2.0], 1.0, 0.0, tolerance=0.0) is None
+
+
+def test_the_noise_is_what_it_was_off_lately_while_it_held():
+    def noise(**lately):
+        return read("A.x == B.y", [9.0, 2.0], 7.0, limit=6.0, **lately).noise
+
+    assert noise(square=0.25, held=99) == 2.0  # not known yet
+    assert noise(square=0.25, held=100) == pytest.approx(1.5)
+    assert noise(square=4.0, held=1000) == 2.0
+    assert noise(square=1e-9, held=1000) == pytest.approx(0.2)

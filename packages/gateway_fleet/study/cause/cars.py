@@ -8,7 +8,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from cantools.database.can.signal import Signal
+
 from gateway.bus.logs import open_writer
+from gateway.monitors.rule.text import compile_text
 from gateway.signals.database import Database, load_database
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.learn.document import BusAsked
@@ -80,16 +83,19 @@ def injected(car: Car) -> Iterator[Injected]:
             if "plausible" in one and one["plausible"][0] >= -40 and one["plausible"][1] < 1000:
                 low, high = one["plausible"]
                 value = high + 0.02 * (high - low)
-                if value > representable(database.signal(*one["signal"].split(".")))[1]:
+                if not _says(database.signal(*one["signal"].split(".")), value, high):
                     continue
                 yield Injected(car, f"value {one['signal']}={value:g}", _signal(name, one["signal"]))
         for rule in monitor.get("rule", ()):
-            left, _, right = rule["holds"].partition(" == ")
-            for side in (left, right.rpartition("* ")[2].split()[0]):
-                signal = side.removeprefix("number(").removesuffix(")").strip("()")
-                if signal.count(".") == 1:
-                    size = 2.5 * rule["tolerance"]
-                    yield Injected(car, f"offset {signal}={size:g}", _signal(name, signal))
+            for signal in compile_text(rule["holds"], lambda _: None).signals if "tolerance" in rule else ():
+                yield Injected(car, f"offset {signal}={2.5 * rule['tolerance']:g}", _signal(name, signal))
+
+
+def _says(signal: Signal, value: float, limit: float) -> bool:
+    """Return whether a signal's bits can say a value, and one beyond a limit if it is rounded to them."""
+    step = 0.0 if signal.is_float else signal.scale
+    carried = signal.offset + round((value - signal.offset) / step) * step if step else value
+    return value <= representable(signal)[1] and carried > limit
 
 
 def _signal(bus: str, name: str) -> Truth:

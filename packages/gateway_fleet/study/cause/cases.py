@@ -8,14 +8,19 @@ says it in words, not as a monitor does.
 from __future__ import annotations
 
 import copy
+import itertools
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from gateway_fdi.common.resources import shipped
+from gateway_fdi.structure.decomposition import overdetermined
+from gateway_fdi.structure.file import load_model
+from gateway_fdi.structure.incidence import counted
+from gateway_fdi.structure.isolability import incidence_of_faults
 
 #: Components, each of which is right: nobody could tell them apart.
 Truth = frozenset[str]
@@ -65,7 +70,15 @@ _SENSORS = {
     "motor": {"f_i": "i", "f_w": "w"},
     "brake": {"f_i": "i", "f_a": "a", "f_F": "c"},
     "cooling": {"f_1": "y1", "f_2": "y2", "f_3": "y3", "f_m": "ym"},
-    "battery": {"f_I": "y_I", "f_V": "y_V", "f_y2": "y2"},
+    "battery": {"f_I": "y_I", "f_V": "y_V", **{f"f_y{k}": f"y{k}" for k in range(1, 5)}},
+}
+#: Residuals that a fault of the steering shows in, as its equations have it (docs/steering.md).
+_SHOWS = {
+    "wheel_angle_offset": {"gear", "rate"},
+    "pinion_angle_offset": {"gear"},
+    "current_offset": {"voltages"},
+    "voltage_offset": {"voltages"},
+    "motor_angle": {"gear", "voltages", "increments"},  # however it fails
 }
 #: Kind of a fault of the steering -> its component.
 _STEERING = {
@@ -106,11 +119,16 @@ def _bus(base: str) -> str:
 
 def _structural(plant: str) -> Iterator[Fault]:
     base = f"{plant}_faults"
-    sent = {known: f"{m['name']}.{s}" for m in read(base)["ecu"][0]["message"] for s, known in m["signals"].items()}
     for entry in read(base)["fault"]:
-        known = _SENSORS[plant].get(entry["name"])
-        part = f"signal {_bus(base)}.{sent[known]}" if known else f"plant {plant}.{entry['name']}"
-        yield Fault(plant, base, entry["name"], entry, _one(part))
+        yield Fault(plant, base, entry["name"], entry, _structural_part(plant, entry["name"]))
+
+
+def _structural_part(plant: str, fault: str) -> Truth:
+    """Return the component that a fault of a model is of."""
+    base = f"{plant}_faults"
+    sent = {known: f"{m['name']}.{s}" for m in read(base)["ecu"][0]["message"] for s, known in m["signals"].items()}
+    known = _SENSORS[plant].get(fault)
+    return _one(f"signal {_bus(base)}.{sent[known]}" if known else f"plant {plant}.{fault}")
 
 
 def _linear(plant: str) -> Iterator[Fault]:
@@ -133,9 +151,10 @@ def _steering() -> Iterator[Fault]:
 
 def _truck() -> Iterator[Fault]:
     for kind, truth in _TRUCK.items():
-        base = f"truck_{kind}"
-        for entry in read(base)["fault"]:
-            yield Fault("truck", base, kind, {**entry, "to_s": read(base)["duration_s"]}, truth)
+        own = read(f"truck_{kind}")
+        base = next(b for b in map("truck_{}".format, _TRUCK) if read(b)["ecu"] == own["ecu"])  # of the same drive
+        for entry in own["fault"]:
+            yield Fault("truck", base, kind, {**entry, "to_s": own["duration_s"]}, truth)
 
 
 def _pedal() -> Iterator[Fault]:
@@ -207,6 +226,64 @@ def faults() -> list[Fault]:
     found = [fault for plant in _SENSORS for fault in _structural(plant)]
     found += [fault for plant in _LINEAR for fault in _linear(plant)]
     return [*found, *_steering(), *_truck(), *_pedal(), *_signals(), *_restbus()]
+
+
+def alike(one: Fault, other: Fault) -> frozenset[Truth]:
+    """Return what explains all that two faults do, whatever their sizes and courses: other parts, two at most.
+
+    By the structure of the model (Krysander, Frisk 2008): without the equations that these parts stand in, nothing
+    overdetermined is left that one of the two faults stands in. Where residuals are known instead of a model: these
+    parts stand in all in which the faults show.
+    """
+    if one.plant in _SENSORS:
+        found = _alike_in_model(one.plant, {one.name, other.name})
+    else:
+        shows, stands = _residuals(one.plant)
+        if not {one.name, other.name} <= shows.keys():
+            return frozenset()
+        seen = shows[one.name] | shows[other.name]
+        found = {parts for parts in _some(stands) if seen <= frozenset().union(*(stands[part] for part in parts))}
+    own = set(itertools.product(one.truth, other.truth))
+    whole = {frozenset(parts) for parts in found} - {frozenset(parts) for parts in own}
+    return frozenset(parts for parts in whole if not any(less < parts for less in whole))
+
+
+def _alike_in_model(plant: str, own: set[str]) -> set[tuple[str, ...]]:
+    model = load_model(shipped(f"models/{plant}.toml"))
+    where = dict(zip(model.faults, incidence_of_faults(model).T, strict=True))
+    mine = np.any([where[name] for name in own], axis=0)
+
+    def explain(names: tuple[str, ...]) -> bool:
+        without = ~np.any([where[name] for name in names], axis=0)
+        return not (overdetermined(counted(model), without) & mine).any()
+
+    part = {name: next(iter(_structural_part(plant, name))) for name in model.faults}
+    return {tuple(part[name] for name in names) for names in _some(model.faults) if explain(names)}
+
+
+def _residuals(plant: str) -> tuple[dict[str, Truth], dict[str, Truth]]:
+    """Return the residuals in which each fault shows, and in which each part stands; none: they are not known."""
+    shows: dict[str, Truth] = {}
+    stands: dict[str, Truth] = {}
+    for fault in _steering() if plant == "steering" else _pedal() if plant == "pedal" else ():
+        if plant == "steering":
+            name = "motor_angle" if fault.name.startswith("motor_angle") else fault.name
+            shown = {part: frozenset(_SHOWS[name]) for part in fault.truth}
+        elif fault.base == "pedal_faults":  # two channels are compared; what is out of range shows by itself
+            out = fault.entry["kind"].startswith("short")
+            shown = {part: frozenset({"two", part} if out else {"two"}) for part in fault.truth}
+        else:
+            continue
+        shows[fault.name] = frozenset().union(*shown.values())
+        for part, residuals in shown.items():
+            stands[part] = stands.get(part, frozenset()) | residuals
+    return shows, stands
+
+
+def _some(names: Iterable[str]) -> Iterator[tuple[str, ...]]:
+    """Yield one or two of some faults."""
+    listed = list(names)
+    return itertools.chain(((name,) for name in listed), itertools.combinations(listed, 2))
 
 
 def drawn(fault: Fault, rng: np.random.Generator) -> dict[str, Any]:

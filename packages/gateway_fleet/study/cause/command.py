@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
+from gateway.common.extras import need
 from gateway_fleet.study.cause.cars import learned
 from gateway_fleet.study.cause.matrix import Job, Row, done, folder_of, healthy, pairs, singles
 
@@ -24,7 +25,8 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
         "healthy": list(healthy(range(seed, seed + healthy_runs))),
     }
     console = wide_console()
-    with Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), console=console) as progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, console=console, disable=json) as progress:
         rows: dict[str, list[Row]] = {}
         for kind, jobs in kinds.items():
             task = progress.add_task(kind, total=len(jobs))
@@ -33,8 +35,21 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
         print_json({"seed": seed, **{kind: [asdict(row) for row in some] for kind, some in rows.items()}})
         return 0
     for kind, some in rows.items():
+        apart = [row for row in some if row.verdict.told_apart]
         if some:
             console.print(_table(kind, some))
+        if len(apart) < len(some):
+            console.print(_table(f"{kind} that the models' structure tells apart", apart))
+    return 0
+
+
+def draw(figures: Path, work: Path) -> int:
+    """Draw the pictures of docs/cause.md; returns the exit code."""
+    need("plot", "pictures", key="--figures")
+    from gateway_fleet.study.cause.figures import draw_all  # noqa: PLC0415 - matplotlib is slow to load
+
+    for path in draw_all(figures, folder_of(work)):
+        wide_console().print(path)
     return 0
 
 

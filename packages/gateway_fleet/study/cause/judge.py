@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,8 @@ class Verdict:
     Attributes:
         before: a cause was told, or a fault failed, before any was there.
         seen: a test failed while the fault was there.
-        place: of the truth among diagnoses, 1: the first; 0: it is none of them.
+        place: of the truth among diagnoses, but for what is alike, 1: the first; 0: it is none of them.
+        told_apart: nothing is alike: by the model's structure no other parts explain all that these faults do.
         alone: it is the first, and nothing else has a tenth of its probability.
         cause: it is told as the cause, and nothing else.
         healthy: healthy components that were told as a cause at some time.
@@ -34,29 +35,44 @@ class Verdict:
     before: bool
     seen: bool
     place: int
+    told_apart: bool
     alone: bool
     cause: bool
     healthy: tuple[str, ...]
     last: str
 
 
-def judge(told: Sequence[Told], truths: Sequence[Truth], begin_s: float, end_s: float) -> Verdict:
-    """Judge what was told of faults that were there from one time to another."""
+def judge(
+    told: Sequence[Told],
+    truths: Sequence[Truth],
+    begin_s: float,
+    end_s: float,
+    alike: Collection[Truth] = (),
+) -> Verdict:
+    """Judge what was told of faults that were there from one time to another.
+
+    Args:
+        told: what was told.
+        truths: of each fault.
+        begin_s: when the first of them begins [s].
+        end_s: when the last one ends [s].
+        alike: other parts that explain all that the faults do.
+    """
     during = [one for one in told if begin_s <= one.t_s <= end_s and one.groups]
     before = any(one.t_s < begin_s and one.groups for one in told)
     right = frozenset().union(*truths)
     causes = {name for one in during for group in one.groups for name in group["cause"] or ()}
     healthy = tuple(sorted(causes - right))
     if not during:
-        return Verdict(before, False, 0, False, False, healthy, "")
+        return Verdict(before, False, 0, not alike, False, False, healthy, "")
     groups = during[-1].groups
-    weighed = _together(groups)
+    weighed = [one for one in _together(groups) if one[0] not in alike]
     places = [k for k, chosen in enumerate((chosen for chosen, _ in weighed), 1) if _is(chosen, truths)]
     whole = [group["cause"] for group in groups]
     near = [chosen for chosen, p in weighed if p >= _TENTH * weighed[0][1]]
-    alone = all(_is(chosen, truths) for chosen in near)
+    alone = bool(near) and all(_is(chosen, truths) for chosen in near)
     cause = None not in whole and _is(frozenset(itertools.chain.from_iterable(whole)), truths)
-    return Verdict(before, True, places[0] if places else 0, alone, cause, healthy, _text(groups))
+    return Verdict(before, True, places[0] if places else 0, not alike, alone, cause, healthy, _text(groups))
 
 
 def _is(chosen: frozenset[str], truths: Sequence[Truth]) -> bool:

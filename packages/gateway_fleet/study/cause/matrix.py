@@ -10,7 +10,7 @@ import numpy as np
 
 from gateway_bench import study_pool as pool
 from gateway_fleet.study.cause.cars import BEGIN_S, END_S, Car, Injected, injected
-from gateway_fleet.study.cause.cases import Fault, drawn, faults, read
+from gateway_fleet.study.cause.cases import Fault, alike, drawn, faults, read
 from gateway_fleet.study.cause.drive import diagnoses, played, recorded
 from gateway_fleet.study.cause.judge import Verdict, judge
 
@@ -69,7 +69,8 @@ def run(job: Job) -> list[Row]:
         entries[1]["to_s"] = entries[0]["to_s"] = round(later + _LONGER * max(first.lasts_s, second.lasts_s), 3)
     begin, end = min(one["from_s"] for one in entries), max(one["to_s"] for one in entries)
     told = diagnoses(*played(job.faults[0].base, entries, end, job.seed))
-    return [Row(job.plant, job.name, job.seed, end, judge(told, [f.truth for f in job.faults], begin, end))]
+    same = alike(*job.faults) if len(job.faults) > 1 else ()
+    return [Row(job.plant, job.name, job.seed, end, judge(told, [f.truth for f in job.faults], begin, end, same))]
 
 
 def _of_car(job: Job, rng: np.random.Generator) -> Row:

@@ -96,7 +96,7 @@ class _Made:
             prepare=self._prepare,  # type: ignore[arg-type]
             faults=self._faults,  # type: ignore[arg-type]
             capabilities=(
-                Behind(lambda _: behind(self.model, plan), lambda s: levels(plan, s)),
+                Behind(lambda _: behind(self.model, plan), lambda _, s: levels(plan, s)),
                 Blames(lambda _: blames(self.model, plan)),
                 CusumCalibration(
                     quantities=tuple((name, name) for name in names),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 from gateway.monitors.contract import VAGUE, Blame, Debounce, Fault
 
 #: Faults by their place: those of the structural model in its order, and what is not isolated.
@@ -51,3 +53,18 @@ BLAMES["unisolated"] = (
     *dict.fromkeys(one._replace(share=VAGUE) for blamed in BLAMES.values() for one in blamed),
     Blame("model", "model"),
 )
+
+#: How likely a test fires if a fault is there that it sees.
+_FIRES = 0.8
+
+
+def behind(seen: Mapping[str, Iterable[str]]) -> dict[str, list[Blame]]:
+    """Return whom each test blames: the parts of the faults that it sees, by their names in the structural model."""
+    parts = dict(zip(STRUCTURAL, (blamed[0] for name, blamed in BLAMES.items() if name != "unisolated"), strict=True))
+    return {
+        test: [
+            *dict.fromkeys(parts[f]._replace(share=_FIRES) for f in STRUCTURAL if f in faults),
+            Blame("model", "model"),
+        ]
+        for test, faults in seen.items()
+    }

@@ -6,7 +6,13 @@ and no others, have fired: no other fault has that column.
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
+import numpy as np
+
 from gateway_fdi.isolation import machine, table
+from gateway_fdi.masks import unpack
 from gateway_fdi.structure.model import Model
 from gateway_plants.truck.monitor.faults import STRUCTURAL
 
@@ -38,6 +44,23 @@ class State(machine.State, lengths=_LENGTHS):
     """State."""
 
 
+def seen_by(model: Model, system: str) -> dict[str, set[str]]:
+    """Return the faults that stand in the equations of each test of a system."""
+    return {
+        test: {f for e in model.residuals[test].equations for f in model.by_name[e].faults} for test in TESTS[system]
+    }
+
+
+def levels(state: Any) -> list[float]:
+    """Return the levels of the tests that have fired, 1 at least; NaN of others, for use alone may have them silent.
+
+    Args:
+        state: record of State of the monitor.
+    """
+    fired = unpack(np.asarray(state["isolation"]["fired"])[None, :], MOST_TESTS)[0]
+    return [max(float(level), 1.0) if up else math.nan for level, up in zip(state["level"], fired, strict=True)]
+
+
 def prepare(s: State, c: Const, model: Model, system: str, settle_s: float) -> None:
     """Fill state and constants from the faults that stand in the equations of the tests' sets.
 
@@ -48,7 +71,7 @@ def prepare(s: State, c: Const, model: Model, system: str, settle_s: float) -> N
         system: of TESTS.
         settle_s: with RDS, use of the machine without a further test, before a fault is named [s].
     """
-    faults = [{f for e in model.residuals[test].equations for f in model.by_name[e].faults} for test in TESTS[system]]
+    faults = [*seen_by(model, system).values()]
     signatures = [[k for k, seen in enumerate(faults) if fault in seen] for fault in STRUCTURAL]
     alone = [[k] for k in range(len(STRUCTURAL))]
     table.prepare(c, signatures, alone, tests=len(TESTS[system]), size=len(STRUCTURAL), must=signatures)

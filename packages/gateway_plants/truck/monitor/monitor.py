@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from gateway.monitors.contract import (
     TIMER,
+    Behind,
+    Blame,
     Blames,
     CusumCalibration,
     Evidence,
@@ -21,9 +23,11 @@ from gateway.monitors.contract import (
     Readout,
     Sampled,
 )
+from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import kernel
+from gateway_fdi.structure.file import load_model
 from gateway_plants.truck.monitor import alignment, blanking, decision, gate, isolation, motion, observer, static
-from gateway_plants.truck.monitor.faults import BLAMES, faults_of
+from gateway_plants.truck.monitor.faults import BLAMES, behind, faults_of
 from gateway_plants.truck.monitor.generated import t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t6, t7
 from gateway_plants.truck.monitor.messages import Inputs, connect, sampling
 from gateway_plants.truck.monitor.params import QUANTITIES, Params
@@ -37,6 +41,10 @@ SENT = 10
 
 def _faults(p: Params) -> tuple[Fault, ...]:
     return faults_of(isolation.TESTS[p.system])
+
+
+def _behind(p: Params) -> dict[str, list[Blame]]:
+    return behind(isolation.seen_by(load_model(shipped("models/truck.toml")), p.system))
 
 
 @kernel
@@ -86,6 +94,7 @@ MONITOR = Monitor(
     faults=_faults,
     emits=decision.emits,
     capabilities=(
+        Behind(_behind, lambda _, s: isolation.levels(s)),
         Blames(lambda _: BLAMES),
         CusumCalibration(
             quantities=(*((name, residual) for name, residual, _ in QUANTITIES), ("T7", "")),

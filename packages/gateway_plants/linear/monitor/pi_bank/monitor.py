@@ -14,6 +14,7 @@ from typing import Annotated, Any
 from gateway.monitors.contract import (
     TIMER,
     VAGUE,
+    Behind,
     Blame,
     Blames,
     Debounce,
@@ -30,6 +31,7 @@ from gateway.monitors.contract import (
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway_plants.linear.model_set import decision
 from gateway_plants.linear.monitor import plant as linear_plant
+from gateway_plants.linear.monitor.pi_bank import window
 from gateway_plants.linear.monitor.pi_bank.params import Params
 from gateway_plants.linear.monitor.plant import AMBIGUOUS, COMMAND, FINDING, UNDECIDED
 from gateway_plants.linear.monitor.refine import found, wanted
@@ -53,6 +55,7 @@ class State(Record):
     sampling: linear_plant.State = means("samples off the bus")
     isolation: isolation.State = means("decisions on the bank")
     models: decision.State = means("with model_error: the model set")
+    window: window.State = means("parity window of the last samples")
     missing: i8 = means("samples that did not come")
     restarts: i8 = means("times that all began anew")
     active: i8 = means("observer or hypothesis in use")
@@ -113,6 +116,28 @@ def _blames(p: Params) -> dict[str, list[Blame]]:
     found = {f"actuator_{part.name}": [actuators[part.name], Blame(part.signal, share=0.05)] for part in p.input}
     found |= {f"sensor_{name}": [one] for name, one in sensors.items()}
     return found | {"unexplained": [*every, Blame("model", "model")]}
+
+
+#: How likely a window shows a fault that may be in it.
+_SHOWS = 0.8
+
+
+def _behind(p: Params) -> dict[str, list[Blame]]:
+    """Return whom each test of a window blames: all parts but those that it leaves out."""
+    parts = [*(Blame(part.signal, "actuator") for part in p.input), *(Blame(part.signal) for part in p.output)]
+    model = Blame("model", "model")
+    named = [*(part.name for part in p.input), *p.sensor_names]
+    return {
+        f"without {' and '.join(named[k] for k in apart) or 'none'}": [
+            *(one._replace(share=_SHOWS) for k, one in enumerate(parts) if k not in apart),
+            model,
+        ]
+        for apart in (p.windows.apart if p.windows is not None else ())
+    }
+
+
+def _levels(p: Params, s: Any) -> list[float]:
+    return [] if p.windows is None else p.windows.levels(s["window"])
 
 
 def _prepare(p: Params, s: State, c: Const) -> None:
@@ -242,6 +267,7 @@ def step(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record])
     _skip(s, c, u, steps)
     lost = _lost(s, c, steps, u)
     linear_plant.heard_all(s.sampling, c.sampling)
+    window.keep(s.window, u.y, s.sampling.u, steps == 1 and not lost)
     x = s.isolation
     s.reason = 0
     if c.logic == MODELS:
@@ -311,6 +337,7 @@ MONITOR = Monitor(
     prepare=_prepare,
     faults=_faults,
     capabilities=(
+        Behind(_behind, _levels),
         Blames(_blames),
         Readout(("active", "sensor", "missing", "restarts", "commands_lost", "untested", "reason", "nonlinear")),
         Refinement(_wanted, _found),

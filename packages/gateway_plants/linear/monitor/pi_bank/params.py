@@ -7,9 +7,11 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from gateway_plants.linear.mathematics.plant import unobservable
+from gateway_plants.linear.monitor.pi_bank.window import Windows, windows_of
 from gateway_plants.linear.monitor.uncertain import UncertainPlantParams
 from gateway_plants.linear.pi_bank.design import Observer, check, design
 
@@ -73,3 +75,11 @@ class Params(UncertainPlantParams):
             given = [complex(*pole) if isinstance(pole, tuple) else complex(pole) for pole in self.poles]
             poles = tuple(exp(pole * self.sample_ms * 1e-3) for pole in given)
         return design(self.plant, self.noise, poles)
+
+    @cached_property
+    def windows(self) -> Windows | None:
+        """Tests of each two parts; None: the matrices are not taken as exact."""
+        if self.decided_by == "models":
+            return None
+        noise = np.array([part.noise for part in self.output])
+        return windows_of(self.plant, noise, np.diag(np.array(self.disturbance) ** 2 * self.plant.period))
