@@ -208,9 +208,17 @@ def _begin(s: Numbers, arrived_ns: int) -> None:
 
 
 @kernel
+def periods_in(apart_ns: int, period_ns: int) -> int:
+    """Return how many periods a time is, rounded; one, as nearly always, without a division."""
+    if period_ns <= 2 * apart_ns < 3 * period_ns:
+        return 1
+    return int((2 * apart_ns + period_ns) // (2 * period_ns))
+
+
+@kernel
 def _by_clock(s: Numbers, arrived_ns: int, period_ns: int) -> int:
     """Return the periods from the frame before to this one, by their times alone: at least one."""
-    steps = max((2 * (arrived_ns - s.arrived_ns) + period_ns) // (2 * period_ns), 1)
+    steps = max(periods_in(arrived_ns - s.arrived_ns, period_ns), 1)
     _begin(s, arrived_ns)
     return int(steps)
 
@@ -280,7 +288,7 @@ def _follows(s: Numbers, c: Const, counter: float) -> bool:
 @kernel
 def _next(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
     """Take a frame that comes next and in time, as nearly all do; tells whether it is one: else nothing is changed."""
-    if s.settled < SETTLES or s.rounds != 0 or s.top < LEAST - 1 or c.counted == 0 or not _follows(s, c, counter):
+    if s.settled < SETTLES or s.rounds != 0 or s.top < LEAST - 1 or not _follows(s, c, counter):
         return False
     due_ns = s.date_ns + c.period_ns
     if not c.early_ns <= arrived_ns - due_ns < c.late_ns:
@@ -309,13 +317,14 @@ def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
         arrived_ns: when the frame came.
         counter: of the frame; NaN: it has none.
     """
-    if _next(s, c, arrived_ns, counter):
+    uncounted = c.counted == 0 or math.isnan(counter)
+    if not uncounted and _next(s, c, arrived_ns, counter):
         return 1
     s.seen += 1
     if s.seen == 1:
         _begin(s, arrived_ns)
         steps = 1
-    elif c.counted == 0 or math.isnan(counter) or arrived_ns - s.arrived_ns > c.oldest * c.period_ns:
+    elif uncounted or arrived_ns - s.arrived_ns > c.oldest * c.period_ns:
         steps = _by_clock(s, arrived_ns, c.period_ns)
     else:
         steps = _steps(s, c, arrived_ns, counter)
@@ -337,7 +346,7 @@ def _gap(s: Any, c: Const, t_ns: int) -> int:
         if s.fresh & ~s.missing & (1 << k):
             gap = max(gap, s.numbers[k].number - s.taken[k])
     if gap == 0:
-        gap = (2 * (t_ns - s.last_ns) + c.period_ns) // (2 * c.period_ns)
+        gap = periods_in(t_ns - s.last_ns, c.period_ns)
     return int(max(gap, 1))
 
 
