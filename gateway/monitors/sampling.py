@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from gateway_fdi.jit import Record, f8, i8, i8s, kernel, means
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 
 #: Messages that a sample can come in, and sets of one counter that are collected at the same time.
 MOST_MESSAGES, MOST_DEPTH = 52, 16
@@ -64,6 +64,8 @@ class Sampling:
         between: with "clock" and several messages, what a value is at a multiple of the period: "held", the newest one;
             "interpolated", on the line between two frames. None: each frame is a sample.
         age_ms: of the oldest value that is held, or of a part of a set; the longest time over which a line goes.
+        cycles: with "held", of each message's usual time between two frames, the age of the oldest value as well, where
+            that is more than three periods; inf: ``age_ms`` alone.
         ordered: of a set the message of its last input completes it; what has not come by then is missing.
         inputs: fields of the inputs that make a sample; (): all whose signals trigger. A monitor can have several
             samplings, each of other fields.
@@ -79,6 +81,7 @@ class Sampling:
     spare: bool = False
     between: Literal["held", "interpolated"] | None = None
     age_ms: float = math.inf
+    cycles: float = math.inf
     ordered: bool = False
     inputs: tuple[str, ...] = ()
 
@@ -108,6 +111,7 @@ class Const(Record):
     grid: i8 = means("1: a sample at each multiple of the period")
     lines: i8 = means("1: of values on the line between two frames")
     age_ns: i8 = means("of the oldest value", "ns")
+    cycles: f8 = means("of a message, the age of the oldest value; 0: age_ns alone")
     ordered: i8 = means("1: the last message completes a set")
     depth: i8 = means("sets that are collected at the same time; 0: a sample is what has come once more")
 
@@ -141,9 +145,9 @@ class State(Record, lengths={"messages": 1}):
     """State.
 
     ``fresh``: bits of the messages that have come since the last sample; ``taken``: number that each had in it;
-    ``came_ns``: when each came last. ``missing``: bits of the messages that are missing in the sample, ``away``:
-    until they come again; ``gap``: periods from the sample before to this one; ``overtaken``: frames that came too late
-    to be one.
+    ``came_ns``: when each came last, ``usual_ns``: between two of its frames. ``missing``: bits of the messages that
+    are missing in the sample, ``away``: until they come again; ``gap``: periods from the sample before to this one;
+    ``overtaken``: frames that came too late to be one.
 
     By counter: ``have``: bits of the messages that have come of each set, whose ``number`` it is; ``place``: of the
     frame's set among them; ``last``: number of the newest sample, ``newest``: of all frames, which have ``begun`` to
@@ -153,6 +157,7 @@ class State(Record, lengths={"messages": 1}):
     numbers: Annotated[list[Numbers], "messages"]
     taken: Annotated[i8s, "messages"]
     came_ns: Annotated[i8s, "messages"]
+    usual_ns: Annotated[f8s, "messages"]
     heard_ns: i8
     begun_ns: i8
     last_ns: i8
@@ -188,6 +193,7 @@ def prepare(c: Const, sampling: Sampling, messages: int) -> None:
     c.period_ns = round(sampling.period_ms * 1e6)
     c.window_ns, c.age_ns = _ns(sampling.window_ms), _ns(sampling.age_ms)
     c.ordered = sampling.ordered
+    c.cycles = 0.0 if math.isinf(sampling.cycles) else sampling.cycles
     c.grid, c.lines = sampling.between is not None, sampling.between == "interpolated"
     c.oldest = max(round(sampling.oldest_ms / sampling.period_ms), 1)
     c.modulo = sampling.modulo

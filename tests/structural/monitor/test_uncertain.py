@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from amount import FULL
 from structural_config import named, notes
@@ -39,6 +40,33 @@ def test_a_plant_that_is_off_has_no_code_and_its_faults_their_names(tmp_path, pl
         for fault in plant.faults:
             rows = as_bought(plant, run(plant, plant.seconds, seed + 1, fault, 0.5 * plant.seconds, p), seed)
             assert named(config, frames_of(plant, rows))[-1:] == [plant.groups.get(fault, fault)], fault
+
+
+def read_early(plant, seconds, seed, known, parts, fault="", onset=0.0):
+    """What the signals are where one of them is read so many tenths of a period before the others."""
+    fine = replace(plant, period_s=plant.period_s / 10, noise=(0.0,) * len(plant.knowns))
+    rows, at = run(fine, seconds, seed, fault, onset), np.arange(0, round(seconds / fine.period_s), 10)
+    found, column = rows[at].copy(), plant.knowns.index(known)
+    found[:, column] = rows[np.maximum(at - parts, 0), column]
+    return found + np.random.default_rng(seed).normal(size=found.shape) * np.array(plant.noise)
+
+
+@compiled
+def test_a_sensor_that_is_late_is_followed_and_nobody_is_at_fault(tmp_path):
+    """By 7 of the 10 ms that it may be."""
+    seed = 45_100
+    print("seed", seed)
+    config = configuration(MOTOR, tmp_path, MOTOR.told.replace("bias = 0.5", 'bias = 0.5, lag = "10 ms"'))
+    calibrated(config, *(frames_of(MOTOR, run(MOTOR, 60.0, k)) for k in (1, 2)))
+    assert named(config, frames_of(MOTOR, read_early(MOTOR, 60.0, seed, "w", 7))) == []
+    faulty = read_early(MOTOR, 60.0, seed + 1, "w", 7, "f_w", 30.0)
+    gateway = Gateway(load_config(config), None, file=config)
+    gateway.start(int(frames_of(MOTOR, faulty)[0]["t_ns"]))
+    gateway.feed(frames_of(MOTOR, faulty))
+    state = gateway.engine.state_of(gateway.engine.place_of("own"))[0]
+    assert state["off_w_lag"] == pytest.approx(7.0, abs=2.0)  # the moment of inertia may be off as well
+    gateway.close()
+    assert named(config, frames_of(MOTOR, faulty)) == ["f_w"]
 
 
 @compiled
@@ -79,6 +107,8 @@ def test_what_ages_within_its_bound_has_no_code_and_a_jump_has(tmp_path):
         ("uncertain = { R = 2.0 }", r"uncertain.R = .*less than 1"),
         ("sensors = { x = { gain = 0.1 } }", r"sensors.x = 'x': the known variables are u, i, w"),
         ('sensors = { i = { bias = "-1 A" } }', r"sensors.i.bias = .*write a size above 0 with its unit"),
+        ('sensors = { i = { lag = "80 ms" } }', r"sensors.i.lag = .*period_ms = 10 a lag of at most 70 ms"),
+        ('sensors = { i = { lag = "1 s" } }', r'sensors.i.lag = .*its unit is "ms"'),
         ("sensors = { i = { offset = 1.0 } }", r"sensors.i.offset"),
     ],
 )

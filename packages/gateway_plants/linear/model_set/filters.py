@@ -1,8 +1,8 @@
 """Kalman filters of one linear plant under different hypotheses, each with the plant's own errors as slow states.
 
-State z = [x; theta; a; l; s; g]: the plant's state; the errors of its uncertain entries; of each actuator an offset a
-and a relative gain l; of each sensor an offset s and, where a sensor's accuracy is told so, by how much its gain g is
-off:
+State z = [x; theta; a; l; s; g; lag]: the plant's state; the errors of its uncertain entries; of each actuator an
+offset a and a relative gain l; of each sensor an offset s and, where a sensor's accuracy is told so, by how much its
+gain g is off, and by how many periods it is late (:mod:`.alignment`):
 
     x(k+1) = Phi(theta) x + Gamma(theta) (u + a + diag(l) u) + w,     y = (1 + diag(g)) C x + s + v
 
@@ -39,12 +39,12 @@ from math import log, pi, sqrt
 from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
-from gateway_plants.linear.model_set import matrices
+from gateway_plants.linear.model_set import alignment, matrices
 from gateway_plants.linear.model_set.matrices import MOST_ENTRIES, MOST_HYPOTHESES
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 
 #: Slow states; all states.
-MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + 2 * MOST_OUTPUTS
+MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + 3 * MOST_OUTPUTS
 MOST = MOST_STATES + MOST_SLOW
 #: Kinds of hypotheses.
 HEALTHY, OFFSET, GAIN, SENSOR, SILENT, VARYING = range(6)
@@ -65,7 +65,7 @@ class Const(Record):
     """Constants.
 
     ``n``, ``m``, ``p``, ``q``: states, inputs, outputs, uncertain entries; ``total``: states with slow ones; ``gains``:
-    1: with the sensors' gains.
+    1: with the sensors' gains; ``lag``: place of the first sensor's lag, 0: none is late.
     ``relative``: 1 over the square of each entry. ``keep``, ``prior``: of slow states, what a sample leaves of them and
     their variance; ``vary``: what a sample leaves of entries that vary; ``drive``, ``free``: of a slow state that a
     hypothesis lets go: variance of a sample's change, and of a jump; ``loose``: share of the latter that a fault which
@@ -79,6 +79,8 @@ class Const(Record):
     q: i8
     total: i8
     gains: i8
+    lag: i8
+    alignment: alignment.Const
     plant: matrices.Const
     hypotheses: i8
     kind: Annotated[i8s, MOST_HYPOTHESES]
@@ -110,6 +112,7 @@ class State(Record):
     entries vary, under every hypothesis.
     """
 
+    aligned: alignment.State
     z: Annotated[f8s, MOST_HYPOTHESES, MOST]
     cov: Annotated[f8s, MOST_HYPOTHESES, MOST, MOST]
     plant: matrices.State
@@ -236,6 +239,8 @@ def _expected(s: State, c: Const, h: int, j: int) -> float:
     shown = _shown(s, c, h, j)
     if c.gains == 1:
         shown *= 1.0 + s.z[h, place + c.p]
+    if c.lag > 0:
+        shown += (s.aligned.point[j] - s.z[h, c.lag + j]) * s.aligned.slope[j]
     return float(s.z[h, place] + shown)
 
 
@@ -257,6 +262,8 @@ def _seen(s: State, c: Const, h: int, j: int) -> float:
         by_state += c.c[j, i] * s.gain[i]
     if c.gains == 1:
         by_state = by_state * (1.0 + s.z[h, place + c.p]) + s.gain[place + c.p] * _shown(s, c, h, j)
+    if c.lag > 0:
+        by_state -= s.gain[c.lag + j] * s.aligned.slope[j]
     return float(by_state + s.gain[place])
 
 
@@ -274,8 +281,10 @@ def _show(s: State, c: Const, h: int, j: int) -> float:
         value = value * scale + s.cov[h, r, place]
         if c.gains == 1:
             value += s.cov[h, r, place + c.p] * shown
+        if c.lag > 0:
+            value -= s.cov[h, r, c.lag + j] * s.aligned.slope[j]
         s.gain[r] = value
-    return float(c.r[j] + _seen(s, c, h, j))
+    return float(c.r[j] + s.aligned.extra[j] + _seen(s, c, h, j))
 
 
 @kernel(inlined=False)
