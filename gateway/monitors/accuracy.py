@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import BeforeValidator, Field, PlainSerializer, PlainValidator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, PlainValidator
 
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.structure.units import differ
@@ -73,3 +73,11 @@ class Accuracy(StrictModel):
 
     gain: Share | None = Field(None, description='of its reading, as "0.5 %"')
     bias: SizeText | None = Field(None, description='in the unit of the known variable, as "0.1 V"')
+
+
+class LateAccuracy(Accuracy):
+    """By how much it may also be late, or early."""
+
+    lag: Annotated[SizeText, AfterValidator(in_unit("ms"))] | None = Field(
+        None, description='by how much older, or newer, its reading may be than the others, as "5 ms"; followed'
+    )

@@ -20,7 +20,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-from gateway_fdi.jit import Record, f8, i8, i8s, kernel, means
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 
 #: Messages that a sample can come in, and sets of one counter that are collected at the same time.
 MOST_MESSAGES, MOST_DEPTH = 52, 16
@@ -64,6 +64,8 @@ class Sampling:
         between: with "clock" and several messages, its value at a multiple of the period: "held", the newest one;
             "interpolated", on the line between two frames. None: each frame is a sample.
         age_ms: of the oldest value that is held, or of a part of a set; the longest time over which a line goes.
+        cycles: with "held", of each message's usual time between two frames, the age of the oldest value as well, where
+            that is more than three periods; inf: ``age_ms`` alone.
         ordered: of a set the message of its last input completes it; values that have not come by then are missing.
         inputs: fields of the inputs that make a sample; (): all whose signals trigger. A monitor can have several
             samplings, each of other fields.
@@ -79,6 +81,7 @@ class Sampling:
     spare: bool = False
     between: Literal["held", "interpolated"] | None = None
     age_ms: float = math.inf
+    cycles: float = math.inf
     ordered: bool = False
     inputs: tuple[str, ...] = ()
 
@@ -108,6 +111,7 @@ class Const(Record):
     grid: i8 = means("1: a sample at each multiple of the period")
     lines: i8 = means("1: of values on the line between two frames")
     age_ns: i8 = means("of the oldest value", "ns")
+    cycles: f8 = means("of a message, the age of the oldest value; 0: age_ns alone")
     ordered: i8 = means("1: the last message completes a set")
     depth: i8 = means("sets that are collected at the same time; 0: a sample is what has come once more")
 
@@ -136,6 +140,7 @@ class State(Record, lengths={"messages": 1}):
     numbers: Annotated[list[Numbers], "messages"] = means("which sample each message's newest frame carries")
     taken: Annotated[i8s, "messages"] = means("number that each message had in the last sample")
     came_ns: Annotated[i8s, "messages"] = means("when each message came last; 0: never", "ns")
+    usual_ns: Annotated[f8s, "messages"] = means("usual time between two frames of each message", "ns")
     heard_ns: i8 = means("when any message came last", "ns")
     begun_ns: i8 = means("when the first frame came; 0: none has", "ns")
     last_ns: i8 = means("when the last sample was taken", "ns")
@@ -171,6 +176,7 @@ def prepare(c: Const, sampling: Sampling, messages: int) -> None:
     c.period_ns = round(sampling.period_ms * 1e6)
     c.window_ns, c.age_ns = _ns(sampling.window_ms), _ns(sampling.age_ms)
     c.ordered = sampling.ordered
+    c.cycles = 0.0 if math.isinf(sampling.cycles) else sampling.cycles
     c.grid, c.lines = sampling.between is not None, sampling.between == "interpolated"
     c.oldest = max(round(sampling.oldest_ms / sampling.period_ms), 1)
     c.modulo = sampling.modulo
@@ -191,9 +197,17 @@ def _begin(s: Numbers, arrived_ns: int) -> None:
 
 
 @kernel
+def periods_in(apart_ns: int, period_ns: int) -> int:
+    """Return how many periods a time is, rounded; one, as nearly always, without a division."""
+    if period_ns <= 2 * apart_ns < 3 * period_ns:
+        return 1
+    return int((2 * apart_ns + period_ns) // (2 * period_ns))
+
+
+@kernel
 def _by_clock(s: Numbers, arrived_ns: int, period_ns: int) -> int:
     """Return the periods from the frame before to this one, by their times alone: at least one."""
-    steps = max((2 * (arrived_ns - s.arrived_ns) + period_ns) // (2 * period_ns), 1)
+    steps = max(periods_in(arrived_ns - s.arrived_ns, period_ns), 1)
     _begin(s, arrived_ns)
     return int(steps)
 
@@ -263,7 +277,7 @@ def _follows(s: Numbers, c: Const, counter: float) -> bool:
 @kernel
 def _next(s: Numbers, c: Const, arrived_ns: int, counter: float) -> bool:
     """Take a frame that comes next and in time, as nearly all do; returns whether it does: else nothing changes."""
-    if s.settled < SETTLES or s.rounds != 0 or s.top < LEAST - 1 or c.counted == 0 or not _follows(s, c, counter):
+    if s.settled < SETTLES or s.rounds != 0 or s.top < LEAST - 1 or not _follows(s, c, counter):
         return False
     due_ns = s.date_ns + c.period_ns
     if not c.early_ns <= arrived_ns - due_ns < c.late_ns:
@@ -292,13 +306,14 @@ def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
         arrived_ns: when the frame came.
         counter: of the frame; NaN: it has none.
     """
-    if _next(s, c, arrived_ns, counter):
+    uncounted = c.counted == 0 or math.isnan(counter)
+    if not uncounted and _next(s, c, arrived_ns, counter):
         return 1
     s.seen += 1
     if s.seen == 1:
         _begin(s, arrived_ns)
         steps = 1
-    elif c.counted == 0 or math.isnan(counter) or arrived_ns - s.arrived_ns > c.oldest * c.period_ns:
+    elif uncounted or arrived_ns - s.arrived_ns > c.oldest * c.period_ns:
         steps = _by_clock(s, arrived_ns, c.period_ns)
     else:
         steps = _steps(s, c, arrived_ns, counter)
@@ -320,7 +335,7 @@ def _gap(s: Any, c: Const, t_ns: int) -> int:
         if s.fresh & ~s.missing & (1 << k):
             gap = max(gap, s.numbers[k].number - s.taken[k])
     if gap == 0:
-        gap = (2 * (t_ns - s.last_ns) + c.period_ns) // (2 * c.period_ns)
+        gap = periods_in(t_ns - s.last_ns, c.period_ns)
     return int(max(gap, 1))
 
 

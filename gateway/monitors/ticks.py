@@ -1,8 +1,8 @@
 """Samples of several messages by the clock: at each multiple of a period, with any times of the frames.
 
-A value is **held**: the newest one, none older than ``age_ms``; or it lies **on the line** between the frame before the
-sample and the one after it, not more than ``age_ms`` apart, so that a sample waits until the slowest message has come,
-and several follow one another then.
+A value is **held**: the newest one, none older than ``age_ms``, nor than some of its message's usual cycles; or it lies
+**on the line** between the frame before the sample and the one after it, not more than ``age_ms`` apart, so that a
+sample waits until the slowest message has come, and several follow one another then.
 
 A sample without a message is left out as long as that message is waited for (:mod:`gateway.monitors.sampling`); then
 samples go on without it, and its inputs are NaN. Where nothing comes any more the clock stops, and all starts again.
@@ -16,6 +16,9 @@ import numpy as np
 
 from gateway.monitors.sampling import KEPT, SAMPLE, WAITS, Const, is_awaited
 from gateway_fdi.jit import kernel
+
+#: Share of a new gap in a message's usual one; periods for which a value is held at least.
+USUAL, LEAST_PERIODS = 0.05, 3
 
 
 @kernel
@@ -69,11 +72,22 @@ def hold(s: Any, c: Const, message: int, t_ns: int) -> int:
         t_ns: when it came.
     """
     s.begun_ns = s.begun_ns if s.begun_ns > 0 else max(t_ns, 1)
+    if c.cycles > 0.0 and s.came_ns[message] > 0:
+        gap = min(t_ns - s.came_ns[message], c.age_ns)
+        s.usual_ns[message] += (gap - s.usual_ns[message]) * (USUAL if s.usual_ns[message] > 0.0 else 1.0)
     s.came_ns[message] = s.heard_ns = max(t_ns, 1)
     begins = s.tick_ns == 0
     if _runs(s, c, t_ns) and begins and s.tick_ns == t_ns:
         return int(tick(s, c, t_ns))
     return WAITS
+
+
+@kernel
+def _oldest(s: Any, c: Const, message: int) -> int:
+    """Return the age that a value of a message may have [ns]."""
+    if c.cycles > 0.0 and s.usual_ns[message] > 0.0:
+        return min(c.age_ns, max(int(c.cycles * s.usual_ns[message]), LEAST_PERIODS * c.period_ns))
+    return int(c.age_ns)
 
 
 @kernel
@@ -84,7 +98,7 @@ def tick(s: Any, c: Const, t_ns: int) -> int:
         return WAITS
     have = 0
     for k in range(c.messages):
-        if s.came_ns[k] > 0 and t_ns - s.came_ns[k] <= c.age_ns:
+        if s.came_ns[k] > 0 and t_ns - s.came_ns[k] <= _oldest(s, c, k):
             have |= 1 << k
     if is_awaited(s, c, t_ns, have):
         s.tick_ns += c.period_ns

@@ -5,8 +5,8 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from gateway_fdi.jit import zeros
+from gateway_fdi.slow import delay, lag
 from gateway_fdi.slow import filter as slow
-from gateway_fdi.slow import lag
 
 SEED = 4711
 
@@ -143,3 +143,18 @@ def test_what_does_not_move_together_has_no_lag():
         lag.update(s, x, y, 3.0, 0.5)
     assert s.known == 0
     assert s.lag == 0.0
+
+
+def test_readings_of_one_time_lie_on_the_lines_between_samples():
+    """Beside NumPy's interpolation; a sample that did not come lies on a line, a gap begins anew."""
+    s, values, at = zeros(1, delay.State)[0], np.random.default_rng(SEED).normal(size=(60, 128)), [0]
+    print("seed", SEED)
+    delay.put(s, values[0], 0)
+    assert delay.read(s, 3, 2.0 * delay.MOST) == values[0, 3]
+    for k in range(1, 60):
+        periods = 3 if k == 30 else 1
+        delay.put(s, values[k], periods)
+        at.append(at[-1] + periods)
+        for back in (0.0, 0.25, 1.0, 5.7, 14.0):
+            wanted = np.interp(at[-1] - back, at, values[: k + 1, 3])
+            assert delay.read(s, 3, back) == pytest.approx(wanted)

@@ -1,6 +1,7 @@
 """Configurations with a monitor of models/motor.toml, or of another model on its messages."""
 
 from gateway.config.load import load_config
+from gateway.config.monitor_types import monitor_of
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.resources import shipped
@@ -36,3 +37,9 @@ def named(config, drive):
     gateway.feed(drive)
     gateway.close()
     return [e["fault"].split(".")[1] for e in found if e["event"] == "dtc" and e["status"] & Status.TEST_FAILED]
+
+
+def notes(config):
+    """What `gateway check` tells of its monitor, and warns of."""
+    monitor, params = monitor_of(load_config(config).monitor[0])
+    return monitor.notes(params), monitor.warnings(params)

@@ -5,4 +5,5 @@ from gateway.plugin import Plugin
 PLUGIN = Plugin(
     monitors={"structural": "gateway_plants.structural.monitor:FAMILY"},
     ecus={"structural": "gateway_plants.structural.ecu:ECU"},
+    commands={"evaluate structural": "gateway_plants.structural.cli:evaluate_structural"},
 )

@@ -66,6 +66,17 @@ class Fed:
         return np.array([r for _, r, _ in self.rows])
 
 
+def test_a_value_is_held_for_some_cycles_of_its_message(tmp_path):
+    """Sensors each 31 ms: 2.5 of these; told otherwise, as told."""
+    frames = ramps(1.5, without=(1.0, 1.2))
+    missed = [
+        Fed(configuration(tmp_path, f"period_ms = 10\nsettle_s = 0\n{key}"), frames).state["samples_missed"]
+        for key in ("", "max_age_ms = 250\n")
+    ]
+    assert missed[0] >= 10
+    assert missed[1] == 0
+
+
 @pytest.mark.parametrize("period_ms", [10.0, 50.0])
 def test_a_ramp_between_frames(tmp_path, period_ms):
     """The winding's residual is 0 at every time: interpolated it is, to the signals' resolution; held it is not."""

@@ -5,51 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from amount import FULL
-from foreign_plants import BUCK, MOTOR, SPRING, calibrated, configuration, frames_of, notes, run
-from structural_config import named
+from structural_config import named, notes
 
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway_fdi.errors import InputErrors
 from gateway_fdi.jit import COMPILED
+from gateway_plants.structural.study.drives import as_bought, calibrated, configuration, frames_of, off, run
+from gateway_plants.structural.study.foreign import BUCK, MOTOR, SPRING
 
 compiled = pytest.mark.skipif(not COMPILED, reason="tens of thousands of samples")
-
-TOLD = {
-    "stiff_motor": """\
-uncertain = { R = "20 %", k = "15 %", b = "30 %", J = "15 %" }
-sensors = { i = { gain = "1 %", bias = 0.05 }, w = { gain = "1 %", bias = 0.5 } }
-""",
-    "buck": """\
-uncertain = { L = "20 %", C = "20 %", R_L = "40 %", R = "15 %" }
-sensors = { i = { gain = "1 %", bias = 0.05 }, v = { gain = "1 %", bias = 0.1 }, vin = { gain = "1 %", bias = 0.1 } }
-""",
-}
-BIAS = {"stiff_motor": (0.0, 0.025, 0.25), "buck": (0.0, 0.025, 0.05, 0.05)}
-
-
-def off(plant, share, seed):
-    """The plant with each parameter ``share`` more or less than the model says, and its faults from there on."""
-    rng = np.random.default_rng(seed)
-    values = load_names(plant)
-    p = plant.p | {name: plant.p[name] * (1 + share * rng.choice([-1, 1])) for name in values}
-    faults = {
-        fault: {key: value / plant.p[key] * p[key] if plant.p[key] else value for key, value in change.items()}
-        for fault, change in plant.faults.items()
-    }
-    return replace(plant, p=p, faults=faults)
-
-
-def load_names(plant):
-    return {"stiff_motor": ("R", "k", "b", "J"), "buck": ("L", "C", "R_L", "R")}[plant.name]
-
-
-def as_bought(plant, rows, seed):
-    """Readings of sensors with gains off by 0.5 %, and half the bias that their data sheet allows."""
-    rng = np.random.default_rng(seed)
-    sign = rng.choice([-1, 1], (2, len(plant.knowns)))
-    sign[0, 0] = 0  # the command is as it is sent
-    return rows * (1 + 0.005 * sign[0]) + np.array(BIAS[plant.name]) * sign[1]
 
 
 @compiled
@@ -65,21 +30,48 @@ def as_bought(plant, rows, seed):
 )
 def test_a_plant_that_is_off_has_no_code_and_its_faults_their_names(tmp_path, plant, share):
     """Calibrated on a plant as the model says; without `uncertain` each of these drives has a code."""
-    config = configuration(plant, tmp_path, TOLD[plant.name])
+    config = configuration(plant, tmp_path, plant.told)
     calibrated(config, *(frames_of(plant, run(plant, plant.seconds, seed)) for seed in (1, 2)))
     for seed in (20261125, 20261126):
         print("seed", seed)
-        mine = off(plant, share, seed)
-        healthy = as_bought(plant, run(mine, plant.seconds, seed), seed)
+        p = off(plant, share, seed)
+        healthy = as_bought(plant, run(plant, plant.seconds, seed, p=p), seed)
         assert named(config, frames_of(plant, healthy)) == []
         for fault in plant.faults:
-            rows = as_bought(plant, run(mine, plant.seconds, seed + 1, fault, 0.5 * plant.seconds), seed)
+            rows = as_bought(plant, run(plant, plant.seconds, seed + 1, fault, 0.5 * plant.seconds, p), seed)
             assert named(config, frames_of(plant, rows))[-1:] == [plant.groups.get(fault, fault)], fault
+
+
+def read_early(plant, seconds, seed, known, parts, fault="", onset=0.0):
+    """What the signals are where one of them is read so many tenths of a period before the others."""
+    fine = replace(plant, period_s=plant.period_s / 10, noise=(0.0,) * len(plant.knowns))
+    rows, at = run(fine, seconds, seed, fault, onset), np.arange(0, round(seconds / fine.period_s), 10)
+    found, column = rows[at].copy(), plant.knowns.index(known)
+    found[:, column] = rows[np.maximum(at - parts, 0), column]
+    return found + np.random.default_rng(seed).normal(size=found.shape) * np.array(plant.noise)
+
+
+@compiled
+def test_a_sensor_that_is_late_is_followed_and_nobody_is_at_fault(tmp_path):
+    """By 7 of the 10 ms that it may be."""
+    seed = 45_100
+    print("seed", seed)
+    config = configuration(MOTOR, tmp_path, MOTOR.told.replace("bias = 0.5", 'bias = 0.5, lag = "10 ms"'))
+    calibrated(config, *(frames_of(MOTOR, run(MOTOR, 60.0, k)) for k in (1, 2)))
+    assert named(config, frames_of(MOTOR, read_early(MOTOR, 60.0, seed, "w", 7))) == []
+    faulty = read_early(MOTOR, 60.0, seed + 1, "w", 7, "f_w", 30.0)
+    gateway = Gateway(load_config(config), None, file=config)
+    gateway.start(int(frames_of(MOTOR, faulty)[0]["t_ns"]))
+    gateway.feed(frames_of(MOTOR, faulty))
+    state = gateway.engine.state_of(gateway.engine.place_of("own"))[0]
+    assert state["off_w_lag"] == pytest.approx(7.0, abs=2.0)  # the moment of inertia may be off as well
+    gateway.close()
+    assert named(config, frames_of(MOTOR, faulty)) == ["f_w"]
 
 
 @compiled
 def test_what_is_off_is_learned_and_shown(tmp_path):
-    config = configuration(MOTOR, tmp_path, TOLD["stiff_motor"])
+    config = configuration(MOTOR, tmp_path, MOTOR.told)
     calibrated(config, *(frames_of(MOTOR, run(MOTOR, 60.0, seed)) for seed in (1, 2)))
     plant = replace(MOTOR, p=MOTOR.p | {"R": 0.55, "k": 0.046, "J": 2.2e-3})
     drive = frames_of(plant, run(plant, 120.0, 7))
@@ -95,13 +87,13 @@ def test_what_is_off_is_learned_and_shown(tmp_path):
 @compiled
 def test_what_ages_within_its_bound_has_no_code_and_a_jump_has(tmp_path):
     """A winding warms by 39 % of its resistance in two minutes; one that jumps by 30 % is a fault."""
-    config = configuration(MOTOR, tmp_path, TOLD["stiff_motor"].replace("20 %", "60 %") + "drift_s = 150\n")
+    config = configuration(MOTOR, tmp_path, MOTOR.told.replace("20 %", "60 %") + "drift_s = 150\n")
     calibrated(config, *(frames_of(MOTOR, run(MOTOR, 60.0, seed)) for seed in (1, 2)))
 
-    def warming(t, x, u, p):
-        return MOTOR.slopes(t, x, u, p | {"R": p["R"] * (1 + 0.39 * (1 - np.exp(-t / 40.0)))})
+    def warming(x, u, p):
+        return [*MOTOR.slopes(x, u, p | {"R": p["R"] * (1 + 0.39 * x[2])}), (1.0 - x[2]) / 40.0]
 
-    plant = replace(MOTOR, slopes=warming)
+    plant = replace(MOTOR, slopes=warming, begin=lambda _: (0.0, 0.0, 0.0), linear=False)
     assert named(config, frames_of(plant, run(plant, 120.0, 11))) == []
     plant = replace(MOTOR, faults={"f_R": {"R": 0.65}})
     assert named(config, frames_of(plant, run(plant, 120.0, 12, "f_R", 80.0)))[-1:] == ["f_R"]
@@ -115,6 +107,8 @@ def test_what_ages_within_its_bound_has_no_code_and_a_jump_has(tmp_path):
         ("uncertain = { R = 2.0 }", r"uncertain.R = .*less than 1"),
         ("sensors = { x = { gain = 0.1 } }", r"sensors.x = 'x': the known variables are u, i, w"),
         ('sensors = { i = { bias = "-1 A" } }', r"sensors.i.bias = .*write a size above 0 with its unit"),
+        ('sensors = { i = { lag = "80 ms" } }', r"sensors.i.lag = .*period_ms = 10 a lag of at most 70 ms"),
+        ('sensors = { i = { lag = "1 s" } }', r'sensors.i.lag = .*its unit is "ms"'),
         ("sensors = { i = { offset = 1.0 } }", r"sensors.i.offset"),
     ],
 )
@@ -124,7 +118,7 @@ def test_mistakes_are_told_with_their_key(tmp_path, line, said):
 
 
 def test_check_tells_what_is_uncertain_and_which_tests_follow_it(tmp_path):
-    told, _ = notes(configuration(MOTOR, tmp_path, TOLD["stiff_motor"]))
+    told, _ = notes(configuration(MOTOR, tmp_path, MOTOR.told))
     lines = [line for line in told if line.startswith("uncertain")]
     assert lines[0] == "uncertain: R by up to 20 %; followed by e3 e4 e3_2"
     assert lines[5] == "uncertain: bias of i by up to 0.05; followed by e3 e3_2 e4_2"

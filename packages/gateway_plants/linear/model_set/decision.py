@@ -27,7 +27,7 @@ from typing import Annotated
 from gateway_fdi.isolation import followed
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.quantiles import chi2_above
-from gateway_plants.linear.model_set import design, filters
+from gateway_plants.linear.model_set import alignment, design, filters
 from gateway_plants.linear.model_set.filters import (
     GAIN,
     HEALTHY,
@@ -435,17 +435,6 @@ def _alone(s: State, c: Const, y: f8s) -> None:
 
 
 @kernel
-def watch(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
-    """Take one sample as :func:`step` does, with the healthy hypothesis alone, whatever the task."""
-    s.tested = 0
-    if s.done < c.start:
-        _start(s, c, y)
-    else:
-        _alone(s, c, y)
-    advance(s, c, u, unsure)
-
-
-@kernel
 def _start(s: State, c: Const, y: f8s) -> None:
     """Take a sample of the start."""
     filters.correct(s.filters, c.filters, 0, y, s.done >= c.found, False)
@@ -455,15 +444,36 @@ def _start(s: State, c: Const, y: f8s) -> None:
 
 
 @kernel
-def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
-    """Take one sample of outputs ``y`` with the commands ``u`` that hold from it on."""
-    f = c.filters
+def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> bool:
+    """Take one sample of outputs ``y``, NaN: it did not come, with the commands ``u`` that hold from it on.
+
+    Returns:
+        whether the sample that is taken now did come: the same one, or one some periods ago.
+    """
+    f, x = c.filters, s.filters.aligned
     s.tested = 0
+    if not alignment.align(x, f.alignment, y, u, unsure):
+        _advance(s, c, x.u, x.unsure)
+        return False
+    if f.lag > 0:
+        for j in range(f.p):
+            k = f.lag + j
+            if s.undecided + s.active + s.unexplained == 0:
+                alignment.move(x, j, s.filters.z[0, k])
+            alignment.doubt(x, f.alignment, j, s.filters.z[0, k], s.filters.cov[0, k, k])
+    _sample(s, c, x.y, x.u, x.unsure)
+    return True
+
+
+@kernel
+def _sample(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
+    """Take one sample whose outputs are of one time."""
+    f = c.filters
     if s.done < c.start:
         _start(s, c, y)
-        if s.done >= c.start and s.unexplained == 0:
+        if s.done >= c.start and s.unexplained == 0 and c.task == ISOLATING:
             _adopt(s, c, 0, False)
-        advance(s, c, u, unsure)
+        _advance(s, c, u, unsure)
         return
     if c.task != ISOLATING:
         _alone(s, c, y)
@@ -499,11 +509,11 @@ def step(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> None:
         s.unexplained = again
         for h in range(f.hypotheses):
             s.misfits[h] = 2.0 * c.fits
-    advance(s, c, u, unsure)
+    _advance(s, c, u, unsure)
 
 
 @kernel(inlined=False)
-def advance(s: State, c: Const, u: f8s, unsure: i8s) -> None:
+def _advance(s: State, c: Const, u: f8s, unsure: i8s) -> None:
     """Take the filters in use to the next sample; also over a sample that did not come."""
     f = c.filters
     filters.remember(s.filters, f, u)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.plant import LinearPlant, observability
 from gateway_plants.linear.mathematics.uncertainty import Entries
-from gateway_plants.linear.model_set import matrices
+from gateway_plants.linear.model_set import alignment, matrices
 from gateway_plants.linear.model_set.filters import (
     GAIN,
     HEALTHY,
@@ -61,6 +61,8 @@ class Told:
         left_out: sensors without which the plant is still observable: they may be at fault in any way.
         gains: by how much each sensor's gain may be off, a share, shape (p,).
         biases: and each sensor's offset, shape (p,).
+        lags: and by how many periods each sensor may be late or early, shape (p,).
+        counted: commands have counters.
     """
 
     plant: LinearPlant
@@ -74,6 +76,8 @@ class Told:
     left_out: tuple[int, ...]
     gains: Array
     biases: Array
+    lags: Array
+    counted: bool
 
 
 def hypotheses(told: Told) -> list[tuple[int, int]]:
@@ -99,6 +103,9 @@ def prepare(c: Const, told: Told) -> None:
     c.n, c.m, c.p, c.q = n, m, p, q
     c.gains = bool(told.gains.any())
     c.total = n + q + 2 * m + p + (p if c.gains else 0)
+    alignment.prepare(c.alignment, told.plant, told.lags, counted=told.counted)
+    if told.lags.any():
+        c.lag, c.total = c.total, c.total + p
     _prepare_matrices(c.plant, told)
     given = np.hstack([told.a, told.b])[told.entries.row, told.entries.column]
     # Of an entry that is 0 the bound is all that is known.
@@ -109,9 +116,12 @@ def prepare(c: Const, told: Told) -> None:
     offsets = np.concatenate([told.actuator, told.sensor])
     nothing = np.zeros(m)
     fault = FAULT_SIZE * offsets
-    prior = [told.entries.bound, OFFSET_SIZE * told.actuator, nothing, told.biases, told.gains]
-    c.prior[: c.total - n] = np.concatenate(prior)[: c.total - n] ** 2
-    times = np.repeat([AGEING_S, OFFSET_S, np.inf, OFFSET_S, WARMING_S], [q, m, m, p, p])
+    more = [*([told.gains] if c.gains else []), *([told.lags] if c.lag else [])]
+    prior = [told.entries.bound, OFFSET_SIZE * told.actuator, nothing, told.biases, *more]
+    c.prior[: c.total - n] = np.concatenate(prior) ** 2
+    times = np.repeat(
+        [AGEING_S, OFFSET_S, np.inf, OFFSET_S, *([WARMING_S] * len(more))], [q, m, m, p, *([p] * len(more))]
+    )
     c.keep[: c.total - n] = np.exp(-period / times)[: c.total - n]
     drifts = [told.noise.faults, GAIN_DRIFT + nothing, DRIFT_SIZE * told.sensor]
     c.vary = exp(-period / slowest(plant))

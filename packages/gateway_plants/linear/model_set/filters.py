@@ -1,8 +1,8 @@
 """Kalman filters of one linear plant under different hypotheses, each with the plant's own errors as slow states.
 
-State z = [x; theta; a; l; s; g]: the plant's state; the errors of its uncertain entries; of each actuator an offset a
-and a relative gain l; of each sensor an offset s and, where a sensor's accuracy is told so, by how much its gain g is
-off:
+State z = [x; theta; a; l; s; g; lag]: the plant's state; the errors of its uncertain entries; of each actuator an
+offset a and a relative gain l; of each sensor an offset s and, where a sensor's accuracy is told so, by how much its
+gain g is off, and by how many periods it is late (:mod:`.alignment`):
 
     x(k+1) = Phi(theta) x + Gamma(theta) (u + a + diag(l) u) + w,     y = (1 + diag(g)) C x + s + v
 
@@ -39,12 +39,12 @@ from math import log, pi, sqrt
 from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
-from gateway_plants.linear.model_set import matrices
+from gateway_plants.linear.model_set import alignment, matrices
 from gateway_plants.linear.model_set.matrices import MOST_ENTRIES, MOST_HYPOTHESES
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 
 #: Slow states; all states.
-MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + 2 * MOST_OUTPUTS
+MOST_SLOW = MOST_ENTRIES + 2 * MOST_INPUTS + 3 * MOST_OUTPUTS
 MOST = MOST_STATES + MOST_SLOW
 #: Kinds of hypotheses.
 HEALTHY, OFFSET, GAIN, SENSOR, SILENT, VARYING = range(6)
@@ -70,6 +70,8 @@ class Const(Record):
     q: i8 = means("uncertain entries")
     total: i8 = means("states with slow ones")
     gains: i8 = means("1: with the sensors' gains")
+    lag: i8 = means("place of the first sensor's lag; 0: none is late")
+    alignment: alignment.Const = means("lags of the sensors")
     plant: matrices.Const = means("the plant's matrices")
     hypotheses: i8 = means("number of hypotheses")
     kind: Annotated[i8s, MOST_HYPOTHESES] = means("what each hypothesis says")
@@ -93,6 +95,7 @@ class Const(Record):
 class State(Record):
     """State of all filters; ``own`` and ``square`` are of the filter that was asked last."""
 
+    aligned: alignment.State = means("samples brought to one time")
     z: Annotated[f8s, MOST_HYPOTHESES, MOST] = means("z of each hypothesis")
     cov: Annotated[f8s, MOST_HYPOTHESES, MOST, MOST] = means("P of each hypothesis")
     plant: matrices.State = means("[Phi, Gamma] of each, and what derives from them")
@@ -219,6 +222,8 @@ def _expected(s: State, c: Const, h: int, j: int) -> float:
     shown = _shown(s, c, h, j)
     if c.gains == 1:
         shown *= 1.0 + s.z[h, place + c.p]
+    if c.lag > 0:
+        shown += (s.aligned.point[j] - s.z[h, c.lag + j]) * s.aligned.slope[j]
     return float(s.z[h, place] + shown)
 
 
@@ -240,6 +245,8 @@ def _seen(s: State, c: Const, h: int, j: int) -> float:
         by_state += c.c[j, i] * s.gain[i]
     if c.gains == 1:
         by_state = by_state * (1.0 + s.z[h, place + c.p]) + s.gain[place + c.p] * _shown(s, c, h, j)
+    if c.lag > 0:
+        by_state -= s.gain[c.lag + j] * s.aligned.slope[j]
     return float(by_state + s.gain[place])
 
 
@@ -257,8 +264,10 @@ def _show(s: State, c: Const, h: int, j: int) -> float:
         value = value * scale + s.cov[h, r, place]
         if c.gains == 1:
             value += s.cov[h, r, place + c.p] * shown
+        if c.lag > 0:
+            value -= s.cov[h, r, c.lag + j] * s.aligned.slope[j]
         s.gain[r] = value
-    return float(c.r[j] + _seen(s, c, h, j))
+    return float(c.r[j] + s.aligned.extra[j] + _seen(s, c, h, j))
 
 
 @kernel(inlined=False)

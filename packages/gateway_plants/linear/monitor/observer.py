@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from cmath import exp
 from functools import cached_property
-from math import expm1, sqrt
+from math import expm1, nan, sqrt
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -272,15 +272,16 @@ def _skip(s: State, c: Const, u: Inputs, steps: int) -> None:
         s.restarts += 1
         s.samples = 0
         if c.uncertain == 1:
+            s.models.filters.aligned.begun = 0
             decision.restart(s.models, c.models)
         return
     for j in range(c.p):
-        s.e[j] = 0.0
+        s.e[j] = nan if c.uncertain == 1 else 0.0
     for k in range(steps - 1):
         s.missing += 1
         _lost(s, c, u, k + 1)
         if c.uncertain == 1:
-            decision.advance(s.models, c.models, s.sampling.u, s.sampling.unsure)
+            decision.step(s.models, c.models, s.e, s.sampling.u, s.sampling.unsure)
         else:
             _advance(s, c, s.sampling.u)
     if c.uncertain == 0 and steps > 1 and s.blind < c.blind[steps - 1]:
@@ -306,7 +307,8 @@ def _judge_whole(s: State, c: Const, out: Out[Evidence, Record]) -> None:
 def _uncertain(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample with the filter."""
     x = s.models
-    decision.watch(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
+    if not decision.step(x, c.models, u.y, s.sampling.u, s.sampling.unsure):
+        return
     s.nis = x.filters.square
     for j in range(c.p):
         s.e[j] = x.filters.e[0, j]

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from gateway.monitors import contract
-from gateway.monitors.accuracy import Accuracy
+from gateway.monitors.accuracy import LateAccuracy
 from gateway.monitors.contract import Connection, MonitorParams, Signal
 from gateway.monitors.sampling import Sampling
 from gateway_fdi.common.tomlfile import StrictModel
@@ -29,9 +29,11 @@ MOST_MISSING = 5
 
 
 #: Commands that are kept, each with its time, until their sample comes.
-_COMMANDS = 8
+KEPT = 8
 #: Share of the samples before which a command's frame comes, from which on it is cyclic; samples until that is known.
 _CYCLIC, _LISTENED = 0.7, 40
+#: Share of a period by which a command that comes a little behind its sample is still that one's.
+EARLY = 0.1
 #: Which of the samplings: a frame of commands, or a sample of the outputs.
 COMMANDS, OUTPUTS = range(2)
 #: Periods behind which a counter has gone round.
@@ -44,6 +46,7 @@ class Const(Record):
     period_ns: i8 = means("period of the samples", "ns")
     inputs: i8 = means("commands")
     completing: i8 = means("the message that completes a sample, by its place in it")
+    timed: i8 = means("1: all commands come in one message, whose counter says when each was due")
     command_counted: Annotated[i8s, MOST_INPUTS] = means("1: the command's message has an alive counter")
 
 
@@ -54,10 +57,11 @@ class State(Record):
     t_ns: i8 = means("when the last sample was due", "ns")
     before_ns: i8 = means("when the sample before it was due", "ns")
     steps: i8 = means("samples since one that was whole")
-    value: Annotated[f8s, MOST_INPUTS, _COMMANDS] = means("values of the last frames")
-    came_ns: Annotated[i8s, MOST_INPUTS, _COMMANDS] = means("when they came", "ns")
+    value: Annotated[f8s, MOST_INPUTS, KEPT] = means("values of the last frames")
+    came_ns: Annotated[i8s, MOST_INPUTS, KEPT] = means("when they came", "ns")
     heard: Annotated[i8s, MOST_INPUTS] = means("frames in all")
     since: Annotated[i8s, MOST_INPUTS] = means("frames since the last sample")
+    late: Annotated[i8s, MOST_INPUTS] = means("samples by which the newest frame comes after its own; 0: in time")
     lead_ns: Annotated[f8s, MOST_INPUTS] = means("time of its frame before its sample", "ns")
     share: Annotated[f8s, MOST_INPUTS] = means("share of the samples before which a frame came")
     listened: i8 = means("samples in these averages")
@@ -101,10 +105,10 @@ class Output(StrictModel):
     unit: str | None = Field(None, description="that the database must give; default: any")
     noise: float = Field(gt=0, description="standard deviation of its reading, resolution included")
     threshold: float | None = Field(None, gt=0, description="smallest fault that counts; default 10 noise")
-    accuracy: Accuracy | None = Field(
+    accuracy: LateAccuracy | None = Field(
         None,
-        description='with model_error: by how much it may be off, as { gain = "0.5 %", bias = "0.1 A" }; without a bias'
-        " that is a fifth of its threshold",
+        description='with logic = "models": by how much it may be off, as { gain = "0.5 %", bias = "0.1 A", '
+        'lag = "5 ms" }; without a bias that is a fifth of its threshold',
     )
     dtc: str | None = Field(None, description="default: C1B21-64 and so on")
 
@@ -234,10 +238,17 @@ def triggers(p: PlantParams) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*_samples(p), *(message_of(part.signal) for part in p.input)]))
 
 
+def _timed(p: PlantParams) -> tuple[str, ...]:
+    """Return the counter of all commands, if there is one."""
+    told = {part.counter or "" for part in p.input}
+    return tuple(told) if len(told) == 1 and "" not in told else ()
+
+
 def samplings(p: PlantParams) -> tuple[Sampling, Sampling]:
     """Return how frames become samples: each frame of commands alone, and before them the outputs together."""
-    commands = Sampling("clock", p.sample_ms, inf, _ANEW * p.sample_ms, inputs=("u", "command_counter"))
     counters, anew_ms = () if p.counter is None else (p.counter,), _ANEW * p.sample_ms
+    timed, inputs = _timed(p), ("u", "command_counter")
+    commands = Sampling("counter" if timed else "clock", p.sample_ms, inf, anew_ms, timed, inputs=inputs)
     if len(_samples(p)) > 1:
         outputs = Sampling("set", p.sample_ms, inf, anew_ms, counters, ordered=True, inputs=("y",))
     elif counters:
@@ -250,7 +261,14 @@ def samplings(p: PlantParams) -> tuple[Sampling, Sampling]:
 def prepare(c: Const, p: PlantParams) -> None:
     """Fill a record of Const."""
     c.period_ns, c.inputs, c.completing = round(p.sample_ms * 1e6), len(p.input), len(_samples(p)) - 1
+    c.timed = bool(_timed(p))
     c.command_counted[: c.inputs] = [part.counter is not None for part in p.input]
+
+
+@kernel
+def _of_sample(s: State, c: Const, j: int, place: int, from_ns: int) -> int:
+    """Return how many samples behind a time a command's frame begins to hold, by when it was due."""
+    return int(np.floor((s.came_ns[j, place] + s.lead_ns[j] - from_ns) / c.period_ns + 0.5))
 
 
 @kernel
@@ -261,8 +279,12 @@ def command(s: State, c: Const, u: Inputs) -> bool:
     for j in range(c.inputs):
         if isnan(u.u[j]):
             continue  # it comes in another message
-        place = s.heard[j] % _COMMANDS
+        place = s.heard[j] % KEPT
         s.value[j, place], s.came_ns[j, place] = u.u[j], u.t_ns
+        s.late[j] = 0
+        if c.timed == 1 and s.share[j] >= _CYCLIC:
+            s.came_ns[j, place] -= int(1e9 * u.waited[0])
+            s.late[j] = 1 - _of_sample(s, c, j, place, s.t_ns)
         if c.command_counted[j] == 1:
             told = int(u.command_counter[j])
             # A frame that comes twice is one.
@@ -283,10 +305,18 @@ def _listen(s: State, c: Const, steps: int) -> None:
     for j in range(c.inputs):
         if s.heard[j] == 0:
             continue
-        s.share[j] += (min(s.since[j] / steps, 1.0) - s.share[j]) / min(s.listened, 200)
+        most = 2.0 if c.timed == 1 else 1.0  # one that comes late is there for the next sample, too
+        s.share[j] += (min(s.since[j] / steps, most) - s.share[j]) / min(s.listened, 200)
         if s.since[j] == 1 and steps == 1:
-            lead = float(s.t_ns - s.came_ns[j, (s.heard[j] - 1) % _COMMANDS])
-            s.lead_ns[j] += (min(max(lead, 0.0), float(c.period_ns)) - s.lead_ns[j]) / min(s.listened, 16)
+            lead = float(s.t_ns - s.came_ns[j, (s.heard[j] - 1) % KEPT])
+            if (
+                c.timed == 1
+            ):  # it may be the frame before, as its own comes late: what is known is the place in a period
+                off = lead - s.lead_ns[j]
+                s.lead_ns[j] += (off - c.period_ns * round(off / c.period_ns)) / min(s.listened, 16)
+                s.lead_ns[j] -= c.period_ns * np.floor(s.lead_ns[j] / c.period_ns + EARLY)
+            else:
+                s.lead_ns[j] += (min(max(lead, 0.0), float(c.period_ns)) - s.lead_ns[j]) / min(s.listened, 16)
 
 
 @kernel
@@ -298,10 +328,9 @@ def commands(s: State, c: Const, u: Inputs, at: int) -> None:
             s.u[j] = s.u[j] if isnan(u.u[j]) else u.u[j]
             continue
         found, newest = False, -1
-        for back in range(min(s.heard[j], _COMMANDS)):
-            place = (s.heard[j] - 1 - back) % _COMMANDS
-            behind = (s.came_ns[j, place] + s.lead_ns[j] - s.before_ns) / c.period_ns
-            which = int(np.floor(behind + 0.5))
+        for back in range(min(s.heard[j], KEPT)):
+            place = (s.heard[j] - 1 - back) % KEPT
+            which = _of_sample(s, c, j, place, s.before_ns)
             if which <= at:
                 newest, found = place, which == at
                 break

@@ -10,6 +10,7 @@ from pydantic import Field
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_plants.linear.mathematics.plant import unobservable
 from gateway_plants.linear.mathematics.uncertainty import Entries, entries
+from gateway_plants.linear.model_set.alignment import MOST as MOST_LAG
 from gateway_plants.linear.model_set.design import OFFSET_SIZE, Told, isolable
 from gateway_plants.linear.model_set.matrices import MOST_ENTRIES
 from gateway_plants.linear.monitor.plant import Matrix, Output, PlantParams
@@ -67,7 +68,20 @@ class UncertainPlantParams(PlantParams):
             isolable(self.plant),
             np.array([0.0 if part.accuracy is None else part.accuracy.gain or 0.0 for part in self.output]),
             np.array([_bias(part) for part in self.output]),
+            self.lags,
+            self.counted,
         )
+
+    @property
+    def counted(self) -> bool:
+        """Whether commands have counters."""
+        return any(part.counter for part in self.input)
+
+    @property
+    def lags(self) -> np.ndarray:
+        """By how many periods each sensor may be late or early."""
+        told = [None if part.accuracy is None else part.accuracy.lag for part in self.output]
+        return np.array([0.0 if lag is None else lag.value / self.sample_ms for lag in told])
 
     @property
     def noise(self) -> Noise:
@@ -101,6 +115,8 @@ class UncertainPlantParams(PlantParams):
         self.check_observable()
         if poles:
             raise ValueError('poles: with model_error (or logic = "models") gains are Kalman\'s; leave poles out')
+        if self.lags.max() > MOST_LAG:
+            raise ValueError(f"accuracy.lag: at most {MOST_LAG} samples, {MOST_LAG * self.sample_ms:g} ms")
         if len(self.entries) > MOST_ENTRIES:
             raise ValueError(
                 f"model_error: {len(self.entries)} uncertain entries of a and b; at most {MOST_ENTRIES}: "

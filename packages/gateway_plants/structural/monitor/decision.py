@@ -112,7 +112,7 @@ def _measure(s: State, c: Const) -> None:
     settled = s.at_ns - s.since_ns >= c.settle_ns
     for k in range(c.meters):
         gain, residual = s.gain[k], s.measured[k]
-        if nothing:
+        if nothing and (s.sizes[k] != 0.0 or s.information[k] != 0.0):
             s.information[k] = s.product[k] = 0.0
             s.sizes[k] = 0.0
         if nothing or not settled:

@@ -234,6 +234,9 @@ class _Made:
     def _fill_slow(self, p: PartParams, s: Any, c: Any) -> None:
         """Fill what follows all that may be off, and the models that it moves."""
         following.prepare(s.follow, c.follow, [one.bound for one in self.slow], p.drift_s)
+        if source.is_late(self.slow):
+            c.late.per_ms = 1.0 / p.period_ms
+            c.late.back = math.ceil(max(one.bound for one in self.slow if one.kind == "lag") / p.period_ms)
         for k, (test, field) in enumerate(zip(self.plan.generators, source.fields_of(self.plan), strict=True)):
             models = [s[f"model_{k}"]]
             if k < len(self.plan.tests):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from gateway.monitors.accuracy import Accuracy, Share
+from gateway.monitors.accuracy import LateAccuracy, Share
 from gateway.monitors.contract import MonitorParams
 from gateway.monitors.sampling import KEPT, Sampling
 from gateway_fdi import cusum
@@ -18,8 +19,9 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 #: Base code of a DTC.
 Code = Annotated[str, Field(pattern=r"^[PCBU][0-3][0-9A-F]{3}$")]
 
-#: Oldest value that a sample takes by the clock [ms], if nothing is said: that, or as many periods.
-OLDEST_MS, OLDEST_PERIODS = 250.0, 3.0
+#: Oldest value that a sample takes by the clock, if nothing is said: so many of its message's cycles; that [ms], or as
+#: many periods.
+CYCLES, OLDEST_MS, OLDEST_PERIODS = 2.5, 250.0, 3.0
 #: Periods that can be interpolated over, at most.
 MOST_BETWEEN = KEPT - 1
 #: Periods behind which a counter has gone round.
@@ -59,8 +61,9 @@ class Params(MonitorParams):
         None,
         gt=0,
         le=3.6e6,
-        description="oldest value that a sample takes, or longest time that is interpolated over [ms]; default: 250, or"
-        " three periods; of a set half a period, of one by counter any",
+        description="oldest value that a sample takes, or longest time that is interpolated over [ms]; default: 2.5 of"
+        " its message's cycles, at least three periods, and at most 250 ms or that; of a set half a period, of one by"
+        " counter any",
     )
     missing: int = Field(
         5,
@@ -91,7 +94,7 @@ class Params(MonitorParams):
         description='by how much parameters may be off, as { R = "20 %" }: they are followed, and tests wait as long as'
         " they are not known",
     )
-    sensors: dict[str, Accuracy] = Field(
+    sensors: dict[str, LateAccuracy] = Field(
         default_factory=dict,
         description='by how much sensors may be off, as { i = { gain = "0.5 %", bias = "0.1 A" } }; followed likewise',
     )
@@ -142,7 +145,10 @@ class Params(MonitorParams):
         away_ms, age_ms = (self.missing + 1.5) * self.period_ms, self.oldest_ns * 1e-6
         anew_ms = max(ANEW * self.period_ms, away_ms)
         if self.sample == "clock":
-            return Sampling("clock", self.period_ms, away_ms + age_ms, anew_ms, between=self.between, age_ms=age_ms)
+            cycles = CYCLES if self.max_age_ms is None else math.inf
+            return Sampling(
+                "clock", self.period_ms, away_ms + age_ms, anew_ms, between=self.between, age_ms=age_ms, cycles=cycles
+            )
         if self.sample == "counter":
             return Sampling("counter", self.period_ms, away_ms, anew_ms, self.counters)
         return Sampling("set", self.period_ms, away_ms, anew_ms, self.counters, age_ms=age_ms)

@@ -12,6 +12,7 @@ from math import isfinite
 from typing import Any
 
 from gateway.monitors.rule.machine import run
+from gateway.monitors.sampling import periods_in
 from gateway_fdi.jit import kernel
 from gateway_fdi.masks import clear, disjoint, include
 from gateway_plants.structural.monitor.records import Const, State
@@ -57,7 +58,7 @@ def arrived(s: State, c: Const, u: Any) -> int:
             s.running = 0
             return NOTHING
     apart = s.at_ns - s.last_ns
-    whole = s.periods if c.counted == 1 else (2 * apart + c.period_ns) // (2 * c.period_ns)
+    whole = s.periods if c.counted == 1 else periods_in(apart, c.period_ns)
     apart = whole * c.period_ns if whole > 0 else apart  # behind a late frame, or period_ms is wrong
     what = GO if s.running == 1 and apart <= c.gap_ns else BEGIN if s.begun == 1 else FIRST
     s.dt = apart * 1e-9 if what == GO else 0.0

@@ -69,24 +69,35 @@ def _resets(plan: Plan, slow: Sequence[Slow]) -> list[str]:
     return lines
 
 
+def is_late(slow: Sequence[Slow]) -> bool:
+    """Tell whether a sensor may be late or early."""
+    return any(one.kind == "lag" for one in slow)
+
+
 def _readings(slow: Sequence[Slow], knowns: Sequence[str], rates: Sequence[str]) -> list[str]:
     """Return the lines that take the values of a sample, as the model has them; and as the neighbours have them."""
     place = {z: k for k, z in enumerate(knowns)}
     off = {(one.kind, one.name): j for j, one in enumerate(slow)}
 
     def corrected(z: str, beside: int = -1) -> str:
-        """Return a known variable's reading without its bias and gain; ``beside``: that one is off by STEP more."""
+        """Return a known variable's reading without its lag, bias, gain; ``beside``: that one is off by STEP more."""
 
         def amount(kind: str) -> str:
             j = off[kind, z]
             return f"c.follow.bound[{j}] * (s.follow.point[{j}]{f' + {STEP!r}' if j == beside else ''})"
 
         text = f"u.value[{place[z]}]"
+        if is_late(slow):
+            back = f"c.late.back - c.late.per_ms * {amount('lag')}" if ("lag", z) in off else "c.late.back"
+            text = f"delay.read(s.late, {place[z]}, {back})"
         if ("bias", z) in off:
             text = f"({text} - {amount('bias')})"
         return f"{text} / (1.0 + {amount('gain')})" if ("gain", z) in off else text
 
-    lines = [f"s.sample.{field_name(z)} = {corrected(z)}" for z in knowns]
+    lines = []
+    if is_late(slow):
+        lines.append("delay.put(s.late, u.value, round(s.own.dt * 1e3 * c.late.per_ms) if what == sampling.GO else 0)")
+    lines += [f"s.sample.{field_name(z)} = {corrected(z)}" for z in knowns]
     if slow:
         fields = [field_name(z) for z in (*knowns, *rates)]
         lines += [f"for j in range({len(slow)}):", *(f"    s.read[j].{field} = s.sample.{field}" for field in fields)]
@@ -202,6 +213,11 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
         *(f"    {field_name(z)}: f8" for z in (*knowns, *plan.rates)),
         "",
         "",
+        *(
+            [f"class Late(delay.State, lengths={{'signals': {len(knowns)}}}):", "    pass", "", ""]
+            if is_late(slow)
+            else []
+        ),
         "class State(Record):",
         "    own: OwnState",
         "    sample: Sample",
@@ -209,6 +225,7 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
         *(f"    beside_{k}: Annotated[list[m{k}.State], {count}]" for k, count in beside),
         *(f"    near_{k}: Annotated[list[m{k}.Const], {count}]" for k, count in beside),
         *(_numbered(plan, "    model_{k}: m{k}.Const") if slow else []),
+        *(["    late: Late"] if is_late(slow) else []),
         *([f"    read: Annotated[list[Sample], {len(slow)}]", "    follow: following.State"] if slow else []),
         *(f"    {name}: f8" for name in (*sizes_of(plan), *(one.field for one in slow), *COUNTS)),
         "",
@@ -218,6 +235,7 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
         *_numbered(plan, "    {g}: m{k}.Const"),
         *(f"    acts_{k}: Annotated[i8s, {count}]" for k, count in beside),
         *(["    follow: following.Const"] if slow else []),
+        *(["    late: delay.Const"] if is_late(slow) else []),
         "",
         "",
     ]
@@ -243,6 +261,7 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
             *imports,
             "",
             f"from gateway_fdi.jit import Record, f8, f8s, {'i8s, ' if slow else ''}kernel",
+            *(["from gateway_fdi.slow import delay"] if is_late(slow) else []),
             "from gateway.monitors import contract",
             f"from gateway_plants.structural.monitor import {rooms}",
             "",

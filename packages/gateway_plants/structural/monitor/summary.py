@@ -22,8 +22,10 @@ def _uncertain(model: Model, plan: Plan, p: Params) -> Iterator[str]:
     """Yield what may be off, and the tests that follow it."""
     for one in uncertain.slow_of(model, p):
         by = [test.name for test in plan.tests if uncertain.acts_on(one, test)]
-        unit = model.quantities[one.name].unit if one.kind == "bias" and one.name in model.quantities else ""
-        size = f"{one.bound:g} {unit}".strip() if one.kind == "bias" else f"{100 * one.bound:g} %"
+        unit = "ms" if one.kind == "lag" else ""
+        if one.kind == "bias" and one.name in model.quantities:
+            unit = model.quantities[one.name].unit
+        size = f"{100 * one.bound:g} %" if one.kind in ("parameter", "gain") else f"{one.bound:g} {unit}".strip()
         yield f"uncertain: {one.text} by up to {size}; followed by {' '.join(by) or 'no test: it changes none'}"
 
 

@@ -1,4 +1,4 @@
-"""What may be off of a model: its parameters, and the gain and bias of each sensor.
+"""What may be off of a model: its parameters, and the gain, bias and lag of each sensor.
 
 Each of these is a slow state (:mod:`gateway_fdi.slow.filter`), a share of its bound. A residual's sensitivity to it is
 taken from the generator's own code: beside the generator runs one whose parameter is off by :data:`STEP` of its bound,
@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from gateway_fdi.errors import Gathered, InputError, nearest
+from gateway_fdi.slow import delay
 from gateway_fdi.slow.filter import MOST as MOST_SLOW
 from gateway_fdi.structure.generator.records import field_name
 from gateway_fdi.structure.model import Model
@@ -30,9 +31,9 @@ class Slow(NamedTuple):
     """One slow state.
 
     Attributes:
-        kind: ``parameter``, ``gain`` or ``bias``.
+        kind: ``parameter``, ``gain``, ``bias`` or ``lag``.
         name: of the parameter, or of the known variable.
-        bound: share of the parameter's value, or of the sensor's gain; bias in the known variable's unit.
+        bound: share of the parameter's value, or of the sensor's gain; bias in the known variable's unit, lag in ms.
     """
 
     kind: str
@@ -74,6 +75,12 @@ def slow_of(model: Model, p: Params) -> tuple[Slow, ...]:
                     text = f'{name} of the model is in "{unit}"'
                     raise InputError(text, key=f"sensors.{name}.bias", value=str(sensor.bias))
                 found.append(Slow("bias", name, sensor.bias.value))
+            if sensor.lag is not None:
+                most = delay.MOST * p.period_ms
+                if sensor.lag.value > most:
+                    text = f"with period_ms = {p.period_ms:g} a lag of at most {most:g} ms can be followed"
+                    raise InputError(text, key=f"sensors.{name}.lag", value=str(sensor.lag))
+                found.append(Slow("lag", name, sensor.lag.value))
     wrong.check()
     if len(found) > MOST_SLOW:
         text = f"{len(found)} parameters, gains and biases that may be off: a monitor has room for {MOST_SLOW}"

@@ -327,3 +327,48 @@ def test_what_was_not_isolated_is_over_when_the_plant_is_well(tmp_path):
     assert healed[1:] == ("unexplained", 0)
     assert healed[0] < 2400
     assert named[1:] == ("sensor_H4", 1)
+
+
+@pytest.mark.parametrize(("part", "late"), [("I", 1), ("WM", 2)])
+def test_a_sensor_that_is_late_is_followed_and_faults_have_their_names(tmp_path, part, late):
+    """One or two samples, 5 or 10 ms; without the key the first of these drives is `unexplained` to its end."""
+    seed, column, accuracy = SEEDS + 44_000 + late, SERVO.outputs.index(part), 'accuracy = { lag = "10 ms" }'
+    print("seed", seed)
+    for faults in ([], [Fault("WL", "offset", 8.0, 20.0)], [Fault("U", "offset", 1.0, 20.0)]):
+        rng = np.random.default_rng(seed)
+        a, b = SERVO.wrong(0.05, rng)
+        y, u = simulate(SERVO, 40.0, rng, faults)
+        y[late:, column] = y[:-late, column].copy()
+        path = frames.configuration(tmp_path, SERVO, a, b, extra=told(SERVO, 0.05), accuracy=accuracy)
+        events, _ = frames.run(path, frames.encode(SERVO, y, u))
+        wanted = {f"m.{'actuator' if one.part == 'U' else 'sensor'}_{one.part}" for one in faults}
+        assert {e["fault"] for e, _ in events if e["status"] & 1} == wanted
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_frames_that_wait_accuse_nobody_where_counters_number_them(tmp_path, share):
+    """Each waits by an exponential time of 2 ms: half of the commands come behind their samples."""
+    rng = np.random.default_rng(SEEDS + 45_000)
+    a, b = SERVO.wrong(share, rng)
+    y, u = simulate(SERVO, 40.0, rng)
+    path = frames.configuration(tmp_path, SERVO, a, b, extra=told(SERVO, share) if share else "")
+    path.write_text(path.read_text().replace('signal = "Cmd.', 'counter = "Cmd.Cnt"\nsignal = "Cmd.'))
+    sent = frames.encode(SERVO, y, u)
+    for can_id in (frames.COMMAND, frames.SENSORS):
+        mine = sent["can_id"] == can_id
+        waits = (rng.exponential(2e-3, mine.sum()) * 1e9).astype(np.int64)
+        sent["t_ns"][mine] = np.maximum.accumulate(sent["t_ns"][mine] + waits)
+    events, summary = frames.run(path, sent[np.argsort(sent["t_ns"], kind="stable")])
+    assert [e for e, _ in events if e["status"] & 1] == []
+    assert summary["monitors"]["m"]["untested"] < 0.2 * len(y)
+
+
+def test_a_lag_that_cannot_be_followed_is_refused(tmp_path):
+    path = frames.configuration(tmp_path, SERVO, *SERVO.true, accuracy='accuracy = { lag = "40 ms" }')
+    with pytest.raises(InputErrors, match=r"accuracy.lag: at most 6 samples, 30 ms"):
+        load_config(path)
+    path = frames.configuration(
+        tmp_path, SERVO, *SERVO.true, extra='logic = "jumps"', accuracy='accuracy = { lag = "4 ms" }'
+    )
+    with pytest.raises(InputErrors, match=r'accuracy.lag: logic = "jumps" takes sensors as of one time'):
+        load_config(path)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from math import nan
 from typing import Annotated, Any
 
 from gateway.monitors.contract import (
@@ -29,7 +30,7 @@ from gateway.monitors.contract import (
     report,
 )
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel, labels, means
-from gateway_plants.linear.model_set import decision
+from gateway_plants.linear.model_set import alignment, decision
 from gateway_plants.linear.monitor import plant as linear_plant
 from gateway_plants.linear.monitor.pi_bank import window
 from gateway_plants.linear.monitor.pi_bank.params import Params
@@ -46,6 +47,7 @@ class Const(Record):
     sampling: linear_plant.Const = means("samples off the bus")
     isolation: isolation.Const = means("decisions on the bank")
     models: decision.Const = means("with model_error: the model set")
+    alignment: alignment.Const = means("lags of the sensors")
     logic: i8 = means("which of them decides")
 
 
@@ -56,6 +58,7 @@ class State(Record):
     isolation: isolation.State = means("decisions on the bank")
     models: decision.State = means("with model_error: the model set")
     window: window.State = means("parity window of the last samples")
+    y: Annotated[f8s, bank.MOST_OUTPUTS] = means("readings of the sample; NaN: it did not come")
     missing: i8 = means("samples that did not come")
     restarts: i8 = means("times that all began anew")
     active: i8 = means("observer or hypothesis in use")
@@ -144,6 +147,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     linear_plant.prepare(c.sampling, p)
     c.logic = _LOGICS[p.decided_by]
     s.sensor = NONE
+    alignment.prepare(c.alignment, p.plant, p.lags, counted=p.counted)
     if c.logic == MODELS:
         times = {"mtfa_s": p.mtfa_s, "start_s": p.start_s, "hold_s": p.hold_s}
         task = decision.LEARNING if p.learning else decision.ISOLATING
@@ -201,10 +205,11 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Record]) -> None:
 
 
 @kernel
-def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record]) -> None:
+def _models(s: State, c: Const, out: Out[Evidence, Record]) -> None:
     """Take one sample by hypotheses."""
     x, f = s.models, c.models.filters
-    decision.step(x, c.models, u.y, s.sampling.u, s.sampling.unsure)
+    if not decision.step(x, c.models, s.y, s.sampling.u, s.sampling.unsure):
+        return
     s.sensor, s.nonlinear = NONE, x.filters.varies
     if c.models.task == decision.LEARNING:
         s.reason = FINDING
@@ -227,63 +232,73 @@ def _models(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Recor
 
 
 @kernel
-def _lost(s: State, c: Const, at: int, u: linear_plant.Inputs) -> bool:
-    """Find the commands of a sample; tells whether one is lost, and counts it."""
-    lost = linear_plant.command_lost(s.sampling, c.sampling, u, at)
-    if lost:
+def _one(s: State, c: Const, u: linear_plant.Inputs, at: int, came: bool, out: Out[Evidence, Record]) -> None:
+    """Take one sample, ``at`` samples behind the one before; its outputs came, or it is predicted."""
+    if linear_plant.command_lost(s.sampling, c.sampling, u, at):
         s.commands_lost += 1
-    return bool(lost)
+    x, a = s.isolation, s.models.filters.aligned
+    for j in range(c.isolation.bank.p if c.logic != MODELS else c.models.filters.p):
+        s.y[j] = u.y[j] if came else nan
+    if c.logic == MODELS:
+        _models(s, c, out)
+        s.active = s.models.active
+        return
+    there = alignment.align(a, c.alignment, s.y, s.sampling.u, s.sampling.unsure)
+    if there:
+        isolation.step(x, c.isolation, a.y, a.u)
+    else:
+        isolation.missing(x, c.isolation, a.u)
+    lost = False
+    for i in range(c.isolation.bank.m):
+        lost = lost or a.unsure[i] == 1
+    window.keep(s.window, a.y, a.u, there and not lost)
+    if lost:
+        isolation.unknown_command(x, c.isolation)
+    s.active, s.sensor = x.active, x.latched
+    if not there:
+        return
+    if x.unexplained == 1:
+        s.reason = AMBIGUOUS
+    elif x.tested == 0:
+        s.reason = FINDING if x.started == 0 else (COMMAND if x.blind > 0 else UNDECIDED)
+    _conclude(s, c, out)
 
 
 @kernel
-def _skip(s: State, c: Const, u: linear_plant.Inputs, steps: int) -> None:
-    """Go on over the samples that did not come, each with the command that held then."""
-    if steps - 1 > linear_plant.MOST_MISSING or s.sampling.gap == 1:
-        s.restarts += 1
-        if c.logic == MODELS:
-            decision.restart(s.models, c.models)
-        else:
-            isolation.restart(s.isolation, c.isolation)
-        return
-    for k in range(steps - 1):
-        s.missing += 1
-        lost = _lost(s, c, k + 1, u)
-        if c.logic == MODELS:
-            decision.advance(s.models, c.models, s.sampling.u, s.sampling.unsure)
-        else:
-            isolation.missing(s.isolation, c.isolation, s.sampling.u)
-            if lost:
-                isolation.unknown_command(s.isolation, c.isolation)
+def _late(s: State, c: Const) -> None:
+    """Take commands that come behind their samples."""
+    for i in range(c.sampling.inputs):
+        if s.sampling.late[i] > 0:
+            x, newest = s.sampling, (s.sampling.heard[i] - 1) % linear_plant.KEPT
+            alignment.late(s.models.filters.aligned, c.alignment, i, x.value[i, newest], x.late[i] - 1)
+            s.sampling.late[i] = 0
 
 
 @kernel
 def step(s: State, c: Const, u: linear_plant.Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample."""
-    if u.trigger == TIMER or linear_plant.command(s.sampling, c.sampling, u):
+    if u.trigger == TIMER:
+        return
+    if linear_plant.command(s.sampling, c.sampling, u):
+        _late(s, c)
         return
     steps = linear_plant.samples(s.sampling, c.sampling, u)
     if steps == 0:
         return
-    _skip(s, c, u, steps)
-    lost = _lost(s, c, steps, u)
-    linear_plant.heard_all(s.sampling, c.sampling)
-    window.keep(s.window, u.y, s.sampling.u, steps == 1 and not lost)
-    x = s.isolation
     s.reason = 0
-    if c.logic == MODELS:
-        _models(s, c, u, out)
-        s.active = s.models.active
+    if steps - 1 > linear_plant.MOST_MISSING or s.sampling.gap == 1:
+        s.restarts += 1
+        s.models.filters.aligned.begun = s.window.held = 0
+        if c.logic == MODELS:
+            decision.restart(s.models, c.models)
+        else:
+            isolation.restart(s.isolation, c.isolation)
     else:
-        isolation.step(x, c.isolation, u.y, s.sampling.u)
-        if lost:
-            isolation.unknown_command(x, c.isolation)
-        if x.unexplained == 1:
-            s.reason = AMBIGUOUS
-        elif x.tested == 0:
-            s.reason = FINDING if x.started == 0 else (COMMAND if x.blind > 0 else UNDECIDED)
-        _conclude(s, c, out)
-    if c.logic != MODELS:
-        s.active, s.sensor = x.active, x.latched
+        for k in range(steps - 1):  # each with the command that held then
+            s.missing += 1
+            _one(s, c, u, k + 1, False, out)
+    _one(s, c, u, steps, True, out)
+    linear_plant.heard_all(s.sampling, c.sampling)
     if s.reason > 0:
         s.untested += 1
 

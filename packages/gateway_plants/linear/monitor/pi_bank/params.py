@@ -55,14 +55,16 @@ class Params(UncertainPlantParams):
     def decided_by(self) -> Logic:
         """The logic, own or default."""
         if self.logic is not None:
-            if self.model_error is not None and self.logic != "models":
-                raise ValueError(
-                    f'model_error: logic = "{self.logic}" takes the matrices as exact; logic = "models" does not'
-                )
+            if self.logic != "models" and (self.model_error is not None or self.lags.any()):
+                key = "accuracy.lag" if self.model_error is None else "model_error"
+                what = "sensors as of one time" if self.model_error is None else "the matrices as exact"
+                raise ValueError(f'{key}: logic = "{self.logic}" takes {what}; logic = "models" does not')
             return self.logic
         plant = self.plant
-        if self.model_error is not None or any(
-            unobservable(plant.phi, plant.without(j)) for j in range(plant.outputs if plant.outputs > 1 else 0)
+        if (
+            self.model_error is not None
+            or self.lags.any()
+            or any(unobservable(plant.phi, plant.without(j)) for j in range(plant.outputs if plant.outputs > 1 else 0))
         ):
             return "models"
         return "jumps"

@@ -1,125 +1,79 @@
-"""Plants that are hard on a step: lightly damped, stiff, nonlinear; solved by SciPy, apart from the gateway's code."""
+"""Plants of other make: lightly damped, stiff, not linear. Each is a model as a user writes it, and an ODE of its own.
 
+The ODE is solved by SciPy (:mod:`.drives`), apart from the gateway's code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
-from scipy.integrate import solve_ivp
+from numpy.typing import NDArray
 
-from gateway.bus.frames import empty
-from gateway.bus.logs import open_writer
-from gateway.calibration.cusum import learn
-from gateway.calibration.file import write
-from gateway.config.load import load_config
-from gateway.config.monitor_types import monitor_of
-
-BEGIN = 10**9
+Array = NDArray[np.float64]
+Numbers = Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class Plant:
-    """A plant: its model as a user writes it, and the same as an ODE.
+    """A plant.
 
-    ``slopes(t, x, u, p)`` are derivatives, ``commands(rng, seconds)`` times and held values of the commands,
-    ``measured(t, x, u, p)`` what the sensors show, ``faults`` changes of p, ``sensors`` what is added to a sensor.
+    Attributes:
+        name: of the plant and of its model.
+        model: as a user writes it, in TOML.
+        period_s: between two samples.
+        p: its parameters, faults' among them.
+        begin: p -> state at 0.
+        slopes: (state, commands, p) -> derivatives.
+        commands: (rng, seconds) -> times and held values of the commands.
+        measured: (states, commands, p) -> what the sensors show, in the order of the known variables.
+        knowns: known variables.
+        noise: standard deviation of each.
+        faults: fault -> parameters that it changes.
+        uncertain: parameters of which the model's values may be off.
+        bias: of each sensor, at most half of what its data sheet says.
+        told: lines of a configuration that say so.
+        options: further lines of a configuration.
+        seconds: of a drive with a fault.
+        groups: fault -> the name that it has together with what cannot be told from it.
+        linear: the slopes are linear in the state.
     """
 
     name: str
     model: str
     period_s: float
-    p: dict
-    begin: tuple
-    slopes: object
-    commands: object
-    measured: object
-    knowns: tuple
-    noise: tuple
-    faults: dict
+    p: Numbers
+    begin: Callable[[Numbers], tuple[float, ...]]
+    slopes: Callable[[Any, Any, Numbers], Any]
+    commands: Callable[[np.random.Generator, float], tuple[Array, Array]]
+    measured: Callable[[Any, Any, Numbers], Sequence[Any]]
+    knowns: tuple[str, ...]
+    noise: tuple[float, ...]
+    faults: Mapping[str, Numbers]
+    uncertain: tuple[str, ...]
+    bias: tuple[float, ...]
+    told: str
     options: str = ""
     seconds: float = 60.0
-    groups: dict = field(default_factory=dict)
+    groups: Mapping[str, str] = field(default_factory=dict)
+    linear: bool = True
 
 
-def levels(count, every, low, high):
-    """Commands that jump to a level drawn at random, ``every`` seconds."""
+def _levels(
+    count: int, every: float, low: float, high: float
+) -> Callable[[np.random.Generator, float], tuple[Array, Array]]:
+    """Return commands that jump to a level drawn at random, ``every`` seconds."""
 
-    def drawn(rng, seconds):
+    def drawn(rng: np.random.Generator, seconds: float) -> tuple[Array, Array]:
         t = np.arange(0.0, seconds, every)
         return t, rng.uniform(low, high, (len(t), count))
 
     return drawn
 
 
-def run(plant, seconds, seed, fault="", onset=0.0):
-    """What the signals are at each sample, shape (samples, knowns); the fault is there from ``onset`` on."""
-    rng = np.random.default_rng(seed)
-    at, u = plant.commands(rng, seconds)
-    times = np.arange(round(seconds / plant.period_s)) * plant.period_s
-    edges = sorted({*at.tolist(), onset, seconds} - {0.0})
-    x, begin, rows = np.array(plant.begin, float), 0.0, []
-    for end in edges:
-        told = u[np.searchsorted(at, begin, side="right") - 1]
-        faulty = bool(fault) and begin >= onset
-        p = plant.p | (plant.faults[fault] if faulty else {})
-        inside = times[(times >= begin - 1e-12) & (times < end - 1e-12)]
-        solved = solve_ivp(
-            plant.slopes, (begin, end), x, "LSODA", np.append(inside, end), args=(told, p), rtol=1e-8, atol=1e-10,
-            max_step=0.5,
-        )  # fmt: skip
-        for t, state in zip(inside, solved.y.T, strict=False):
-            rows.append(plant.measured(t, state, told, p))
-        x, begin = solved.y[:, -1], end
-    rows = np.array(rows)
-    return rows + rng.normal(size=rows.shape) * np.array(plant.noise)
-
-
-def frames_of(plant, rows):
-    """The frames of samples, one float signal each."""
-    count, width = rows.shape
-    frames = empty(count * width)
-    for k in range(width):
-        mine = frames[k::width]
-        mine["t_ns"] = BEGIN + np.round(np.arange(count) * plant.period_s * 1e9).astype(np.int64) + k * 1000
-        mine["can_id"], mine["length"] = 256 + k, 4
-        mine["data"][:, :4] = rows[:, k].astype("<f4").view(np.uint8).reshape(count, 4)
-    return frames
-
-
-def configuration(plant, folder, more=""):
-    """The folder of a user: model, database, configuration; returns the configuration."""
-    (folder / f"{plant.name}.toml").write_text(plant.model)
-    messages = "".join(
-        f'BO_ {256 + k} M{k}: 4 A\n SG_ {z} : 0|32@1- (1,0) [0|0] "" A\n' for k, z in enumerate(plant.knowns)
-    )
-    kinds = "".join(f"SIG_VALTYPE_ {256 + k} {z} : 1;\n" for k, z in enumerate(plant.knowns))
-    (folder / "plant.dbc").write_text(f'VERSION ""\nNS_ :\nBS_:\nBU_: A\n{messages}{kinds}')
-    signals = ", ".join(f'{z} = "M{k}.{z}"' for k, z in enumerate(plant.knowns))
-    path = folder / "gateway.toml"
-    path.write_text(
-        '[clock]\nwatched = false\n[[bus]]\nname = "b"\nuri = "virtual:x"\ndatabase = ["plant.dbc"]\n'
-        'health = { watched = false }\n[memory]\npath = "faults.sqlite"\n'
-        f'[[monitor]]\nname = "own"\ntype = "structural"\nmodel = "{plant.name}.toml"\nsample = "set"\n'
-        f"period_ms = {plant.period_s * 1e3:g}\n{plant.options}{more}signals = {{ {signals} }}\n"
-    )
-    return path
-
-
-def calibrated(config, *frames):
-    """Calibrate a configuration by healthy drives."""
-    logs = [config.with_name(f"healthy_{k}.log") for k in range(len(frames))]
-    for path, each in zip(logs, frames, strict=True):
-        writer = open_writer(path)
-        writer.write(each)
-        writer.close()
-    write(config, learn(load_config(config), logs, file=config).tables, "healthy logs")
-
-
-def notes(config):
-    """What `gateway check` tells of its monitor, and warns of."""
-    monitor, params = monitor_of(load_config(config).monitor[0])
-    return monitor.notes(params), monitor.warnings(params)
-
-
-def _spring(_, x, u, p):
+def _spring(x: Any, u: Any, p: Numbers) -> Any:
     return [x[1], (u[0] * p["gain"] - p["k"] * x[0] - p["d"] * x[1]) / p["m"]]
 
 
@@ -160,26 +114,30 @@ unique = ["v"]
 """,
     0.01,
     {"m": 1.0, "k": 100.0, "d": 0.02, "gain": 1.0, "y": 0.0, "w": 0.0},
-    (0.0, 0.0),
+    lambda _: (0.0, 0.0),
     _spring,
-    levels(1, 5.0, -20.0, 20.0),
-    lambda _, x, u, p: (u[0], x[0] + p["y"], x[1] + p["w"]),
+    _levels(1, 5.0, -20.0, 20.0),
+    lambda x, u, p: (u[0], x[0] + p["y"], x[1] + p["w"]),
     ("u", "y", "w"),
     (0.0, 1e-3, 1e-2),
     {"f_F": {"gain": 0.7}, "f_y": {"y": 0.1}, "f_w": {"w": 0.5}},
+    ("m", "k", "d"),
+    (0.0, 5e-3, 0.025),
+    """uncertain = { m = "20 %", k = "20 %", d = "20 %" }
+sensors = { y = { gain = "1 %", bias = 0.01 }, w = { gain = "1 %", bias = 0.05 } }
+""",
     "start = { x = 0.0, v = 0.0 }\nconfirm_s = 2\n",
     60.0,
 )
 
 
-def _vin(t):
-    return 24.0 + 0.5 * np.sin(20.0 * t)
-
-
-def _buck(t, x, u, p):
+def _buck(x: Any, u: Any, p: Numbers) -> Any:
+    """The input's ripple, 0.5 V at 20 rad/s, is the states' last two."""
     return [
-        (p["sw"] * u[0] * _vin(t) - p["R_L"] * x[0] - x[1]) / p["L"],
+        (p["sw"] * u[0] * (24.0 + 0.5 * x[2]) - p["R_L"] * x[0] - x[1]) / p["L"],
         (x[0] - x[1] / p["R"]) / p["C"],
+        20.0 * x[3],
+        -20.0 * x[2],
     ]
 
 
@@ -229,23 +187,28 @@ unique = ["Vin"]
 """,
     0.001,
     {"L": 2e-3, "C": 2e-3, "R_L": 0.1, "R": 10.0, "sw": 1.0, "i": 0.0, "v": 0.0, "vin": 0.0},
-    (1.2, 12.0),
+    lambda _: (1.2, 12.0, 0.0, 1.0),
     _buck,
-    levels(1, 0.5, 0.4, 0.6),
-    lambda t, x, u, p: (u[0], x[0] + p["i"], x[1] + p["v"], _vin(t) + p["vin"]),
+    _levels(1, 0.5, 0.4, 0.6),
+    lambda x, u, p: (u[0], x[0] + p["i"], x[1] + p["v"], 24.0 + 0.5 * x[2] + p["vin"]),
     ("d", "i", "v", "vin"),
     (0.0, 0.02, 0.05, 0.05),
     {
         "f_sw": {"sw": 0.9}, "f_RL": {"R_L": 0.6}, "f_R": {"R": 6.0}, "f_i": {"i": 0.4}, "f_v": {"v": 1.0},
         "f_vin": {"vin": 1.5},
     },
+    ("L", "C", "R_L", "R"),
+    (0.0, 0.025, 0.05, 0.05),
+    """uncertain = { L = "20 %", C = "20 %", R_L = "40 %", R = "15 %" }
+sensors = { i = { gain = "1 %", bias = 0.05 }, v = { gain = "1 %", bias = 0.1 }, vin = { gain = "1 %", bias = 0.1 } }
+""",
     "start = { I = 1.2, V = 12.0 }\nsettle_s = 1\nconfirm_s = 1\n",
     20.0,
     {"f_sw": "f_sw_or_f_RL_or_f_vin", "f_RL": "f_sw_or_f_RL_or_f_vin", "f_vin": "f_sw_or_f_RL_or_f_vin"},
 )  # fmt: skip
 
 
-def _motor(_, x, u, p):
+def _motor(x: Any, u: Any, p: Numbers) -> Any:
     return [(u[0] - p["R"] * x[0] - p["k"] * x[1]) / p["L"], (p["k"] * x[0] - p["b"] * x[1]) / p["J"]]
 
 
@@ -285,19 +248,24 @@ unique = ["omega"]
 """,
     0.01,
     {"L": 2e-4, "R": 0.5, "k": 0.05, "b": 1e-3, "J": 2e-3, "i": 0.0, "w": 0.0},
-    (0.0, 0.0),
+    lambda _: (0.0, 0.0),
     _motor,
-    levels(1, 2.0, 6.0, 12.0),
-    lambda _, x, u, p: (u[0], x[0] + p["i"], x[1] + p["w"]),
+    _levels(1, 2.0, 6.0, 12.0),
+    lambda x, u, p: (u[0], x[0] + p["i"], x[1] + p["w"]),
     ("u", "i", "w"),
     (0.0, 0.02, 0.2),
     {"f_R": {"R": 0.75}, "f_b": {"b": 2e-3}, "f_i": {"i": 1.0}, "f_w": {"w": 8.0}},
+    ("R", "k", "b", "J"),
+    (0.0, 0.025, 0.25),
+    """uncertain = { R = "20 %", k = "15 %", b = "30 %", J = "15 %" }
+sensors = { i = { gain = "1 %", bias = 0.05 }, w = { gain = "1 %", bias = 0.5 } }
+""",
     "start = { I = 0.0, omega = 0.0 }\nsettle_s = 3\nconfirm_s = 2\n",
     60.0,
 )
 
 
-def _tanks(_, h, u, p):
+def _tanks(h: Any, u: Any, p: Numbers) -> Any:
     q = [p[f"a{k + 1}"] * np.sqrt(2 * 981.0 * max(h[k], 0.0)) for k in range(4)]
     u1, u2 = u[0] * p["p1"], u[1] * p["p2"]
     return [
@@ -306,7 +274,7 @@ def _tanks(_, h, u, p):
     ]  # fmt: skip
 
 
-def _tank_model():
+def _tank_model() -> str:
     text = "".join(f'h{k} = {{ unit = "cm" }}\nq{k} = {{}}\n' for k in (1, 2, 3, 4)) + "Q1 = {}\nQ2 = {}\n"
     text = f"[unknown]\n{text}[known]\nu1 = {{}}\nu2 = {{}}\n" + "".join(f"y{k} = {{}}\n" for k in (1, 2, 3, 4))
     text += "[fault]\nf_1 = {}\nf_2 = {}\nf_3 = {}\nf_4 = {}\nf_p1 = {}\nf_p2 = {}\n"
@@ -321,41 +289,51 @@ def _tank_model():
     return text + '[equation.p2]\nrelation = "Q2 = 3.35 * (1 - f_p2) * u2"\nunique = ["Q2"]\n'
 
 
-_AREAS = {"a1": 0.071, "a2": 0.057, "a3": 0.071, "a4": 0.057}
+_HOLES = {"a1": 0.071, "a2": 0.057, "a3": 0.071, "a4": 0.057}
 
 TANKS = Plant(
     "quad",
     _tank_model(),
     1.0,
-    _AREAS | {"p1": 1.0, "p2": 1.0, "y1": 0.0, "y2": 0.0, "y3": 0.0, "y4": 0.0},
-    (12.3, 12.8, 1.6, 1.4),
+    _HOLES | {"p1": 1.0, "p2": 1.0, "y1": 0.0, "y2": 0.0, "y3": 0.0, "y4": 0.0},
+    lambda _: (12.3, 12.8, 1.6, 1.4),
     _tanks,
-    levels(2, 150.0, 2.7, 3.3),
-    lambda _, h, u, p: (*u, *(h[k] + p[f"y{k + 1}"] for k in range(4))),
+    _levels(2, 150.0, 2.7, 3.3),
+    lambda h, u, p: (*u, *(h[k] + p[f"y{k + 1}"] for k in range(4))),
     ("u1", "u2", "y1", "y2", "y3", "y4"),
     (0.0, 0.0, 0.02, 0.02, 0.02, 0.02),
     {
         "f_1": {"y1": 1.0}, "f_2": {"y2": 1.0}, "f_3": {"y3": 0.4}, "f_4": {"y4": 0.4}, "f_p1": {"p1": 0.8},
         "f_p2": {"p2": 0.8},
     },
+    tuple(_HOLES),
+    (0.0, 0.0, 0.05, 0.05, 0.05, 0.05),
+    """uncertain = { a1 = "20 %", a2 = "20 %", a3 = "20 %", a4 = "20 %" }
+sensors.y1 = { gain = "1 %", bias = 0.1 }
+sensors.y2 = { gain = "1 %", bias = 0.1 }
+sensors.y3 = { gain = "1 %", bias = 0.1 }
+sensors.y4 = { gain = "1 %", bias = 0.1 }
+""",
     "start = { h1 = 12.3, h2 = 12.8, h3 = 1.6, h4 = 1.4 }\nsettle_s = 60\nconfirm_s = 60\n",
     1800.0,
+    {"f_1": "f_1_or_f_p1", "f_2": "f_2_or_f_p2"},
+    linear=False,
 )  # fmt: skip
 
 
-def _turbine(_, x, u, p):
+def _turbine(x: Any, u: Any, p: Numbers) -> Any:
     rotor, generator, twist, torque = x
     shaft = p["K"] * twist + p["B"] * (rotor - generator / p["N"])
     return [
-        (u[1] - shaft - p["Br"] * rotor) / p["Jr"],
+        (u[1] * p["tr"] - shaft - p["Br"] * rotor) / p["Jr"],
         (p["eta"] * shaft / p["N"] - p["Bg"] * generator - torque) / p["Jg"],
         rotor - generator / p["N"],
-        p["a"] * (u[0] - torque),
+        p["a"] * (u[0] * p["conv"] - torque),
     ]
 
 
-def _gusts(rng, seconds):
-    """The converter's torque, and a rotor's torque that nearly balances it, new every 10 s."""
+def _gusts(rng: np.random.Generator, seconds: float) -> tuple[Array, Array]:
+    """Return the converter's torque, and a rotor's torque that nearly balances it, new every 10 s."""
     t = np.arange(0, seconds, 10.0)
     torque = rng.uniform(14_000, 20_000, len(t))
     return t, np.stack([torque, (torque + 45.6 * 152.0) * 95 / 0.97 * rng.uniform(0.97, 1.03, len(t))], 1)
@@ -434,16 +412,29 @@ relation="tg = Tg + f_Tgm"
 unique=["Tg"]
 """,
     0.01,
-    _SHAFT | {"r1": 0.0, "r2": 0.0, "g1": 0.0, "g2": 0.0, "tg": 0.0},
-    (1.6, 152.0, (17_000 + 45.6 * 152.0) * 95 / 0.97 / 2.7e9, 17_000.0),
+    _SHAFT | {"r1": 0.0, "r2": 0.0, "g1": 0.0, "g2": 0.0, "tg": 0.0, "conv": 1.0, "tr": 1.0},
+    lambda p: (1.6, 152.0, (17_000 + 45.6 * 152.0) * 95 / 0.97 / p["K"], 17_000.0),
     _turbine,
     _gusts,
-    lambda _, x, u, p: (*u, x[0] + p["r1"], x[0] + p["r2"], x[1] + p["g1"], x[1] + p["g2"], x[3] + p["tg"]),
+    lambda x, u, p: (*u, x[0] + p["r1"], x[0] + p["r2"], x[1] + p["g1"], x[1] + p["g2"], x[3] + p["tg"]),
     ("uT", "uR", "r1", "r2", "g1", "g2", "tg"),
     (0.0, 0.0, 0.0251, 0.0251, 0.0158, 0.0158, 0.9),
-    {"f_wr1": {"r1": 0.2}, "f_wr2": {"r2": 0.2}, "f_wg1": {"g1": 5.0}, "f_wg2": {"g2": 5.0}},
+    {
+        "f_wr1": {"r1": 0.2}, "f_wr2": {"r2": 0.2}, "f_wg1": {"g1": 5.0}, "f_wg2": {"g2": 5.0}, "f_Tgm": {"tg": 1000.0},
+        "f_conv": {"conv": 0.95}, "f_tr": {"tr": 0.95},
+    },
+    ("Jr", "Jg", "K", "B"),
+    (0.0, 0.0, 0.01, 0.01, 0.25, 0.25, 85.0),
+    """uncertain = { Jr = "20 %", Jg = "20 %", K = "20 %", B = "20 %" }
+sensors.r1 = { gain = "1 %", bias = 0.02 }
+sensors.r2 = { gain = "1 %", bias = 0.02 }
+sensors.g1 = { gain = "1 %", bias = 0.5 }
+sensors.g2 = { gain = "1 %", bias = 0.5 }
+sensors.tg = { gain = "1 %", bias = 170.0 }
+""",
     "start = { wr = 1.6, wg = 152.0, Tg = 17000.0 }\nsettle_s = 5\nconfirm_s = 2\n",
     60.0,
-)
+)  # fmt: skip
 
+#: By name.
 PLANTS = {plant.name: plant for plant in (SPRING, BUCK, MOTOR, TANKS, WIND)}

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import sympy
-from foreign_plants import MOTOR, SPRING, TANKS, run
 from residual_runner import Runner
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -13,6 +12,8 @@ from gateway_fdi.structure.generator.loading import residual_generator
 from gateway_fdi.structure.generator.propagation import components, sensors, slope
 from gateway_fdi.structure.generator.realisation import realise
 from gateway_fdi.structure.generator.runtime import advance, incline
+from gateway_plants.structural.study.drives import run
+from gateway_plants.structural.study.foreign import MOTOR, SPRING, TANKS
 
 
 def model_of(plant, folder):
