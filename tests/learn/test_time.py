@@ -12,7 +12,7 @@ from gateway.config.load import load_config
 from gateway_bench.wire.replayed import through
 from gateway_fleet.cli.learn import learn_car
 from gateway_fleet.learn.gaps import CYCLIC, Gaps, lost_share, sending, timeout_ms
-from gateway_fleet.learn.learn import learn
+from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import CHECK
 
 MS = 1_000_000
@@ -43,7 +43,7 @@ def learned(tmp_path, keep, seed=1, seconds=60.0):
     ]
     log = lines_of(drive(tmp_path / "drive.log", seconds, messages, rng), keep, rng)
     result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
-    (tmp_path / "car.toml").write_text(result.text)
+    write(result.files(tmp_path / "car.toml"))
     return log, result, {place[2]: line.keys for place, line in result.learned.lines.items() if place[1] == CHECK}
 
 

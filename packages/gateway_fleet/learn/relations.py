@@ -39,6 +39,8 @@ OUTLIER, FITS = 4.0, 3
 ONE, LESS, TIMES = "one", "difference", "product"
 #: Correlation of a product with a third signal.
 PRODUCT = 0.97
+#: What two together leave unexplained, at most, of what the better one alone does.
+OF_ALONE = 0.5
 
 
 @dataclass(frozen=True)
@@ -310,9 +312,14 @@ def _best(
     step_s: float,
 ) -> None:
     """Put relations of others to two signals that go together into those found, where they are better."""
-    table = np.column_stack([together, values[:, others]]) if others else together[:, None]
+    if not others:
+        return
+    alone = values[:, list(by)]
+    alike = _correlation(np.column_stack([together, alone, values[:, others]]))[:3, 3:] ** 2
+    # One of the two alone may say the same: the other hardly changes, and tomorrow it does.
+    needed = 1.0 - alike[0] <= OF_ALONE * (1.0 - alike[1:].max(axis=0))
     least = DIFFERENCE if form == LESS else PRODUCT
-    for k in np.flatnonzero(np.abs(_correlation(table)[0, 1:]) > least):
+    for k in np.flatnonzero((alike[0] > least**2) & needed):
         for relation in _checked(values, others[int(k)], by, form, step_s):
             best = found.get(relation.of)
             if best is None or relation.limit < best.limit:
