@@ -70,7 +70,8 @@ def test_the_configuration_is_one_line_each_and_what_gateway_check_takes(found):
     relations = [line.keys["holds"] for line in lines if line.table == RULE]
     assert any("WHEEL_SPEEDS.WHEEL_SPEED_FL" in text and "SPEED.SPEED" in text for text in relations)
     notes = "\n".join(result.learned.notes)
-    assert "0x2D5" in notes, "in no database"
+    assert "ID_2D5" in notes, "in no database"
+    assert {"ID_2D5", "ID_2C1"} <= set(checks)
     assert "ACC_CONTROL" in notes, "never came"
 
 
@@ -359,11 +360,17 @@ def test_a_log_of_another_car_is_told(tmp_path):
         + "".join(f'BO_ {256 + 3 * k} M{k}: 8 A\n SG_ X{k} : 0|8@1+ (1,0) [0|255] "" A\n' for k in range(8))
     )
     ids = [256, *range(900, 1900, 17)]
-    log = drive(tmp_path / "drive.log", 20.0, [(can_id, 0.1, lambda k: bytes([k % 50] * 8), 0.0) for can_id in ids])
+    log = drive(
+        tmp_path / "drive.log",
+        20.0,
+        [(can_id, 0.1, lambda k: bytes([k % 50, 0, 0, 0, 0, 0, 0, 0]), 0.0) for can_id in ids],
+    )
     result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",), hold_out=0.0), quiet)
     assert any("DOES NOT LOOK" in note for note in result.learned.notes)
     mine = drive(
-        tmp_path / "mine.log", 20.0, [(256 + 3 * k, 0.1, lambda k: bytes([k % 50] * 8), 0.0) for k in range(6)]
+        tmp_path / "mine.log",
+        20.0,
+        [(256 + 3 * k, 0.1, lambda k: bytes([k % 50, 0, 0, 0, 0, 0, 0, 0]), 0.0) for k in range(6)],
     )
     result = learn(asked(tmp_path / "car.toml", mine, databases=(tmp_path / "car.dbc",), hold_out=0.0), quiet)
     assert not any("DOES NOT LOOK" in note for note in result.learned.notes)

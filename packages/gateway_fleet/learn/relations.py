@@ -131,7 +131,7 @@ def _correlation(values: NDArray[np.float64]) -> NDArray[np.float64]:
     with np.errstate(invalid="ignore", divide="ignore"):
         found = product / np.sqrt(square * square.T)
     found[both < LEAST_ROWS] = 0.0
-    return np.asarray(np.nan_to_num(found), np.float64)
+    return np.asarray(np.clip(np.nan_to_num(found, posinf=0.0, neginf=0.0), -1.0, 1.0), np.float64)
 
 
 def _groups(correlation: NDArray[np.float64]) -> list[list[int]]:
