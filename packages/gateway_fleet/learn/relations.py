@@ -314,7 +314,7 @@ def _best(
     """Put relations of others to two signals that go together into those found, where they are better."""
     if not others:
         return
-    alone = values[:, list(by)]
+    alone = np.where(np.isnan(together)[:, None], np.nan, values[:, list(by)])
     alike = _correlation(np.column_stack([together, alone, values[:, others]]))[:3, 3:] ** 2
     # One of the two alone may say the same: the other hardly changes, and tomorrow it does.
     needed = 1.0 - alike[0] <= OF_ALONE * (1.0 - alike[1:].max(axis=0))
