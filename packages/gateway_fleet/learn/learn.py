@@ -230,7 +230,7 @@ def settle(
         with _beside(asked.out, result.text, result.databases) as path:
             proof = replayed(path, result.observation.logs, asked.maps, _by_log(progress, said))
         result.held_s, result.held_frames = proof.seconds, proof.frames
-        own = {fault for fault in proof.alarms if _of_log(fault, [bus.name for bus in asked.buses])}
+        own = {fault for fault in proof.alarms if of_log(fault, [bus.name for bus in asked.buses])}
         result.alarms = tuple(sorted(set(proof.alarms) - own))
         result.conditions = tuple(sorted(own))
         if not _widen(asked, result, proof, before):
@@ -240,7 +240,7 @@ def settle(
         _try(asked, result, proof, progress)
 
 
-def _of_log(fault: str, buses: Sequence[str]) -> bool:
+def of_log(fault: str, buses: Sequence[str]) -> bool:
     """Tell whether a fault is one of the recording (its clock was set, its bus was off), not of a limit."""
     owner_, _, rest = fault.partition(".")
     return owner_ == OWNER or (owner_ in buses and "." not in rest)
