@@ -49,10 +49,12 @@ def test_which_bits_count(seed):
     noise, slow = rng.integers(0, 256, 1200), k // 100
     for start, bits, modulus in ((48, 4, 16), (52, 4, 15), (50, 2, 4), (48, 8, 256), (49, 3, 8)):
         other = [(0, noise), (8, slow), (40, noise)]
+        other += [(52, slow % 16)] if start + bits <= 52 else []
         found, note = counted(frames([*other, (start, k % modulus)]))
         assert found == [("BYTE6_COUNTER", start, bits)], f"seed {seed}: {modulus} values {note}"
     assert counted(frames([(0, noise), (8, k % 60)])) == ([], ""), "a clock"
     assert counted(frames([(0, noise), (8, k % 200)])) == ([], ""), "nor a part of what goes up"
+    assert counted(frames([(0, noise), (8, 5 * k % 256)])) == ([], ""), "its lowest two bits go up by one"
     assert counted(frames([(0, noise), (8, k // 2 % 256)])) == ([], ""), "each value twice"
     found, note = counted(frames([(8, k % 16), (16, (k + 5) % 16)]))
     assert not found

@@ -109,16 +109,25 @@ def _counting(
             counter = of_raw("", raw, follows, bits, cycles, IN_A_BYTE * message.length)
             if counter is None or counter.wraps < WRAPS or (1 << bits) - counter.modulus not in (0, 1):
                 continue
-            if (start + bits) % 8 == 0 or not _carries(raw, frames, start + bits):
+            if (start + bits) % 8 == 0 or not _goes_on(raw, frames, start, bits):
                 found.append((counter.ones * float(np.log2(counter.modulus)), (start, bits)))
     return found
 
 
-def _carries(raw: NDArray[np.int64], frames: Payloads, above: int) -> bool:
-    """Tell whether the bit above a field turns mostly where the field comes round: they count together."""
-    bit = bits_of(frames.words, field_at(above // 8, 1, shift=above % 8))
-    turns, rounds = bit[1:] != bit[:-1], raw[1:] < raw[:-1]
-    return bool(turns.any() and (turns & rounds).sum() > TURNS * turns.sum())
+def _goes_on(raw: NDArray[np.int64], frames: Payloads, start: int, bits: int) -> bool:
+    """Tell whether a field is the low end of a number that has more bits in its byte.
+
+    The bit above turns where the field comes round, and only there: they count together. Or all of them go up by 5, so
+    that the lowest two go up by one.
+    """
+    width = 8 - start % 8
+    whole = bits_of(frames.words, field_at(start // 8, width, shift=start % 8)).astype(np.int64)
+    above = whole >> bits & 1
+    turns, rounds = above[1:] != above[:-1], raw[1:] < raw[:-1]
+    steps, often = np.unique(np.mod(np.diff(whole), 1 << width), return_counts=True)
+    most = int(often.argmax())
+    together = (turns & rounds).sum() > TURNS * max(turns.sum(), rounds.sum())
+    return bool(together or (steps[most] != 1 and often[most] > TURNS * len(turns)))
 
 
 def database_text(messages: Sequence[Message]) -> str:
