@@ -73,6 +73,8 @@ def test_the_configuration_is_one_line_each_and_what_gateway_check_takes(found):
     assert "ID_2D5" in notes, "in no database"
     assert checks["ID_2D5"]["timeout_ms"] > 0
     assert "ACC_CONTROL" in notes, "never came"
+    assert "GEAR_PACKET.GEAR (1 of 5)" in notes, "one gear says nothing of values without a text"
+    assert "counter" not in checks["ID_63B"], "a time: it goes up by five"
 
 
 def test_a_healthy_stranger_of_the_same_car_is_not_accused(found):

@@ -7,7 +7,7 @@ with a margin and only where something steeper could be told, standstill only of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -236,8 +236,13 @@ def _rest(_signal: Signal, course: Course, _period: float, seconds: float) -> tu
     return {"stuck": {"seconds": short(limit, 2)}}, f"at rest for {course.rest_s:.3g} s at most"
 
 
+def texts_of(signal: Signal) -> set[float]:
+    """Return the physical values that the database has texts for."""
+    return {float(raw * signal.scale + signal.offset) for raw in signal.choices or {}}
+
+
 def _texts(signal: Signal, course: Course) -> tuple[dict[str, Any], str]:
-    texts = {float(raw * signal.scale + signal.offset) for raw in signal.choices or {}}
+    texts = texts_of(signal)
     if not LEAST_TEXTS <= len(texts) <= MOST_VALUES or not course.values or len(texts) == 1 << signal.length:
         return {}, ""
     seen, shown_share = len(course.values), len(course.values & texts) / len(texts)
@@ -278,10 +283,30 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
                 f"{name}: {len(asked)} identifiers ({sum(seen.frames for seen in asked)} frames) are in no database and"
                 f" have messages of their own: {', '.join(sorted(seen.message.name for seen in asked))}"
             )
+        untested = _without_a_text(observation, bus, learned.lines, name)
+        if untested:
+            notes.append(f"{name}: values without a text are not tested, too few texts came: {', '.join(untested)}")
         doubled = sorted(message for index, message in observation.doubled if index == bus)
         if doubled:
             notes.append(f"{name}: messages with one identifier together, left out: {', '.join(doubled)}")
     return notes
+
+
+def _without_a_text(observation: Observation, bus: int, lines: Mapping[Any, Line], name: str) -> list[str]:
+    """Return the enumerations of a bus that had values with a text only, and whose others no line asks for."""
+    said = []
+    for (index, message), seen in observation.seen.items():
+        for signal, course in zip(seen.signals, seen.courses.each, strict=True) if index == bus else ():
+            texts, line = texts_of(signal), lines.get((name, SIGNAL, f"{message}.{signal.name}"))
+            asked = line is not None and line.keys.get("undefined")
+            if (
+                LEAST_TEXTS <= len(texts) < 1 << signal.length
+                and course.values
+                and course.values <= texts
+                and not asked
+            ):
+                said.append(f"{message}.{signal.name} ({len(course.values)} of {len(texts)})")
+    return sorted(said)
 
 
 def add(learned: Learned, lines: Sequence[Line]) -> None:
