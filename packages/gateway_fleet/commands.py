@@ -10,7 +10,8 @@ from gateway.cli.options import Json, JsonEvents, Maps
 
 def learn(
     files: Annotated[
-        list[Path], typer.Argument(help="Databases (.dbc, .kcd, .sym, .arxml) and logs of healthy drives.")
+        list[Path],
+        typer.Argument(help="Logs of healthy drives, and databases (.dbc, .kcd, .sym, .arxml) if there are any."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Configuration file to write.")] = Path("car.toml"),
     bus: Annotated[
@@ -194,6 +195,7 @@ def evaluate_learn(
     hours: Annotated[float, typer.Option(min=0, help="Other healthy drives, together [h].")] = 20.0,
     ways: Annotated[str, typer.Option(help="How frames reach the log: clean,lost,sleeps,host,all.")] = "lost,all",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first car.")] = 2026,
+    database: Annotated[bool, typer.Option(help="Whether the car's database is there.")] = True,
     json: Json = False,
 ) -> None:
     """Evaluate what is learned of virtual cars.
@@ -202,7 +204,8 @@ def evaluate_learn(
     """
     from gateway_fleet.study.learn.command import learn as work
 
-    raise typer.Exit(work(cars=cars, seconds=seconds, hours=hours, ways=tuple(ways.split(",")), seed=seed, json=json))
+    names = tuple(ways.split(","))
+    raise typer.Exit(work(cars=cars, seconds=seconds, hours=hours, ways=names, seed=seed, database=database, json=json))
 
 
 def evaluate_cause(

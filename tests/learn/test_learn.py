@@ -18,7 +18,7 @@ from learning import asked, drive, quiet
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway_fdi.errors import InputError, InputErrors
-from gateway_fleet.learn.learn import learn
+from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL
 
 ROOT = Path(__file__).parents[2]
@@ -30,7 +30,7 @@ def found(tmp_path_factory):
     """What half of the shipped drive teaches."""
     out = tmp_path_factory.mktemp("learn") / "car.toml"
     result = learn(asked(out, DRIVE, hold_out=0.5), quiet)
-    out.write_text(result.text)
+    write(result.files(out))
     return out, result
 
 
@@ -70,8 +70,11 @@ def test_the_configuration_is_one_line_each_and_what_gateway_check_takes(found):
     relations = [line.keys["holds"] for line in lines if line.table == RULE]
     assert any("WHEEL_SPEEDS.WHEEL_SPEED_FL" in text and "SPEED.SPEED" in text for text in relations)
     notes = "\n".join(result.learned.notes)
-    assert "0x2D5" in notes, "in no database"
+    assert "ID_2D5" in notes, "in no database"
+    assert checks["ID_2D5"]["timeout_ms"] > 0
     assert "ACC_CONTROL" in notes, "never came"
+    assert "GEAR_PACKET.GEAR (1 of 5)" in notes, "one gear says nothing of values without a text"
+    assert "counter" not in checks["ID_63B"], "a time: it goes up by five"
 
 
 def test_a_healthy_stranger_of_the_same_car_is_not_accused(found):
@@ -290,7 +293,7 @@ def test_messages_by_pgn(tmp_path, run):
     [
         (["nowhere.dbc", "drive.log"], ["nowhere.dbc", "no such file"]),
         (["car.dbc"], ["name a log"]),
-        (["drive.log"], ["name a database"]),
+        (["empty.log"], ["empty.log", "no frame"]),
         (["car.dbc", "empty.log"], ["empty.log", "no frame"]),
         (["car.dbc", "foreign.log"], ["foreign.log", "no frame of this log is one of", "car.dbc", "0x7A1"]),
         (["bad.dbc", "drive.log"], ["bad.dbc", "not a good .dbc file"]),
@@ -359,11 +362,17 @@ def test_a_log_of_another_car_is_told(tmp_path):
         + "".join(f'BO_ {256 + 3 * k} M{k}: 8 A\n SG_ X{k} : 0|8@1+ (1,0) [0|255] "" A\n' for k in range(8))
     )
     ids = [256, *range(900, 1900, 17)]
-    log = drive(tmp_path / "drive.log", 20.0, [(can_id, 0.1, lambda k: bytes([k % 50] * 8), 0.0) for can_id in ids])
-    result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
+    log = drive(
+        tmp_path / "drive.log",
+        20.0,
+        [(can_id, 0.1, lambda k: bytes([k % 50, 0, 0, 0, 0, 0, 0, 0]), 0.0) for can_id in ids],
+    )
+    result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",), hold_out=0.0), quiet)
     assert any("DOES NOT LOOK" in note for note in result.learned.notes)
     mine = drive(
-        tmp_path / "mine.log", 20.0, [(256 + 3 * k, 0.1, lambda k: bytes([k % 50] * 8), 0.0) for k in range(6)]
+        tmp_path / "mine.log",
+        20.0,
+        [(256 + 3 * k, 0.1, lambda k: bytes([k % 50, 0, 0, 0, 0, 0, 0, 0]), 0.0) for k in range(6)],
     )
-    result = learn(asked(tmp_path / "car.toml", mine, databases=(tmp_path / "car.dbc",)), quiet)
+    result = learn(asked(tmp_path / "car.toml", mine, databases=(tmp_path / "car.dbc",), hold_out=0.0), quiet)
     assert not any("DOES NOT LOOK" in note for note in result.learned.notes)

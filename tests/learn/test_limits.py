@@ -56,3 +56,9 @@ def test_laws_of_three_signals(seed):
     law = [r for r in found if r.form == TIMES]
     assert [r for r in law if r.of == 3 and 2 in r.by], f"seed {seed}"
     assert law[0].slope == pytest.approx(1 / 40, rel=0.02)
+    # What hardly changes is no factor, nor where its message came for a part of the drive only.
+    trip = 100.0 + np.arange(len(v)) * 1e-3
+    trip[:500], angle[:500] = np.nan, -angle[:500]
+    effort = 0.02 * angle + rng.normal(0, 0.05, len(v))
+    found = relations(np.column_stack([angle, angle + rng.normal(0, 0.01, len(v)), trip, effort]), [True] * 4)
+    assert not [r for r in found if r.form == TIMES], f"seed {seed}"

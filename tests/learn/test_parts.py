@@ -44,6 +44,15 @@ def test_how_a_message_is_sent(kind, steps, seed):
     assert Gaps.of(gaps.data()).quantile_ns(0.5) == gaps.quantile_ns(0.5)
 
 
+def test_few_frames_by_chance_are_no_cycle():
+    """1000 messages that come when they like, with 10 to 37 gaps."""
+    rng = np.random.default_rng(31)
+    assert not [n for n in range(10, 40, 3) for _ in range(100) if timeout_ms(gaps_of(rng.exponential(4000.0, n)))], (
+        "31"
+    )
+    assert timeout_ms(gaps_of(rng.normal(3000.0, 10.0, 12))) > 9000.0, "twelve gaps alike are"
+
+
 def test_a_gap_between_two_logs_is_none():
     gaps = gaps_of([10.0] * 50)
     gaps.begin()

@@ -9,7 +9,7 @@ from gateway.bus.ring import read_recording
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway_bench.wire.replayed import through
-from gateway_fleet.learn.learn import learn
+from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import SIGNAL
 
 DBC = (
@@ -40,7 +40,7 @@ def learned(folder, seconds, seed):
     log = drive(folder / "drive.log", seconds, wandering(seconds, seed))
     result = learn(asked(folder / "car.toml", log, databases=(folder / "car.dbc",)), quiet)
     assert result.alarms == ()
-    (folder / "car.toml").write_text(result.text)
+    write(result.files(folder / "car.toml"))
     lines = {place[2]: line for place, line in result.learned.lines.items() if place[1] == SIGNAL}
     return folder / "car.toml", lines
 

@@ -17,7 +17,7 @@ from gateway.config.load import load_config
 from gateway.signals.database import SUFFIXES
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.document import BusAsked, relative
-from gateway_fleet.learn.learn import Asked, Progress, Result, learn
+from gateway_fleet.learn.learn import Asked, Progress, Result, learn, write
 from gateway_fleet.learn.report import data, markdown, summary
 from gateway_fleet.learn.state import state_path
 
@@ -63,7 +63,8 @@ def learn_car(
     _all_there([*databases, *logs])
     with _shown(json) as progress:
         result = learn(asked, progress)
-    _write(asked, result)
+    page, state = markdown(asked, result), json_text.dumps(result.state) + "\n"
+    write(result.files(out) | {out.with_suffix(".md"): page, state_path(out): state})
     if json:
         print_json(data(result))
     else:
@@ -83,8 +84,6 @@ def _buses(databases: Sequence[Path], named: Sequence[str]) -> list[BusAsked]:
         made.append(BusAsked(name, f"socketcan:can{len(made)}", paths))
     if databases and made:
         raise InputError("with --bus, each database belongs to one of them", key="DATABASE", value=str(databases[0]))
-    if not made and not databases:
-        raise InputError("name a database, e.g. gateway learn car.dbc drive.log", key="DATABASE")
     return made or [BusAsked(BUS, f"socketcan:{BUS}", tuple(str(path) for path in databases))]
 
 
@@ -104,19 +103,6 @@ def _all_there(paths: Sequence[Path]) -> None:
     for path in paths:
         if not path.exists():
             raise InputError("no such file", file=path)
-
-
-def _write(asked: Asked, result: Result) -> None:
-    """Write the configuration, its report, and the state kept for another drive: each whole, or not at all."""
-    texts = {
-        asked.out: result.text,
-        asked.out.with_suffix(".md"): markdown(asked, result),
-        state_path(asked.out): json_text.dumps(result.state) + "\n",
-    }
-    for path, text in texts.items():
-        beside = path.with_name(f".{path.name}.new")
-        beside.write_text(text)
-        beside.replace(path)
 
 
 def _say(asked: Asked, result: Result) -> None:

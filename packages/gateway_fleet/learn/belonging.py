@@ -21,12 +21,13 @@ def strangers(observation: Observation, buses: Sequence[str]) -> list[str]:
     """
     said = []
     for bus, name in enumerate(buses):
-        mine = [seen for (index, _), seen in observation.seen.items() if index == bus]
+        all_ = [seen for (index, _), seen in observation.seen.items() if index == bus]
+        mine = [seen for seen in all_ if not seen.unknown]
         alike = [seen for seen in mine if seen.lengths and max(seen.lengths) <= seen.message.length]
-        if any(seen.message.is_extended_frame for seen in alike):
-            continue
         told = len(mine) + sum(index == bus for index, _ in observation.absent)
-        came = len(mine) + sum(index == bus for index, _ in observation.foreign)
+        if not told or any(seen.message.is_extended_frame for seen in alike):
+            continue
+        came = len(all_) + sum(index == bus for index, _ in observation.foreign)
         chance = float(hypergeom.sf(len(alike) - 1, IDENTIFIERS, min(told, IDENTIFIERS), min(came, IDENTIFIERS)))
         if chance > CHANCE:
             said.append(

@@ -23,6 +23,8 @@ LOST, LOST_TIMED = 0.1, 0.4
 UNEXPLAINED, AGAINST = 0.002, 10.0
 #: How often it must come round for a number of values that is not all of its bits; a loss may hide the highest.
 WRAPS = 3
+#: Losses that would have to hide its highest values each time it came round are rarer than this: it has fewer values.
+HIDDEN = 0.1
 #: Values that one must show that never came round: it is called a counter then.
 LEAST_VALUES = 32
 #: A row of losses that is rarer is no matter: three such steps, one soon after the other, make a fault.
@@ -147,6 +149,9 @@ def _counts(
     if bad > max(1.0, UNEXPLAINED * len(steps)) or (loss > 0).sum() > max(most * len(steps), 1.0):
         return None
     if _always(before, loss > 0):
+        return None
+    hidden = first + modulus - 1 - max(int(before.max()), int(after.max()))
+    if hidden and wraps and ((loss > 0).mean() ** (hidden * wraps)) < HIDDEN:
         return None
     seen, counts = np.unique(after, return_counts=True)
     if len(seen) < min(modulus, len(steps)) * (0.5 if wraps == 0 else 0.9):

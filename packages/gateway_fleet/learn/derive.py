@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.signals.database import Database
 from gateway_fleet.learn import limits
@@ -15,8 +16,9 @@ from gateway_fleet.learn.grip import grip_lines
 from gateway_fleet.learn.lines import Learned
 from gateway_fleet.learn.moves import drives
 from gateway_fleet.learn.observe import Observation, Seen
-from gateway_fleet.learn.protections import ProtectionFound, protection_found
+from gateway_fleet.learn.protections import ProtectionFound, joined, protection_found
 from gateway_fleet.learn.rules import rule_lines
+from gateway_fleet.learn.unknown import with_counter, with_signals
 
 #: Frames that must have come of a message for anything to be said of it.
 LEAST_FRAMES = 4
@@ -41,16 +43,18 @@ def derive(
     taken: dict[int, set[str]] = {}
     for key, seen in observation.seen.items():
         bus, name = key
-        file: Path = databases[bus].file_of(name)
+        file = Path() if seen.unknown else databases[bus].file_of(name)
         several = senders(seen)
         cycle = cycle_ns(seen.gaps)
         times = [(stamps - stamps[0]) / cycle for stamps in seen.samples.stamps] if cycle > 0.0 else None
         whole = seen.frames >= LEAST_FRAMES
+        note = _described(seen, times) if seen.unknown else ""
         found[key] = protection_found(seen.message, file, seen.samples.runs, whole=whole, cycles=times)
-        line = limits.check_line(buses[bus], seen, found[key])
+        line = limits.check_line(buses[bus], seen, found[key], note)
         if several and "counter" not in line.keys and found[key].counter is None:
             learned.notes.append(f"{buses[bus]}.{name}: its gaps look as if two senders sent it")
-        learned.add(line)
+        if not seen.unknown or set(line.keys) - {"message", "length"} or "length" not in line.keys:
+            learned.add(line)
     speeds = [drives(observation, bus) for bus in range(len(buses))]
     for key, seen in observation.seen.items():
         names = taken.setdefault(key[0], set())
@@ -58,8 +62,16 @@ def derive(
     limits.add(learned, rule_lines(observation, found, buses))
     limits.add(learned, grip_lines(observation, buses, speeds))
     learned.notes[:0] = strangers(observation, buses)
-    learned.notes += limits.notes_of(observation, buses)
+    learned.notes += limits.notes_of(observation, buses, learned)
     return learned
+
+
+def _described(seen: Seen, cycles: Sequence[NDArray[np.float64]] | None) -> str:
+    """Give a message of an identifier that no database has its length and what counts in it; returns what is told."""
+    if not seen.message.signals:
+        seen.message = with_signals(seen.message, max(seen.lengths, key=lambda each: seen.lengths[each]), [])
+    seen.message, doubt = with_counter(seen.message, *joined(seen.message.length, seen.samples.runs, cycles))
+    return f"in no database{'; ' * bool(doubt)}{doubt}"
 
 
 def senders(seen: Seen) -> bool:

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import bdtrc
+
+from gateway_fleet.learn.evidence import LEAST_EVIDENCE
 
 #: Gaps are counted in bins, each this much wider than the one before; the first is of 1 us.
 RATIO = 1.02
@@ -115,6 +118,8 @@ LEAST_GAPS = 10
 MOST_OF_TEN, MOST_OF_HUNDRED, FAR, SHARE_FAR = 2.5, 4.0, 6.0, 0.005
 #: Share of the gaps that are near the cycle, and how near: of gaps by chance (exponential) fewer are.
 NEAR_CYCLIC, WITHIN_CYCLIC, NEAR_MIXED, WITHIN_MIXED = 0.5, 0.4, 0.25, 0.25
+#: How near gaps are looked for, to say that chance does not explain them.
+WITHIN_EVIDENT = (0.4, 0.1)
 #: One and a half standard deviations of a share of a half, of one gap.
 FEW = 0.75
 #: A message that once stayed away for this number of cycles, and for this time [ns], does so at times: no timeout fits
@@ -150,7 +155,24 @@ def sending(gaps: Gaps) -> str:
         kind, cycle = MIXED, long
     if cycle == 0.0 or gaps.beyond(FAR * cycle) > max(SHARE_FAR, 1.5 / gaps.count):
         return ON_CHANGE
-    return ON_CHANGE if gaps.largest_ns > max(AWAY * cycle, AWAY_NS) else kind
+    if gaps.largest_ns > max(AWAY * cycle, AWAY_NS):
+        return ON_CHANGE
+    return kind if _evident(gaps, cycle) else TOO_FEW
+
+
+def _evident(gaps: Gaps, cycle: float) -> bool:
+    """Return whether chance does not explain how many gaps are near a cycle [ns].
+
+    Of gaps by chance (exponential) the share q within (1 - w) and (1 + w) cycles is largest where their mean is
+    2 w / ln((1 + w) / (1 - w)) cycles; that many of n are there by the binomial law.
+    """
+    for within in WITHIN_EVIDENT:
+        rate = np.log((1.0 + within) / (1.0 - within)) / (2.0 * within)
+        share = np.exp(-rate * (1.0 - within)) - np.exp(-rate * (1.0 + within))
+        near = round(gaps.near(cycle, within) * gaps.count)
+        if near and bdtrc(near - 1, gaps.count, share) * len(WITHIN_EVIDENT) < 2.0**-LEAST_EVIDENCE:
+            return True
+    return False
 
 
 def cycle_ns(gaps: Gaps) -> float:
@@ -199,7 +221,7 @@ LEAST_WAKES = 3
 
 
 def wake_ms(gaps: Gaps, timeout: float) -> float | None:
-    """Return the time that a message has to come after a wake-up [ms], None: that of the bus fits.
+    """Return the time that a message has to come after a wake-up and a start [ms], None: no wake-up was seen.
 
     Args:
         gaps: of the message.
@@ -209,4 +231,4 @@ def wake_ms(gaps: Gaps, timeout: float) -> float | None:
     need = max(_rounded(LATER * max(latest_ns, 1_000_000) * 1e-6), timeout)
     if times >= LEAST_WAKES:
         return need
-    return max(need, WAKE_MS) if LATER * latest_ns * 1e-6 > min(timeout, WAKE_MS) else None
+    return max(need, WAKE_MS) if times else None

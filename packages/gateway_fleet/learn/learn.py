@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from gateway.bus.frames import ID_MASK
 from gateway.config.model import BusConfig, Config
 from gateway.config.resolve import load_databases
 from gateway.engine.checks.memory_health import OWNER
@@ -18,12 +19,13 @@ from gateway.signals.database import Database
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.derive import derive
 from gateway_fleet.learn.document import BusAsked, document
-from gateway_fleet.learn.lines import Learned
+from gateway_fleet.learn.lines import CHECK, Learned, inline
 from gateway_fleet.learn.merge import merged
 from gateway_fleet.learn.observe import Observation, Observer
 from gateway_fleet.learn.proof import Replayed, replayed
 from gateway_fleet.learn.state import Kept, Refused, load_state, merge, state_of
 from gateway_fleet.learn.trial import Outcome, Trials, tried
+from gateway_fleet.learn.unknown import database_path, database_text
 from gateway_fleet.learn.update import add_before, dropped, read_file
 from gateway_fleet.learn.widen import owner, widened
 
@@ -73,6 +75,7 @@ class Result:
         held_s, held_frames: of the part held out.
         trials: results of the faults that were put into it.
         state: kept for another drive.
+        databases: name of a bus -> the database of identifiers that no other has, as text.
         kept: lines that a person changed, took out or added; they stay.
         dropped: findings of earlier logs that are not there any more, one line each.
         refused: place and key of what healthy frames broke until it was taken out.
@@ -88,6 +91,7 @@ class Result:
     held_frames: int = 0
     trials: Trials = field(default_factory=Trials)
     state: dict[str, Any] = field(default_factory=dict)
+    databases: dict[str, str] = field(default_factory=dict)
     kept: int = 0
     dropped: list[str] = field(default_factory=list)
     refused: set[Refused] = field(default_factory=set)
@@ -96,6 +100,18 @@ class Result:
     def outcomes(self) -> list[Outcome]:
         """Results of one fault of each kind and place."""
         return self.trials.outcomes
+
+    def files(self, out: Path) -> dict[Path, str]:
+        """Return the texts of the configuration and of its databases, by their files."""
+        return {database_path(out, bus): text for bus, text in self.databases.items()} | {out: self.text}
+
+
+def write(texts: Mapping[Path, str]) -> None:
+    """Write files, each whole or not at all."""
+    for path, text in texts.items():
+        beside = path.with_name(f".{path.name}.new")
+        beside.write_text(text)
+        beside.replace(path)
 
 
 def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Database, ...]]:
@@ -116,19 +132,56 @@ def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Databa
         )
     )
     databases = load_databases(config)
-    observer = Observer(config, databases)
+    own = [own_database(asked, bus) for bus in asked.buses]
+    observer = Observer(config, databases, own)
     for path in asked.logs:
         observer.read(path, asked.maps, asked.hold_out, _by_log(progress, "reading"))
     observation = observer.result()
-    if not observation.seen:
-        files = ", ".join(file for bus in asked.buses for file in bus.files or bus.databases)
-        ids = sorted({can_id for _, can_id in observation.foreign})
-        some = ", ".join(f"0x{can_id & 0x1FFFFFFF:X}" for can_id in ids[:8])
-        raise InputError(
-            f"no frame of this log is one of {files}; it has {len(ids)} identifiers: {some}{', ...' * (len(ids) > 8)}",
-            file=asked.logs[0],
-        )
+    _refuse_strangers(asked, observation, {str(path) for path in own})
     return observation, databases
+
+
+def own_database(asked: Asked, bus: BusAsked) -> Path | None:
+    """Return the file of a bus's identifiers that no other database has; None: the file to be updated names none."""
+    path = database_path(asked.out, bus.name)
+    given = (Path(file) for file in bus.files or bus.databases)
+    return next((file for file in given if file.resolve() == path.resolve()), None if asked.update else path)
+
+
+def _refuse_strangers(asked: Asked, observation: Observation, own: Set[str]) -> None:
+    """Refuse logs of which no database has a frame, and logs without frames."""
+    files = [file for bus in asked.buses for file in bus.files or bus.databases if file not in own]
+    if any(not seen.unknown for seen in observation.seen.values()) or (observation.seen and not files):
+        return
+    ids = sorted({can_id for _, can_id in observation.foreign})
+    ids += [seen.message.frame_id for seen in observation.seen.values()]
+    some = ", ".join(f"0x{can_id & ID_MASK:X}" for can_id in ids[:8]) + ", ..." * (len(ids) > 8)
+    of = f"is one of {', '.join(files)}; it has" if files else "can be learned from: it has"
+    raise InputError(f"no frame of this log {of} {len(ids)} identifiers: {some}", file=asked.logs[0])
+
+
+def _own_texts(asked: Asked, databases: Sequence[Database], result: Result) -> dict[str, str]:
+    """Return the databases of identifiers that no other has, as text, by their buses."""
+    texts = {}
+    for k, bus in enumerate(asked.buses):
+        path = own_database(asked, bus)
+        messages = {message.name: message for message in databases[k] if databases[k].file_of(message.name) == path}
+        for (index, name), seen in result.observation.seen.items():
+            if index == k and seen.unknown and (bus.name, CHECK, name) in result.learned.lines:
+                messages[name] = seen.message
+        if messages:
+            texts[bus.name] = database_text(list(messages.values()))
+    return texts
+
+
+def _named(asked: Asked, databases: Mapping[str, str]) -> list[BusAsked]:
+    """Return the buses, with the databases of identifiers that no other has among theirs."""
+    return [
+        replace(bus, databases=tuple(dict.fromkeys([*bus.databases, database_path(asked.out, bus.name).name])))
+        if bus.name in databases
+        else bus
+        for bus in asked.buses
+    ]
 
 
 def learn(asked: Asked, progress: Progress) -> Result:
@@ -146,10 +199,12 @@ def learn(asked: Asked, progress: Progress) -> Result:
     progress("deriving", "", 0.0)
     learned = derive(observation, databases, names, before.seconds)
     result = Result(learned, observation, "")
+    result.databases = _own_texts(asked, databases, result)
     logs = [*before.logs, *logs_text(observation)]
     kept: set[tuple[str, str, str]] = set()
     if file is None:
-        settle(asked, result, lambda: document(asked.name, asked.buses, learned, logs), progress)
+        buses = _named(asked, result.databases)
+        settle(asked, result, lambda: document(asked.name, buses, learned, logs), progress)
     else:
         kept = add_before(learned, before, file, asked.buses)
         result.kept = len(kept)
@@ -172,10 +227,10 @@ def settle(
     for number in range(ROUNDS):
         result.text = compose()
         said = f"proof {number + 1}"
-        with _beside(asked.out, result.text) as path:
+        with _beside(asked.out, result.text, result.databases) as path:
             proof = replayed(path, result.observation.logs, asked.maps, _by_log(progress, said))
         result.held_s, result.held_frames = proof.seconds, proof.frames
-        own = {fault for fault in proof.alarms if _of_log(fault, [bus.name for bus in asked.buses])}
+        own = {fault for fault in proof.alarms if of_log(fault, [bus.name for bus in asked.buses])}
         result.alarms = tuple(sorted(set(proof.alarms) - own))
         result.conditions = tuple(sorted(own))
         if not _widen(asked, result, proof, before):
@@ -185,7 +240,7 @@ def settle(
         _try(asked, result, proof, progress)
 
 
-def _of_log(fault: str, buses: Sequence[str]) -> bool:
+def of_log(fault: str, buses: Sequence[str]) -> bool:
     """Return whether a fault is one of the recording (its clock was set, its bus was off), not of a limit."""
     owner_, _, rest = fault.partition(".")
     return owner_ == OWNER or (owner_ in buses and "." not in rest)
@@ -238,14 +293,19 @@ def logs_text(observation: Observation) -> list[str]:
 
 
 @contextmanager
-def _beside(out: Path, text: str) -> Iterator[Path]:
-    """Write a text beside a file, for the time of the block: paths in it are relative to there."""
+def _beside(out: Path, text: str, databases: Mapping[str, str]) -> Iterator[Path]:
+    """Write a text beside a file with its databases, for the time of the block: paths in it are relative to there."""
     out.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=out.parent, prefix=f".{out.stem}-", suffix=".toml")
     path = Path(name)
+    others = {bus: database_path(path, bus) for bus in databases}
     try:
+        for bus, other in others.items():
+            other.write_text(databases[bus])
+            text = text.replace(inline(database_path(out, bus).name), inline(other.name))
         with os.fdopen(handle, "w") as file:
             file.write(text)
         yield path
     finally:
-        path.unlink(missing_ok=True)
+        for each in (path, *others.values()):
+            each.unlink(missing_ok=True)

@@ -7,12 +7,13 @@ with a margin and only where something steeper could be told, standstill only of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from cantools.database.can.signal import Signal
 
+from gateway.bus.frames import ID_MASK
 from gateway.monitors.signal.params import MOST_CODES, MOST_VALUES
 from gateway.monitors.signal.parts import no_value
 from gateway_fleet.learn import gaps
@@ -23,6 +24,7 @@ from gateway_fleet.learn.lines import CHECK, SIGNAL, Learned, Line, short, shown
 from gateway_fleet.learn.moves import Drives, moving
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound
+from gateway_fleet.learn.unknown import SHOWN
 
 #: A share of lost frames that is reported.
 LOST = 0.005
@@ -47,9 +49,9 @@ TEXTS_SEEN, LEAST_TEXTS = 0.66, 3
 TEXTS_BY_CHANCE = 1e-3
 
 
-def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
-    """Return what is asked of a message, with its evidence."""
-    message, why = seen.message, [f"{seen.frames} frames"]
+def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> Line:
+    """Return what is asked of a message, with its evidence; ``note``: what is told beside it."""
+    message, why = seen.message, [f"{seen.frames} frames", *([note] if note else [])]
     keys: dict[str, Any] = {"message": message.name}
     kind = gaps.sending(seen.gaps)
     timeout = gaps.timeout_ms(seen.gaps)
@@ -70,6 +72,9 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound) -> Line:
         why.append(
             f"frames of {', '.join(str(n) for n in sorted(seen.lengths))} bytes, the database has {message.length}"
         )
+    elif seen.unknown and seen.frames < SHOWN:
+        keys["length"] = False
+        why.append("too few for a length")
     if found.claim is not None:
         keys |= found.claim.keys
         name = found.claim.protection.name
@@ -232,8 +237,13 @@ def _rest(_signal: Signal, course: Course, _period: float, seconds: float) -> tu
     return {"stuck": {"seconds": short(limit, 2)}}, f"at rest for {course.rest_s:.3g} s at most"
 
 
+def texts_of(signal: Signal) -> set[float]:
+    """Return the physical values that the database has texts for."""
+    return {float(raw * signal.scale + signal.offset) for raw in signal.choices or {}}
+
+
 def _texts(signal: Signal, course: Course) -> tuple[dict[str, Any], str]:
-    texts = {float(raw * signal.scale + signal.offset) for raw in signal.choices or {}}
+    texts = texts_of(signal)
     if not LEAST_TEXTS <= len(texts) <= MOST_VALUES or not course.values or len(texts) == 1 << signal.length:
         return {}, ""
     seen, shown_share = len(course.values), len(course.values & texts) / len(texts)
@@ -246,7 +256,7 @@ def _texts(signal: Signal, course: Course) -> tuple[dict[str, Any], str]:
     return {"undefined": True}, f"{len(course.values)} of {len(texts)} texts seen, and nothing else"
 
 
-def notes_of(observation: Observation, buses: Sequence[str]) -> list[str]:
+def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -> list[str]:
     """Return messages that came and are in no database, and those in one that never came; one line each."""
     notes = []
     for bus, name in enumerate(buses):
@@ -259,20 +269,45 @@ def notes_of(observation: Observation, buses: Sequence[str]) -> list[str]:
         absent = sorted(message for index, message in observation.absent if index == bus)
         if absent:
             notes.append(f"{name}: {len(absent)} messages of the database never came: {', '.join(absent)}")
-        foreign = {can_id: count for (index, can_id), count in observation.foreign.items() if index == bus}
+        unknown = [seen for (index, _), seen in observation.seen.items() if index == bus and seen.unknown]
+        asked = [seen for seen in unknown if (name, CHECK, seen.message.name) in learned.lines]
+        foreign = {can_id & ID_MASK: count for (index, can_id), count in observation.foreign.items() if index == bus}
+        foreign |= {seen.message.frame_id: seen.frames for seen in unknown if seen not in asked}
         if foreign:
-            ids = ", ".join(_identifier(can_id) for can_id in sorted(foreign))
+            ids = ", ".join(f"0x{can_id:X}" for can_id in sorted(foreign))
             notes.append(
-                f"{name}: {len(foreign)} identifiers ({sum(foreign.values())} frames) are in no database: {ids}"
+                f"{name}: {len(foreign)} identifiers ({sum(foreign.values())} frames) are in no database, and nothing"
+                f" is asked of them: {ids}"
             )
+        if asked:
+            notes.append(
+                f"{name}: {len(asked)} identifiers ({sum(seen.frames for seen in asked)} frames) are in no database and"
+                f" have messages of their own: {', '.join(sorted(seen.message.name for seen in asked))}"
+            )
+        untested = _without_a_text(observation, bus, learned.lines, name)
+        if untested:
+            notes.append(f"{name}: values without a text are not tested, too few texts came: {', '.join(untested)}")
         doubled = sorted(message for index, message in observation.doubled if index == bus)
         if doubled:
             notes.append(f"{name}: messages with one identifier together, left out: {', '.join(doubled)}")
     return notes
 
 
-def _identifier(can_id: int) -> str:
-    return f"0x{can_id & 0x1FFFFFFF:X}"
+def _without_a_text(observation: Observation, bus: int, lines: Mapping[Any, Line], name: str) -> list[str]:
+    """Return the enumerations of a bus that had values with a text only, and whose others no line asks for."""
+    said = []
+    for (index, message), seen in observation.seen.items():
+        for signal, course in zip(seen.signals, seen.courses.each, strict=True) if index == bus else ():
+            texts, line = texts_of(signal), lines.get((name, SIGNAL, f"{message}.{signal.name}"))
+            asked = line is not None and line.keys.get("undefined")
+            if (
+                LEAST_TEXTS <= len(texts) < 1 << signal.length
+                and course.values
+                and course.values <= texts
+                and not asked
+            ):
+                said.append(f"{message}.{signal.name} ({len(course.values)} of {len(texts)})")
+    return sorted(said)
 
 
 def add(learned: Learned, lines: Sequence[Line]) -> None:

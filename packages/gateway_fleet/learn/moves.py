@@ -131,10 +131,11 @@ def _asked(seen: Seen, signal: Signal, speed: Drives | None, count: int) -> tupl
     """Return the least share of values that move, when it is asked for, and its evidence; None: nothing is."""
     field = field_of(signal)
     shares, lows = [], []
-    low, high = np.inf, -np.inf
+    low, high, ways = np.inf, -np.inf, set[int]()
     for run, stamps in zip(seen.samples.runs, seen.samples.stamps, strict=True):
         raw = bits_of(run.words, field).astype(np.int64)
         moved = raw[1:] != raw[:-1]
+        ways |= {int(way) for way in np.unique(np.sign(np.diff(raw))) if way}
         value = _physical(raw, signal)
         fast = value if speed is None else speed.at(stamps)
         for first in range(0, len(moved) - count + 1, max(count // 2, 1)):
@@ -144,8 +145,8 @@ def _asked(seen: Seen, signal: Signal, speed: Drives | None, count: int) -> tupl
             shares.append(float(moved[part].mean()))
             lows.append(float(fast[part].min()))
             low, high = min(low, value[part].min()), max(high, value[part].max())
-    if len(shares) < 2 * LEAST_BLOCKS:
-        return None
+    if len(shares) < 2 * LEAST_BLOCKS or len(ways) < 2:
+        return None  # what only goes up stands at its end
     every, slowest = np.array(shares), np.array(lows)
     if speed is None:
         if min(abs(low), abs(high)) < FROM_ZERO * max(high - low, 1e-9) or low * high <= 0.0:

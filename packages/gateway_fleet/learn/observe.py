@@ -12,7 +12,7 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
-from gateway.bus.frames import ERROR, ID_MASK, REMOTE, Frames
+from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames
 from gateway.calibration.logs import read_even
 from gateway.config.model import Config
 from gateway.monitors.signal.parts import no_value
@@ -26,6 +26,7 @@ from gateway_fleet.learn.gaps import Gaps
 from gateway_fleet.learn.pauses import Pauses, tell_wakes
 from gateway_fleet.learn.samples import Samples
 from gateway_fleet.learn.snapshots import Snapshots
+from gateway_fleet.learn.unknown import MOST, message_of, of_a_tester
 
 
 @dataclass
@@ -45,6 +46,7 @@ class Seen:
         ended_s: longest time from its last frame to the end of a log [s]; with its time in the log.
         columns: of its signals among all.
         observers: of other packages.
+        unknown: no database has its identifier, but the one that ``learn`` itself makes.
     """
 
     bus: int
@@ -60,6 +62,7 @@ class Seen:
     ended_s: float = 0.0
     last_ns: int | None = None
     observers: list[observers.Observer] = field(default_factory=list)
+    unknown: bool = False
 
 
 @dataclass
@@ -90,9 +93,9 @@ class Observation:
     """All that was seen.
 
     Attributes:
-        seen: messages of the databases that came, by bus and name.
+        seen: messages that came, by bus and name; of the databases, and those of identifiers that none has.
         absent: messages of the databases that did not.
-        foreign: (bus, identifier with its flags) -> frames that no database has.
+        foreign: (bus, identifier with its flags) -> frames that no database has and no message was made of.
         doubled: messages left out, since others have their identifier.
         logs: that were read.
         snapshots: values of all signals at the same times.
@@ -128,10 +131,11 @@ class Observer:
     Args:
         config: buses, with their databases and how they match.
         databases: of the buses.
+        own: of each bus, the database of identifiers that no other has; None: there is no place for one.
     """
 
-    def __init__(self, config: Config, databases: Sequence[Database]) -> None:
-        self._config = config
+    def __init__(self, config: Config, databases: Sequence[Database], own: Sequence[Path | None]) -> None:
+        self._config, self._own = config, own
         kept, doubled = unique_databases(databases)
         pgn = [index for index, bus in enumerate(config.bus) if bus.match == "pgn"]
         self._plan = compile_plan(kept, pgn=pgn)
@@ -157,7 +161,8 @@ class Observer:
         courses = Courses([no_value(signal) for signal in signals])
         names = [signal.name for signal in signals]
         shown = [found for kind in observers.OBSERVERS.values() if (found := kind.of(name, names)) is not None]
-        return Seen(bus, message, signals, slice(first, self._last_column), courses, observers=shown)
+        unknown = self._own[bus] is not None and dict(databases)[bus].file_of(name) == self._own[bus]
+        return Seen(bus, message, signals, slice(first, self._last_column), courses, observers=shown, unknown=unknown)
 
     def read(self, path: Path, maps: Sequence[str], hold_out: float, progress: Progress) -> None:
         """Read a log, but for a share at its end.
@@ -229,8 +234,19 @@ class Observer:
         found = self._rows.get(key)
         if found is None:
             found = int(lookup(self._plan.keys, self._plan.rows, key >> 32, key & 0xFFFFFFFF))
-            self._rows[key] = found
+            self._rows[key] = found = self._unknown(key >> 32, key & 0xFFFFFFFF) if found < 0 else found
         return found
+
+    def _unknown(self, bus: int, can_id: int) -> int:
+        """Return the place of a message for an identifier that no database has, -1 if none is to be made."""
+        by_pgn = bool(can_id & EXTENDED) and self._config.bus[bus].match == "pgn"
+        mine = [seen for seen in self._made if seen.bus == bus]
+        made = sum(seen.unknown for seen in mine)
+        if self._own[bus] is None or by_pgn or of_a_tester(can_id) or made >= MOST:
+            return -1
+        message = message_of(can_id, {seen.message.name for seen in mine})
+        self._made.append(Seen(bus, message, [], slice(0, 0), Courses([]), unknown=True))
+        return len(self._made) - 1
 
     def _add_message(self, row: int, frames: Frames) -> None:
         seen = self._made[row]
@@ -249,6 +265,8 @@ class Observer:
             self._snapshots.put(seen.columns, t_ns, values)
             for observer in seen.observers:
                 observer.add(values)
+        else:
+            seen.decoded += len(frames)
 
     def _end(self, log: LogSeen) -> None:
         for seen in self._made:

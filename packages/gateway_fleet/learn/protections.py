@@ -59,15 +59,7 @@ def protection_found(
         whole: False: only its counter is looked for.
         cycles: of each run, the times of its frames in cycles of the message; None: it has no cycle.
     """
-    right = [run[run.lengths == message.length] for run in runs]
-    words = np.concatenate([run.words for run in right]) if right else np.zeros((0, 8), np.uint64)
-    lengths = np.concatenate([run.lengths for run in right]) if right else np.zeros(0, np.int64)
-    frames = Payloads(words, lengths)
-    follows = _follows([len(run) for run in right])
-    between = None
-    if cycles is not None and right:
-        times = [time[run.lengths == message.length] for time, run in zip(cycles, runs, strict=True)]
-        between = np.diff(np.concatenate(times))
+    frames, follows, between = joined(message.length, runs, cycles)
     counter = _counter(message, frames, follows, between)
     named = tuple(signal.name for signal in message.signals if called_checksum(signal.name))
     if not whole:
@@ -87,6 +79,20 @@ def protection_found(
     taken = set() if claim is None else {str(part.get("signal")) for part in claim.keys.values()}
     left = () if claim is not None and "e2e" in claim.keys else tuple(name for name in named if name not in taken)
     return ProtectionFound(counter, claim, left, len(found_with) + len(proof))
+
+
+def joined(
+    length: int, runs: Sequence[Payloads], cycles: Sequence[NDArray[np.float64]] | None
+) -> tuple[Payloads, NDArray[np.bool_], NDArray[np.float64] | None]:
+    """Return the frames of a length of all runs, whether the next one follows each, and the cycles between them."""
+    right = [run[run.lengths == length] for run in runs]
+    words = np.concatenate([run.words for run in right]) if right else np.zeros((0, 8), np.uint64)
+    lengths = np.concatenate([run.lengths for run in right]) if right else np.zeros(0, np.int64)
+    between = None
+    if cycles is not None and right:
+        times = [time[run.lengths == length] for time, run in zip(cycles, runs, strict=True)]
+        between = np.diff(np.concatenate(times))
+    return Payloads(words, lengths), _follows([len(run) for run in right]), between
 
 
 def _follows(lengths: Sequence[int]) -> NDArray[np.bool_]:

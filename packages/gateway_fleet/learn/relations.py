@@ -40,6 +40,8 @@ OUTLIER, FITS = 4.0, 3
 ONE, LESS, TIMES = "one", "difference", "product"
 #: Correlation of a product with a third signal.
 PRODUCT = 0.97
+#: Largest share that two together leave unexplained, of that of the better one alone.
+OF_ALONE = 0.5
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ def _correlation(values: NDArray[np.float64]) -> NDArray[np.float64]:
     with np.errstate(invalid="ignore", divide="ignore"):
         found = product / np.sqrt(square * square.T)
     found[both < LEAST_ROWS] = 0.0
-    return np.asarray(np.nan_to_num(found), np.float64)
+    return np.asarray(np.clip(np.nan_to_num(found, posinf=0.0, neginf=0.0), -1.0, 1.0), np.float64)
 
 
 def _groups(correlation: NDArray[np.float64]) -> list[list[int]]:
@@ -311,9 +313,14 @@ def _best(
     step_s: float,
 ) -> None:
     """Put relations of others to two signals that go together into those found, where they are better."""
-    table = np.column_stack([together, values[:, others]]) if others else together[:, None]
+    if not others:
+        return
+    alone = np.where(np.isnan(together)[:, None], np.nan, values[:, list(by)])
+    alike = _correlation(np.column_stack([together, alone, values[:, others]]))[:3, 3:] ** 2
+    # One of the two alone may say the same: the other hardly changes, and tomorrow it does.
+    needed = 1.0 - alike[0] <= OF_ALONE * (1.0 - alike[1:].max(axis=0))
     least = DIFFERENCE if form == LESS else PRODUCT
-    for k in np.flatnonzero(np.abs(_correlation(table)[0, 1:]) > least):
+    for k in np.flatnonzero((alike[0] > least**2) & needed):
         for relation in _checked(values, others[int(k)], by, form, step_s):
             best = found.get(relation.of)
             if best is None or relation.limit < best.limit:

@@ -15,7 +15,7 @@ from gateway.monitors.rule.text import compile_text
 from gateway.signals.database import Database, load_database
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.learn.document import BusAsked
-from gateway_fleet.learn.learn import Asked, learn
+from gateway_fleet.learn.learn import Asked, learn, write
 from gateway_fleet.learn.limits import representable
 from gateway_fleet.study.cause.cases import Truth
 from gateway_fleet.study.cause.drive import played
@@ -62,7 +62,7 @@ def learned(folder: Path) -> list[Car]:
 def _learn(database: Path, car: Car) -> None:
     buses = (BusAsked("can0", "socketcan:can0", (str(database),)),)
     result = learn(Asked(car.name, buses, (car.log,), car.config, seed=1), lambda *_: None)
-    car.config.write_text(result.text)
+    write(result.files(car.config))
 
 
 def injected(car: Car) -> Iterator[Injected]:

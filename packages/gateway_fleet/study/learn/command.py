@@ -23,14 +23,16 @@ WAYS = {
 OTHER = Way(lost=0.0, pauses=0, sleeps=1, late=3, batch_s=0.004)
 
 
-def learn(*, cars: int, seconds: float, hours: float, ways: tuple[str, ...], seed: int, json: bool) -> int:
+def learn(
+    *, cars: int, seconds: float, hours: float, ways: tuple[str, ...], seed: int, database: bool, json: bool
+) -> int:
     """Learn of virtual cars, judge the claims, replay other healthy drives; returns the exit code."""
     rows: list[dict[str, Any]] = []
     for car in range(cars):
         net = network(seed + car)
         for name in ways:
             with tempfile.TemporaryDirectory() as folder:
-                out, claims = judged(Path(folder), net, seed + 1000 * car, seconds, WAYS[name])
+                out, claims = judged(Path(folder), net, seed + 1000 * car, seconds, WAYS[name], database=database)
                 done = 0
                 while claims.hours < hours / (cars * len(ways)):
                     done += 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +14,9 @@ from gateway.bus.logs import open_writer
 from gateway.config.load import load_config
 from gateway.engine.events import QUALIFIED_FAILED, Events
 from gateway.runtime.assemble import prepare
+from gateway_fleet.learn.counters import WRAPS
 from gateway_fleet.learn.document import BusAsked
-from gateway_fleet.learn.learn import Asked, Result, learn
+from gateway_fleet.learn.learn import Asked, Result, learn, of_log, write
 from gateway_fleet.learn.lines import CHECK
 from gateway_fleet.study.learn.drive import Way, frames_of
 from gateway_fleet.study.learn.network import Network, Sent
@@ -49,8 +50,8 @@ class Claims:
     hours: float = 0.0
 
 
-def learned(folder: Path, net: Network, frames: Frames) -> tuple[Path, Result]:
-    """Learn of one drive; returns the file."""
+def learned(folder: Path, net: Network, frames: Frames, *, database: bool = True) -> tuple[Path, Result]:
+    """Learn of one drive, with the car's database or without any; returns the file."""
     base = folder / "car.dbc"
     base.write_text(net.dbc())
     log = folder / "drive.log"
@@ -58,27 +59,41 @@ def learned(folder: Path, net: Network, frames: Frames) -> tuple[Path, Result]:
     with open_writer(log) as writer:
         writer.write(frames)
     out = folder / "car.toml"
-    bus = BusAsked("can0", "virtual:can0", (str(base),), files=(str(base),))
+    files = (str(base),) if database else ()
+    bus = BusAsked("can0", "virtual:can0", files, files=files)
     result = learn(Asked("car", (bus,), (log,), out), lambda *_: None)
-    out.write_text(result.text)
+    write(result.files(out))
     return out, result
 
 
-def judged(folder: Path, net: Network, seed: int, seconds: float, way: Way) -> tuple[Path, Claims]:
+def judged(
+    folder: Path, net: Network, seed: int, seconds: float, way: Way, *, database: bool = True
+) -> tuple[Path, Claims]:
     """Learn of a drive, and compare what was claimed with what is so; returns the file."""
     frames = frames_of(net, seed, seconds, way)
     before = time.perf_counter()
-    out, result = learned(folder, net, frames)
+    out, result = learned(folder, net, frames, database=database)
     claims = Claims(seconds=time.perf_counter() - before)
     lines = {place[2]: line for place, line in result.learned.lines.items() if place[1] == CHECK}
-    for m in net.messages:
+    for m in net.messages if database else [nameless(m) for m in net.messages]:
         keys = dict(lines[m.name].keys) if m.name in lines else {}
+        if "counter" in keys:
+            signals = {signal.name: signal for signal in result.observation.seen[0, m.name].message.signals}
+            keys["counter"] = {"modulus": 1 << signals[keys["counter"]["signal"]].length} | keys["counter"]
         mine = frames[frames["can_id"] == m.can_id]
-        shown = len(np.unique(mine["data"][:, :8].copy().view(np.uint64)))
-        _compare(
-            claims, m, keys, 0.7 * len(mine) >= max(SHOWN, 2 * (m.counter[3] if m.counter else 0)), 0.7 * shown >= SHOWN
-        )
+        changes = 0.7 * len(np.unique(mine["data"][:, :8].copy().view(np.uint64))) >= SHOWN
+        least = (2 if database else WRAPS + 1) * (m.counter[3] if m.counter else 0)
+        # Where nothing else changes, a sum counts as its counter does: a database must say which is which.
+        often = 0.7 * len(mine) >= max(SHOWN, least) and (database or changes or m.checksum is None)
+        _compare(claims, m, keys, often, changes)
     return out, claims
+
+
+def nameless(m: Sent) -> Sent:
+    """Return a message as it is called where no database has it."""
+    counter = m.counter and (f"BYTE{m.counter[1] // 8}_COUNTER", *m.counter[1:])
+    checksum = m.checksum and (f"byte {m.checksum[1] // 8}", *m.checksum[1:])
+    return replace(m, name=f"ID_{m.can_id:X}", counter=counter, checksum=checksum)
 
 
 def _compare(claims: Claims, m: Sent, keys: dict[str, object], often: bool, changes: bool) -> None:
@@ -109,11 +124,14 @@ def _compare(claims: Claims, m: Sent, keys: dict[str, object], often: bool, chan
 def _right_counter(m: Sent, said: object) -> bool:
     if m.counter is None or not isinstance(said, dict):
         return False
-    return (said["signal"], said.get("modulus", 1 << m.counter[2])) == (m.counter[0], m.counter[3])
+    return (said["signal"], said["modulus"]) == (m.counter[0], m.counter[3])
 
 
 def _right_checksum(m: Sent, said: object) -> bool:
-    return m.checksum is not None and isinstance(said, dict) and said.get("signal", m.checksum[0]) == m.checksum[0]
+    if m.checksum is None or not isinstance(said, dict):
+        return False
+    # Of an exclusive or each byte is that of the others.
+    return said.get("signal", m.checksum[0]) == m.checksum[0] or (said.get("rule") == "xor" and m.checksum[2].xor)
 
 
 def healthy(out: Path, net: Network, seed: int, seconds: float, way: Way) -> Counter[str]:
@@ -123,7 +141,8 @@ def healthy(out: Path, net: Network, seed: int, seconds: float, way: Way) -> Cou
 
     def hear(events: Events) -> None:
         for event in events[events["kind"] == QUALIFIED_FAILED]:
-            codes[engine.faults[int(event["fault"])].id] += 1
+            fault = engine.faults[int(event["fault"])].id
+            codes[fault] += not of_log(fault, ["can0"])  # that the bus slept is so
 
     frames = frames_of(net, seed, seconds, way)
     for part in np.array_split(frames, max(len(frames) // 5000, 1)):
