@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel
-from gateway_plants.steering.monitor import clock
 from gateway_plants.steering.monitor.params import Params
 
 #: History of the frames with motor and pinion.
@@ -19,6 +18,13 @@ KEPT = 32
 TURNING, TURNS, SPREAD, UNEXPLAINED, RIGHT_NS = 15.0, 30, 20.0, 0.12, 1_500_000.0
 #: It is learned better until so many frames; until then it is known so nearly [ns].
 KNOWN, NEARLY = 480, 1_500_000.0
+#: Dates that do not follow each other as the counters do, by more than this, were found anew; a frame that seems to
+#: have waited for longer has no sure date: its sender may have begun anew [ns].
+TOLERANCE_NS = 1_000_000
+#: Periods behind such a correction until no other one is likely: what had waited together has come by then.
+SETTLES = 20
+#: Behind a silence of so many periods nobody knows how often the counter went round.
+ROUND = 16
 
 
 class Const(Record):
@@ -36,6 +42,14 @@ class Const(Record):
     unsure: f8
     most_ns: f8
     step: f8
+
+
+class Dated(Record):
+    """When the last frame of a message was sampled, ``at_ns``, and came, ``t_ns``; ``since_ns``: when found anew."""
+
+    at_ns: i8
+    t_ns: i8
+    since_ns: i8
 
 
 class State(Record):
@@ -75,8 +89,8 @@ class State(Record):
     rr: f8
     rp: f8
     pp: f8
-    angle_clock: clock.Clock
-    wheel_clock: clock.Clock
+    angle_date: Dated
+    wheel_date: Dated
 
 
 def prepare(c: Const, p: Params) -> None:
@@ -93,6 +107,23 @@ def prepare(c: Const, p: Params) -> None:
     c.stale_ns = c.age_ns + 3 * c.wheel_ns
     c.unsure, c.most_ns = 1e-3 * p.wheel_delay_error_ms, 1e6 * p.wheel_delay_error_ms
     c.step = p.angle_resolution
+
+
+@kernel
+def date(s: Dated, t_ns: int, waited: float, gap: float, period_ns: float) -> bool:
+    """Take a frame that came at ``t_ns``, had waited [s], ``gap`` periods behind the last; tells if dates begin anew."""
+    at_ns = t_ns - int(waited * 1e9)
+    anew = s.t_ns == 0 or gap >= ROUND or abs(at_ns - s.at_ns - gap * period_ns) > TOLERANCE_NS
+    s.at_ns, s.t_ns = at_ns, t_ns
+    if anew:
+        s.since_ns = t_ns
+    return bool(anew)
+
+
+@kernel
+def sure(s: Dated, period_ns: float) -> bool:
+    """Tell whether the last frame's date can be relied on, the message's period given [ns]."""
+    return bool(s.t_ns - s.since_ns >= SETTLES * period_ns and s.t_ns - s.at_ns <= TOLERANCE_NS)
 
 
 @kernel

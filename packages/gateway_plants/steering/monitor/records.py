@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.monitors import contract
 from gateway_fdi.jit import Record, f8, i8, means
-from gateway_plants.steering.monitor import currents, decision, electrics, kinematics, road_wheel, symptoms
+from gateway_plants.steering.monitor import decision, electrics, kinematics, road_wheel, symptoms
 
 
 class Const(Record):
@@ -24,8 +24,8 @@ class State(Record):
     """State.
 
     ``value`` of the motor's angle [deg], ``speed`` [rad/s], ``load`` [N m].
-    ``pairs`` of motor frames taken, ``unpaired`` frames; ``waiting`` 1: the
-    last voltage, of ``waiting_ns``, waits for its current.
+    ``pairs`` of motor frames taken, the last at ``paired_ns``, ``passed`` periods since then; ``unpaired``: pairs whose
+    voltage came later than the next current.
     ``wheel_age_ms``, ``angle_step`` [deg]: as learned; ``not_seen``: bits of what is not tested at present.
     """
 
@@ -36,15 +36,8 @@ class State(Record):
     pairs: i8
     unpaired: i8
     found: i8
-    paired: i8
     paired_ns: i8
-    current_counter: i8
-    voltage_counter: i8
-    angle_counter: i8
-    wheel_counter: i8
-    waiting: i8
-    waiting_ns: i8
-    currents: currents.State
+    passed: f8
     motor: f8
     angle_ns: i8
     parity: f8
@@ -58,26 +51,27 @@ class State(Record):
     road_wheel: road_wheel.State
 
 
-class Inputs(contract.Inputs):
-    """Signals of the motor's currents and voltages, of the angles, and of the vehicle's speed, as they are called."""
+class Inputs(contract.SampledInputs):
+    """Signals of the motor's currents and voltages, of the angles, and of the vehicle's speed, as they are called.
+
+    The motor's counters are those of the newest frames.
+    """
 
     i_u: f8
     i_v: f8
     theta_park: f8
-    mc_cur: f8
     valid_cur: f8
     u_sd_mean: f8
     u_sq_mean: f8
-    mc_vol: f8
     t_wdg: f8
     delta_m: f8
     delta_g: f8
-    mc_ang: f8
     valid_ang: f8
     delta_s: f8
     delta_s_dot: f8
-    mc_sas: f8
     valid_sas: f8
+    mc_cur: f8
+    mc_vol: f8
     v_x: f8
     valid_v: f8
 
