@@ -46,7 +46,7 @@ class State(Record):
 
     ``share``: of the supply, 1: as it should be; ``active`` 1: it is not. ``calm``: samples for which it has been right
     again. Of the disagreement that is looked at: ``age`` [samples], ``elapsed`` [periods], ``level``, ``slope`` and
-    ``variance`` of the pedal before it; sums of what it is off by if the supply is wrong: ``common``, and if all but
+    ``variance`` of the pedal and ``slack`` before it; sums of what it is off by if the supply is wrong: ``common``, and if all but
     one channel are right: ``single``. ``agreed``: samples of agreement before. ``now``, ``travel``: share and travel
     [%] of this sample, ``seen``: share when it was looked at first.
     """
@@ -60,6 +60,7 @@ class State(Record):
     level: f8
     slope: f8
     variance: f8
+    slack: f8
     common: f8
     single: Annotated[f8s, MOST_CHANNELS]
     seen: f8
@@ -193,7 +194,7 @@ def look(
     if s.age == 0:
         if s.agreed < AGREED or not sure:
             return False
-        s.level, s.slope, s.variance, s.elapsed = level, slope, certainty, 0.0
+        s.level, s.slope, s.variance, s.slack, s.elapsed = level, slope, certainty, slack, 0.0
     s.agreed = 0
     s.age += 1
     s.elapsed += dt
@@ -204,7 +205,7 @@ def look(
         return False
     single, common = _sums(s, c, position), abs(s.common) / s.age
     unsure = math.sqrt(s.variance + variance / s.age) + c.bend * s.elapsed * math.sqrt(s.elapsed)
-    unsure += 0.5 * slack
+    unsure += 0.5 * s.slack
     if s.age >= LEAST and s.elapsed >= SOONEST and common <= CLEAR * unsure and single - common > CLEAR * unsure:
         s.active = 1
         s.calm = 0
