@@ -204,7 +204,7 @@ def look(
         s.age = MOST
         return False
     single, common = _sums(s, c, position), abs(s.common) / s.age
-    unsure = math.sqrt(s.variance + variance / s.age) + c.bend * s.elapsed * math.sqrt(s.elapsed)
+    unsure = math.sqrt(s.variance + variance / s.age) + c.bend * math.sqrt(s.elapsed**3 / 3.0)
     unsure += 0.5 * s.slack
     if s.age >= LEAST and s.elapsed >= SOONEST and common <= CLEAR * unsure and single - common > CLEAR * unsure:
         s.active = 1

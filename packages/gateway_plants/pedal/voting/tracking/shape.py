@@ -53,6 +53,7 @@ class Const(Record):
     mismatch: f8
     tolerance: f8
     creep: f8
+    amble: f8
     common: i8
     lean: Annotated[f8s, MOST_CHANNELS]
     widest: f8
@@ -121,6 +122,7 @@ def prepare(
     mismatch: float = 0.005,
     tolerance: float = 0.01,
     creep: float = 6e-4,
+    amble: float = 4e-5,
     rails: tuple[float, float] | None = None,
     lean: list[float] | None = None,
 ) -> None:
@@ -138,6 +140,7 @@ def prepare(
         mismatch: difference of the channels' gains that is usual.
         tolerance: slow mismatch that is usual, share of the span.
         creep: largest change of a drift in one sample, share of the span.
+        amble: likewise of one that goes on for long while the other channel repeats itself.
         rails: where readings are clipped, default at the ends of the span; there a live channel may repeat itself,
             and channels that jump there together have more likely failed than moved.
         lean: of each channel, its reading at rest over the change of it by one unit of the quantity, if a supply moves
@@ -151,7 +154,7 @@ def prepare(
     c.bend = bend * span
     c.mismatch = 4 * mismatch
     c.tolerance = tolerance * span
-    c.creep = creep * span
+    c.creep, c.amble = creep * span, amble * span
     c.common = lean is not None
     c.lean[:channels] = lean or [0.0] * channels
     c.widest = span / 4
