@@ -136,7 +136,7 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
         return
     noisy = 1.0 if judged else 0.0
     for j in range(c.channels):
-        if j != i and 2.0 * v.habits.rough[j] > v.habits.rough[i]:
+        if j != i and 2.0 * v.habits.shaken[j] > v.habits.shaken[i]:
             noisy = 0.0  # what all do is no fault of one
     wrong = judged and v.used & (1 << i) == 0 and abs(v.innovation[i]) > v.gate + v.slack
     if wrong:
@@ -149,7 +149,7 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
     began = wrong and d.wrong[i] == 0
     d.wrong[i] = 1 if wrong else 0
     d.erratic[i] += ((1.0 if began else 0.0) - d.erratic[i]) / ERRATIC_OVER
-    share = max(d.erratic[i], noisy * v.habits.rough[i])
+    share = max(d.erratic[i], noisy * v.habits.shaken[i])
     if share > ERRATIC_FAILS or share < ERRATIC_PASSES:
         failed = share > ERRATIC_FAILS
         often, limit = 100.0 * share, 100.0 * ERRATIC_FAILS

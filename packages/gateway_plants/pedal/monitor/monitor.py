@@ -47,7 +47,7 @@ _SHOWN = (
 #: Without a sample for so many periods the value is invalid.
 SILENCE = 20
 #: A drift is slower; so is one that lasts while the other channel repeats itself [travels/s].
-CREEP, AMBLE = 0.6, 0.04
+CREEP, AMBLE = 0.6, 0.25
 
 
 def _connect(p: Params) -> Mapping[str, Connection]:

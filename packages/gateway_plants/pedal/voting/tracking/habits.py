@@ -41,7 +41,7 @@ class State(Record):
     ``along``: those since ``begin``; ``longest``: most repetitions while the channel was trusted; ``line``: samples,
     beyond the first two, that lie on one line; ``begin``: where that began; ``before``, ``bend``: reading before
     ``raw``, and its second difference, ``uneven`` the share of large ones; ``rough``: share of the samples that jumped
-    or were none; ``moved``: by how much it has jumped since it agreed with the others; ``origin``: where it jumped from
+    or were none, ``shaken``: that jumped; ``moved``: by how much it has jumped since it agreed with the others; ``origin``: where it jumped from
     last; ``torn``: that of it which the quantity cannot move by, in the ``lasted`` periods that it took; ``along_with[i
     * 3 + j]``: by how much channel j left its way meanwhile; of what it does at present: ``from_``, where it left its
     way ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, and ``trend`` of its own, ``calm`` samples
@@ -67,6 +67,7 @@ class State(Record):
     bend: Annotated[f8s, MOST_CHANNELS]
     uneven: Annotated[f8s, MOST_CHANNELS]
     rough: Annotated[f8s, MOST_CHANNELS]
+    shaken: Annotated[f8s, MOST_CHANNELS]
     moved: Annotated[f8s, MOST_CHANNELS]
     torn: Annotated[f8s, MOST_CHANNELS]
     lasted: Annotated[f8s, MOST_CHANNELS]
@@ -100,7 +101,7 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.begin[i] = y[i]
         h.before[i] = raw[i]
         h.bend[i] = h.uneven[i] = 0.0
-        h.rough[i] = 0.0
+        h.rough[i] = h.shaken[i] = 0.0
         h.moved[i] = h.torn[i] = h.trend[i] = 0.0
         h.since[i] = 0
         for j in range(n):
@@ -120,6 +121,7 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sl
         bend = bent(raw, h.raw[i], h.before[i], h.gap[i], h.spacing[i])
     large = abs(bend) > straight
     jump = large and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
+    h.shaken[i] += ((1.0 if jump else 0.0) - h.shaken[i]) / ROUGH_OVER
     h.rough[i] += ((1.0 if jump or np.isnan(raw) else 0.0) - h.rough[i]) / ROUGH_OVER
     h.bend[i] = bend
     if not np.isnan(bend):

@@ -23,8 +23,8 @@ from gateway_plants.pedal.voting.tracking.shape import (
     State,
 )
 
-#: Samples on one line from which on a channel that goes slowly is a foot's way.
-STEADY = 40
+#: Samples on one line from which on a channel that goes slowly is a foot's way; likewise of one that has jumped.
+STEADY, WILD = 40, 6
 
 
 @kernel
@@ -71,9 +71,11 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     smooth = int(smooth * max(2.0 * s.scale.straight / c.slew, 1.0))
     far = 2.0 * (s.scale.agree + s.swing)
     mover = habits.outrun(h, c.channels, i, y, smooth, far, c.creep)
-    if mover < 0 or abs(h.torn[mover]) > s.scale.agree:
+    if mover < 0:
         mover = habits.outrun(h, c.channels, i, y, STEADY, far, c.amble)
-    if mover < 0 or others & (1 << mover) == 0 or abs(h.torn[mover]) > s.scale.agree:
+    # One that has jumped as no foot moves has to go on for longer, but beside one at a rail.
+    wild = mover >= 0 and abs(h.torn[mover]) > s.scale.agree and h.line[mover] < WILD and c.floor < y[i] < c.ceiling
+    if mover < 0 or others & (1 << mover) == 0 or wild:
         return bool(silent)
     # One that lags comes after a channel that has stopped, having gone there itself; from a frozen one it goes away.
     away = (y[mover] - y[i]) * (h.last[mover] - h.oldest[mover]) > 0.0

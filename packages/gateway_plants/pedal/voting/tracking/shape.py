@@ -122,7 +122,7 @@ def prepare(
     mismatch: float = 0.005,
     tolerance: float = 0.01,
     creep: float = 6e-4,
-    amble: float = 4e-5,
+    amble: float = 6e-4,
     rails: tuple[float, float] | None = None,
     lean: list[float] | None = None,
 ) -> None:
