@@ -60,9 +60,9 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     for j in range(c.channels):
         if others & (1 << j):
             company = company or (h.same[j] >= FEW and abs(s.z[j] - s.z[i]) <= s.scale.agree + s.swing)
-            silent = (
-                silent and h.same[j] <= patience // 2 and h.strayed[i * MOST_CHANNELS + j] >= s.scale.lively + s.swing
-            )
+            k = i * MOST_CHANNELS + j
+            comes = abs(y[j] - y[i]) < abs(h.anchor[k] - y[i])  # after it, as one that lags does
+            silent = silent and h.same[j] <= patience // 2 and h.strayed[k] >= s.scale.lively + s.swing and not comes
     if company:
         return False
     # Against a track that is sure a few impulses in a row are not enough.
@@ -139,6 +139,8 @@ def witnessed(s: State, c: Const, trusted: int, i: int) -> bool:
             continue
         if s.habits.same[j] >= ISOLATE and (count > 2 or abs(s.habits.torn[i]) <= s.scale.agree):
             continue  # a frozen channel is none, but where the other one of two did what the quantity cannot
+        if count == 2 and s.drift == 1 and abs(s.habits.torn[i]) <= s.scale.agree:
+            continue  # of two that have parted smoothly before nobody can tell, but by what no quantity does
         if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree, _common(s, c, i, j)):
             return True
     return False
