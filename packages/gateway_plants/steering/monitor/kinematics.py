@@ -42,6 +42,7 @@ class Const(Record):
     unsure: f8
     most_ns: f8
     step: f8
+    twist: f8
 
 
 class Dated(Record):
@@ -106,12 +107,12 @@ def prepare(c: Const, p: Params) -> None:
     c.angle_ns, c.wheel_ns = int(1e6 * p.angle_period), int(1e6 * p.wheel_period_ms)
     c.stale_ns = c.age_ns + 3 * c.wheel_ns
     c.unsure, c.most_ns = 1e-3 * p.wheel_delay_error_ms, 1e6 * p.wheel_delay_error_ms
-    c.step = p.angle_resolution
+    c.step, c.twist = p.angle_resolution, p.compliance
 
 
 @kernel
 def date(s: Dated, t_ns: int, waited: float, gap: float, period_ns: float) -> bool:
-    """Take a frame that came at ``t_ns``, had waited [s], ``gap`` periods behind the last; tells if dates begin anew."""
+    """Take a frame that came at ``t_ns``, had waited [s], ``gap`` periods behind the last; tells if dates are new."""
     at_ns = t_ns - int(waited * 1e9)
     anew = s.t_ns == 0 or gap >= ROUND or abs(at_ns - s.at_ns - gap * period_ns) > TOLERANCE_NS
     s.at_ns, s.t_ns = at_ns, t_ns
@@ -205,9 +206,9 @@ def fit(s: State, c: Const, sampled_ns: int, wheel: float, coarse: float) -> boo
     motor = s.motor[before] + share * (s.motor[later] - s.motor[before])
     pinion = s.pinion[before] + share * (s.pinion[later] - s.pinion[before])
     s.parity = motor / c.motor_ratio + wheel / c.wheel_ratio - pinion
-    # What a frame that was late on the bus makes of a turning wheel; half a step of the sensor, and as much for what
-    # lies between two of its frames.
-    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio + coarse / c.motor_ratio
+    # What a load twists; what a frame that was late on the bus makes of a turning wheel; half a step of the sensor, and
+    # as much for what lies between two of its frames.
+    slack = c.twist + c.jitter * abs(s.last_rate) / c.wheel_ratio + coarse / c.motor_ratio
     if s.turns < KNOWN:
         due = s.due
         _learn(s, c)
