@@ -254,8 +254,8 @@ def _blur(s: State, c: Const, u_d: float, u_q: float, jump: float, current: floa
     f, n = s.filter, c.filter.n
     # Where the sensor jumped, nobody knows in which frame the controller made the voltages.
     blur = c.input_gain * hypot(u_d, u_q) * sin(0.5 * min(abs(jump), pi))
-    # What a wrong resistance makes of the current, taken for noise.
-    warm = c.input_gain * c.resistance_error * f.resistance * current
+    # What a wrong resistance and dead time make of the current, taken for noise.
+    warm = c.input_gain * (c.resistance_error * f.resistance * current + c.dead)
     f.p[0] += blur * blur + SHARE * warm * warm
     f.p[n + 1] += blur * blur + SHARE * warm * warm
 
