@@ -190,7 +190,11 @@ def diagnose(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
         if d.split > SPLIT_FAILS or d.split < SPLIT_PASSES:
             _of_all(s, c, CORRELATION, d.split > SPLIT_FAILS, d.split, SPLIT_FAILS, out)
         _of_all(s, c, DRIFT, judged and v.drift == 1, v.spread, c.tracking.tolerance, out)
+    # A sample of another time, there and back, is no jump: it has to be farther than the quantity moves meanwhile.
     jumped = v.source == COMMON_MODE and d.split < SPLIT_JUMP
+    for i in range(c.channels):
+        near = abs(v.innovation[i]) <= c.tracking.slew * v.motion.coasted
+        jumped = jumped and not (near and s.place[i] == FINE and v.isolated & (1 << i) == 0)
     _of_all(s, c, JUMP, jumped, v.common, 1.0, out)
     if c.supply.possible == 1:
         _of_supply(s, c, out)

@@ -46,9 +46,9 @@ class State(Record):
 
     ``share``: of the supply, 1: as it should be; ``active`` 1: it is not. ``calm``: samples for which it has been right
     again. Of the disagreement that is looked at: ``age`` [samples], ``elapsed`` [periods], ``level``, ``slope`` and
-    ``variance`` of the pedal and ``slack`` before it; sums of what it is off by if the supply is wrong: ``common``, and if all but
-    one channel are right: ``single``. ``agreed``: samples of agreement before. ``now``, ``travel``: share and travel
-    [%] of this sample, ``seen``: share when it was looked at first.
+    ``variance`` of the pedal and ``slack`` before it; sums of what it is off by if the supply is wrong: ``common``, and
+    if all but one channel are right: ``single``. ``agreed``: samples of agreement before. ``now``, ``travel``:
+    share and travel [%] of this sample, ``seen``: share when it was looked at first.
     """
 
     share: f8

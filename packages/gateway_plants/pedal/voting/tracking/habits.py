@@ -41,9 +41,9 @@ class State(Record):
     ``along``: those since ``begin``; ``longest``: most repetitions while the channel was trusted; ``line``: samples,
     beyond the first two, that lie on one line; ``begin``: where that began; ``before``, ``bend``: reading before
     ``raw``, and its second difference, ``uneven`` the share of large ones; ``rough``: share of the samples that jumped
-    or were none, ``shaken``: that jumped; ``moved``: by how much it has jumped since it agreed with the others; ``origin``: where it jumped from
-    last; ``torn``: that of it which the quantity cannot move by, in the ``lasted`` periods that it took; ``along_with[i
-    * 3 + j]``: by how much channel j left its way meanwhile; of what it does at present: ``from_``, where it left its
+    or were none, ``shaken``: that jumped; ``moved``: by how much it has jumped since it agreed with the others;
+    ``origin``: where it jumped from last; ``torn``: that of it which the quantity cannot move by, in the
+    ``lasted`` periods that it took; ``along_with[i * 3 + j]``: by how much channel j left its way meanwhile; of what it does at present: ``from_``, where it left its
     way ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, and ``trend`` of its own, ``calm`` samples
     without a bend, ``leapt`` 1: it bent to and fro, ``left[i * 3 + j]``: where channel j was then; ``anchor[i * 3 +
     j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 + j]``: how far channel j has been from
