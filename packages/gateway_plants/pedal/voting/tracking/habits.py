@@ -42,12 +42,12 @@ class State(Record):
     beyond the first two, that lie on one line; ``begin``: where that began; ``before``, ``bend``: reading before
     ``raw``, and its second difference, ``uneven`` the share of large ones; ``rough``: share of the samples that jumped
     or were none, ``shaken``: that jumped; ``moved``: by how much it has jumped since it agreed with the others;
-    ``origin``: where it jumped from last; ``torn``: that of it which the quantity cannot move by, in the
-    ``lasted`` periods that it took; ``along_with[i * 3 + j]``: by how much channel j left its way meanwhile; of what it does at present: ``from_``, where it left its
-    way ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, and ``trend`` of its own, ``calm`` samples
-    without a bend, ``leapt`` 1: it bent to and fro, ``left[i * 3 + j]``: where channel j was then; ``anchor[i * 3 +
-    j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 + j]``: how far channel j has been from
-    there since, ``away[i * 3 + j]``: for how many periods it has not been near.
+    ``origin``: where it jumped from last; ``torn``: that of it which the quantity cannot move by, in the ``lasted``
+    periods that it took; ``along_with[i * 3 + j]``: by how much channel j left its way meanwhile; of what it does at
+    present: ``from_``, where it left its way ``since`` samples, ``elapsed`` periods, ago, at what ``pace``, and
+    ``trend`` of its own, ``calm`` samples without a bend, ``leapt`` 1: it bent to and fro, ``left[i * 3 + j]``: where
+    channel j was then; ``anchor[i * 3 + j]``: reading of channel j when channel i began to repeat, ``strayed[i * 3 +
+    j]``: how far channel j has been from there since, ``away[i * 3 + j]``: for how many periods it has not been near.
     """
 
     last: Annotated[f8s, MOST_CHANNELS]
