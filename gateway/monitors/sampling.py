@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 
 #: Messages that a sample can come in, and sets of one counter that are collected at the same time.
-MOST_MESSAGES, MOST_DEPTH = 52, 16
+MOST_MESSAGES, MOST_DEPTH = 52, 32
 #: Samples whose values are kept on the line between two frames; a power of 2.
 KEPT = 64
 #: Time that does not pass [ns].
@@ -36,8 +36,9 @@ EARLY = 0.5
 WINDOW = 64
 #: Frames after a beginning until one is thought to have waited for nothing.
 SETTLES = 32
-#: Number of frames in a row that seem to be overtaken: the sender has started again.
-ANEW = 16
+#: Number of frames in a row that seem to be overtaken: the sender has started again; so it has if, after DOUBT of them,
+#: one seems to have waited for half as many periods.
+ANEW, DOUBT = 16, 8
 #: Number of frames in a row with one counter, and not just a repeated frame: it does not count.
 STANDS = 3
 
@@ -262,6 +263,8 @@ def _steps(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
         if s.overtaken >= ANEW:
             return _by_clock(s, arrived_ns, period_ns)
         return int(steps)
+    if s.overtaken >= DOUBT and 2.0 * (arrived_ns - s.date_ns - steps * period_ns) > s.overtaken * period_ns:
+        return _by_clock(s, arrived_ns, period_ns)
     s.overtaken = 0
     s.date_ns += steps * period_ns
     _wait(s, arrived_ns, period_ns)

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from amount import FULL, amount
 
+from gateway_bench.wire.replayed import config_of, through
 from gateway_fdi.jit import COMPILED
 from gateway_plants.pedal.study.outside import faults as cases
-from gateway_plants.pedal.study.outside import sensors
+from gateway_plants.pedal.study.outside import roads, sensors
+from gateway_plants.pedal.study.outside.foot import points
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not COMPILED, reason="hours of samples each 1 ms")]
 
@@ -32,6 +34,24 @@ def test_no_healthy_pedal_is_accused(k):
     assert state["known"] & 1
     if state["known"] & 2:
         assert state["lag_ms"] == pytest.approx(lag if lag > 1.0 else 0.0, abs=1.6)
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("noise 50 mV", 5_200_100),  # 8 bits: hardly ever beyond what resolution lets channels differ
+        ("stuck", 5_200_107),  # at rest, and the foot goes slowly
+        ("supply -10 %", 5_200_112),  # one channel hardly moves
+        ("supply -10 %", 5_200_126),  # in motion, beside a lag
+        ("open, floating", 5_200_113),  # beside a channel that rests and repeats itself
+        ("healthy", 5_320_004),  # a frame that was overtaken by a whole turn of the counter
+    ],
+)
+def test_what_was_told_wrong_or_not_at_all(name, seed):
+    """Seeds that parameters were chosen with; those that judge are in docs/pedal.md."""
+    said = roads.outcome(name, seed)
+    assert said.right, said
+    assert not said.wrong, said
 
 
 def _roads(seed, count):
@@ -122,9 +142,6 @@ def test_every_fault_is_found_and_named(name, lag):
 @pytest.mark.parametrize("volts", [4.0, 4.5, 4.75, 5.4])
 def test_a_wrong_supply_is_told_and_put_right(volts):
     """Both channels are wrong, and the value is right all the same: within 1 % of the travel."""
-    from gateway_bench.wire.replayed import config_of, through
-    from gateway_plants.pedal.study.outside.foot import points
-
     travel = points(8.0, (0, 0.1), (3, 0.1), (4, 0.6), (5, 0.6), (6, 0.3), (8, 0.3))
     supply = np.where((np.arange(8000) >= 2000) & (np.arange(8000) < 7000), volts, 5.0)
     rng = np.random.default_rng(SEED + 300)

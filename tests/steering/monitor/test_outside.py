@@ -61,6 +61,31 @@ def test_a_steering_that_is_not_as_told_is_not_accused(name):
         assert state["wheel_age_ms"] == pytest.approx(of_bus.get("wheel_delay_ms", 5.0), abs=1.5)
 
 
+@pytest.mark.parametrize("off", [0.0, 1.5])
+def test_a_column_that_twists_is_told_and_accuses_nobody(off):
+    """0.3 deg at the largest load, told 0.35: silent; the pinion's fault is found all the same."""
+    print("seed", SEED + 500)
+    x = drive(M, 24.0, np.random.default_rng(SEED + 500))
+    twist = 0.3 * x["true"] / np.abs(x["true"]).max() + off * (np.arange(24_000) >= 16_000)
+    frames = bus.frames(x, M, pinion_add=twist)
+    if off == 0.0:
+        assert through(config_of(told(M), bus.DBC), [frames]).set != []
+    said = through(config_of(told(M, compliance=0.35), bus.DBC), [frames])
+    assert set(said.set) <= {"angles", "pinion_angle"}
+    assert (said.set == []) == (off == 0.0)
+
+
+def test_a_dead_time_that_is_told_is_no_fault_of_the_voltage():
+    real = M.changed(dead=0.2)
+    print("seed", SEED + 510)
+    x = drive(real, 20.0, np.random.default_rng(SEED + 510))
+    step = 1.5 * (np.arange(20_000) >= 12_000)
+    for volts, expected in ((0.0, set()), (step, {"voltage"})):
+        frames = bus.frames(x, real, voltage=volts)
+        said = through(config_of(told(M, dead_volts=0.2), bus.DBC), [frames])
+        assert set(said.set) - {"electric"} == expected, said.dtcs
+
+
 def ramp(n, begin, slope):
     return np.maximum(np.arange(n) - begin * 1000, 0) * 1e-3 * slope
 

@@ -70,6 +70,22 @@ def _multiply(a: f8s, b: f8s, into: f8s, size: int) -> None:
             into[i, j] = total
 
 
+@kernel
+def _halvings(s: State, n: int, size: int) -> int:
+    """Return how often ``block`` is halved until its largest sum of a row is at most 0.5; 40 times at most."""
+    largest = 0.0
+    for i in range(n):
+        total = 0.0
+        for j in range(size):
+            total += abs(s.block[i, j])
+        largest = max(largest, total)
+    halvings = 0
+    while largest > 0.5 and halvings < 40:
+        largest *= 0.5
+        halvings += 1
+    return halvings
+
+
 @kernel(inlined=False)
 def _exponential(s: State, c: Const, errors: f8s, entry: int, step: float) -> None:
     """Put [Phi, Gamma] into ``term``, for the errors of all entries, one of them moved by a step."""
@@ -84,16 +100,7 @@ def _exponential(s: State, c: Const, errors: f8s, entry: int, step: float) -> No
             for j in range(size):
                 s.term[i, j] = s.block[i, j]
         return
-    largest = 0.0
-    for i in range(c.n):
-        total = 0.0
-        for j in range(size):
-            total += abs(s.block[i, j])
-        largest = max(largest, total)
-    halvings = 0
-    while largest > 0.5 and halvings < 40:
-        largest *= 0.5
-        halvings += 1
+    halvings = _halvings(s, c.n, size)
     share = 0.5**halvings
     for i in range(size):
         for j in range(size):

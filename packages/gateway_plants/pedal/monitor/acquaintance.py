@@ -28,10 +28,11 @@ def supplied(s: State, c: Const, dt: float) -> bool:
     for i in range(c.channels):
         s.level[i] = (s.reading[i] - c.rest[i]) * c.percent[i] - (v.level[i] - middle)
     m = t.motion
-    quiet = t.slack < t.scale.agree  # else it may be a lag
-    sure = quiet and t.isolated == 0 and t.sure >= SURE and m.coasted < SUSPECT
-    agree, variance = t.scale.agree + t.slack, t.scale.variance
-    if supply.look(y, c.supply, s.reading, s.level, agree, m.x, m.v, m.p00, variance, t.slack, sure, dt):
+    sure = t.isolated == 0 and t.sure >= SURE and m.coasted < SUSPECT
+    # Readings are as they came: one that lags is behind.
+    behind, variance = max(t.slack, t.swing), t.scale.variance
+    agree = t.scale.agree + behind
+    if supply.look(y, c.supply, s.reading, s.level, agree, m.x, m.v, m.p00, variance, behind, sure, dt):
         # What the voter took for the pedal meanwhile was one channel or another.
         motion.restart(m, y.travel, 0.0, variance, c.tracking.slew * c.tracking.slew / 9.0)
         for i in range(c.channels):

@@ -134,6 +134,10 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
         return
     if v.used == 0:
         return
+    noisy = 1.0 if judged else 0.0
+    for j in range(c.channels):
+        if j != i and 2.0 * v.habits.shaken[j] > v.habits.shaken[i]:
+            noisy = 0.0  # what all do is no fault of one
     wrong = judged and v.used & (1 << i) == 0 and abs(v.innovation[i]) > v.gate + v.slack
     if wrong:
         trusted = 0
@@ -145,9 +149,10 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
     began = wrong and d.wrong[i] == 0
     d.wrong[i] = 1 if wrong else 0
     d.erratic[i] += ((1.0 if began else 0.0) - d.erratic[i]) / ERRATIC_OVER
-    if d.erratic[i] > ERRATIC_FAILS or d.erratic[i] < ERRATIC_PASSES:
-        failed = d.erratic[i] > ERRATIC_FAILS
-        often, limit = 100.0 * d.erratic[i], 100.0 * ERRATIC_FAILS
+    share = max(d.erratic[i], noisy * v.habits.shaken[i])
+    if share > ERRATIC_FAILS or share < ERRATIC_PASSES:
+        failed = share > ERRATIC_FAILS
+        often, limit = 100.0 * share, 100.0 * ERRATIC_FAILS
         _of_channel(s, i, first + ERRATIC, failed, often, limit, out)
 
 
@@ -185,7 +190,11 @@ def diagnose(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
         if d.split > SPLIT_FAILS or d.split < SPLIT_PASSES:
             _of_all(s, c, CORRELATION, d.split > SPLIT_FAILS, d.split, SPLIT_FAILS, out)
         _of_all(s, c, DRIFT, judged and v.drift == 1, v.spread, c.tracking.tolerance, out)
+    # A sample of another time, there and back, is no jump: it has to be farther than the quantity moves meanwhile.
     jumped = v.source == COMMON_MODE and d.split < SPLIT_JUMP
+    for i in range(c.channels):
+        near = abs(v.innovation[i]) <= c.tracking.slew * v.motion.coasted
+        jumped = jumped and not (near and s.place[i] == FINE and v.isolated & (1 << i) == 0)
     _of_all(s, c, JUMP, jumped, v.common, 1.0, out)
     if c.supply.possible == 1:
         _of_supply(s, c, out)

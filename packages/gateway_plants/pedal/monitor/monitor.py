@@ -46,8 +46,8 @@ _SHOWN = (
 )
 #: Without a sample for so many periods the value is invalid.
 SILENCE = 20
-#: A drift is slower [travels/s].
-CREEP = 0.6
+#: A drift is slower; so is one that lasts while the other channel repeats itself [travels/s].
+CREEP, AMBLE = 0.6, 0.25
 
 
 def _connect(p: Params) -> Mapping[str, Connection]:
@@ -98,6 +98,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         mismatch=p.gain_error / 100,
         tolerance=p.tolerance / 100,
         creep=CREEP * p.period_ms * 1e-3,
+        amble=AMBLE * p.period_ms * 1e-3,
         lean=[channel.at_rest * channel.percent for channel in p.channels] if p.tells_supply else None,
         rails=(-np.inf, np.inf),  # a clipped reading is out of its range, and not voted
     )

@@ -53,6 +53,7 @@ class State(Record):
     level: f8 = means("the pedal before it", "%")
     slope: f8 = means("its change in a period", "%/period")
     variance: f8 = means("variance of level", "%^2")
+    slack: f8 = means("slack of lags before the disagreement")
     common: f8 = means("sum of what the pedal is off by if the supply is wrong", "%")
     single: Annotated[f8s, MOST_CHANNELS] = means("sum of what the pedal is off by if this channel is right", "%")
     seen: f8 = means("share when it was looked at first")
@@ -186,7 +187,7 @@ def look(
     if s.age == 0:
         if s.agreed < AGREED or not sure:
             return False
-        s.level, s.slope, s.variance, s.elapsed = level, slope, certainty, 0.0
+        s.level, s.slope, s.variance, s.slack, s.elapsed = level, slope, certainty, slack, 0.0
     s.agreed = 0
     s.age += 1
     s.elapsed += dt
@@ -196,8 +197,8 @@ def look(
         s.age = MOST
         return False
     single, common = _sums(s, c, position), abs(s.common) / s.age
-    unsure = math.sqrt(s.variance + variance / s.age) + c.bend * s.elapsed * math.sqrt(s.elapsed)
-    unsure += 0.5 * slack
+    unsure = math.sqrt(s.variance + variance / s.age) + c.bend * math.sqrt(s.elapsed**3 / 3.0)
+    unsure += 0.5 * s.slack
     if s.age >= LEAST and s.elapsed >= SOONEST and common <= CLEAR * unsure and single - common > CLEAR * unsure:
         s.active = 1
         s.calm = 0

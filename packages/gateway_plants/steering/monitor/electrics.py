@@ -1,6 +1,6 @@
 """The motor's side: a filter of its angle, and what that says of angle sensor, currents and voltages.
 
-Everything runs once for a pair of motor frames with equal counters. Three residuals are independent of each other's
+Everything runs once for a pair of motor frames. Three residuals are independent of each other's
 weak spots:
 
 increment  the sensor's step less the one of the alpha-beta filter's speed: sees what changes at once, at rest too
@@ -12,7 +12,7 @@ balance    the EMF vector less c_M omega of the sensor's own speed: currents or 
 
 from __future__ import annotations
 
-from math import atan2, exp, hypot, nan, pi, sin
+from math import atan2, exp, hypot, isfinite, nan, pi, sin
 
 from gateway_fdi.filters import ekf_alpha_beta, feedforward
 from gateway_fdi.filters.motor import warm_resistance
@@ -243,8 +243,8 @@ def _blur(s: State, c: Const, u_d: float, u_q: float, jump: float, current: floa
     f, n = s.filter, c.filter.n
     # Where the sensor jumped, nobody knows in which frame the controller made the voltages.
     blur = c.input_gain * hypot(u_d, u_q) * sin(0.5 * min(abs(jump), pi))
-    # What a wrong resistance makes of the current, taken for noise.
-    warm = c.input_gain * c.resistance_error * f.resistance * current
+    # What a wrong resistance and dead time make of the current, taken for noise.
+    warm = c.input_gain * (c.resistance_error * f.resistance * current + c.dead)
     f.p[0] += blur * blur + SHARE * warm * warm
     f.p[n + 1] += blur * blur + SHARE * warm * warm
 
@@ -310,7 +310,7 @@ def step(
         theta: electrical angle used for Park there [rad].
         u_d: mean voltage in the controller's frame [V].
         u_q: likewise.
-        celsius: temperature of the winding [degC].
+        celsius: temperature of the winding [degC]; NaN: as it was.
         periods: frames since the last pair, 1 if none was lost.
         trusted: nothing is known against the sensor that anchors the filter at standstill.
     """
@@ -318,7 +318,7 @@ def step(
     if s.started == 0 or periods > GAP:
         _begin(s, c, theta, i_alpha, i_beta)
         return
-    if c.warm == 1:
+    if c.warm == 1 and isfinite(celsius):
         s.filter.resistance = warm_resistance(c.resistance, celsius)
     s.frames += 1
     _filter(s, c, theta, u_d, u_q, i_alpha, i_beta, periods, trusted)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
-from gateway_plants.steering.monitor import clock
 from gateway_plants.steering.monitor.params import Params
 
 #: History of the frames with motor and pinion.
@@ -19,6 +18,13 @@ KEPT = 32
 TURNING, TURNS, SPREAD, UNEXPLAINED, RIGHT_NS = 15.0, 30, 20.0, 0.12, 1_500_000.0
 #: It is learned better until so many frames; until then it is known so nearly [ns].
 KNOWN, NEARLY = 480, 1_500_000.0
+#: Dates that do not follow each other as the counters do, by more than this, were found anew; a frame that seems to
+#: have waited for longer has no sure date: its sender may have begun anew [ns].
+TOLERANCE_NS = 1_000_000
+#: Periods behind such a correction until no other one is likely: what had waited together has come by then.
+SETTLES = 20
+#: Behind a silence of so many periods nobody knows how often the counter went round.
+ROUND = 16
 
 
 class Const(Record):
@@ -36,6 +42,15 @@ class Const(Record):
     unsure: f8 = means("what delay_ns may be wrong", "s")
     most_ns: f8 = means("likewise", "ns")
     step: f8 = means("resolution of the motor's angle", "deg")
+    twist: f8 = means("difference of the angles by which column and gear twist at the largest load", "deg")
+
+
+class Dated(Record):
+    """Date of the last frame of a message."""
+
+    at_ns: i8 = means("when it was sampled", "ns")
+    t_ns: i8 = means("when it came", "ns")
+    since_ns: i8 = means("since when dates follow one another", "ns")
 
 
 class State(Record):
@@ -67,8 +82,8 @@ class State(Record):
     rr: f8 = means("sum of squares of the rates", "(deg/s)^2")
     rp: f8 = means("sum of rates by parities", "deg^2/s")
     pp: f8 = means("sum of squares of the parities", "deg^2")
-    angle_clock: clock.Clock = means("when motor and pinion angle are sampled")
-    wheel_clock: clock.Clock = means("when the steering wheel's angle is sampled")
+    angle_date: Dated = means("of the frames with motor and pinion")
+    wheel_date: Dated = means("of the frames with the steering wheel")
 
 
 def prepare(c: Const, p: Params) -> None:
@@ -84,7 +99,24 @@ def prepare(c: Const, p: Params) -> None:
     c.angle_ns, c.wheel_ns = int(1e6 * p.angle_period), int(1e6 * p.wheel_period_ms)
     c.stale_ns = c.age_ns + 3 * c.wheel_ns
     c.unsure, c.most_ns = 1e-3 * p.wheel_delay_error_ms, 1e6 * p.wheel_delay_error_ms
-    c.step = p.angle_resolution
+    c.step, c.twist = p.angle_resolution, p.compliance
+
+
+@kernel
+def date(s: Dated, t_ns: int, waited: float, gap: float, period_ns: float) -> bool:
+    """Take a frame that came at ``t_ns`` and had waited [s] (``gap`` periods on); returns whether dates start."""
+    at_ns = t_ns - int(waited * 1e9)
+    anew = s.t_ns == 0 or gap >= ROUND or abs(at_ns - s.at_ns - gap * period_ns) > TOLERANCE_NS
+    s.at_ns, s.t_ns = at_ns, t_ns
+    if anew:
+        s.since_ns = t_ns
+    return bool(anew)
+
+
+@kernel
+def sure(s: Dated, period_ns: float) -> bool:
+    """Return whether the last frame's date can be relied on, the message's period given [ns]."""
+    return bool(s.t_ns - s.since_ns >= SETTLES * period_ns and s.t_ns - s.at_ns <= TOLERANCE_NS)
 
 
 @kernel
@@ -166,9 +198,9 @@ def fit(s: State, c: Const, sampled_ns: int, wheel: float, coarse: float) -> boo
     motor = s.motor[before] + share * (s.motor[later] - s.motor[before])
     pinion = s.pinion[before] + share * (s.pinion[later] - s.pinion[before])
     s.parity = motor / c.motor_ratio + wheel / c.wheel_ratio - pinion
-    # What a frame that was late on the bus makes of a turning wheel; half a step of the sensor, and as much for what
-    # lies between two of its frames.
-    slack = c.jitter * abs(s.last_rate) / c.wheel_ratio + coarse / c.motor_ratio
+    # What a load twists; what a frame that was late on the bus makes of a turning wheel; half a step of the sensor, and
+    # as much for what lies between two of its frames.
+    slack = c.twist + c.jitter * abs(s.last_rate) / c.wheel_ratio + coarse / c.motor_ratio
     if s.turns < KNOWN:
         due = s.due
         _learn(s, c)
@@ -211,5 +243,5 @@ def now(s: State, c: Const, t_ns: int) -> float:
 
 @kernel
 def tested(s: State, c: Const, t_ns: int) -> bool:
-    """Tell whether (1) is tested at present: the last time is not long ago."""
+    """Return whether (1) is tested at present: the last time is not long ago."""
     return bool(s.fitted_ns > 0 and t_ns - s.fitted_ns <= c.stale_ns)

@@ -5,14 +5,14 @@ Kalman Filtering" (SAE 2005). Its four estimators run as it has them, with their
 (:mod:`gateway_fdi.filters`), but three of them need the sensor that they monitor. What decides is independent of it:
 an extended Kalman filter in stator co-ordinates, anchored at standstill, the EMF's angle, and the gear's equation (1).
 
-A step a frame; a pair of motor frames is taken when both have the same counter. A voltage frame that comes after the
-next current frame is paired with the one that it belongs to.
+Three samplings: currents and voltages of one counter are a pair, in whatever order they come; the angles of motor and
+pinion; the steering wheel's. Without the one the others are tested all the same.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import isnan, pi
+from math import inf, isfinite, isnan, pi
 
 from gateway.monitors.contract import (
     TIMER,
@@ -25,14 +25,14 @@ from gateway.monitors.contract import (
     Monitor,
     Out,
     Readout,
+    Sampled,
     Signal,
     Warnings,
     report,
 )
+from gateway.monitors.sampling import MOST_DEPTH, Sampling
 from gateway_fdi.jit import kernel
 from gateway_plants.steering.monitor import (
-    clock,
-    currents,
     decision,
     electrics,
     kinematics,
@@ -58,17 +58,13 @@ from gateway_plants.steering.monitor.records import Const, Inputs, Outputs, Stat
 STARTING, MEASURED, REPLACED, DEGRADED, INVALID = range(5)
 #: Without a pair of motor frames for so many periods the angle is invalid.
 SILENCE = 50
-#: After so many periods the counters have gone round, perhaps; before, they tell what was lost and what was late.
-AMBIGUOUS = 24.0
+#: Behind a silence of so many periods all begins anew.
+OLDEST = 1000
 #: What is not tested at present, and why. No pair of motor frames yet, or not enough: nothing. No frames of the gear,
 #: or their times are not sure: the three angles. How old the steering wheel's angle is, is not known, for it has not
 #: turned: what it makes of a turning wheel is allowed for. The motor stands: the EMF cannot say which angle is wrong.
 #: The angle sensor is not lively at rest: one that is stuck shows when it is to move.
 NO_PAIRS, NO_GEAR, AGE_UNKNOWN, NO_EMF, STUCK_AT_REST = 1, 2, 4, 8, 16
-#: A current waits for its voltage for so many periods: then the counter may have gone round.
-WAITS = 12
-#: A voltage that came ahead waits so long for its current.
-AHEAD = 3
 #: Frames behind a start in which nothing is judged [ms].
 SETTLES = 100.0
 #: Steps of the motor's angle sensor that matter beside the other two [deg].
@@ -76,36 +72,56 @@ COARSE_STEP = 0.1
 #: From this period on the current's time constant is missed [ms].
 COARSE = 5.0
 
+#: Counters are modulo this.
+ROUND = 16
+#: Samplings by their place.
+PAIR, ANGLE, STEERED = range(3)
 #: Inputs by message: field and signal.
 _MESSAGES = {
-    "AFS_MotCur": ("I_U", "I_V", "Theta_park", "MC_cur", "Valid_cur"),
-    "AFS_MotVol": ("U_sd_mean", "U_sq_mean", "MC_vol", "T_wdg"),
-    "AFS_Angle": ("Delta_M", "Delta_G", "MC_ang", "Valid_ang"),
-    "SAS_Angle": ("Delta_S", "Delta_S_dot", "MC_sas", "Valid_sas"),
+    "AFS_MotCur": ("I_U", "I_V", "Theta_park", "Valid_cur"),
+    "AFS_MotVol": ("U_sd_mean", "U_sq_mean", "T_wdg"),
+    "AFS_Angle": ("Delta_M", "Delta_G", "Valid_ang"),
+    "SAS_Angle": ("Delta_S", "Delta_S_dot", "Valid_sas"),
     "ESC_Speed": ("v_X", "Valid_v"),
 }
+#: Frame counters by message, and those that are inputs, too.
+_COUNTERS = {"AFS_MotCur": "MC_cur", "AFS_MotVol": "MC_vol", "AFS_Angle": "MC_ang", "SAS_Angle": "MC_sas"}
+_NEWEST = ("AFS_MotCur", "AFS_MotVol")
 #: Units of the signals that have one: a database that says another is refused.
 _UNITS = {
     "I_U": "A", "I_V": "A", "Theta_park": "deg", "U_sd_mean": "V", "U_sq_mean": "V", "T_wdg": "degC",
     "Delta_M": "deg", "Delta_G": "deg", "Delta_S": "deg", "Delta_S_dot": "deg/s", "v_X": "km/h",
 }  # fmt: skip
-#: Messages without which it steps, too.
-_OPTIONAL = ("AFS_Angle", "SAS_Angle", "ESC_Speed")
 
 
 def _connect(p: Params) -> Mapping[str, Connection]:
-    return {
+    def signal(message: str, name: str, triggers: bool) -> Connection:
+        text = f"{message}.{name}"
+        return Signal(text, unit=_UNITS.get(name), triggers=triggers, optional=True, may_be_nan=True)
+
+    found: dict[str, Connection] = {
         name.lower(): None
         if message == "ESC_Speed" and p.ratio is None
-        else Signal(
-            f"{message}.{name}",
-            unit=_UNITS.get(name),
-            triggers=message != "ESC_Speed",
-            optional=message in _OPTIONAL,
-        )
+        else signal(message, name, message in _COUNTERS)
         for message, names in _MESSAGES.items()
         for name in names
     }
+    return found | {_COUNTERS[message].lower(): signal(message, _COUNTERS[message], False) for message in _NEWEST}
+
+
+def samplings(p: Params) -> tuple[Sampling, ...]:
+    """Return how frames become samples, in the order of their places."""
+
+    def of(period_ms: float, *messages: str) -> Sampling:
+        fields = tuple(name.lower() for message in messages for name in _MESSAGES[message])
+        counters = tuple(f"{message}.{_COUNTERS[message]}" for message in messages)
+        return Sampling("counter", period_ms, inf, OLDEST * period_ms, counters, depth=MOST_DEPTH, inputs=fields)
+
+    return (
+        of(p.period_ms, "AFS_MotCur", "AFS_MotVol"),
+        of(p.angle_period, "AFS_Angle"),
+        of(p.wheel_period_ms, "SAS_Angle"),
+    )
 
 
 def _faults(_: Params) -> tuple[Fault, ...]:
@@ -136,8 +152,6 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     s.found = NONE
     s.wheel_age_ms = p.wheel_delay_ms
     s.not_seen = NO_PAIRS | NO_GEAR | AGE_UNKNOWN | STUCK_AT_REST
-    s.paired = s.current_counter = s.voltage_counter = s.angle_counter = -1
-    s.wheel_counter = -1
 
 
 @kernel
@@ -191,90 +205,59 @@ def _conclude(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
 
 
 @kernel
-def _pair(s: State, c: Const, u: Inputs, u_frame: int, i_u: float, i_v: float, theta: float) -> None:
-    """Take a pair of motor frames with the counter ``u_frame``."""
+def _pair(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> bool:
+    """Take a pair of motor frames; tells whether it has values."""
+    ahead = (u.mc_cur - u.mc_vol) % ROUND
+    if ahead == 0.0:
+        _report(s, PAIRING, False, 0.0, 1.0, out)
+    elif ahead < ROUND - 1.0:  # a voltage that is ahead by one waits for its current
+        s.unpaired += 1
+        _report(s, PAIRING, True, ahead, 0.0, out)
+    s.passed += u.gap
+    if not (u.valid_cur > 0.0 and isfinite(u.i_u + u.i_v + u.theta_park + u.u_sd_mean + u.u_sq_mean)):
+        return False
     m, k, y, d = s.electrics, s.kinematics, s.symptoms, s.decision
-    periods = float((u_frame - s.paired) % 16)
-    waited = (u.t_ns - s.paired_ns) / c.period_ns
-    if s.paired < 0 or waited > AMBIGUOUS:
-        periods = 1.0 if s.paired < 0 else waited
-    s.paired, s.paired_ns = u_frame, u.t_ns
+    periods = s.passed
+    s.passed, s.paired_ns = 0.0, u.t_ns
     s.pairs += 1
     trusted = not decision.motor_angle_fault(d.found)
-    electrics.step(
-        m,
-        c.electrics,
-        i_u,
-        i_v,
-        theta * pi / 180.0,
-        u.u_sd_mean,
-        u.u_sq_mean,
-        u.t_wdg,
-        periods,
-        trusted,
-    )
-    if m.frames < c.settled or periods > 1.0:
-        return
-    symptoms.update_motor(y, c.symptoms, m)
-    y.geared = 1 if kinematics.tested(k, c.kinematics, u.t_ns) else 0
-    known = decision.angle_fault(d.found)
-    on = symptoms.present(y, c.symptoms, m, c.electrics, k, i_u, i_v, known)
-    decision.decide(d, c.decision, y, on)
-
-
-@kernel
-def _motor_frames(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
-    """Take whichever motor frame has come, and a pair if it is complete."""
-    came, told = int(u.mc_cur), int(u.mc_vol)
-    newer = came != s.current_counter
-    fresh = told != s.voltage_counter
-    first = s.voltage_counter < 0
-    if newer:
-        s.current_counter = came
-        currents.keep(s.currents, u.t_ns, came, u.i_u, u.i_v, u.theta_park, u.valid_cur > 0.0, WAITS * c.period_ns)
-    s.voltage_counter = told
-    if not (newer or fresh):
-        return
-    if fresh:
-        s.waiting, s.waiting_ns = 1, u.t_ns
-    elif u.t_ns - s.waiting_ns > AHEAD * c.period_ns:
-        s.waiting = 0
-    found = currents.find(s.currents, told)
-    if s.waiting == 1 and found >= 0:
-        s.waiting = 0
-        # Behind by some it belongs to a current that came before: they came in a burst, or it was late.
-        if s.currents.valid[found] == 1:
-            _pair(s, c, u, told, s.currents.i_u[found], s.currents.i_v[found], s.currents.theta[found])
-            _conclude(s, c, out)
-        currents.taken(s.currents, found)
-    if told == came:
-        _report(s, PAIRING, False, 0.0, 1.0, out)
-    elif fresh and not first and told != (came + 1) % 16:  # ahead by one it waits for its current
-        s.unpaired += 1
-        _report(s, PAIRING, True, float((came - told) % 16), 0.0, out)
+    theta = u.theta_park * pi / 180.0
+    electrics.step(m, c.electrics, u.i_u, u.i_v, theta, u.u_sd_mean, u.u_sq_mean, u.t_wdg, periods, trusted)
+    if m.frames >= c.settled and periods <= 1.0:
+        symptoms.update_motor(y, c.symptoms, m)
+        y.geared = 1 if kinematics.tested(k, c.kinematics, u.t_ns) else 0
+        known = decision.angle_fault(d.found)
+        on = symptoms.present(y, c.symptoms, m, c.electrics, k, u.i_u, u.i_v, known)
+        decision.decide(d, c.decision, y, on)
+    _conclude(s, c, out)
+    return True
 
 
 @kernel
 def _angle_frame(s: State, c: Const, u: Inputs) -> None:
     """Take a frame with motor and pinion angle."""
-    s.motor, s.angle_ns = u.delta_m, u.t_ns
     k = s.kinematics
-    at_ns = clock.sampled_at(k.angle_clock, u.t_ns, s.angle_counter, c.kinematics.angle_ns)
-    if k.angle_clock.since_ns == u.t_ns:
+    anew = kinematics.date(k.angle_date, u.t_ns, u.waited[0], u.gap, c.kinematics.angle_ns)
+    if not (u.valid_ang > 0.0 and isfinite(u.delta_m + u.delta_g)):
+        return
+    s.motor, s.angle_ns = u.delta_m, u.t_ns
+    if anew:
         k.kept = 0
-    kinematics.keep(k, at_ns, u.delta_m, u.delta_g)
+    kinematics.keep(k, k.angle_date.at_ns, u.delta_m, u.delta_g)
 
 
 @kernel
 def _wheel_frame(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take a frame of the steering wheel: parity and rate."""
     k, y = s.kinematics, s.symptoms
-    at_ns = clock.sampled_at(k.wheel_clock, u.t_ns, s.wheel_counter, c.kinematics.wheel_ns)
-    if k.wheel_clock.since_ns == u.t_ns:
+    anew = kinematics.date(k.wheel_date, u.t_ns, u.waited[0], u.gap, c.kinematics.wheel_ns)
+    at_ns = k.wheel_date.at_ns
+    if anew:
         kinematics.begin(k)
+    if not (u.valid_sas > 0.0 and isfinite(u.delta_s + u.delta_s_dot)):
+        return
     kinematics.follow(k, c.kinematics, at_ns, u.delta_s, u.delta_s_dot)
-    sure = clock.sure(k.wheel_clock, c.kinematics.wheel_ns)
-    sure = sure and clock.sure(k.angle_clock, c.kinematics.angle_ns)
+    sure = kinematics.sure(k.wheel_date, c.kinematics.wheel_ns) and kinematics.sure(k.angle_date, c.kinematics.angle_ns)
     # What is finer than this is noise beside the other two.
     step = s.electrics.step * 180.0 / (pi * c.electrics.pole_pairs)
     coarse = step if step > COARSE_STEP else 0.0
@@ -314,22 +297,18 @@ def _value(s: State, c: Const, u: Inputs) -> None:
 
 @kernel
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
-    """Take one frame, or the timer of a silent bus."""
+    """Take one sample, or the timer of a silent bus."""
     if u.trigger == TIMER:
         s.quality = INVALID
     else:
-        pairs = s.pairs
-        if u.mc_ang != s.angle_counter and not isnan(u.mc_ang):
-            s.angle_counter = int(u.mc_ang)
-            if u.valid_ang > 0.0:
-                _angle_frame(s, c, u)
-        if u.mc_sas != s.wheel_counter and not isnan(u.mc_sas):
-            s.wheel_counter = int(u.mc_sas)
-            if u.valid_sas > 0.0:
-                _wheel_frame(s, c, u, out)
-        _motor_frames(s, c, u, out)
         out.wake_ns = u.t_ns + SILENCE * c.period_ns
-        if s.pairs == pairs:
+        if u.which == ANGLE:
+            _angle_frame(s, c, u)
+            return
+        if u.which == STEERED:
+            _wheel_frame(s, c, u, out)
+            return
+        if not _pair(s, c, u, out):
             return
         _value(s, c, u)
     out.send = 1
@@ -387,5 +366,6 @@ MONITOR = Monitor(
             levels=lambda p: p.thresholds.at(p.period_ms),
         ),
         Warnings(_warnings),
+        Sampled(samplings),
     ),
 )

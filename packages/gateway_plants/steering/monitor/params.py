@@ -137,6 +137,13 @@ class Params(MonitorParams):
         gt=0,
         description="misfit of the angles explained by sensor steps and lash: CUSUM's drift [deg at the pinion]",
     )
+    compliance: float = Field(
+        0.0,
+        ge=0,
+        le=5.0,
+        description="by which column and gear twist at the largest load: the three angles may differ by it "
+        "[deg at the pinion]",
+    )
     wheel_jitter_ms: float = Field(
         0.3,
         ge=0,

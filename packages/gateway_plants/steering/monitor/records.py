@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway.monitors import contract
 from gateway_fdi.jit import Record, f8, i8, means
-from gateway_plants.steering.monitor import currents, decision, electrics, kinematics, road_wheel, symptoms
+from gateway_plants.steering.monitor import decision, electrics, kinematics, road_wheel, symptoms
 
 
 class Const(Record):
@@ -30,15 +30,8 @@ class State(Record):
     pairs: i8 = means("pairs of motor frames taken")
     unpaired: i8 = means("motor frames without their pair")
     found: i8 = means("number of the fault found; NONE: none")
-    paired: i8 = means("counter of the last pair; -1: none yet")
     paired_ns: i8 = means("when the last pair was taken", "ns")
-    current_counter: i8 = means("last counter of the currents; -1: none yet")
-    voltage_counter: i8 = means("last counter of the voltages; -1: none yet")
-    angle_counter: i8 = means("last counter of motor and pinion angle; -1: none yet")
-    wheel_counter: i8 = means("last counter of the steering wheel; -1: none yet")
-    waiting: i8 = means("1: the last voltage waits for its current")
-    waiting_ns: i8 = means("when that voltage came", "ns")
-    currents: currents.State = means("currents that wait for their voltage")
+    passed: f8 = means("periods since the last pair")
     motor: f8 = means("last motor angle", "deg")
     angle_ns: i8 = means("when it came", "ns")
     parity: f8 = means("last parity", "deg")
@@ -52,26 +45,27 @@ class State(Record):
     road_wheel: road_wheel.State = means("plausibility of the road wheel angle")
 
 
-class Inputs(contract.Inputs):
-    """Signals of the motor's currents and voltages, of the angles, and of the vehicle's speed, as they are called."""
+class Inputs(contract.SampledInputs):
+    """Signals of the motor's currents and voltages, of the angles, and of the vehicle's speed, as they are called.
+
+    The motor's counters are those of the newest frames.
+    """
 
     i_u: f8 = means("phase current", "A")
     i_v: f8 = means("phase current", "A")
     theta_park: f8 = means("electrical angle used for Park", "deg")
-    mc_cur: f8 = means("alive counter of the currents")
     valid_cur: f8 = means("above 0: the currents are valid")
     u_sd_mean: f8 = means("mean voltage in the controller's frame, d", "V")
     u_sq_mean: f8 = means("mean voltage in the controller's frame, q", "V")
-    mc_vol: f8 = means("alive counter of the voltages")
     t_wdg: f8 = means("temperature of the winding", "degC")
     delta_m: f8 = means("motor angle", "deg")
     delta_g: f8 = means("pinion angle", "deg")
-    mc_ang: f8 = means("alive counter of motor and pinion angle")
     valid_ang: f8 = means("above 0: motor and pinion angle are valid")
     delta_s: f8 = means("steering wheel's angle", "deg")
     delta_s_dot: f8 = means("steering wheel's rate", "deg/s")
-    mc_sas: f8 = means("alive counter of the steering wheel")
     valid_sas: f8 = means("above 0: the steering wheel's signals are valid")
+    mc_cur: f8 = means("alive counter of the currents")
+    mc_vol: f8 = means("alive counter of the voltages")
     v_x: f8 = means("speed of the vehicle", "km/h")
     valid_v: f8 = means("above 0: that speed is valid")
 

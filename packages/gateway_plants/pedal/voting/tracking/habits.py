@@ -56,6 +56,7 @@ class State(Record):
     bend: Annotated[f8s, MOST_CHANNELS] = means("second difference of raw")
     uneven: Annotated[f8s, MOST_CHANNELS] = means("share of large second differences")
     rough: Annotated[f8s, MOST_CHANNELS] = means("share of the samples that jumped or were none")
+    shaken: Annotated[f8s, MOST_CHANNELS] = means("share of the samples that jumped, lately")
     moved: Annotated[f8s, MOST_CHANNELS] = means("by how much it has jumped since it agreed with the others")
     torn: Annotated[f8s, MOST_CHANNELS] = means("that of moved which the quantity cannot move by in the time of lasted")
     lasted: Annotated[f8s, MOST_CHANNELS] = means("time that the last jump took", "periods")
@@ -89,7 +90,7 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
         h.begin[i] = y[i]
         h.before[i] = raw[i]
         h.bend[i] = h.uneven[i] = 0.0
-        h.rough[i] = 0.0
+        h.rough[i] = h.shaken[i] = 0.0
         h.moved[i] = h.torn[i] = h.trend[i] = 0.0
         h.since[i] = 0
         for j in range(n):
@@ -109,6 +110,7 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sl
         bend = bent(raw, h.raw[i], h.before[i], h.gap[i], h.spacing[i])
     large = abs(bend) > straight
     jump = large and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
+    h.shaken[i] += ((1.0 if jump else 0.0) - h.shaken[i]) / ROUGH_OVER
     h.rough[i] += ((1.0 if jump or np.isnan(raw) else 0.0) - h.rough[i]) / ROUGH_OVER
     h.bend[i] = bend
     if not np.isnan(bend):

@@ -23,6 +23,9 @@ from gateway_plants.pedal.voting.tracking.shape import (
     State,
 )
 
+#: Samples on one line from which on a channel that goes slowly is a foot's way; likewise of one that has jumped.
+STEADY, WILD = 40, 6
+
 
 @kernel
 def isolate(s: State, i: int, why: int) -> None:
@@ -57,17 +60,22 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     for j in range(c.channels):
         if others & (1 << j):
             company = company or (h.same[j] >= FEW and abs(s.z[j] - s.z[i]) <= s.scale.agree + s.swing)
-            silent = (
-                silent and h.same[j] <= patience // 2 and h.strayed[i * MOST_CHANNELS + j] >= s.scale.lively + s.swing
-            )
+            k = i * MOST_CHANNELS + j
+            comes = abs(y[j] - y[i]) < abs(h.anchor[k] - y[i])  # after it, as one that lags does
+            silent = silent and h.same[j] <= patience // 2 and h.strayed[k] >= s.scale.lively + s.swing and not comes
     if company:
         return False
     # Against a track that is sure a few impulses in a row are not enough.
     smooth = 3 if s.sure >= SURE else 2
     # Where readings are so coarse that a line may jump farther than a foot moves, few samples prove none.
     smooth = int(smooth * max(2.0 * s.scale.straight / c.slew, 1.0))
-    mover = habits.outrun(h, c.channels, i, y, smooth, 2.0 * (s.scale.agree + s.swing), c.creep)
-    if mover < 0 or others & (1 << mover) == 0:
+    far = 2.0 * (s.scale.agree + s.swing)
+    mover = habits.outrun(h, c.channels, i, y, smooth, far, c.creep)
+    if mover < 0:
+        mover = habits.outrun(h, c.channels, i, y, STEADY, far, c.amble)
+    # One that has jumped as no foot moves has to go on for longer, but beside one at a rail.
+    wild = mover >= 0 and abs(h.torn[mover]) > s.scale.agree and h.line[mover] < WILD and c.floor < y[i] < c.ceiling
+    if mover < 0 or others & (1 << mover) == 0 or wild:
         return bool(silent)
     # One that lags comes after a channel that has stopped, having gone there itself; from a frozen one it goes away.
     away = (y[mover] - y[i]) * (h.last[mover] - h.oldest[mover]) > 0.0
@@ -131,6 +139,8 @@ def witnessed(s: State, c: Const, trusted: int, i: int) -> bool:
             continue
         if s.habits.same[j] >= ISOLATE and (count > 2 or abs(s.habits.torn[i]) <= s.scale.agree):
             continue  # a frozen channel is none, but where the other one of two did what the quantity cannot
+        if count == 2 and s.drift == 1 and abs(s.habits.torn[i]) <= s.scale.agree:
+            continue  # of two that have parted smoothly before nobody can tell, but by what no quantity does
         if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree, _common(s, c, i, j)):
             return True
     return False
@@ -181,11 +191,25 @@ def reconcile(s: State, c: Const) -> None:
 
 
 @kernel
+def _undecided(s: State, c: Const) -> bool:
+    """Tell whether a channel repeats itself while another goes faster than a drift: it may be frozen."""
+    h = s.habits
+    for i in range(c.channels):
+        if s.isolated & (1 << i) or h.same[i] < FEW:
+            continue
+        for j in range(c.channels):
+            k = i * MOST_CHANNELS + j
+            if j != i and h.away[k] > 0.0 and abs(h.last[j] - h.anchor[k]) >= c.amble * h.away[k]:
+                return True
+    return False
+
+
+@kernel
 def drifting(s: State, c: Const) -> None:
     """Look at the slow mismatch: of three channels the one that drifts can be named, of two it cannot."""
     n, b = c.channels, s.mismatch
     s.spread = mismatch.spread(b, n, s.isolated)
-    if s.drift == 0 and s.slack >= s.scale.agree:
+    if s.drift == 0 and (s.slack >= s.scale.agree or (n < MOST_CHANNELS and _undecided(s, c))):
         return  # it may be a lag: at rest it goes, a drift stays
     # A lag that is less than that, and the steps of the readings, are learned as a mismatch for a while.
     usual = c.tolerance + s.scale.step + (s.slack if n < MOST_CHANNELS else 0.0)

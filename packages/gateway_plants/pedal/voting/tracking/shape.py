@@ -48,6 +48,7 @@ class Const(Record):
     mismatch: f8 = means("usual difference of the channels' gains, four times")
     tolerance: f8 = means("slow mismatch that is usual")
     creep: f8 = means("largest change of a drift in a sample")
+    amble: f8 = means("slope of a channel that goes on for long while the other one repeats itself, a period")
     common: i8 = means("1: a supply may move all channels")
     lean: Annotated[f8s, MOST_CHANNELS] = means("reading at rest over slope; a supply moves it by this and the level")
     widest: f8 = means("largest standard deviation of the level")
@@ -106,6 +107,7 @@ def prepare(
     mismatch: float = 0.005,
     tolerance: float = 0.01,
     creep: float = 6e-4,
+    amble: float = 6e-4,
     rails: tuple[float, float] | None = None,
     lean: list[float] | None = None,
 ) -> None:
@@ -123,6 +125,7 @@ def prepare(
         mismatch: difference of the channels' gains that is usual.
         tolerance: slow mismatch that is usual, share of the span.
         creep: largest change of a drift in one sample, share of the span.
+        amble: likewise of one that goes on for long while the other channel repeats itself.
         rails: where readings are clipped, default at the ends of the span; there a live channel may repeat itself,
             and channels that jump there together have more likely failed than moved.
         lean: of each channel, its reading at rest over the change of it by one unit of the quantity, if a supply moves
@@ -136,7 +139,7 @@ def prepare(
     c.bend = bend * span
     c.mismatch = 4 * mismatch
     c.tolerance = tolerance * span
-    c.creep = creep * span
+    c.creep, c.amble = creep * span, amble * span
     c.common = lean is not None
     c.lean[:channels] = lean or [0.0] * channels
     c.widest = span / 4
