@@ -19,8 +19,9 @@ def evaluate_structural(
 ) -> None:
     """Evaluate monitors from equations on plants of other make.
 
-    Healthy drives and faults of plants that are lightly damped, stiff or not linear, solved by SciPy, as their models
-    say and off within what the configuration tells.
+    Healthy drives and faults of plants that are lightly damped, stiff or not
+    linear, solved by SciPy: exactly as their models, and off within the bounds
+    of the configuration.
     """
     from gateway_plants.structural.study.command import structural as work
 

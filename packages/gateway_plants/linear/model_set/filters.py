@@ -347,6 +347,23 @@ def correct(s: State, c: Const, h: int, y: f8s, known: bool, restless: bool) -> 
     s.told[h], s.left[h] = told, left
 
 
+@kernel
+def _columns_of_slow(s: State, c: Const, h: int, u: f8s) -> None:
+    """Compute the columns of F of the slow states into ``by_slow``."""
+    n, m, q = c.n, c.m, c.q
+    for r in range(n):
+        for k in range(q):
+            value = 0.0
+            for i in range(n):
+                value += s.plant.by_entry[h, k, r, i] * s.z[h, i]
+            for i in range(m):
+                value += s.plant.by_entry[h, k, r, n + i] * u[i]
+            s.by_slow[r, k] = value
+        for i in range(m):
+            s.by_slow[r, q + i] = s.plant.now[h, r, n + i]
+            s.by_slow[r, q + m + i] = s.plant.now[h, r, n + i] * u[i]
+
+
 @kernel(inlined=False)
 def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> None:
     """Take one filter to the next sample, the commands ``u`` held till then.
@@ -372,18 +389,7 @@ def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> Non
     elif moved > FRESH * FRESH:
         matrices.refresh(s.plant, c.plant, h, s.z[h, n:])
     relative *= SECOND_ORDER * SECOND_ORDER
-    # Columns of F for what is slow.
-    for r in range(n):
-        for k in range(q):
-            value = 0.0
-            for i in range(n):
-                value += s.plant.by_entry[h, k, r, i] * s.z[h, i]
-            for i in range(m):
-                value += s.plant.by_entry[h, k, r, n + i] * u[i]
-            s.by_slow[r, k] = value
-        for i in range(m):
-            s.by_slow[r, q + i] = s.plant.now[h, r, n + i]
-            s.by_slow[r, q + m + i] = s.plant.now[h, r, n + i] * u[i]
+    _columns_of_slow(s, c, h, u)
     slow = q + 2 * m
     for r in range(n):
         value = 0.0

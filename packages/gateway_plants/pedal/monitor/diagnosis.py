@@ -132,8 +132,14 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
     if why != TRUSTED:
         d.erratic[i] = 0.0
         return
-    if v.used == 0:
-        return
+    if v.used != 0:
+        _erratic(s, c, i, judged, out)
+
+
+@kernel
+def _erratic(s: State, c: Const, i: int, judged: bool, out: Out[Evidence, Outputs]) -> None:
+    """Test how often a trusted channel goes wrong, or jumps; ``judged``: the noise of the channels is known."""
+    v, d = s.tracking, s.diagnosis
     noisy = 1.0 if judged else 0.0
     for j in range(c.channels):
         if j != i and 2.0 * v.habits.shaken[j] > v.habits.shaken[i]:
@@ -153,7 +159,7 @@ def _channel(s: State, c: Const, i: int, out: Out[Evidence, Outputs]) -> None:
     if share > ERRATIC_FAILS or share < ERRATIC_PASSES:
         failed = share > ERRATIC_FAILS
         often, limit = 100.0 * share, 100.0 * ERRATIC_FAILS
-        _of_channel(s, i, first + ERRATIC, failed, often, limit, out)
+        _of_channel(s, i, i * PER_CHANNEL + ERRATIC, failed, often, limit, out)
 
 
 @kernel

@@ -251,7 +251,10 @@ def _one(s: State, c: Const, u: linear_plant.Inputs, at: int, came: bool, out: O
     lost = False
     for i in range(c.isolation.bank.m):
         lost = lost or a.unsure[i] == 1
-    window.keep(s.window, a.y, a.u, there and not lost)
+    if there:
+        window.keep(s.window, a.y, a.u, not lost)
+    else:
+        s.window.held = 0
     if lost:
         isolation.unknown_command(x, c.isolation)
     s.active, s.sensor = x.active, x.latched

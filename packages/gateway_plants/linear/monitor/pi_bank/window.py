@@ -119,6 +119,9 @@ def _checks(
     sensor, actuator = np.tile(np.arange(p), LENGTH), np.tile(np.arange(m), LENGTH)
     for parts in apart:
         rows = np.flatnonzero(~np.isin(sensor + m, parts))
+        if not len(rows):  # no sensor is left that could contradict
+            yield _Check(rows, np.zeros((0, 0)), math.inf)
+            continue
         unknown = np.hstack([free, forced[:, np.isin(actuator, parts)]])[rows]
         root = np.linalg.cholesky(spread[np.ix_(rows, rows)])
         base, sizes, _ = np.linalg.svd(np.linalg.solve(root, unknown))

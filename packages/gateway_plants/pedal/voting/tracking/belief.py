@@ -183,6 +183,16 @@ def _creeping(s: State, c: Const, trusted: int, parity: float, dt: float) -> boo
 
 
 @kernel
+def _parity(y: f8s, n: int, trusted: int) -> float:
+    """Return the reading of the later one of two trusted channels less that of the earlier one."""
+    parity = 0.0
+    for i in range(n):
+        if trusted & (1 << i):
+            parity = y[i] - parity
+    return parity
+
+
+@kernel
 def decide(s: State, c: Const, y: f8s, trusted: int, dt: float) -> None:
     """Believe those that agree; where there is no agreement, what the track says."""
     n, z = c.channels, s.z
@@ -208,10 +218,7 @@ def decide(s: State, c: Const, y: f8s, trusted: int, dt: float) -> None:
             members += 1
             near = near and abs(z[i] - centre) <= reach
     if count == 2:
-        parity = 0.0
-        for i in range(n):
-            if trusted & (1 << i):
-                parity = y[i] - parity  # of the later channel less the earlier one
+        parity = _parity(y, n, trusted)
         if trusted != s.pair:
             s.pair = trusted
             s.apart = LONG
