@@ -12,7 +12,12 @@ _BENCH = "gateway_bench"
 #: Files of tests outside a plant's folder that use shipped files of a plant, or commands of a package, by name.
 #: What they import is seen without this table.
 _USES = {
-    "calibration/test_cusum_tests.py": ("steering",),
+    "pedal/test_pedal_ecu.py": _PLANTS,
+    "learn/test_time.py": ("crank",),
+    "cli/test_wheel.py": ("crank", "gateway_fleet"),
+    "cli/test_measure.py": ("crank",),
+    "bus/test_bounds.py": ("crank",),
+    "calibration/test_cusum_tests.py": ("steering", "crank"),
     "calibration/test_of_a_fleet.py": ("steering", "linear", "gateway_fleet"),
     "calibration/test_stopping_rules.py": ("pedal", "steering"),
     "cli/test_check.py": ("steering", "structural"),
