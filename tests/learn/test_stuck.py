@@ -20,8 +20,8 @@ DBC = (
 REST, PERIOD = 2.0, 0.1
 
 
-def wandering(seconds, seed, frozen=(1e9, 1e9)):
-    """One message: a travel that wanders and rests, held from and to [s], and a value that never moves."""
+def wandering(seconds, seed, frozen=(1e9, 1e9), at=None):
+    """One message: a travel that wanders and rests, held from and to [s] (or put at), and a value that never moves."""
     rng = random.Random(seed)
     values, resting = [1000], 0
     for k in range(round(seconds / PERIOD)):
@@ -31,6 +31,9 @@ def wandering(seconds, seed, frozen=(1e9, 1e9)):
         still = resting > 0 or frozen[0] <= k * PERIOD < frozen[1]
         step = 0 if still else rng.choice((-3, -2, -1, 1, 2, 3))
         values.append(min(max(values[-1] + step, 10), 6000))
+    if at is not None:
+        first, last = (round(t / PERIOD) for t in frozen)
+        values[first:last] = [at] * (last - first)
     return [(256, PERIOD, lambda k: bytes([values[k] & 0xFF, values[k] >> 8, 7, 0, 0, 0, 0, 0]), 0.0)]
 
 
@@ -69,6 +72,9 @@ def test_a_signal_that_rests_for_seconds_is_stuck_when_it_rests_for_much_longer(
     assert 40.0 + limit - 1.0 - REST < alarm[0] < 40.0 + limit + 2.0
     short = drive(tmp_path / "short.log", 120.0, wandering(120.0, seed + 100, (40.0, 40.0 + 0.5 * limit)))
     assert alarms(config, short) == [], "half of it is none"
+    for end in (0, 65535):
+        at_end = drive(tmp_path / "end.log", 120.0, wandering(120.0, seed + 100, (40.0, 100.0), end))
+        assert not [fault for _, fault in alarms(config, at_end) if fault.endswith("stuck")], "saturated, or at rest"
 
 
 def test_less_than_ten_minutes_teach_no_rest(tmp_path):

@@ -63,6 +63,13 @@ def tell(out: Any, p: One, s: Course, kind: int, failed: bool, value: float, lim
 
 
 @kernel
+def untested(out: Any, p: One, s: Course, kind: int) -> None:
+    """Say of a test that failed last that it is not tested any more."""
+    report(out, p.fault[kind], False, nan, nan)
+    s.failed = s.failed & ~(1 << kind)
+
+
+@kernel
 def beyond(p: One, s: Course, kind: int, over: float) -> bool:
     """Return whether a limit is broken: from ``over`` > 0 on, until it is kept by the hysteresis."""
     if over > 0.0:
@@ -119,6 +126,25 @@ def seldom_moves(p: One, s: Course, x: float, other: float, usual_s: float) -> b
 
 
 @kernel
+def watch_movement(out: Any, p: One, s: Course, x: float, other: float, seconds: float, usual_s: float) -> None:
+    """Test whether a signal moves. At the end of its range it may rest, so that it is not tested there."""
+    if (p.moving_by > 0.0 or p.during_low > -inf) and isnan(other):
+        return  # another signal: until it comes nothing is known
+    if not p.inside_low < x < p.inside_high:
+        s.anchor, s.still_s, s.moved = nan, 0.0, 1.0
+        if s.failed & (1 << STUCK):
+            untested(out, p, s, STUCK)
+    elif p.stuck_share > 0.0:
+        seldom = seldom_moves(p, s, x, other, usual_s)
+        tell(out, p, s, STUCK, seldom, s.moved, p.stuck_share, x)
+    else:
+        stuck = has_stuck(p, s, x, other, seconds)
+        moved = p.moving_by > 0.0
+        still = abs(other - s.other) if moved else s.still_s
+        tell(out, p, s, STUCK, stuck, still, p.moving_by if moved else p.stuck_s, x)
+
+
+@kernel
 def follow_rhythm(s: Course, t_ns: int) -> None:
     """Learn how often values come; a gap, in which the signal is unknown, starts its scatter again."""
     seconds = (t_ns - s.came_ns) * 1e-9
@@ -163,16 +189,8 @@ def look(out: Any, p: One, s: Course, t_ns: int, x: float, other: float) -> None
     if s.valid > 0 and least_s > 0.0:
         rate = abs(x - s.before) / max(seconds, least_s)
         tell(out, p, s, GRADIENT, rate > p.gradient, rate, p.gradient, x)
-    asks = p.moving_by > 0.0 or p.during_low > -inf  # another signal; until it comes nothing is known
-    if p.fault[STUCK] >= 0 and p.stuck_share > 0.0:
-        if not (asks and isnan(other)):
-            seldom = seldom_moves(p, s, x, other, usual_s)
-            tell(out, p, s, STUCK, seldom, s.moved, p.stuck_share, x)
-    elif p.fault[STUCK] >= 0 and not (asks and isnan(other)):
-        stuck = has_stuck(p, s, x, other, seconds)
-        moved = p.moving_by > 0.0
-        still = abs(other - s.other) if moved else s.still_s
-        tell(out, p, s, STUCK, stuck, still, p.moving_by if moved else p.stuck_s, x)
+    if p.fault[STUCK] >= 0:
+        watch_movement(out, p, s, x, other, seconds, usual_s)
     if p.fault[NOISE] >= 0:
         deviation = scatter(p, s, x)
         if s.even > p.samples:
@@ -217,8 +235,7 @@ def give_up(out: Any, p: One, s: Course, t_ns: int) -> None:
         return
     for kind in range(len(KINDS)):
         if s.failed & (1 << kind):
-            report(out, p.fault[kind], False, nan, nan)
-    s.failed = 0
+            untested(out, p, s, kind)
 
 
 @kernel
@@ -279,10 +296,11 @@ def _prepare(p: PartParams, s: Any, c: Any) -> None:
         one["gradient"] = limits.gradient or inf
         one["least_s"] = (limits.least_step_ms or 0.0) * 1e-3
         one["patience_ns"] = round(PATIENCE * limits.failed_ms * 1e6)
-        one["during_low"], one["during_high"] = -inf, inf
+        one["during_low"], one["during_high"] = one["inside_low"], one["inside_high"] = -inf, inf
         if limits.stuck is not None:
             one["stuck_s"], one["stuck_by"] = limits.stuck.seconds or inf, limits.stuck.by
             one["during_low"], one["during_high"] = limits.stuck.within or (-inf, inf)
+            one["inside_low"], one["inside_high"] = limits.stuck.inside or (-inf, inf)
             one["stuck_share"] = limits.stuck.share or 0.0
             one["moving_by"] = limits.stuck.moving_by or 0.0
         if limits.noise is not None:

@@ -32,6 +32,10 @@ class Stuck(StrictModel):
     )
     during: str | None = Field(None, description='only while this signal is in within: "Message.Signal"')
     within: Range | None = Field(None, description="of during, its unit")
+    inside: Range | None = Field(
+        None,
+        description="only while the signal itself is between these two, its unit: at the end of its range it may rest",
+    )
     moving: str | None = Field(None, description='instead of time alone: while this signal moves, "Message.Signal"')
     moving_by: float | None = Field(None, gt=0, description="change of moving in which this one must move, its unit")
 
@@ -47,6 +51,8 @@ class Stuck(StrictModel):
             raise ValueError("give during, or moving")
         if self.share is not None and self.seconds is None:
             raise ValueError("share goes with seconds")
+        if self.inside is not None and not self.inside[0] < self.inside[1]:
+            raise ValueError("inside: the least value is below the greatest")
         return self
 
 

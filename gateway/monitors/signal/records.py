@@ -34,6 +34,8 @@ class One(Record):
     stuck_share: f8 = means("of its values that must differ from the one before; 0: time counts")
     during_low: f8 = means("the other signal's least value that asks for movement")
     during_high: f8 = means("the other signal's greatest value that asks for movement")
+    inside_low: f8 = means("value above which it must move")
+    inside_high: f8 = means("value below which it must move")
     moving_by: f8 = means("0: time counts")
     deviation: f8 = means("largest standard deviation")
     weight: f8 = means("of a sample in the mean")

@@ -140,6 +140,8 @@ def signal_lines(
         if signal.name in moves and "stuck" not in keys:
             keys["stuck"], text = moves[signal.name]
             why.append(text)
+        if "stuck" in keys and signal.name != checksum:
+            keys["stuck"] = keys["stuck"] | _inside(signal, course, keys["stuck"])
         if keys:
             name = f"{seen.message.name}.{signal.name}"
             head: dict[str, Any] = {"signal": name}
@@ -237,6 +239,18 @@ def _rest(_signal: Signal, course: Course, _period: float, seconds: float) -> tu
     return {"stuck": {"seconds": short(limit, 2)}}, f"at rest for {course.rest_s:.3g} s at most"
 
 
+def _inside(signal: Signal, course: Course, stuck: Mapping[str, Any]) -> dict[str, Any]:
+    """Return where a signal must move: not at the ends of what it can say, where a healthy one may stand for long."""
+    low, high = representable(signal)
+    least, most = database_range(signal) or (low, high)
+    if not least <= course.lowest <= course.highest <= most:  # the database is wrong
+        least, most = low, high
+    half = 0.5 * abs(float(signal.scale))
+    own = stuck.get("inside", (-np.inf, np.inf))
+    found = max(least + half, own[0]), min(most - half, own[1])
+    return {"inside": [float(f"{end:.12g}") for end in found]} if np.isfinite(found).all() else {}
+
+
 def texts_of(signal: Signal) -> set[float]:
     """Return the physical values that the database has texts for."""
     return {float(raw * signal.scale + signal.offset) for raw in signal.choices or {}}
@@ -287,6 +301,9 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
         untested = _without_a_text(observation, bus, learned.lines, name)
         if untested:
             notes.append(f"{name}: values without a text are not tested, too few texts came: {', '.join(untested)}")
+        resting = [line.name for line in learned.of(name, SIGNAL) if "inside" in line.keys.get("stuck", {})]
+        if resting:
+            notes.append(f"{name}: a value that stands at the end of its range is not tested: {', '.join(resting)}")
         doubled = sorted(message for index, message in observation.doubled if index == bus)
         if doubled:
             notes.append(f"{name}: messages with one identifier together, left out: {', '.join(doubled)}")

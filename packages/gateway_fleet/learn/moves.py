@@ -166,9 +166,10 @@ def _asked(seen: Seen, signal: Signal, speed: Drives | None, count: int) -> tupl
         limit = -limit_above(-mine, 1.0, 0.25 * scatter)
         share = short(min(limit, OF_LEAST * float(mine.min())), 2)
         if share >= LEAST_SHARE:
-            name = f"{seen.message.name}.{signal.name}" if speed is None else speed.name
-            most = short(high, 3) if speed is None else short(max(4.0 * speed.most, 100.0), 2)
-            condition = {"during": name, "within": [short(start, 3), most]}
+            condition: dict[str, Any] = {"inside": [short(start, 3), short(high, 3)]}
+            if speed is not None:
+                most = short(max(4.0 * speed.most, 100.0), 2)
+                condition = {"during": speed.name, "within": [short(start, 3), most]}
             return share, condition, f"{middle:.2f} of its values move, {mine.min():.2f} at least, of {len(mine)} times"
     return None
 

@@ -100,7 +100,8 @@ def _widest(keys: dict[str, Any], old: Line) -> None:
         (low, high), (least, most) = keys["plausible"], before["plausible"]
         keys["plausible"] = [short(min(low, least)), short(max(high, most))]
     if "stuck" in keys:
-        keys["stuck"] = max(keys["stuck"], before["stuck"], key=_slower)
+        ends = {key: value for key, value in keys["stuck"].items() if key == "inside"}
+        keys["stuck"] = max(keys["stuck"], before["stuck"], key=_slower) | ends
     if "gradient" in keys:
         keys["gradient"] = max(keys["gradient"], before["gradient"])
     if before.get("invalid") == [] and "invalid" in keys:

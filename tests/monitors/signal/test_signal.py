@@ -177,6 +177,21 @@ def test_stuck_by_time_alone(tmp_path):
     assert not made.feed(frames([10.2] * 3)).of("dtc")[-1]["status"] & 1
 
 
+def test_a_signal_at_the_end_of_its_range_is_not_tested_for_standing(tmp_path):
+    stuck = "{ seconds = 0.5, inside = [0.5, 99.5] }"
+    made = car(tmp_path, f'signal = "Wheel.Speed", stuck = {stuck}, failed_ms = 200.0, passed_ms = 1.0')
+    made.feed(frames([0.0] * 100 + [99.5] * 100))
+    assert made.failed() == []
+    assert made.gateway.memory.status("w.Speed.stuck") & 0x40, "not tested"
+    made.feed(frames([50.0] * 60 + [0.0] * 100))
+    assert made.failed() == [], "it failed for less than failed_ms"
+    made.feed(frames([50.0] * 80))
+    assert made.failed() == ["Speed.stuck"]
+    made.feed(frames([0.0] * 100))
+    assert made.of("dtc")[-1]["status"] & 1, "what was not tested does not heal"
+    assert not made.feed(frames([3.0, 4.0])).of("dtc")[-1]["status"] & 1
+
+
 def test_what_another_signal_says_is_waited_for(tmp_path):
     stuck = '{ moving = "Body.Moving", moving_by = 8.0 }'
     made = car(tmp_path, f'signal = "Wheel.Speed", stuck = {stuck}, {NOW}')
@@ -295,6 +310,7 @@ def test_more_signals_than_a_part_has_room_for(tmp_path):
         ('signal = "Wheel.Gear", invalid = ["SNAA"]', "no value of Wheel.Gear has this text; did you mean SNA"),
         ('signal = "Wheel.Speed", plausible = [0, 1], hysteresis = 1', "less than half of plausible"),
         ('signal = "Wheel.Speed", stuck = { seconds = 1, during = "Body.Moving" }', "during and within"),
+        ('signal = "Wheel.Speed", stuck = { seconds = 1, inside = [2, 1] }', "inside: the least"),
         ('signal = "Wheel.Speed", missing_ms = 100', "this signal is in every frame of its message; timeout_ms"),
         (
             'signal = "Wheel.Speed", stuck = { seconds = 1, during = "Body.Movin", within = [0, 1] }',
