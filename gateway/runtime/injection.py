@@ -191,8 +191,7 @@ class Injector:
         words = np.ascontiguousarray(mine["data"]).view("<u8").reshape(len(mine), 8)
         where = hit & carries
         self._signal.put_all(words, self._faulty(now, where, carries), where)
-        for k in np.flatnonzero(where):
-            self._message.renew(words[k], int(mine["length"][k]))
+        self._message.renew_all(words, mine["length"].astype(np.int64), where)
         mine["data"] = words.view(np.uint8).reshape(len(mine), -1)
         frames[places] = mine
 

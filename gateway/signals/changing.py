@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from gateway.bus.frames import EXTENDED, Frames
 from gateway.signals.columns import put_column
 from gateway.signals.database import Database
-from gateway.signals.decode import OK, decode, lookup
-from gateway.signals.payloads import columns
+from gateway.signals.decode import OK, decode
+from gateway.signals.payloads import columns, message_rows
 from gateway.signals.protection.protection import (
     Protection,
     ProtectionConst,
@@ -23,6 +23,7 @@ from gateway.signals.protection.protection import (
     counter_of,
     fill,
     protect,
+    protect_again,
 )
 from gateway.signals.tables import SignalRef, compile_plan
 
@@ -56,9 +57,7 @@ class ChangedMessage:
 
     def among(self, frames: Frames) -> NDArray[np.bool_]:
         """Return which frames are of the message, shape (n,)."""
-        keys = self._plan.keys, self._plan.rows
-        ids = [can_id for can_id in np.unique(frames["can_id"]) if lookup(*keys, self.bus, int(can_id)) == 0]
-        return np.asarray((frames["bus"] == self.bus) & np.isin(frames["can_id"], ids), np.bool_)
+        return np.asarray(message_rows(frames, self._plan) == 0, np.bool_)
 
     def sent_before(self, words: Words) -> int:
         """Return how many frames its counter says were sent before, modulo its range; 0 without a counter."""
@@ -69,6 +68,11 @@ class ChangedMessage:
         if self.protection.has_checksum or sent is not None:
             sent = self.sent_before(words) if sent is None else sent
             protect(words, length, sent, self.protection, self.tables)
+
+    def renew_all(self, words: Words, lengths: NDArray[np.int64], where: NDArray[np.bool_]) -> None:
+        """Put the checksums right over payloads, shape (frames, 8), where they were changed."""
+        if self.protection.has_checksum:
+            protect_again(words, lengths, where.view(np.uint8), self.protection, self.tables)
 
 
 class ChangedSignal:

@@ -213,3 +213,16 @@ def protect_all(words: Any, lengths: Any, p: Any, tables: Any, sent: int) -> Non
     """
     for k in range(words.shape[0]):
         protect(words[k], lengths[k], sent + k, p, tables)
+
+
+@kernel
+def protect_again(words: Any, lengths: Any, where: Any, p: Any, tables: Any) -> None:
+    """Protect frames of one message that were changed, each with the counter that it has.
+
+    Args:
+        words, lengths, p, tables: as of :func:`protect_all`.
+        where: uint8, shape (frames,), 0: the frame stays as it is.
+    """
+    for k in range(words.shape[0]):
+        if where[k] != 0:
+            protect(words[k], lengths[k], counter_of(words[k], p) - p.first, p, tables)

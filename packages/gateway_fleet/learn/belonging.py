@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from scipy.stats import hypergeom
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaln
 
 from gateway_fleet.learn.observe import Observation
 
@@ -28,10 +30,22 @@ def strangers(observation: Observation, buses: Sequence[str]) -> list[str]:
         if not told or any(seen.message.is_extended_frame for seen in alike):
             continue
         came = len(all_) + sum(index == bus for index, _ in observation.foreign)
-        chance = float(hypergeom.sf(len(alike) - 1, IDENTIFIERS, min(told, IDENTIFIERS), min(came, IDENTIFIERS)))
+        chance = _chance(len(alike), min(told, IDENTIFIERS), min(came, IDENTIFIERS))
         if chance > CHANCE:
             said.append(
                 f"{name}: THE LOG DOES NOT LOOK AS IF IT WERE OF THIS DATABASE: of its {told} messages {len(alike)}"
                 f" came, of {came} identifiers in the log; chance alone gives as many with probability {chance:.2g}"
             )
     return said
+
+
+def _chance(alike: int, told: int, came: int) -> float:
+    """Return how likely two sets of identifiers have as many in common, or more: the hypergeometric law's tail."""
+    common = np.arange(max(alike, told + came - IDENTIFIERS), min(told, came) + 1)
+    ways = _log_ways(told, common) + _log_ways(IDENTIFIERS - told, came - common) - _log_ways(IDENTIFIERS, came)
+    return float(np.exp(ways).sum())
+
+
+def _log_ways(of: int, chosen: int | NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return the logarithm of a binomial coefficient."""
+    return np.asarray(gammaln(of + 1) - gammaln(np.add(chosen, 1)) - gammaln(np.subtract(of, chosen) + 1), np.float64)

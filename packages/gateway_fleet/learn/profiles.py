@@ -36,7 +36,7 @@ def e2e_claim(message: Message, found_with: Payloads, proof: Payloads) -> Claim 
     """
     for keys, free_bits, note in _candidates(message, found_with):
         claim = proven(message, {"e2e": keys}, proof, free_bits=free_bits, hypotheses=1 << 10, note=note)
-        if claim is not None and _counts(claim.protection, found_with):
+        if claim is not None:
             return claim
     return None
 
@@ -49,7 +49,8 @@ def _candidates(message: Message, frames: Payloads) -> Iterator[tuple[Keys, int,
             if profile.header + offset > message.length:
                 continue
             keys: Keys = {"profile": name} | ({"offset": offset} if offset else {})
-            found = _SOLVE[name](message, keys, frames)
+            keys |= {"data_ids": [0] * LIST} if _SOLVE[name] is _list else {}
+            found = _SOLVE[name](message, keys, frames) if _counts(_made(message, keys), frames) else None
             if found is not None:
                 yield found
 
@@ -104,7 +105,6 @@ def _alternating(message: Message, keys: Keys, frames: Payloads) -> tuple[Keys, 
 
 def _list(message: Message, keys: Keys, frames: Payloads) -> tuple[Keys, int, str] | None:
     """Solve for the list of profiles 2 and 22, an id for each value of the counter."""
-    keys = keys | {"data_ids": [0] * LIST}
     counter = bits_of(frames.words, field_at(keys.get("offset", 0) + 1, 4))
     difference = _difference(message, keys, frames)
     ids = []
@@ -155,6 +155,10 @@ def _counts(asked: Protection, frames: Payloads) -> bool:
     """Return whether the header's counter goes up by one from frame to frame, nearly always."""
     assert asked.counter is not None
     values = bits_of(frames.words, asked.counter.field).astype(np.int64)
-    if (values < asked.counter.first).any() or (values >= asked.counter.first + asked.counter.modulus).any():
+    if (
+        len(values) < 2
+        or (values < asked.counter.first).any()
+        or (values >= asked.counter.first + asked.counter.modulus).any()
+    ):
         return False
     return bool((np.mod(np.diff(values), asked.counter.modulus) == 1).mean() > 0.5)
