@@ -116,6 +116,19 @@ def configured_by(more, tmp_path):
     return depends(path)[2]
 
 
+def test_a_signal_that_stands_blames_its_message_as_a_frozen_one_repeats_it(tmp_path):
+    found = names(configured_by("", tmp_path)["wheels.RL.stuck"])
+    assert found["message chassis.WheelSpeeds"] == pytest.approx(0.09)
+    assert found["signal chassis.WheelSpeeds.RL"] > found["message chassis.WheelSpeeds"]
+    assert found["message chassis.Vehicle"] < 0.01, "it only carries the speed that moves"
+
+
+def test_a_protection_that_is_watched_as_a_signal_is_wrong_as_its_message_is():
+    network = Network(["a"], {}, [SignalRef(0, "M", "Counter")])
+    assert network.signal(SignalRef(0, "M", "Counter")).name == "message a.M"
+    assert network.signal(SignalRef(0, "M", "Speed")).name == "signal a.M.Speed"
+
+
 def test_a_supply_is_seen_by_what_sees_what_it_feeds(tmp_path):
     supply = """
 [[diagnosis.supply]]

@@ -98,6 +98,17 @@ def test_an_ecu_that_wakes_late_has_its_time(tmp_path):
     assert [fault for _, fault, failed in said.dtcs if failed and "timeout" in fault] == ["M3.timeout"]
 
 
+def test_a_message_that_is_still_asleep_where_the_held_out_part_begins_has_not_ended(tmp_path):
+    def keep(t, can_id, _rng):
+        return (t < 25.0 or t >= 40.0) and not (can_id == IDS[3] and (t < 5.0 or 25.0 <= t < 48.0))
+
+    _, result, keys = learned(tmp_path, keep)
+    assert 40.0 < result.observation.logs[0].seconds < 48.0
+    assert keys["M3"]["timeout_ms"] <= 1000
+    assert result.alarms == ()
+    assert result.changes == []
+
+
 def test_what_an_update_drops_is_told(tmp_path):
     """A second drive in which a message comes when it likes: its timeout goes, and a line says so."""
     learned(tmp_path, lambda _t, _id, _rng: True)

@@ -17,6 +17,7 @@ from gateway.engine.depends.parts import Network, Seen, component, strongest
 from gateway.engine.depends.residuals import Read, residuals
 from gateway.engine.instances import FaultSlot, MonitorInstance
 from gateway.signals.database import Database
+from gateway.signals.tables import SignalRef
 
 
 class Dependences(NamedTuple):
@@ -54,7 +55,13 @@ def dependences(
     Raises:
         InputError, InputErrors: what a monitor's author or the configuration says of it is wrong.
     """
-    network = Network([bus.name for bus in buses], dict(enumerate(databases)))
+    protections = {
+        SignalRef(check.bus, check.params.message, part.signal)
+        for check in checks
+        for part in (check.params.counter, check.params.crc, check.params.checksum)
+        if part is not None
+    }
+    network = Network([bus.name for bus in buses], dict(enumerate(databases)), protections)
     found: dict[str, tuple[Seen, ...]] = {}
     for m in monitors:
         found |= {f"{m.name}.{name}": seen for name, seen in of_monitor(m, network).items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from gateway.signals.database import Database
@@ -47,10 +47,13 @@ class Network:
     Args:
         names: of the buses.
         databases: of each bus.
+        protections: signals that are checksums and counters of their messages.
     """
 
-    def __init__(self, names: Sequence[str], databases: Mapping[int, Database]) -> None:
-        self.names, self.databases = tuple(names), databases
+    def __init__(
+        self, names: Sequence[str], databases: Mapping[int, Database], protections: Collection[SignalRef] = ()
+    ) -> None:
+        self.names, self.databases, self._protections = tuple(names), databases, frozenset(protections)
 
     def bus(self, bus: int) -> Component:
         """Return a bus."""
@@ -69,7 +72,9 @@ class Network:
         return component("message", self.names[bus], message)
 
     def signal(self, ref: SignalRef) -> Component:
-        """Return a signal: its value, what measures or computes it."""
+        """Return a signal: its value, what measures or computes it; a protection is wrong as its message is."""
+        if ref in self._protections:
+            return self.message(ref.bus, ref.message)
         return component("signal", self.names[ref.bus], ref.message, ref.signal)
 
     def behind(self, ref: SignalRef, power: float) -> Iterator[Seen]:

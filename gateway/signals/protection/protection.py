@@ -220,8 +220,11 @@ def protect_again(words: Any, lengths: Any, where: Any, p: Any, tables: Any) -> 
     """Protect frames of one message that were changed, each with the counter that it has.
 
     Args:
-        words, lengths, p, tables: as of :func:`protect_all`.
+        words: payloads, uint64, shape (frames, 8).
+        lengths: int64, shape (frames,) [byte].
         where: uint8, shape (frames,), 0: the frame stays as it is.
+        p: record of :class:`ProtectionConst`.
+        tables: of the CRCs.
     """
     for k in range(words.shape[0]):
         if where[k] != 0:

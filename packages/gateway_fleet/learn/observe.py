@@ -22,7 +22,7 @@ from gateway.signals.payloads import columns, words_of
 from gateway.signals.tables import compile_plan
 from gateway_fleet.learn import observers
 from gateway_fleet.learn.course import Courses
-from gateway_fleet.learn.gaps import Gaps
+from gateway_fleet.learn.gaps import WAKE_MS, Gaps
 from gateway_fleet.learn.pauses import Pauses, tell_wakes
 from gateway_fleet.learn.samples import Samples
 from gateway_fleet.learn.snapshots import Snapshots
@@ -270,7 +270,10 @@ class Observer:
 
     def _end(self, log: LogSeen) -> None:
         for seen in self._made:
-            if seen.last_ns is not None:
+            if seen.last_ns is None:
+                continue
+            awake_ns = log.last_ns - self._pauses[seen.bus].woke_ns(seen.last_ns)
+            if awake_ns > WAKE_MS * 1e6:  # else it may come yet
                 seen.ended_s = max(seen.ended_s, (log.last_ns - seen.last_ns) * 1e-9)
 
     def result(self) -> Observation:

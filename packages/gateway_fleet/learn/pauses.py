@@ -62,6 +62,10 @@ class Pauses:
             self.count += 1
             self.longest_s = max(self.longest_s, float(stamps[k + 1] - stamps[k]) * 1e-9)
 
+    def woke_ns(self, since_ns: int) -> int:
+        """Return when the last pause ended that began at a time or later, 0: there was none."""
+        return self._ends[-1] if self._ends and self._starts[-1] >= since_ns else 0
+
     def give(self, gaps: Gaps, t_ns: NDArray[np.int64]) -> None:
         """Give a message the stamps of frames of its own, in order, of frames that the bus was given.
 
