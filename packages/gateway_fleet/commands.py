@@ -16,7 +16,7 @@ def learn(
     out: Annotated[Path, typer.Option("--out", "-o", help="Configuration file to write.")] = Path("car.toml"),
     bus: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=FILE[,FILE]", help="Name of a bus and its databases; may be repeated."),
+        typer.Option(metavar="NAME[=FILE[,FILE]]", help="Name of a bus and its databases; may be repeated."),
     ] = None,
     hold_out: Annotated[
         float,

@@ -263,6 +263,25 @@ def test_a_copy_of_one_byte_is_no_checksum():
     assert proven(message, keys, both).matched == 500
 
 
+def test_of_two_sums_that_fit_the_one_without_a_constant_is_taken():
+    """A steering angle about zero: its high nibbles rest, so that a sum of the low ones and a constant fits as well."""
+    rng = np.random.default_rng(6)
+
+    def frame(angle, count):
+        head = bytes([angle & 0xFF, angle >> 8, 0, 7, count])
+        check = 0
+        for byte in head:
+            check ^= byte & 0xF ^ byte >> 4
+        return bytes([*head[:4], count | check << 4])
+
+    message = message_of(5, Signal("Angle", 0, 16), Signal("CheckSum", 36, 4))
+    rest = [frame(0xFF48 + int(a), k % 16) for k, a in enumerate(rng.integers(0, 6, 120))]
+    found = protection_found(message, NOWHERE, [payloads(rest)]).claim
+    assert dict(found.keys["checksum"]) == {"rule": "xor", "signal": "CheckSum", "of": "nibbles"}
+    moves = [frame(int(a), k % 16) for k, a in enumerate(rng.integers(0, 0xFFFF, 500))]
+    assert judged(payloads(moves), found.protection).good.all()
+
+
 def test_a_message_with_few_payloads_has_the_rule_that_its_name_says(tmp_path):
     """Eight payloads in all: that the field is called a checksum, and the file Toyota's, is known before."""
     file = tmp_path / "toyota_x.dbc"

@@ -139,6 +139,22 @@ def test_a_log_alone_makes_a_configuration_that_runs_and_is_updated(tmp_path, ru
     assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".")], "nothing is left beside"
 
 
+def test_each_channel_of_a_log_without_a_database_is_a_bus(tmp_path, run):
+    """One identifier on two buses, each with a counter of its own."""
+    one = drive(tmp_path / "one.log", 40.0, MESSAGES[:2]).read_text()
+    two = drive(tmp_path / "two.log", 40.0, MESSAGES[:1]).read_text().replace(" can0 ", " can3 ")
+    (tmp_path / "drive.log").write_text("\n".join(sorted((one + two).splitlines())) + "\n")
+    assert run("learn", "drive.log", "-o", "car.toml").code == 0
+    buses = {bus.name: bus for bus in load_config(tmp_path / "car.toml").bus}
+    assert [each.message for each in buses["can0"].check] == ["ID_140", "ID_18FF0142x"]
+    assert [each.message for each in buses["can3"].check] == ["ID_140"]
+    assert all(bus.check[0].counter is not None for bus in buses.values())
+    assert "can3.ID_140.timeout" in run("replay", "drive.log", "-c", "car.toml", "--inject", "drop can3.ID_140 @10").out
+    named = run("learn", "drive.log", "--bus", "pt", "--bus", "body", "--map", "can3=body", "-o", "named.toml")
+    assert named.code == 0, named.err
+    assert [bus.name for bus in load_config(tmp_path / "named.toml").bus] == ["pt", "body"]
+
+
 def test_beside_a_database_others_are_messages_of_their_own(tmp_path):
     (tmp_path / "car.dbc").write_text(
         'VERSION ""\nBS_:\nBU_: A\nBO_ 512 Known: 8 A\n SG_ X : 0|8@1+ (1,0) [0|255] "" A\n'

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from gateway.bus.ring import read_recording
 from gateway.cli.present import print_json
 from gateway.config.load import load_config
 from gateway.signals.database import SUFFIXES
@@ -47,7 +48,7 @@ def learn_car(
         raise InputError("name a log of a healthy drive, too, e.g. gateway learn car.dbc drive.log", key="LOG")
     if out.exists() and not (update or force):
         raise InputError("this file is there: --update adds the logs to it, --force overwrites it", file=out)
-    asked_buses = _of_file(out) if update else _buses(databases, buses)
+    asked_buses = _of_file(out) if update else _buses(databases, buses, logs)
     if pgn:
         asked_buses = [replace(bus, match="pgn") for bus in asked_buses]
     asked = Asked(
@@ -72,19 +73,41 @@ def learn_car(
     return 0
 
 
-def _buses(databases: Sequence[Path], named: Sequence[str]) -> list[BusAsked]:
-    """Return the buses as asked for: ``NAME=FILE[,FILE]``, or one of all databases."""
+def _buses(databases: Sequence[Path], named: Sequence[str], logs: Sequence[Path]) -> list[BusAsked]:
+    """Return the buses as asked for, ``NAME[=FILE[,FILE]]``; or one of all databases; or one a channel of the logs."""
     made: list[BusAsked] = []
     for text in named:
         name, equals, files = text.partition("=")
         paths = tuple(part for part in files.split(",") if part)
-        if not equals or not re.fullmatch(r"[A-Za-z0-9_-]+", name) or not paths:
-            raise InputError("NAME=DATABASE[,DATABASE], e.g. powertrain=pt.dbc", key="--bus", value=text)
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", name) or bool(equals) != bool(paths):
+            raise InputError("NAME[=DATABASE[,DATABASE]], e.g. powertrain=pt.dbc", key="--bus", value=text)
         _all_there([Path(path) for path in paths])
         made.append(BusAsked(name, f"socketcan:can{len(made)}", paths))
     if databases and made:
         raise InputError("with --bus, each database belongs to one of them", key="DATABASE", value=str(databases[0]))
+    channels = [] if databases or made else _channels(logs)
+    if len(channels) > 1:
+        made = [BusAsked(name, f"socketcan:{name}", ()) for name in channels]
     return made or [BusAsked(BUS, f"socketcan:{BUS}", tuple(str(path) for path in databases))]
+
+
+def _channels(logs: Sequence[Path]) -> list[str]:
+    """Return the channels of logs, in order.
+
+    Raises:
+        InputError: a log that cannot be read; several channels, and one has a name that no bus can have.
+    """
+    seen: set[str] = set()
+    for log in logs:
+        reader = read_recording(log)
+        for _ in reader:
+            pass
+        seen.update(name for name, frames in reader.seen.items() if frames)
+    for name in seen if len(seen) > 1 else ():
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+            text = f"no bus can be called as this channel is, one of {len(seen)}: name the buses by --bus and --map"
+            raise InputError(text, file=logs[0], value=name)
+    return sorted(seen)
 
 
 def _of_file(out: Path) -> list[BusAsked]:

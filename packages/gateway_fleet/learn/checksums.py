@@ -161,8 +161,12 @@ def _ranges(message: Message, signal: Signal) -> Iterator[Keys]:
 
 
 def _sums(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:
-    """Yield sums and exclusive ors with the constant that the first frame asks for."""
+    """Yield sums and exclusive ors with the constant that the first frame asks for, those that need none first.
+
+    A constant may stand for bits that did not change: of two rules the one without it says more of what will come.
+    """
     limit = (1 << signal.length) - 1
+    found: list[tuple[int, Keys]] = []
     for over in _ranges(message, signal):
         for rule in ("sum", "xor"):
             for of in ("bytes", "nibbles"):
@@ -178,4 +182,5 @@ def _sums(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:
                     plus = one ^ other if rule == "xor" else (one - other) & limit
                     made = {"checksum": keys | ({"plus": plus} if plus else {})}
                     if _fits(message, made, frames):
-                        yield made
+                        found.append((plus, made))
+    yield from (made for _, made in sorted(found, key=lambda one: one[0] != 0))

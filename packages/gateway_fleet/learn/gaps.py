@@ -205,7 +205,12 @@ def timeout_ms(gaps: Gaps) -> float | None:
         return None
     lost = min(lost_share(gaps), 0.5)
     cycles = max(CYCLES, np.log(RARE) / np.log(lost)) if lost > 0.0 else CYCLES
-    return _rounded(max(cycles * cycle, gaps.largest_ns * (2.0 + 20.0 / gaps.count)) * 1e-6)
+    return _rounded(max(cycles * cycle, gaps.largest_ns * _longer(gaps.count)) * 1e-6)
+
+
+def _longer(count: int) -> float:
+    """Return what a longest time of this number of times is multiplied by for what the next may take."""
+    return 2.0 + 20.0 / count
 
 
 def _rounded(value: float) -> float:
@@ -214,7 +219,7 @@ def _rounded(value: float) -> float:
     return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")
 
 
-#: After a wake-up a message may come later than ever by this factor; the bus's own time to wake is this [ms].
+#: After a few wake-ups a message may come later than ever by this factor; the bus's own time to wake is this [ms].
 LATER, WAKE_MS = 2.0, 15_000.0
 #: Wake-ups that it takes to wait less than the bus's own time.
 LEAST_WAKES = 3
@@ -228,7 +233,8 @@ def wake_ms(gaps: Gaps, timeout: float) -> float | None:
         timeout: of it [ms].
     """
     times, latest_ns = gaps.wakes
-    need = max(_rounded(LATER * max(latest_ns, 1_000_000) * 1e-6), timeout)
+    latest = max(latest_ns, 1_000_000) * 1e-6
+    most = max(_rounded(LATER * latest), timeout, WAKE_MS)
     if times >= LEAST_WAKES:
-        return need
-    return max(need, WAKE_MS) if times else None
+        return min(max(_rounded(_longer(times) * latest), timeout), most)
+    return most if times else None

@@ -136,6 +136,11 @@ def _right_checksum(m: Sent, said: object) -> bool:
 
 def healthy(out: Path, net: Network, seed: int, seconds: float, way: Way) -> Counter[str]:
     """Return the codes that another healthy drive sets, fault -> how often."""
+    return codes_of(out, frames_of(net, seed, seconds, way))
+
+
+def codes_of(out: Path, frames: Frames) -> Counter[str]:
+    """Return the codes that frames set, fault -> how often."""
     engine = prepare(load_config(out), out).engine
     codes: Counter[str] = Counter()
 
@@ -144,7 +149,6 @@ def healthy(out: Path, net: Network, seed: int, seconds: float, way: Way) -> Cou
             fault = engine.faults[int(event["fault"])].id
             codes[fault] += not of_log(fault, ["can0"])  # that the bus slept is so
 
-    frames = frames_of(net, seed, seconds, way)
     for part in np.array_split(frames, max(len(frames) // 5000, 1)):
         engine.process(part, hear)
     return codes
