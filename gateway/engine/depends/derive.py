@@ -59,7 +59,7 @@ def dependences(
         SignalRef(check.bus, check.params.message, part.signal)
         for check in checks
         for part in (check.params.counter, check.params.crc, check.params.checksum)
-        if part is not None
+        if part is not None and part.signal is not None
     }
     network = Network([bus.name for bus in buses], dict(enumerate(databases)), protections)
     found: dict[str, tuple[Seen, ...]] = {}
