@@ -7,10 +7,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from gateway.bus.frames import Frames
 from gateway_fdi.errors import BusError
+
+if TYPE_CHECKING:
+    from gateway.bus.can_structs import RawReceiver
 
 #: Wait before frames are offered again to a queue that was full [s].
 RETRY_S = 0.001
@@ -64,6 +67,11 @@ class Bus(ABC):
         Raises:
             BusError: the bus is gone, and all that it had received has been taken.
         """
+
+    @property
+    def raw(self) -> RawReceiver | None:
+        """The receiver of its socket, where a pump may take its place; None: only :meth:`receive` receives."""
+        return None
 
     @abstractmethod
     def send(self, frames: Frames) -> int:

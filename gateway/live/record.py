@@ -52,6 +52,16 @@ class Nobody:
         """Put nothing down."""
         return empty(0)
 
+    def quiet(self) -> None:
+        """Have no engine that a pump could feed."""
+
+    def took(self, frames: Frames) -> None:
+        """Be asked for nothing: no pump feeds it."""
+
+    def resume(self, frames: Frames, start: int) -> Frames:
+        """Be asked for nothing: no pump feeds it."""
+        return empty(0)
+
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Listen to all."""
         return None
