@@ -143,7 +143,7 @@ class Link:
             return self._joined(told), False
         return self._with_conditions(told, self._batch[:count], list(self._bus.losses), more=count == BATCH)
 
-    def take(self, frames: Frames, *, more: bool) -> tuple[Frames, bool]:
+    def take(self, frames: Frames, more: bool) -> tuple[Frames, bool]:
         """Take frames that a pump has received, as :meth:`receive` does; its receiver was told of them.
 
         Args:

@@ -61,6 +61,10 @@ class Pump:
         engine: warm.
         cells: of its loop.
         buses: how many.
+
+    Attributes:
+        engine: that it feeds.
+        memory: of its kernel.
     """
 
     def __init__(self, engine: Engine, cells: Bound, buses: int) -> None:
@@ -94,13 +98,13 @@ class Pump:
         self._flags[[can_id & 0x7FF for can_id in heard if not can_id & EXTENDED]] = 1
         extended = np.asarray([can_id for can_id in heard if can_id & EXTENDED] or [-1], np.int64)
         room = self._room
-        memory = pumping.Pumped(
+        self.memory = pumping.Pumped(
             self._state, self._sides, self._polls, room.messages, room.control, room.gaps, self._frames,
             _of(self._frames), _of(self._merged), self._since, _of(self._held), self._held_since, _of(self._taken),
             self._cells.arguments, self._cells.results, self.engine.clock_cells, _of(np.asarray(self.engine.tables.outbox)),
             np.zeros(9, np.uint64), self._flags, extended,
         )  # fmt: skip
-        self._pump = bound(pumping.pump, memory, rest=())
+        self._pump = bound(pumping.pump, self.memory, rest=())
 
     def run(
         self,
@@ -134,7 +138,7 @@ class Pump:
         state["offset_ns"], state["difference_ns"] = clock.offset_ns, clock.difference_ns
         state["tolerance_ns"] = clock.tolerance_ns
         state["leave_ns"], state["grace_ns"], state["waits"] = leave_ns, grace_ns, waits
-        state["before_ns"], state["server_ns"], state["prompt_ns"] = quiet.before_ns, quiet.server_ns, quiet.prompt_ns
+        state["before_ns"], state["server_ns"], state["prompt_ns"] = quiet.before_ns, quiet.due_ns, quiet.prompt_ns
         state["may_send"] = may_send and quiet.may_send
         held, since = merger.release()
         state["held"] = len(held)

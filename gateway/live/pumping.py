@@ -36,7 +36,7 @@ FULL = 8  # no room to take them down
 #: The engine has begun with the batch:
 EVENTS = 9  # it has something to tell
 SENDING = 10  # a monitor sends, and a queue is full, or somebody takes down what is sent
-SERVER = 11  # a server's time has come
+SERVER = 11  # the time of a server, or of a recording, has come
 FAILED = 12  # the loop of the engine has failed
 
 #: Names of the reasons, in their order.
@@ -75,7 +75,7 @@ class State(Record):
     tolerance_ns: i8 = means("change of that which is a step", "ns")
     leave_ns: i8 = means("when to leave at the latest", "ns")
     prompt_ns: i8 = means("when a server of the bus's own time is due", "ns")
-    server_ns: i8 = means("engine's time at which a server is due", "ns")
+    server_ns: i8 = means("engine's time at which a server, or a recording, is due", "ns")
     before_ns: i8 = means("a frame from this time on is not fed", "ns")
     grace_ns: i8 = means("time that the engine's timers lag the clock without traffic", "ns")
     may_send: i8 = means("1: frames of monitors are sent here")
@@ -149,7 +149,7 @@ def _read_clock(which: int, s: Any) -> int:
 
 @kernel
 def _was_set(s: Any, wall_ns: int) -> bool:
-    """Return whether the wall clock may have been set since Python looked."""
+    """Return whether the wall clock, which was read right before this, may have been set since Python looked."""
     change = wall_ns - _read_clock(_MONOTONIC, s) - s.difference_ns
     return bool(abs(change) > s.tolerance_ns)
 
@@ -351,8 +351,8 @@ def pump(P: Any) -> int:
     for b in range(buses):
         side = P.sides[b]
         side.received = side.rejected = side.sent = 0
+    wall_ns = _read_clock(_REALTIME, s)
     while True:
-        wall_ns = _read_clock(_REALTIME, s)
         now_ns = wall_ns - s.offset_ns
         s.count = s.start = 0
         if s.passes > 0 and now_ns >= min(s.leave_ns, s.prompt_ns):
@@ -367,7 +367,8 @@ def pump(P: Any) -> int:
         for b in range(buses):
             why = max(why, _receive(P, b, wall_ns, P.polls[b] >> 48 != 0))
             total += P.sides[b].count
-        if _was_set(s, _read_clock(_REALTIME, s)):
+        wall_ns = _read_clock(_REALTIME, s)
+        if _was_set(s, wall_ns):
             return STEPPED
         if why > 0:
             return RAW if total > 0 or why == RAW else BUS

@@ -66,7 +66,7 @@ class Quiet:
     Attributes:
         engine: to be fed.
         before_ns: frames from this time on are to come by :meth:`Gateway.feed`.
-        server_ns: when a server is due, by the engine's time.
+        due_ns: when a server, or a recording, is due, by the engine's time.
         prompt_ns: when a server is due, by the bus's own time.
         heard: identifiers (with EXTENDED) whose frames are to come by :meth:`Gateway.feed`.
         may_send: whether what monitors send goes to the bus.
@@ -74,7 +74,7 @@ class Quiet:
 
     engine: Engine
     before_ns: int
-    server_ns: int
+    due_ns: int
     prompt_ns: int
     heard: frozenset[int]
     may_send: bool
@@ -351,13 +351,15 @@ class Gateway:
     def quiet(self) -> Quiet | None:
         """Return what a pump must know to feed the engine in place of :meth:`feed`; None: something waits."""
         before_ns = self._reception.before_ns
-        if self._closed or before_ns is None or not (self._outbox.empty and self._idle):
+        if self._closed or before_ns is None or not (self._outbox.empty and self._settled):
             return None
         heard = self.servers.heard
         if heard is None:
             return None
-        servers = self.servers
-        return Quiet(self.engine, before_ns, servers.next_ns, servers.next_prompt_ns, heard, self.controls.send)
+        due_ns = self.servers.next_ns
+        if self._recorder is not None:
+            due_ns = min(due_ns, self._recorder.due_ns + 1)
+        return Quiet(self.engine, before_ns, due_ns, self.servers.next_prompt_ns, heard, self.controls.send)
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`resume`."""
@@ -474,10 +476,12 @@ class Gateway:
 
         Nor that monitoring was switched, and is not told.
         """
-        if not self._standing.settled:
-            return False
-        recording = self._recorder is not None and self._recorder.busy
-        return not (recording or self.memory.room or self._doubts.busy) and self._upkeep.idle
+        return self._settled and not (self._recorder is not None and self._recorder.busy)
+
+    @property
+    def _settled(self) -> bool:
+        """Whether nothing waits but time."""
+        return self._standing.settled and not (self.memory.room or self._doubts.busy) and self._upkeep.idle
 
     @property
     def notes(self) -> tuple[str, ...]:
