@@ -289,6 +289,7 @@ class RawReceiver:
             rejected: messages that were none.
             gaps: shape (n, 2): place in the batch, frames lost right before it.
         """
+        self.losses = []
         if len(gaps):
             self.losses = [(int(at), int(lost)) for at, lost in gaps]
             self._statistics.overflow += sum(lost for _, lost in self.losses)

@@ -173,7 +173,9 @@ class Engine:
     def clock_places(self) -> dict[str, int]:
         """Places in :attr:`clock_cells`, by name."""
         names = ("now", "deadline", "events", "sent", "fed", "taken")
-        return dict(zip(names, (self._now, self._due, self._events, self._to_send, self._fed, self._taken), strict=True))
+        return dict(
+            zip(names, (self._now, self._due, self._events, self._to_send, self._fed, self._taken), strict=True)
+        )
 
     def _in_parts(self, frames: Frames, sink: Sink, until_ns: int) -> Frames:
         """Feed a batch as :meth:`process` does, and call :attr:`on_pause` when it is time for it."""

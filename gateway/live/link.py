@@ -150,9 +150,10 @@ class Link:
             frames: as its socket gave them.
             more: whether there may be more.
         """
-        assert self._bus is not None and self._bus.raw is not None, "no pump receives from this bus"
+        raw = None if self._bus is None else self._bus.raw
+        assert raw is not None, "no pump receives from this bus"
         frames["bus"] = self.index
-        return self._with_conditions([], frames, list(self._bus.raw.losses), more=more)
+        return self._with_conditions([], frames, list(raw.losses), more=more)
 
     def _with_conditions(
         self, told: list[Frames], frames: Frames, losses: list[tuple[int, int]], *, more: bool
@@ -177,7 +178,9 @@ class Link:
     def pumped(self) -> Bus | None:
         """The bus, of whose socket a pump may receive now; None: only :meth:`receive` may."""
         plain = self._bus is not None and not self._ending and not self._told and not len(self._transmitter)
-        return self._bus if plain and self._bus is not None and self._bus.raw is not None and self.stamps.plain else None
+        return (
+            self._bus if plain and self._bus is not None and self._bus.raw is not None and self.stamps.plain else None
+        )
 
     def _joined(self, parts: list[Frames]) -> Frames:
         frames = np.concatenate([empty(0), *parts])

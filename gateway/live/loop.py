@@ -14,6 +14,7 @@ import numpy as np
 from gateway.bus.conditions import LOST, RUNNING, step_frame
 from gateway.bus.frames import ERROR, OWN, Frames, empty
 from gateway.bus.timeline import to_wall
+from gateway.engine.core import Engine
 from gateway.live import pumping
 from gateway.live.clock import Clock
 from gateway.live.link import Link
@@ -50,6 +51,10 @@ class Tap(Protocol):
 
 class Fed(Protocol):
     """Receiver of frames and time: a gateway."""
+
+    @property
+    def engine(self) -> Engine | None:
+        """Its engine, which a pump may feed; None: there is none."""
 
     @property
     def next_ns(self) -> int:
@@ -164,7 +169,6 @@ class Live:
         self._watched: dict[int, Link | None] = {}
         self._merger = Merger()
         self._pump: Pump | None = None
-        self._pumps_of = 0
         self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
         self._poll = self._keep = 0.0
         self._held: dict[int, list[Frames]] = {}  # taken from links, and not fed
@@ -188,7 +192,11 @@ class Live:
         self._unsettled = True
 
     def _choose(self) -> None:
-        """Say which frames are wanted: a tap wants all there are."""
+        """Say which frames are wanted: a tap wants all there are. Have a pump for this gateway, if it can have one."""
+        engine = self._gateway.engine
+        self._pump = None
+        if engine is not None and engine.cells is not None and self._clock.of_system and self._links:
+            self._pump = Pump(engine, engine.cells, len(self._links))
         for link in self._links:
             ids = None if self._taps else self._gateway.identifiers_on(link.index)
             link.listen_to(ids, echo=bool(self._taps))
@@ -216,12 +224,10 @@ class Live:
                 link.attend()
         self._watch()
         left = self._pumped()
-        if left is None:
-            busy = self._wait()
-            fed = self._read_one(self._links[0]) if len(self._links) == 1 else self._read_all()
-        else:
-            busy, fed = left.why not in (pumping.TIME, pumping.DOOR), self._finish_pass(left)
-            self._knocked = left.why == pumping.DOOR
+        busy = self._wait() if left is None else left.why not in (pumping.TIME, pumping.DOOR)
+        fed = left is not None and self._finish_pass(left)
+        if left is None or left.why == pumping.BUS:
+            fed |= self._read_one(self._links[0]) if len(self._links) == 1 else self._read_all()
         if not fed and not busy:
             # Only now: frames that still wait in a queue must not be overtaken. With traffic,
             # its own time stamps move the clock.
@@ -240,17 +246,12 @@ class Live:
 
     def _pumped(self) -> Left | None:
         """Feed the gateway without Python while nothing waits; None: something does, or a bus is no socket."""
-        if self._held or self._unsettled or self._clock.untold or not self._clock.of_system or not self._links:
+        if self._pump is None or self._held or self._unsettled or self._clock.untold:
             return None
         quiet = self._gateway.quiet()
         buses = [bus for link in self._links if (bus := link.pumped) is not None]
         if quiet is None or len(buses) < len(self._links) or len(self._merger) > HELD:
             return None
-        if self._pump is None or self._pump.engine is not quiet.engine or self._pumps_of != len(buses):
-            cells = quiet.engine.cells
-            if cells is None:
-                return None
-            self._pump, self._pumps_of = Pump(quiet.engine, cells, len(buses)), len(buses)
         watched = self._door is not None and self._door.listening()
         patience_s = min(self._tick_s if watched else POLL_S, max(self._poll - self._monotonic(), 0.0))
         return self._pump.run(
@@ -267,6 +268,7 @@ class Live:
 
     def _finish_pass(self, left: Left) -> bool:
         """Do what a pump has left to Python; returns whether there were frames."""
+        self._knocked = left.knocked
         if len(left.taken):
             self._take_down(left.taken)
             self._gateway.took(left.taken)

@@ -30,7 +30,7 @@ _CELLS = FRAME.itemsize // 8
 
 @dataclass(frozen=True)
 class Left:
-    """What a pump has done, and why it has left.
+    """Work of a pump, and why it has left.
 
     Attributes:
         why: one of the reasons of :mod:`gateway.live.pumping`.
@@ -39,6 +39,7 @@ class Left:
         batch: frames on the engine's time, in order; of these the engine has handled those before ``start``.
         start: -1: the batch was not taken down, and not fed.
         read_ns: when the sockets were looked at last.
+        knocked: whether the other descriptor was readable.
     """
 
     why: int
@@ -47,6 +48,7 @@ class Left:
     batch: Frames
     start: int
     read_ns: int
+    knocked: bool
 
 
 def _of(frames: Frames) -> np.ndarray:
@@ -101,8 +103,8 @@ class Pump:
         self.memory = pumping.Pumped(
             self._state, self._sides, self._polls, room.messages, room.control, room.gaps, self._frames,
             _of(self._frames), _of(self._merged), self._since, _of(self._held), self._held_since, _of(self._taken),
-            self._cells.arguments, self._cells.results, self.engine.clock_cells, _of(np.asarray(self.engine.tables.outbox)),
-            np.zeros(9, np.uint64), self._flags, extended,
+            self._cells.arguments, self._cells.results, self.engine.clock_cells,
+            _of(np.asarray(self.engine.tables.outbox)), np.zeros(9, np.uint64), self._flags, extended,
         )  # fmt: skip
         self._pump = bound(pumping.pump, self.memory, rest=())
 
@@ -176,4 +178,6 @@ class Pump:
         elif why >= pumping.WANTED:
             batch = (self._frames[0] if self._buses == 1 else self._merged)[:count]
         begun = why >= pumping.EVENTS
-        return Left(why, self._taken[: int(state["took"])], raw, batch, start if begun else -1, int(state["read_ns"]))
+        taken = self._taken[: int(state["took"])]
+        at, knocked = int(state["read_ns"]), bool(state["knocked"])
+        return Left(why, taken, raw, batch, start if begun else -1, at, knocked)

@@ -2,7 +2,7 @@
 
 One pass waits for the sockets, receives, puts stamps on the engine's time, joins buses in order of time, takes the
 frames down for those who read them later, runs the engine and sends what its monitors send. It repeats that until there
-is something that only Python can do, and says what: one of the reasons below. What is rare is never done here: a batch
+is something that only Python can do, and says what: one of the reasons below. Rare things are never done here: a batch
 with anything unusual is handed over as it was received, and goes the way of :mod:`gateway.live.loop`.
 
 It is the one kernel that waits, and reads clocks.
@@ -67,7 +67,7 @@ class Side(Record):
 
 
 class State(Record):
-    """What the pump is told, and what it tells."""
+    """Orders to the pump, and its report."""
 
     # Times, of the engine unless it says so.
     offset_ns: i8 = means("what the wall clock is ahead of the engine's", "ns")
@@ -95,12 +95,13 @@ class State(Record):
     sent_at: i8 = means("cell of the clock: frames sent")
     fed_at: i8 = means("cell of the clock: first of these that went through the engine")
     taken_at: i8 = means("cell of the clock: first of these that have left")
-    # What it tells.
+    # Its report.
     batch: i8 = means("address of the latest batch")
     count: i8 = means("its frames")
     start: i8 = means("first of these that the engine has not handled")
     took: i8 = means("frames taken down since the pump was entered")
     fed: i8 = means("frames fed since then")
+    knocked: i8 = means("1: the other descriptor is readable")
     held: i8 = means("frames held back: an earlier one of another bus may still come")
     read_ns: i8 = means("when the sockets were looked at last", "ns")
     passes: i8 = means("passes since the pump was entered")
@@ -114,8 +115,8 @@ class Pumped(NamedTuple):
     descriptors. ``messages``, ``control``, ``gaps``, ``frames`` and the same in ``cells`` have a row a bus (see
     :class:`gateway.bus.can_structs.RawReceiver`). ``merged`` and ``since`` take the frames of several buses, and the
     time at which each was received; ``held`` and ``held_since`` those that wait. ``taken`` are the frames for those who
-    read them later. ``clock`` is the engine's, ``outbox`` its outbox in cells, ``wire`` room for one struct canfd_frame.
-    ``heard`` are the identifiers of 11 bits that servers want, as flags, ``extended`` those of 29.
+    read them later. ``clock`` is the engine's, ``outbox`` its outbox in cells, ``wire`` room for one
+    struct canfd_frame. ``heard`` are the identifiers of 11 bits that servers want, as flags, ``extended`` those of 29.
     """
 
     state: NDArray[np.void]
@@ -156,7 +157,7 @@ def _was_set(s: Any, wall_ns: int) -> bool:
 
 @kernel
 def _wait(P: Any, s: Any, now_ns: int) -> int:
-    """Wait for the sockets, and for time to pass; returns a reason to leave, -1: frames wait."""
+    """Wait for the sockets, and for time to pass; returns a reason to leave, -1: frames wait, or a door is open."""
     until = min(s.leave_ns, s.prompt_ns)
     deadline_ns = P.clock[s.deadline_at]
     if deadline_ns < s.never - s.grace_ns:
@@ -172,13 +173,12 @@ def _wait(P: Any, s: Any, now_ns: int) -> int:
     ready = poll(P.polls.ctypes.data, buses + 1, wait_ms)
     if ready < 0:
         return INTERRUPTED
-    if P.polls[buses] >> 48 != 0:
-        return DOOR
+    s.knocked = P.polls[buses] >> 48 != 0
     if ready == 0:
         return -1 if s.held > 0 else TIME
     for b in range(buses):
         told = P.polls[b] >> 48
-        if told != 0 and told != _POLLIN:
+        if told not in (0, _POLLIN):
             return BUS
     return -1
 
@@ -346,7 +346,7 @@ def pump(P: Any) -> int:
         P: a :class:`Pumped`.
     """
     s = P.state[0]
-    s.took = s.fed = s.passes = s.count = s.start = 0
+    s.took = s.fed = s.passes = s.count = s.start = s.knocked = 0
     buses = P.sides.shape[0]
     for b in range(buses):
         side = P.sides[b]
@@ -372,18 +372,19 @@ def pump(P: Any) -> int:
             return STEPPED
         if why > 0:
             return RAW if total > 0 or why == RAW else BUS
-        if total == 0 and s.held == 0:
-            continue
         for b in range(buses):
             for k in range(P.sides[b].count):
                 P.cells[b, k, 0] -= np.uint64(s.offset_ns)
+        why = -1
         if buses == 1:
             s.batch, s.count = P.cells.ctypes.data, P.sides[0].count
-            why = _feed(P, s, P.cells[0])
+            if s.count > 0:
+                why = _feed(P, s, P.cells[0])
         else:
             _join(P, s)
-            if s.count == 0:
-                continue
-            why = _feed(P, s, P.merged)
+            if s.count > 0:
+                why = _feed(P, s, P.merged)
         if why >= 0:
             return why
+        if s.knocked == 1:
+            return DOOR

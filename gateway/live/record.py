@@ -21,6 +21,7 @@ class Nobody:
     """
 
     next_ns = due_ns = NEVER
+    engine = None
 
     def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
         self._tell = tell

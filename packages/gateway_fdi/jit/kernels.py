@@ -149,8 +149,8 @@ class Entry:
         call.__dict__["kept"] = first, room, found
         call.__dict__["cells"] = Bound(
             self.address,
-            np.frombuffer(room, np.int64),
-            np.frombuffer(found, np.int64),
+            np.frombuffer(memoryview(room), np.int64),
+            np.frombuffer(memoryview(found), np.int64),
             tuple((at, tuple(same or ())) for at, same in places),
         )
         return call
