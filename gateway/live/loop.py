@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import selectors
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -34,6 +35,8 @@ POLL_S = 0.1
 REPORT_S = 1.0
 #: How often the state of the buses is kept for other processes.
 KEEP_S = 10.0
+#: How long a thread of Python that computes may have the interpreter, while a verdict waits for it [s].
+SWITCH_S = 0.0002
 #: Batches taken from a bus before the others, and the rest of the work, have their turn.
 TURN = 16
 #: The same, when there is no next turn: more than any queue holds.
@@ -212,10 +215,15 @@ class Live:
             stop: asked after every turn.
             on_turn: called once a turn.
         """
-        while not stop():
-            self.turn()
-            if on_turn is not None:
-                on_turn()
+        before_s = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        try:
+            while not stop():
+                self.turn()
+                if on_turn is not None:
+                    on_turn()
+        finally:
+            sys.setswitchinterval(before_s)
 
     def turn(self) -> None:
         """Wait for frames or for time to pass, and do what is due."""
