@@ -26,6 +26,9 @@ FDI = (
     "pedal/test_tracking_voter.py", "crank/test_wheel_seen.py",
 )  # fmt: skip
 
+#: Of these folders: of no kernel, so that one run is enough.
+WITHOUT_KERNELS = ("engine/test_depends.py",)
+
 # Whether something hangs is seen by the limit of each test inside.
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
 
@@ -43,7 +46,7 @@ pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
 def test_the_smallest_cases_pass(setting, parts):
     ended = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist",
-         "-W", "error::RuntimeWarning", "--durations=15", *parts],
+         "-W", "error::RuntimeWarning", "--durations=15", *(f"--ignore={path}" for path in WITHOUT_KERNELS), *parts],
         cwd=TESTS,
         env={**os.environ, "GATEWAY_TESTS": "small", **setting},
         capture_output=True,

@@ -7,7 +7,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway_fdi.errors import BusError
@@ -25,6 +28,24 @@ class Statistics:
     overflow: int = 0  # lost in a queue before they were read
     rejected: int = 0  # input that was no frame
     refused: int = 0  # frames to send that this bus cannot carry
+
+
+class Raw(Protocol):
+    """A socket of ``struct can_frame``, of which a pump may receive, and to which it may send.
+
+    Attributes:
+        lost: frames lost in its queue so far, as the kernel counts them, modulo 2**32.
+        losses: (place in the batch received last, frames lost right before it).
+    """
+
+    lost: int
+    losses: list[tuple[int, int]]
+
+    def fileno(self) -> int:
+        """Return the socket."""
+
+    def note(self, received: int, rejected: int, gaps: NDArray[np.int64]) -> None:
+        """Count what a pump has received: frames, messages that were none, (place, frames lost before it)."""
 
 
 class Bus(ABC):
@@ -64,6 +85,11 @@ class Bus(ABC):
         Raises:
             BusError: the bus is gone, and all that it had received has been taken.
         """
+
+    @property
+    def raw(self) -> Raw | None:
+        """The receiver of its socket, where a pump may take its place; None: only :meth:`receive` receives."""
+        return None
 
     @abstractmethod
     def send(self, frames: Frames) -> int:

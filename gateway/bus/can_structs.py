@@ -14,14 +14,15 @@ import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.base import Statistics
 from gateway.bus.frames import BRS, ESI, FD, FRAME, OWN, REMOTE, Frames, empty, payload
 from gateway_fdi.jit import address_of_array, bound, kernel
 
 # From linux/can.h, asm-generic/socket.h, linux/socket.h; not all are in the socket module.
-_CAN_MTU, _CANFD_MTU = 16, 72
-_CANFD_BRS, _CANFD_ESI, _CANFD_FDF = 0x01, 0x02, 0x04
+CAN_MTU, CANFD_MTU = 16, 72
+CANFD_BRS, CANFD_ESI, CANFD_FDF = 0x01, 0x02, 0x04
 _SOL_SOCKET = int(socket.SOL_SOCKET)
 _SO_TIMESTAMPNS, _SO_RXQ_OVFL = 35, 40
 _MSG_CONFIRM = 0x800
@@ -131,8 +132,8 @@ def _to_frame(f: Any, fd: bool, own: bool, stamp: int, bus: int) -> None:
     flags = OWN if own else 0
     if fd:
         flags |= FD
-        flags |= BRS if raw & _CANFD_BRS else 0
-        flags |= ESI if raw & _CANFD_ESI else 0
+        flags |= BRS if raw & CANFD_BRS else 0
+        flags |= ESI if raw & CANFD_ESI else 0
     f["t_ns"] = stamp
     f["bus"] = bus
     f["flags"] = flags
@@ -169,15 +170,53 @@ def settle(
         end = min(np.int64(header["control_length"]), control.shape[1])
         header["control_length"] = control.shape[1]  # the kernel has put in how much there was
         stamp, lost, gaps = _read_ancillary(control[k], end, losses, gaps, kept, now_ns, lost)
-        if size not in (_CAN_MTU, _CANFD_MTU):
+        if size not in (CAN_MTU, CANFD_MTU):
             rejected += 1 if size > 0 else 0
             continue
         if kept != k:
             out[kept] = out[k]
         own = np.int64(header["flags"]) & _MSG_CONFIRM != 0
-        _to_frame(out[kept], size == _CANFD_MTU, own, stamp, bus)
+        _to_frame(out[kept], size == CANFD_MTU, own, stamp, bus)
         kept += 1
     return kept, rejected, lost, gaps
+
+
+class Room:
+    """Memory into which a system call receives: for several sockets, a row each.
+
+    Args:
+        sockets: how many.
+        most: frames of one call.
+
+    Attributes:
+        messages: struct mmsghdr, shape (sockets, most).
+        vectors: struct iovec, of the same shape: where the structs go.
+        control: their ancillary data, uint8, shape (sockets, most, bytes).
+        gaps: int64, shape (sockets, most, 2): see :func:`settle`.
+    """
+
+    def __init__(self, sockets: int, most: int) -> None:
+        shape = (sockets, most)
+        self.messages = np.zeros(shape, np.dtype(_Message))
+        self.vectors = np.zeros(shape, np.dtype(_Vector))
+        self.control = np.zeros((*shape, _ANCILLARY), np.uint8)
+        self.gaps = np.zeros((*shape, 2), np.int64)
+        rows = np.arange(sockets * most, dtype=np.uintp).reshape(shape)
+        self.vectors["length"] = CANFD_MTU
+        header = self.messages["header"]
+        header["vector"] = self.vectors.ctypes.data + rows * self.vectors.itemsize
+        header["vectors"] = 1
+        header["control"] = self.control.ctypes.data + rows * _ANCILLARY
+        header["control_length"] = _ANCILLARY
+
+    def headers(self, socket_: int) -> int:
+        """Return the address of the headers of a socket."""
+        return int(self.messages[socket_].ctypes.data)
+
+    def receive_into(self, frames: Frames) -> None:
+        """Have structs received into frames, shape (sockets, most)."""
+        rows = np.arange(frames.size, dtype=np.uintp).reshape(frames.shape)
+        self.vectors["base"] = frames.ctypes.data + rows * FRAME.itemsize + 8
 
 
 class RawReceiver:
@@ -189,26 +228,19 @@ class RawReceiver:
 
     Attributes:
         losses: (place in the last batch, frames lost right before it), as the kernel counted them.
+        lost: frames lost so far as the kernel counts them, modulo 2**32.
     """
 
     def __init__(self, sock: socket.socket, statistics: Statistics) -> None:
         self._sock = sock
         self._statistics = statistics
-        self._lost = 0
+        self.lost = 0
         self.losses: list[tuple[int, int]] = []
-        self._gaps = np.zeros((MOST_FRAMES, 2), np.int64)
-        self._messages = np.zeros(MOST_FRAMES, np.dtype(_Message))
-        self._vectors = np.zeros(MOST_FRAMES, np.dtype(_Vector))
-        self._control = np.zeros((MOST_FRAMES, _ANCILLARY), np.uint8)
-        rows = np.arange(MOST_FRAMES, dtype=np.uintp)
-        self._steps = rows * FRAME.itemsize + 8
-        self._vectors["length"] = _CANFD_MTU
-        header = self._messages["header"]
-        header["vector"] = self._vectors.ctypes.data + rows * self._vectors.itemsize
-        header["vectors"] = 1
-        header["control"] = self._control.ctypes.data + rows * _ANCILLARY
-        header["control_length"] = _ANCILLARY
-        self._headers = self._messages.ctypes.data
+        self._room = Room(1, MOST_FRAMES)
+        self._messages, self._gaps = self._room.messages[0], self._room.gaps[0]
+        self._vectors, self._headers = self._room.vectors[0], self._room.headers(0)
+        self._control = self._room.control[0]
+        self._steps = np.arange(MOST_FRAMES, dtype=np.uintp) * FRAME.itemsize + 8
         self._into = 0
         # Compiled before traffic, and for one kind of batch.
         self._settle = bound(settle, self._messages, self._control, self._gaps, rest=(empty(1), 0, 0, 0, 0))
@@ -241,14 +273,29 @@ class RawReceiver:
             if isinstance(error, BlockingIOError | InterruptedError):
                 return 0
             raise error
-        kept, rejected, self._lost, gaps = self._settle(out, count, bus, time.time_ns(), self._lost)
-        if gaps:
-            self.losses = [(int(at), int(lost)) for at, lost in self._gaps[:gaps]]
+        kept, rejected, self.lost, gaps = self._settle(out, count, bus, time.time_ns(), self.lost)
+        self.note(kept, rejected, self._gaps[:gaps])
+        return int(kept)
+
+    def fileno(self) -> int:
+        """Return the socket, of which a pump may receive, and to which it may send, in these structs."""
+        return self._sock.fileno()
+
+    def note(self, received: int, rejected: int, gaps: NDArray[np.int64]) -> None:
+        """Count what was received, here or by a pump.
+
+        Args:
+            received: frames.
+            rejected: messages that were none.
+            gaps: shape (n, 2): place in the batch, frames lost right before it.
+        """
+        self.losses = []
+        if len(gaps):
+            self.losses = [(int(at), int(lost)) for at, lost in gaps]
             self._statistics.overflow += sum(lost for _, lost in self.losses)
         if rejected:
             self._statistics.rejected += rejected
-        self._statistics.received += kept
-        return int(kept)
+        self._statistics.received += received
 
 
 def pack(frame: np.void) -> bytes:
@@ -256,8 +303,8 @@ def pack(frame: np.void) -> bytes:
     data = payload(frame)
     flags = int(frame["flags"])
     if flags & FD:
-        bits = _CANFD_FDF
-        bits |= _CANFD_BRS if flags & BRS else 0
-        bits |= _CANFD_ESI if flags & ESI else 0
+        bits = CANFD_FDF
+        bits |= CANFD_BRS if flags & BRS else 0
+        bits |= CANFD_ESI if flags & ESI else 0
         return _STRUCT.pack(int(frame["can_id"]), len(data), bits, 0, 0) + data.ljust(64, b"\0")
     return _STRUCT.pack(int(frame["can_id"]), len(data), 0, 0, 0) + data.ljust(8, b"\0")

@@ -84,6 +84,11 @@ class SocketCanBus(Bus):
         """Return the socket."""
         return self._socket.fileno()
 
+    @property
+    def raw(self) -> RawReceiver | None:
+        """The receiver of its socket; None: the bus is gone."""
+        return self._receiver if self._gone is None else None
+
     def receive(self, out: Frames) -> int:
         """Take what the kernel has queued; of a bus that is gone first what it had still received."""
         try:

@@ -12,6 +12,7 @@ from gateway.bus.traffic import Traffic
 from gateway.cli.present import print_json, say
 from gateway.config.load import load_config
 from gateway.engine.buckets import nearness
+from gateway.live.pump import Pump
 from gateway.monitors.contract import Family
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
@@ -34,6 +35,8 @@ def warmup(*, json: bool) -> int:
     gateway = Gateway(load_config(shipped("gateway.toml")))  # without a path its fault memory is no file
     gateway.start(0)
     gateway.engine.fault_detection_counters()  # signals that watchers look at
+    if gateway.engine.cells is not None:
+        Pump(gateway.engine, gateway.engine.cells, 1)
     gateway.close()
     Traffic(1).write(empty(1))
     nearness(True, 1.0, 1.0)

@@ -21,7 +21,7 @@ from gateway.engine.tables import NEVER, Tables
 from gateway.engine.timers import note_all
 from gateway.monitors.contract import FAILED, NOT_TESTED, PASSED
 from gateway.signals.tables import DecodePlan, SignalRef
-from gateway_fdi.jit import Same, bound
+from gateway_fdi.jit import Bound, Same, bound, cells_of
 
 _NO_FRAMES = empty(0)
 _NO_CELLS = np.zeros((0, FRAME.itemsize // 8), np.uint64)
@@ -142,6 +142,40 @@ class Engine:
                 return joined(sent) if sent else _NO_FRAMES
             if self.pause_ns < NEVER:  # asked for by the sink
                 return joined([*sent, self._in_parts(frames[start:], sink, until_ns)])
+
+    def resume(self, frames: Frames, start: int, sink: Sink) -> Frames:
+        """Go on with a batch that a pump has begun; returns what the monitors send (see :meth:`process`).
+
+        Args:
+            frames: of FRAME, shape (n,).
+            start: the first that was not handled.
+            sink: called with the events, first with those that wait.
+        """
+        self._drain(sink)
+        sent = [self._sent()]
+        if self.pause_ns < NEVER:  # asked for by the sink
+            sent.append(self._in_parts(frames[start:], sink, NEVER))
+        elif start < len(frames) or self._ranks[self._clock[self._fed] : self._clock[self._to_send]].any():
+            sent.append(self.process(frames[start:], sink, NEVER if start < len(frames) else self.now_ns))
+        return joined(sent)
+
+    @property
+    def cells(self) -> Bound | None:
+        """The cells of its loop, for a pump; None: kernels are plain Python."""
+        return cells_of(self._run)
+
+    @property
+    def clock_cells(self) -> NDArray[np.int64]:
+        """The clock's numbers, as int64, and what a pump sees of them is at these :attr:`clock_places`."""
+        return np.asarray(self.tables.clock).view("<i8").reshape(-1)
+
+    @property
+    def clock_places(self) -> dict[str, int]:
+        """Places in :attr:`clock_cells`, by name."""
+        names = ("now", "deadline", "events", "sent", "fed", "taken")
+        return dict(
+            zip(names, (self._now, self._due, self._events, self._to_send, self._fed, self._taken), strict=True)
+        )
 
     def _in_parts(self, frames: Frames, sink: Sink, until_ns: int) -> Frames:
         """Feed a batch as :meth:`process` does, and call :attr:`on_pause` when it is time for it."""

@@ -18,6 +18,7 @@ from pydantic import Field
 from gateway.bus.candump import format_frame
 from gateway.bus.frames import RAW, Frames, chosen, copied, empty, joined
 from gateway.bus.timeline import spans
+from gateway.common.times import NEVER
 from gateway.faults.records import Recording
 from gateway_fdi.common.tomlfile import StrictModel
 
@@ -155,6 +156,11 @@ class Recorder:
     def busy(self) -> bool:
         """Whether :meth:`on_time` has something to do."""
         return bool(self._triggers)
+
+    @property
+    def due_ns(self) -> int:
+        """Time after which :meth:`on_time` has something to do; NEVER: there is nothing."""
+        return min((trigger.due_ns for trigger in self._triggers), default=NEVER)
 
     def on_time(self, t_ns: int, *, final: bool = False) -> list[Recording]:
         """Return the recordings that are complete at a time; ``final``: also those that are not."""

@@ -87,6 +87,16 @@ class Clock:
         return self.now() + self.offset_ns
 
     @property
+    def of_system(self) -> bool:
+        """Whether it reads the clocks of this system, as a pump does."""
+        return self._wall_ns is time.time_ns and self._monotonic_ns is time.monotonic_ns
+
+    @property
+    def difference_ns(self) -> int:
+        """Time that the wall clock was ahead of the monotonic one at the last look [ns]."""
+        return self._difference
+
+    @property
     def told_offset_ns(self) -> int:
         """Time that the wall clock was ahead of the engine's where the frames are now [ns]."""
         return self.offset_ns - sum(step.step_ns for step in self.untold)

@@ -141,9 +141,25 @@ class Link:
             told += self._told
             self._told = []
             return self._joined(told), False
-        frames = self._batch[:count]
-        self.stamps.apply(frames, more=count == BATCH)
-        losses = list(self._bus.losses)
+        return self._with_conditions(told, self._batch[:count], list(self._bus.losses), more=count == BATCH)
+
+    def take(self, frames: Frames, more: bool) -> tuple[Frames, bool]:
+        """Take frames that a pump has received, as :meth:`receive` does; its receiver was told of them.
+
+        Args:
+            frames: as its socket gave them.
+            more: whether there may be more.
+        """
+        raw = None if self._bus is None else self._bus.raw
+        assert raw is not None, "no pump receives from this bus"
+        frames["bus"] = self.index
+        return self._with_conditions([], frames, list(raw.losses), more=more)
+
+    def _with_conditions(
+        self, told: list[Frames], frames: Frames, losses: list[tuple[int, int]], *, more: bool
+    ) -> tuple[Frames, bool]:
+        assert self._bus is not None, "there are frames of a bus"
+        self.stamps.apply(frames, more=more)
         forged = are_conditions(frames)
         if forged.any():  # only we report conditions of our clock and our links
             self._bus.statistics.rejected += int(forged.sum())
@@ -151,12 +167,20 @@ class Link:
             frames = frames[~forged]
         if losses:
             frames = self._with_losses(frames, losses)
-        if self._ending and count < BATCH:
+        if self._ending and not more:
             self._lose(self._ending)
             frames = self._joined([*told, frames, *self._told])
             self._told = []
             return frames, False
-        return (self._joined([*told, frames]) if told else frames), count == BATCH
+        return (self._joined([*told, frames]) if told else frames), more
+
+    @property
+    def pumped(self) -> Bus | None:
+        """The bus, of whose socket a pump may receive now; None: only :meth:`receive` may."""
+        plain = self._bus is not None and not self._ending and not self._told and not len(self._transmitter)
+        return (
+            self._bus if plain and self._bus is not None and self._bus.raw is not None and self.stamps.plain else None
+        )
 
     def _joined(self, parts: list[Frames]) -> Frames:
         frames = np.concatenate([empty(0), *parts])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import selectors
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -14,9 +15,13 @@ import numpy as np
 from gateway.bus.conditions import LOST, RUNNING, step_frame
 from gateway.bus.frames import ERROR, OWN, Frames, empty
 from gateway.bus.timeline import to_wall
+from gateway.engine.core import Engine
+from gateway.live import pumping
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.merge import Merger
+from gateway.live.pump import HELD, Left, Pump
+from gateway.runtime.app import Quiet
 from gateway_fdi.common.log import get_logger
 
 #: Without traffic, the engine's time lags the clock by this, so that a frame that is still on its
@@ -30,6 +35,8 @@ POLL_S = 0.1
 REPORT_S = 1.0
 #: How often the state of the buses is kept for other processes.
 KEEP_S = 10.0
+#: How long a thread of Python that computes may have the interpreter, while a verdict waits for it [s].
+SWITCH_S = 0.0002
 #: Batches taken from a bus before the others, and the rest of the work, have their turn.
 TURN = 16
 #: The same, when there is no next turn: more than any queue holds.
@@ -47,6 +54,10 @@ class Tap(Protocol):
 
 class Fed(Protocol):
     """Receiver of frames and time: a gateway."""
+
+    @property
+    def engine(self) -> Engine | None:
+        """Its engine, which a pump may feed; None: there is none."""
 
     @property
     def next_ns(self) -> int:
@@ -67,6 +78,15 @@ class Fed(Protocol):
 
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return what it listens to; None: to all."""
+
+    def quiet(self) -> Quiet | None:
+        """Return what a pump must know to feed its engine; None: something waits, or there is no engine."""
+
+    def took(self, frames: Frames) -> None:
+        """Take down frames that a pump has fed."""
+
+    def resume(self, frames: Frames, start: int) -> Frames:
+        """Go on with a batch that a pump has begun; returns the frames to send."""
 
     def serve_requests(self) -> None:
         """Do what other processes ask."""
@@ -151,6 +171,7 @@ class Live:
         self._selector = selectors.DefaultSelector()
         self._watched: dict[int, Link | None] = {}
         self._merger = Merger()
+        self._pump: Pump | None = None
         self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
         self._poll = self._keep = 0.0
         self._held: dict[int, list[Frames]] = {}  # taken from links, and not fed
@@ -174,7 +195,11 @@ class Live:
         self._unsettled = True
 
     def _choose(self) -> None:
-        """Say which frames are wanted: a tap wants all there are."""
+        """Say which frames are wanted: a tap wants all there are. Have a pump for this gateway, if it can have one."""
+        engine = self._gateway.engine
+        self._pump = None
+        if engine is not None and engine.cells is not None and self._clock.of_system and self._links:
+            self._pump = Pump(engine, engine.cells, len(self._links))
         for link in self._links:
             ids = None if self._taps else self._gateway.identifiers_on(link.index)
             link.listen_to(ids, echo=bool(self._taps))
@@ -190,10 +215,15 @@ class Live:
             stop: asked after every turn.
             on_turn: called once a turn.
         """
-        while not stop():
-            self.turn()
-            if on_turn is not None:
-                on_turn()
+        before_s = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        try:
+            while not stop():
+                self.turn()
+                if on_turn is not None:
+                    on_turn()
+        finally:
+            sys.setswitchinterval(before_s)
 
     def turn(self) -> None:
         """Wait for frames or for time to pass, and do what is due."""
@@ -201,8 +231,11 @@ class Live:
             if link.due_s <= 0.001:
                 link.attend()
         self._watch()
-        busy = self._wait()
-        fed = self._read_one(self._links[0]) if len(self._links) == 1 else self._read_all()
+        left = self._pumped()
+        busy = self._wait() if left is None else left.why not in (pumping.TIME, pumping.DOOR)
+        fed = left is not None and self._finish_pass(left)
+        if left is None or left.why == pumping.BUS:
+            fed |= self._read_one(self._links[0]) if len(self._links) == 1 else self._read_all()
         if not fed and not busy:
             # Only now: frames that still wait in a queue must not be overtaken. With traffic,
             # its own time stamps move the clock.
@@ -218,6 +251,48 @@ class Live:
             self._gateway.serve_requests()
             self._report(now)
             self._poll = now + POLL_S
+
+    def _pumped(self) -> Left | None:
+        """Feed the gateway without Python while nothing waits; None: something does, or a bus is no socket."""
+        if self._pump is None or self._held or self._unsettled or self._clock.untold:
+            return None
+        quiet = self._gateway.quiet()
+        buses = [bus for link in self._links if (bus := link.pumped) is not None]
+        if quiet is None or len(buses) < len(self._links) or len(self._merger) > HELD:
+            return None
+        watched = self._door is not None and self._door.listening()
+        patience_s = min(self._tick_s if watched else POLL_S, max(self._poll - self._monotonic(), 0.0))
+        return self._pump.run(
+            buses,
+            -1 if self._door is None else self._door.fileno(),
+            self._clock,
+            quiet,
+            self._merger,
+            leave_ns=self._clock.now() + round(patience_s * 1e9),
+            grace_ns=GRACE_NS,
+            waits=bool(self._tick_s),
+            may_send=not (watched or self._taps),
+        )
+
+    def _finish_pass(self, left: Left) -> bool:
+        """Do what a pump has left to Python; returns whether there were frames."""
+        self._knocked = left.knocked
+        if len(left.taken):
+            self._take_down(left.taken)
+            self._gateway.took(left.taken)
+        if left.raw:
+            parts = [link.take(*each) for link, each in zip(self._links, left.raw, strict=True)]
+            frames = self._with_steps(parts[0][0]) if len(parts) == 1 else self._joined(parts, left.read_ns)
+            if len(frames):
+                self._feed(frames)
+            return True
+        for link in self._links:
+            link.stamps.looked(left.read_ns)
+        if left.start >= 0:
+            self._send(self._gateway.resume(left.batch, left.start))
+        elif len(left.batch):
+            self._feed(left.batch)
+        return bool(len(left.taken) or len(left.batch))
 
     def _watch(self) -> None:
         """Wait for the descriptors that the links have now: a bus that came back has a new one."""
@@ -335,14 +410,19 @@ class Live:
                 frames, more = self._receive(link)
                 pieces.append(frames.copy())
             parts.append((np.concatenate(pieces), more))
-        if self._clock.untold:
-            parts.insert(0, (self._take_steps(final=final), False))
-        frames = self._merger.take(parts, read_ns, final=final)
+        frames = self._joined(parts, read_ns, final=final)
         if len(frames):
             self._feed(frames)
         return bool(len(frames))
 
-    def _feed(self, frames: Frames) -> None:
+    def _joined(self, parts: list[tuple[Frames, bool]], read_ns: int, *, final: bool = False) -> Frames:
+        """Return what is due of what several buses gave, in order of time, with steps of the wall clock among it."""
+        if self._clock.untold:
+            parts.insert(0, (self._take_steps(final=final), False))
+        return self._merger.take(parts, read_ns, final=final)
+
+    def _take_down(self, frames: Frames) -> Frames:
+        """Give frames to those who read them, and return those that did not come from here."""
         if self._taps:
             stamped, self._offset_ns = to_wall(frames, self._offset_ns)
             for tap in self._taps:
@@ -351,6 +431,10 @@ class Live:
             frames = frames[frames["flags"] & OWN == 0]
         if self._door is not None:
             self._door.on_frames(frames)
+        return frames
+
+    def _feed(self, frames: Frames) -> None:
+        frames = self._take_down(frames)
         self._note(frames)
         self._send(self._gateway.feed(frames))
 

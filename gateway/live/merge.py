@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
 
@@ -25,6 +26,19 @@ class Merger:
     def holding(self) -> bool:
         """Whether frames wait for the next :meth:`take`."""
         return bool(len(self._held))
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def release(self) -> tuple[Frames, NDArray[np.int64]]:
+        """Return the frames that wait, and when each was read [ns]; they wait here no more."""
+        held, self._held = self._held, empty(0)
+        since, self._read_ns = self._read_ns, np.zeros(0, np.int64)
+        return held, since
+
+    def hold(self, frames: Frames, read_ns: NDArray[np.int64]) -> None:
+        """Hold frames back that a pump held back, in order of time."""
+        self._held, self._read_ns = frames, read_ns
 
     def take(self, parts: Sequence[tuple[Frames, bool]], read_ns: int, *, final: bool = False) -> Frames:
         """Return the frames that are due, in order of time.

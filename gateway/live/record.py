@@ -21,6 +21,7 @@ class Nobody:
     """
 
     next_ns = due_ns = NEVER
+    engine = None
 
     def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
         self._tell = tell
@@ -50,6 +51,16 @@ class Nobody:
 
     def finish(self, t_ns: int) -> Frames:
         """Put nothing down."""
+        return empty(0)
+
+    def quiet(self) -> None:
+        """Have no engine that a pump could feed."""
+
+    def took(self, frames: Frames) -> None:
+        """Be asked for nothing: no pump feeds it."""
+
+    def resume(self, frames: Frames, start: int) -> Frames:
+        """Be asked for nothing: no pump feeds it."""
         return empty(0)
 
     def identifiers_on(self, bus: int) -> list[int] | None:

@@ -75,6 +75,17 @@ class Stamps:
             self._floor_ns = int(frames["t_ns"][-1])
         self._looked_ns = now
 
+    @property
+    def plain(self) -> bool:
+        """Whether the engine's time is the stamp less the clock's offset, for all that may come now."""
+        settled = not self._steps and self._count == self._clock.count
+        return settled and not self._own_clock and self._offsets == [self._clock.offset_ns]
+
+    def looked(self, t_ns: int) -> None:
+        """Note that a pump found nothing more in the queue, at a time of the engine, and has put stamps right."""
+        self.drained = self._settled = True
+        self._floor_ns = self._looked_ns = t_ns
+
     def _take_steps(self) -> None:
         missed = min(self._clock.count - self._count, len(self._clock.steps))
         self._count = self._clock.count

@@ -7,6 +7,7 @@ tests all drive this same class.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from gateway.bus.frames import FRAME, Frames, empty, joined
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
+from gateway.engine.core import Engine
 from gateway.engine.depends.derive import Dependences
 from gateway.faults.beside import Writer
 from gateway.faults.cases import cases_of
@@ -55,6 +57,27 @@ from gateway_fdi.errors import GatewayError
 log = get_logger(__name__)
 
 _NO_FRAMES = empty(0)
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """A gateway in which nothing waits: what a pump must know of it. Times are of the engine [ns].
+
+    Attributes:
+        engine: to be fed.
+        before_ns: frames from this time on are to come by :meth:`Gateway.feed`.
+        due_ns: when a server, or a recording, is due, by the engine's time.
+        prompt_ns: when a server is due, by the bus's own time.
+        heard: identifiers (with EXTENDED) whose frames are to come by :meth:`Gateway.feed`.
+        may_send: whether what monitors send goes to the bus.
+    """
+
+    engine: Engine
+    before_ns: int
+    due_ns: int
+    prompt_ns: int
+    heard: frozenset[int]
+    may_send: bool
 
 
 class Gateway:
@@ -325,6 +348,34 @@ class Gateway:
                 sent += [*self._outbox.take_early(), made]
         return joined(sent)
 
+    def quiet(self) -> Quiet | None:
+        """Return what a pump must know to feed the engine in place of :meth:`feed`; None: something waits."""
+        before_ns = self._reception.before_ns
+        if self._closed or before_ns is None or not (self._outbox.empty and self._settled):
+            return None
+        heard = self.servers.heard
+        if heard is None:
+            return None
+        due_ns = self.servers.next_ns
+        if self._recorder is not None:
+            due_ns = min(due_ns, self._recorder.due_ns + 1)
+        return Quiet(self.engine, before_ns, due_ns, self.servers.next_prompt_ns, heard, self.controls.send)
+
+    def took(self, frames: Frames) -> None:
+        """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`resume`."""
+        if self._recorder is not None:
+            self._recorder.on_frames(frames, self.engine.offset_ns)
+        self._reception.hear(int(frames["t_ns"].max()))
+
+    def resume(self, frames: Frames, start: int) -> Frames:
+        """Go on with a batch that a pump has begun, and that was taken down; returns the frames to send.
+
+        Args:
+            frames: of FRAME, shape (n,).
+            start: the first that the engine has not handled.
+        """
+        return self._emit(self._reception.resume(frames, start))
+
     def _refuse_unless_open(self) -> None:
         if self._closed:
             raise GatewayError("this gateway is closed: make a new one")
@@ -425,10 +476,12 @@ class Gateway:
 
         Nor that monitoring was switched, and is not told.
         """
-        if not self._standing.settled:
-            return False
-        recording = self._recorder is not None and self._recorder.busy
-        return not (recording or self.memory.room or self._doubts.busy) and self._upkeep.idle
+        return self._settled and not (self._recorder is not None and self._recorder.busy)
+
+    @property
+    def _settled(self) -> bool:
+        """Whether nothing waits but time."""
+        return self._standing.settled and not (self.memory.room or self._doubts.busy) and self._upkeep.idle
 
     @property
     def notes(self) -> tuple[str, ...]:

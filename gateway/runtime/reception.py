@@ -9,6 +9,7 @@ import numpy as np
 
 from gateway.bus.conditions import are_steps
 from gateway.bus.frames import FRAME, OWN, Frames, chosen, joined
+from gateway.common.times import NEVER
 from gateway.engine.core import Engine, Sink
 from gateway.runtime.controls import Controls
 from gateway.runtime.usage_meter import UsageMeter
@@ -53,6 +54,21 @@ class Reception:
             else:
                 sent += [self._process_piece(piece), self._look(look_ns)]
         return joined(sent)
+
+    def resume(self, frames: Frames, start: int) -> Frames:
+        """Go on with a batch that a pump has begun; returns what the monitors send."""
+        return self._engine.resume(frames, start, self._sink)
+
+    @property
+    def before_ns(self) -> int | None:
+        """Time from which on frames are to come by :meth:`process`; None: all are, reception is switched off."""
+        if not self._controls.receive:
+            return None
+        return min(self._engine.pause_ns, self._meter.next_ns + 1 if self._meter.measures else NEVER)
+
+    def hear(self, t_ns: int) -> None:
+        """Note that a pump has fed frames until a time."""
+        self._meter.hear(t_ns)
 
     def _look(self, t_ns: int) -> Frames:
         """Let time pass until a look of the meter."""

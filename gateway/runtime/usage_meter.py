@@ -47,6 +47,15 @@ class UsageMeter:
         """Whether there is anything to measure."""
         return self._params is not None
 
+    @property
+    def next_ns(self) -> int:
+        """Time of the next look [ns]."""
+        return self._next_ns
+
+    def hear(self, t_ns: int) -> None:
+        """Note that frames came until a time, none after the next look."""
+        self._heard_ns = t_ns
+
     def pieces(self, frames: Frames) -> Iterator[tuple[Frames, int | None]]:
         """Cut a batch at the times of the looks; gives each piece with the time of the look after it, None: none."""
         times = np.maximum.accumulate(frames["t_ns"]) if len(frames) else frames["t_ns"]

@@ -65,6 +65,11 @@ class BusServers:
                 server.succeed(other, buses)
             self._set_due(k)
 
+    @property
+    def heard(self) -> frozenset[int] | None:
+        """The identifiers (with EXTENDED) that they listen to on any bus; None: one listens to all."""
+        return self._heard
+
     def indifferent(self, frames: Frames) -> bool:
         """Return whether a batch is for no server by its identifiers alone, as most are; others are cut."""
         heard = self._heard

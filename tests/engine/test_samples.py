@@ -148,6 +148,7 @@ def test_the_first_sample_is_whole_though_its_first_frame_comes_before_all_input
     assert seen[:, 0].tolist() == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.costly
 @settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0, 0.15), st.integers(0, 40), st.integers(0, 255))
 def test_by_counter_what_belongs_together_comes_together(tmp_path_factory, seed, loss, late_ms, first):

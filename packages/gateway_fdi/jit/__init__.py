@@ -14,7 +14,7 @@ from gateway_fdi.jit.addresses import address_of_array
 from gateway_fdi.jit.closure import Closure
 from gateway_fdi.jit.failures import failure_of
 from gateway_fdi.jit.intrinsics import call_entry, lowest_bit, read_ahead
-from gateway_fdi.jit.kernels import Kernel, Same, bound, entry_point, kernel, run_entry
+from gateway_fdi.jit.kernels import Bound, Kernel, Same, bound, cells_of, entry_point, kernel, run_entry
 from gateway_fdi.jit.records import (
     LINE,
     Meaning,
@@ -44,6 +44,7 @@ __all__ = [
     "BOUNDSCHECK",
     "COMPILED",
     "LINE",
+    "Bound",
     "Closure",
     "Kernel",
     "Meaning",
@@ -53,6 +54,7 @@ __all__ = [
     "bound",
     "cache_directory",
     "call_entry",
+    "cells_of",
     "entry_point",
     "f8",
     "f8s",

@@ -53,6 +53,22 @@ _QUICK = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
 _lock = threading.RLock()
 
 
+class Bound(NamedTuple):
+    """Cells of a function that :func:`bound` has made, for a kernel that calls it (``jit.system.call_bound``).
+
+    Attributes:
+        address: of its C function.
+        arguments: cells of its arguments, int64.
+        results: cells of its results, int64.
+        places: of each remaining argument: its first cell, and of an array the first cells of those that are the same.
+    """
+
+    address: int
+    arguments: NDArray[np.int64]
+    results: NDArray[np.int64]
+    places: tuple[tuple[int, tuple[int, ...]], ...]
+
+
 class Entry:
     """Machine code of a kernel for one signature.
 
@@ -131,6 +147,12 @@ class Entry:
             return numbers[0] if result == INT else take(result, unpack.unpack_from(found))[0]
 
         call.__dict__["kept"] = first, room, found
+        call.__dict__["cells"] = Bound(
+            self.address,
+            np.frombuffer(memoryview(room), np.int64),
+            np.frombuffer(memoryview(found), np.int64),
+            tuple((at, tuple(same or ())) for at, same in places),
+        )
         return call
 
 
@@ -357,6 +379,11 @@ def bound(function: Callable[..., Any], *first: Any, rest: tuple[Any, ...]) -> C
         return function(*first, *given)
 
     return call
+
+
+def cells_of(function: Callable[..., Any]) -> Bound | None:
+    """Return the cells of a function that :func:`bound` has made; None: it is plain Python."""
+    return vars(function).get("cells")
 
 
 def symbol_of(key: str) -> str:

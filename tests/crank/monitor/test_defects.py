@@ -37,7 +37,7 @@ def told(result):
     return set(names), set(result.tooth[pulses].tolist())
 
 
-@pytest.mark.parametrize("text", ["36-1", "24-1", "12-1"])
+@pytest.mark.parametrize("text", ["12-1", "24-1", "36-1"])
 def test_a_tooth_broken_off_before_the_start_is_told_at_both_places(text):
     """Two equal gaps: half of these runs proved the wrong one. Three teeth, two speeds."""
     wheel = Wheel.parse(text)

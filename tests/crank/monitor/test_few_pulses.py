@@ -137,7 +137,7 @@ def test_of_few_pulses_each_pitch_may_be_half_a_wave_of_the_ripple(wheel):
     assert const.wheel.orders == 0
 
 
-@pytest.mark.parametrize(("wheel", "tolerance", "tooth"), [("24", 5.0, 7), ("24", 25.0, -1), ("2", 25.0, 1)])
+@pytest.mark.parametrize(("wheel", "tolerance", "tooth"), [("2", 25.0, 1), ("24", 5.0, 7), ("24", 25.0, -1)])
 def test_a_tooth_is_named_where_the_cam_tells_it(wheel, tolerance, tooth):
     w = Wheel.parse(wheel)
     gone = w.pulses * 40 + tooth if tooth >= 0 else w.pulses * 40
@@ -192,7 +192,7 @@ def test_one_pulse_missed_or_added_is_named_where_physics_decides(text):
         assert [FAULTS[j].name for j in found.fault] == ["added_pulse"], k
 
 
-@pytest.mark.parametrize(("told", "real", "cam"), [("36", "60-2", ()), ("6", "36-1", ()), ("24", "36", HALF_MOON)])
+@pytest.mark.parametrize(("told", "real", "cam"), [("6", "36-1", ()), ("36", "60-2", ()), ("24", "36", HALF_MOON)])
 def test_another_wheel_is_told(told, real, cam):
     failed, values, *_ = driven(told, "fd", real=real, cam=cam, tolerance=3.0, seconds=6.0)
     assert "wrong_wheel" in failed

@@ -157,6 +157,7 @@ def test_ripple_learned_at_another_speed_is_brought_to_this_one():
     assert np.abs(believed).max() < 0.3 * np.abs(ripple[plain]).max()
 
 
+@pytest.mark.costly
 def test_regular_pulses_in_a_run_are_what_they_are_one_by_one():
     """Bit for bit, whatever the length of the runs: a frame brings 4, 27, or the pulses of a whole log at once."""
     wheel = Wheel.parse("60-2")

@@ -1,0 +1,390 @@
+"""The pump's kernel: from the sockets of the buses to the verdict without Python.
+
+One pass waits for the sockets, receives, puts stamps on the engine's time, joins buses in order of time, takes the
+frames down for those who read them later, runs the engine and sends what its monitors send. It repeats that until there
+is something that only Python can do, and says what: one of the reasons below. Rare things are never done here: a batch
+with anything unusual is handed over as it was received, and goes the way of :mod:`gateway.live.loop`.
+
+It is the one kernel that waits, and reads clocks.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.can_structs import CAN_MTU, CANFD_BRS, CANFD_ESI, CANFD_FDF, CANFD_MTU, settle
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN
+from gateway.live.merge import LONGEST_NS, SETTLE_NS
+from gateway_fdi.jit import Record, i4, i8, i8s, kernel, means
+from gateway_fdi.jit.system import call_bound, clock_gettime, poll, recvmmsg, send
+
+#: Reasons to leave for Python. Nothing was received since the last batch that was fed:
+TIME = 0  # time has come: an engine's or a server's timer, or the loop's own look
+DOOR = 1  # another descriptor is readable: status socket, reports
+BUS = 2  # a bus wants attention: it is gone, or its socket tells an error
+INTERRUPTED = 3  # a signal came
+#: Frames were received, and are handed over as they are:
+RAW = 4  # with something rare among them: an error frame of no class, our own frame, frames lost in a queue, no order
+STEPPED = 5  # the wall clock was set
+#: Frames are on the engine's time, in order, and not fed yet:
+WANTED = 6  # one is for a server
+AHEAD = 7  # a time comes among them before which all must be done: a diagnosis, a look of the usage meter
+FULL = 8  # no room to take them down
+#: The engine has begun with the batch:
+EVENTS = 9  # it has something to tell
+SENDING = 10  # a monitor sends, and a queue is full, or somebody takes down what is sent
+SERVER = 11  # the time of a server, or of a recording, has come
+FAILED = 12  # the loop of the engine has failed
+
+#: Names of the reasons, in their order.
+REASONS = (
+    "time", "door", "bus", "interrupted", "raw", "clock step", "request", "ahead", "full", "events", "sending",
+    "server", "failed",
+)  # fmt: skip
+
+_POLLIN = 1
+_DONTWAIT = 0x40
+_NOSIGNAL = 0x4000
+_REALTIME, _MONOTONIC = 0, 1
+_SECOND = 1_000_000_000
+
+
+class Side(Record):
+    """One bus."""
+
+    fd: i4 = means("its socket")
+    headers: i8 = means("address of the headers of its messages")
+    lost: i8 = means("the socket's count of lost frames, modulo 2**32")
+    count: i8 = means("frames received in this pass")
+    gaps: i8 = means("places in it before which frames were lost")
+    joined: i8 = means("of these frames, those that are in the common order")
+    received: i8 = means("frames received since the pump was entered")
+    rejected: i8 = means("messages that were no frames since then")
+    sent: i8 = means("frames sent since then")
+
+
+class State(Record):
+    """Orders to the pump, and its report."""
+
+    # Times, of the engine unless it says so.
+    offset_ns: i8 = means("what the wall clock is ahead of the engine's", "ns")
+    difference_ns: i8 = means("what the wall clock is ahead of the monotonic one", "ns")
+    tolerance_ns: i8 = means("change of that which is a step", "ns")
+    leave_ns: i8 = means("when to leave at the latest", "ns")
+    prompt_ns: i8 = means("when a server of the bus's own time is due", "ns")
+    server_ns: i8 = means("engine's time at which a server, or a recording, is due", "ns")
+    before_ns: i8 = means("a frame from this time on is not fed", "ns")
+    grace_ns: i8 = means("time that the engine's timers lag the clock without traffic", "ns")
+    may_send: i8 = means("1: frames of monitors are sent here")
+    waits: i8 = means("1: it may wait")
+    # The engine: its entry, places in its cells and in its clock.
+    entry: i8 = means("address of the engine's loop")
+    arguments_at: i8 = means("address of its arguments")
+    results_at: i8 = means("address of its results")
+    frames_at: i8 = means("cell of the batch")
+    cells_at: i8 = means("cell of the same batch in cells")
+    start_at: i8 = means("cell of the first frame")
+    until_at: i8 = means("cell of the time that passes then")
+    never: i8 = means("the time that never comes", "ns")
+    now_at: i8 = means("cell of the clock: its time")
+    deadline_at: i8 = means("cell of the clock: before it no timer is due")
+    events_at: i8 = means("cell of the clock: events of the pass")
+    sent_at: i8 = means("cell of the clock: frames sent")
+    fed_at: i8 = means("cell of the clock: first of these that went through the engine")
+    taken_at: i8 = means("cell of the clock: first of these that have left")
+    # Its report.
+    batch: i8 = means("address of the latest batch")
+    count: i8 = means("its frames")
+    start: i8 = means("first of these that the engine has not handled")
+    took: i8 = means("frames taken down since the pump was entered")
+    fed: i8 = means("frames fed since then")
+    knocked: i8 = means("1: the other descriptor is readable")
+    held: i8 = means("frames held back: an earlier one of another bus may still come")
+    read_ns: i8 = means("when the sockets were looked at last", "ns")
+    passes: i8 = means("passes since the pump was entered")
+    clock: Annotated[i8s, 2] = means("struct timespec")
+
+
+class Pumped(NamedTuple):
+    """Memory of the pump, in one argument.
+
+    ``state`` has one row, ``sides`` one a bus. ``polls`` are struct pollfd, one a bus and one for all other
+    descriptors. ``messages``, ``control``, ``gaps``, ``frames`` and the same in ``cells`` have a row a bus (see
+    :class:`gateway.bus.can_structs.RawReceiver`). ``merged`` and ``since`` take the frames of several buses, and the
+    time at which each was received; ``held`` and ``held_since`` those that wait. ``taken`` are the frames for those who
+    read them later. ``clock`` is the engine's, ``outbox`` its outbox in cells, ``wire`` room for one
+    struct canfd_frame. ``heard`` are the identifiers of 11 bits that servers want, as flags, ``extended`` those of 29.
+    """
+
+    state: NDArray[np.void]
+    sides: NDArray[np.void]
+    polls: NDArray[np.int64]
+    messages: NDArray[np.void]
+    control: NDArray[np.uint8]
+    gaps: NDArray[np.int64]
+    frames: NDArray[np.void]
+    cells: NDArray[np.uint64]
+    merged: NDArray[np.uint64]
+    since: NDArray[np.int64]
+    held: NDArray[np.uint64]
+    held_since: NDArray[np.int64]
+    taken: NDArray[np.uint64]
+    arguments: NDArray[np.int64]
+    results: NDArray[np.int64]
+    clock: NDArray[np.int64]
+    outbox: NDArray[np.uint64]
+    wire: NDArray[np.uint64]
+    heard: NDArray[np.uint8]
+    extended: NDArray[np.int64]
+
+
+@kernel
+def _read_clock(which: int, s: Any) -> int:
+    """Return a clock of the system [ns]."""
+    clock_gettime(which, s.clock.ctypes.data)
+    return int(s.clock[0] * _SECOND + s.clock[1])
+
+
+@kernel
+def _was_set(s: Any, wall_ns: int) -> bool:
+    """Return whether the wall clock, which was read right before this, may have been set since Python looked."""
+    change = wall_ns - _read_clock(_MONOTONIC, s) - s.difference_ns
+    return bool(abs(change) > s.tolerance_ns)
+
+
+@kernel
+def _wait(P: Any, s: Any, now_ns: int) -> int:
+    """Wait for the sockets, and for time to pass; returns a reason to leave, -1: frames wait, or a door is open."""
+    until = min(s.leave_ns, s.prompt_ns)
+    deadline_ns = P.clock[s.deadline_at]
+    if deadline_ns < s.never - s.grace_ns:
+        until = min(until, deadline_ns + s.grace_ns)
+    if s.held > 0:
+        until = min(until, now_ns + 500_000)
+    wait_ms = 0
+    if s.waits == 1 and until > now_ns:
+        wait_ms = (until - now_ns + 999_999) // 1_000_000
+    buses = P.sides.shape[0]
+    for k in range(buses + 1):
+        P.polls[k] = (P.polls[k] & 0xFFFFFFFF) | (_POLLIN << 32)
+    ready = poll(P.polls.ctypes.data, buses + 1, wait_ms)
+    if ready < 0:
+        return INTERRUPTED
+    s.knocked = P.polls[buses] >> 48 != 0
+    if ready == 0:
+        return -1 if s.held > 0 else TIME
+    for b in range(buses):
+        told = P.polls[b] >> 48
+        if told not in (0, _POLLIN):
+            return BUS
+    return -1
+
+
+@kernel
+def _receive(P: Any, b: int, wall_ns: int, want: bool) -> int:
+    """Receive what a bus has; returns 0, RAW where something of it is rare, BUS where its socket tells an error."""
+    side = P.sides[b]
+    side.count = 0
+    side.gaps = 0
+    if not want:
+        return 0
+    got = recvmmsg(side.fd, side.headers, P.frames.shape[1], _DONTWAIT, 0)
+    if got < 0:
+        return BUS
+    kept, rejected, lost, gaps = settle(P.messages[b], P.control[b], P.gaps[b], P.frames[b], got, b, wall_ns, side.lost)
+    side.count, side.gaps, side.lost = kept, gaps, lost
+    side.received += kept
+    side.rejected += rejected
+    rare = gaps > 0
+    last_ns = np.int64(0)
+    for k in range(kept):
+        frame = P.frames[b, k]
+        rare = rare or np.int64(frame["can_id"]) == ERROR or np.int64(frame["flags"]) & OWN != 0
+        rare = rare or frame["t_ns"] < last_ns
+        last_ns = frame["t_ns"]
+    return RAW if rare else 0
+
+
+@kernel
+def _join(P: Any, s: Any) -> None:
+    """Put what the buses gave, and what was held back, into one order of time (see ``gateway.live.merge``)."""
+    buses, total, held = P.sides.shape[0], 0, 0
+    until = s.read_ns - SETTLE_NS
+    for b in range(buses):
+        P.sides[b].joined = 0
+        count = P.sides[b].count
+        if count == P.frames.shape[1]:
+            until = min(until, np.int64(P.cells[b, count - 1, 0]))
+    while True:
+        best, best_ns = -2, np.int64(0)
+        if held < s.held:
+            best, best_ns = -1, np.int64(P.held[held, 0])
+        for b in range(buses):
+            at = P.sides[b].joined
+            if at < P.sides[b].count:
+                t_ns = np.int64(P.cells[b, at, 0])
+                if best == -2 or t_ns < best_ns:
+                    best, best_ns = b, t_ns
+        if best == -2:
+            break
+        if best == -1:
+            source, since = P.held[held], P.held_since[held]
+            held += 1
+        else:
+            source, since = P.cells[best, P.sides[best].joined], s.read_ns
+            P.sides[best].joined += 1
+        for j in range(10):
+            P.merged[total, j] = source[j]
+        P.since[total] = since
+        total += 1
+    due = 0
+    for k in range(total):
+        if np.int64(P.merged[k, 0]) <= until or P.since[k] < s.read_ns - LONGEST_NS:
+            due = k + 1
+    due = max(due, total - P.held.shape[0])
+    for k in range(due, total):
+        for j in range(10):
+            P.held[k - due, j] = P.merged[k, j]
+        P.held_since[k - due] = P.since[k]
+    s.held = total - due
+    s.batch, s.count = P.merged.ctypes.data, due
+
+
+@kernel
+def _look(P: Any, s: Any, cells: Any) -> int:
+    """Return why a batch cannot be fed here, -1: it can."""
+    if s.took + s.count > P.taken.shape[0]:
+        return FULL
+    for k in range(s.count):
+        if np.int64(cells[k, 0]) >= s.before_ns:
+            return AHEAD
+        can_id = np.int64(cells[k, 1] & np.uint64(0xFFFFFFFF))
+        if can_id & EXTENDED:
+            for e in range(P.extended.shape[0]):
+                if P.extended[e] == can_id:
+                    return WANTED
+        elif P.heard[can_id & 0x7FF] != 0:
+            return WANTED
+    return -1
+
+
+@kernel
+def _transmit(P: Any, s: Any) -> bool:
+    """Send what monitors have sent; returns whether all of it was."""
+    clock = P.clock
+    last = clock[s.sent_at]
+    if s.may_send == 0:
+        return False
+    while clock[s.taken_at] < last:
+        row = P.outbox[clock[s.taken_at]]
+        header = row[1]
+        side = P.sides[np.int64((header >> np.uint64(32)) & np.uint64(0xFF))]
+        flags = np.int64((header >> np.uint64(40)) & np.uint64(0xFF))
+        word = (header & np.uint64(0xFFFFFFFF)) | (((header >> np.uint64(48)) & np.uint64(0xFF)) << np.uint64(32))
+        size = CAN_MTU
+        if flags & FD:
+            size = CANFD_MTU
+            bits = CANFD_FDF | (CANFD_BRS if flags & BRS else 0) | (CANFD_ESI if flags & ESI else 0)
+            word |= np.uint64(bits) << np.uint64(40)
+        P.wire[0] = word
+        for j in range(1, size // 8):
+            P.wire[j] = row[j + 1]
+        if send(side.fd, P.wire.ctypes.data, size, _DONTWAIT | _NOSIGNAL) != size:
+            return False
+        side.sent += 1
+        clock[s.taken_at] += 1
+    waiting = False  # for the next pass of the engine: messages that it decodes itself
+    for k in range(clock[s.fed_at], last):
+        waiting = waiting or P.outbox[k, 1] >> np.uint64(56) != 0
+    if not waiting:
+        clock[s.sent_at] = clock[s.fed_at] = clock[s.taken_at] = 0
+    return True
+
+
+@kernel
+def _run(P: Any, s: Any) -> int:
+    """Run the engine over the batch; returns a reason to leave, -1: there is none."""
+    arguments, clock = P.arguments, P.clock
+    arguments[s.frames_at], arguments[s.frames_at + 1] = s.batch, s.count
+    arguments[s.cells_at], arguments[s.cells_at + 1] = s.batch, s.count
+    arguments[s.until_at] = s.never
+    s.start = 0
+    while s.start < s.count:
+        arguments[s.start_at] = s.start
+        if call_bound(s.entry, s.arguments_at, s.results_at) != 0:
+            return FAILED
+        s.start = P.results[0]
+        if clock[s.events_at] > 0:
+            return EVENTS
+        if clock[s.sent_at] > clock[s.taken_at] and not _transmit(P, s):
+            return SENDING
+    return SERVER if clock[s.now_at] >= s.server_ns else -1
+
+
+@kernel
+def _feed(P: Any, s: Any, cells: Any) -> int:
+    """Take a batch down, and run the engine over it; returns a reason to leave, -1: there is none."""
+    why = _look(P, s, cells)
+    if why >= 0:
+        return why
+    for k in range(s.count):
+        for j in range(10):
+            P.taken[s.took + k, j] = cells[k, j]
+    s.took += s.count
+    s.fed += s.count
+    return _run(P, s)
+
+
+@kernel
+def pump(P: Any) -> int:
+    """Pass frames from the sockets to the engine until there is a reason to leave, which is returned.
+
+    Args:
+        P: a :class:`Pumped`.
+    """
+    s = P.state[0]
+    s.took = s.fed = s.passes = s.count = s.start = s.knocked = 0
+    buses = P.sides.shape[0]
+    for b in range(buses):
+        side = P.sides[b]
+        side.received = side.rejected = side.sent = 0
+    wall_ns = _read_clock(_REALTIME, s)
+    while True:
+        now_ns = wall_ns - s.offset_ns
+        s.count = s.start = 0
+        if s.passes > 0 and now_ns >= min(s.leave_ns, s.prompt_ns):
+            return TIME
+        why = _wait(P, s, now_ns)
+        if why >= 0:
+            return why
+        s.passes += 1
+        wall_ns = _read_clock(_REALTIME, s)
+        s.read_ns = wall_ns - s.offset_ns
+        total = 0
+        for b in range(buses):
+            why = max(why, _receive(P, b, wall_ns, P.polls[b] >> 48 != 0))
+            total += P.sides[b].count
+        wall_ns = _read_clock(_REALTIME, s)
+        if _was_set(s, wall_ns):
+            return STEPPED
+        if why > 0:
+            return RAW if total > 0 or why == RAW else BUS
+        for b in range(buses):
+            for k in range(P.sides[b].count):
+                P.cells[b, k, 0] -= np.uint64(s.offset_ns)
+        why = -1
+        if buses == 1:
+            s.batch, s.count = P.cells.ctypes.data, P.sides[0].count
+            if s.count > 0:
+                why = _feed(P, s, P.cells[0])
+        else:
+            _join(P, s)
+            if s.count > 0:
+                why = _feed(P, s, P.merged)
+        if why >= 0:
+            return why
+        if s.knocked == 1:
+            return DOOR

@@ -1,0 +1,73 @@
+"""Functions of the system, for the one kernel that waits for sockets and looks at clocks: the daemon's pump.
+
+All other kernels read no clock and touch nothing outside their arguments. Pointers are passed as integers. Each
+function is that of the C library (POSIX, and Linux' ``recvmmsg``); what it returns is as its manual page says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+from gateway_fdi.errors import KernelError
+from gateway_fdi.jit.intrinsics import Intrinsic
+
+
+def _of_system(name: str, result: str, *arguments: str) -> Callable[..., int]:
+    """Return a function of the C library as kernels call it.
+
+    Args:
+        name: its symbol.
+        result: name of numba's type of the result.
+        arguments: names of numba's types of the arguments.
+    """
+
+    def python(*_: Any) -> Any:
+        raise KernelError(f"{name}: only compiled kernels call the system")
+
+    def build() -> Any:
+        from numba import types  # noqa: PLC0415 - only when compiling
+
+        kinds: Any = types
+        signature = getattr(kinds, result)(*[getattr(kinds, kind) for kind in arguments])
+        return kinds.ExternalFunction(name, signature)
+
+    python.__name__ = name
+    return cast("Callable[..., int]", Intrinsic(python, build))
+
+
+#: poll(2): address of struct pollfd, how many, timeout [ms].
+poll = _of_system("poll", "int32", "intp", "uint64", "int32")
+#: recvmmsg(2): socket, address of struct mmsghdr, how many, flags, address of a timeout.
+recvmmsg = _of_system("recvmmsg", "int32", "int32", "intp", "uint32", "int32", "intp")
+#: send(2): socket, address of the data, bytes, flags.
+send = _of_system("send", "intp", "int32", "intp", "uint64", "int32")
+#: clock_gettime(2): which clock, address of struct timespec.
+clock_gettime = _of_system("clock_gettime", "int32", "int32", "intp")
+
+
+def _call_bound(_address: int, _arguments: int, _results: int) -> int:
+    """Call an entry whose arguments and results lie in cells; returns 0, or its status when it failed."""
+    raise KernelError("only compiled kernels call an entry by its cells")
+
+
+def _build_call_bound() -> Any:
+    from llvmlite import ir  # noqa: PLC0415
+    from numba import types  # noqa: PLC0415
+    from numba.extending import intrinsic  # noqa: PLC0415
+
+    def call_bound(_typing: Any, address: Any, arguments_at: Any, results_at: Any) -> Any:
+        def generate(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+            word = ir.IntType(64)
+            kind = ir.FunctionType(ir.IntType(32), [word.as_pointer(), word.as_pointer()])
+            target = builder.inttoptr(arguments[0], kind.as_pointer())
+            cells = [builder.inttoptr(each, word.as_pointer()) for each in arguments[1:]]
+            return builder.sext(builder.call(target, cells), word)
+
+        return types.int64(types.int64, types.int64, types.int64), generate
+
+    return intrinsic(call_bound)
+
+
+#: Calls an entry (:attr:`gateway_fdi.jit.kernels.Bound.address`) with its cells; returns 0, or its status if it failed.
+call_bound: Callable[[int, int, int], int] = cast(Any, Intrinsic(_call_bound, _build_call_bound))

@@ -1,0 +1,307 @@
+"""The pump: what it feeds is what the loop of Python feeds, and whatever is unusual comes to Python."""
+
+import os
+import socket
+
+import numpy as np
+import pytest
+
+from gateway.bus.base import Bus
+from gateway.bus.can_structs import RawReceiver, pack
+from gateway.bus.conditions import are_steps
+from gateway.bus.frames import ERROR, EXTENDED, FD, REMOTE, copied, empty, put
+from gateway.bus.socketcan import SocketCanBus
+from gateway.config.load import load_config
+from gateway.live import pumping
+from gateway.live.clock import Clock
+from gateway.live.link import Link
+from gateway.live.loop import Live
+from gateway.live.merge import Merger
+from gateway.live.pump import HELD, Pump
+from gateway.runtime.app import Gateway
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.jit import COMPILED
+from tests.system.bench_config import beat, write_config
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="plain Python has no pump: the loop of Python is its reference")
+
+SEED = 4901
+MS = 1_000_000
+REQUEST = 0x7E0
+
+
+class Pair(SocketCanBus):
+    """What SocketCanBus does, on one end of a pair of unix sockets."""
+
+    def __init__(self, uri, index, end):
+        Bus.__init__(self, uri, index)
+        self._gone, self._socket = None, end
+        end.setblocking(False)
+        self._receiver = RawReceiver(end, self.statistics)
+
+    def set_filters(self, can_ids):
+        pass
+
+    def set_echo(self, on):
+        return False
+
+
+class Rig:
+    """A gateway on pairs of sockets, whose every frame and time is noted as it was fed."""
+
+    def __init__(self, config, buses=1):
+        self.ends, self.events, self.calls = [], [], []
+        self.clock = Clock()
+        self.links = []
+        for k in range(buses):
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+            ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+            theirs.setblocking(False)
+            self.ends.append(theirs)
+            name = load_config(config).bus[k].name
+            self.links.append(Link(f"test:{k}", k, name, lambda uri, i, end=ours: Pair(uri, i, end), self.clock))
+            self.links[-1].start()
+        self.gateway = Gateway(load_config(config))
+        self.gateway.listen(self.events.append)
+        self.start_ns = self.clock.now()
+        self.gateway.start(self.start_ns)
+        self._note("took", "feed", "advance", "poll", "resume")
+        self.live = Live(self.gateway, self.links, self.events.append, clock=self.clock, tick_s=0.0, settle=print)
+        self.live.turn()
+        self.sent = [[] for _ in self.ends]
+        self.why = []
+
+    def _note(self, *names):
+        for name in names:
+            inner = getattr(self.gateway, name)
+
+            def noted(value, *more, inner=inner, name=name):
+                what = copied(value) if isinstance(value, np.ndarray) else value
+                self.calls.append((name, what, *more))
+                return inner(value, *more)
+
+            setattr(self.gateway, name, noted)
+        finish = Live._finish_pass
+
+        def noted_pass(live, left):
+            self.why.append(left.why)
+            return finish(live, left)
+
+        self._finish = finish
+        Live._finish_pass = noted_pass
+
+    def turn(self):
+        self.live.turn()
+        for k, end in enumerate(self.ends):
+            try:
+                while True:
+                    self.sent[k].append(end.recv(72))
+            except BlockingIOError:
+                pass
+
+    def send(self, bus, *frames):
+        for frame in frames:
+            self.ends[bus].send(pack(frame))
+
+    def close(self):
+        Live._finish_pass = self._finish
+        self.live.close()
+        for link, end in zip(self.links, self.ends, strict=True):
+            link.close()
+            end.close()
+        self.gateway.close()
+
+
+@pytest.fixture
+def rigs():
+    made = []
+
+    def make(*arguments):
+        made.append(Rig(*arguments))
+        return made[-1]
+
+    yield make
+    for rig in made:
+        rig.close()
+
+
+def frame(can_id, data=b"", flags=0):
+    out = empty(1)
+    put(out, 0, 0, can_id, data, flags=flags)
+    return out[0]
+
+
+def reference(config, rig):
+    """Return a gateway that got by Python what the rig's got, and its events and frames."""
+    gateway, events, sent = Gateway(load_config(config)), [], []
+    gateway.listen(events.append)
+    gateway.start(rig.start_ns)
+    for name, what, *_ in rig.calls:
+        if name == "resume":
+            continue  # its batch was taken down: fed here as a whole
+        sent.append(gateway.feed(what) if name == "took" else getattr(gateway, name)(what))
+    return gateway, events, sent
+
+
+def assert_equal(one, other):
+    """Assert that two gateways are in the same state, byte for byte."""
+    ours, theirs = one.engine.tables, other.engine.tables
+    for name in ("mailbox", "vectors", "debounces", "checks", "health", "buckets", "cycles", "pages", "watches"):
+        assert np.asarray(getattr(ours, name)).tobytes() == np.asarray(getattr(theirs, name)).tobytes(), name
+    assert one.engine.counters() == other.engine.counters()
+    assert one.engine.readout() == other.engine.readout()
+    for k in range(len(one.engine.monitors)):
+        assert one.engine.state_of(k).tobytes() == other.engine.state_of(k).tobytes()
+
+
+def test_a_rough_bus_gives_what_python_gives(rigs):
+    """Right, wrong, short, long, unknown, remote, error and own-looking frames, requests; in pieces of any size."""
+    from bench.engine import make_log
+
+    config, rng = shipped("gateway.toml"), np.random.default_rng(SEED)
+    rig = rigs(config)
+    log, at = make_log(3000), 0
+    while at < len(log):
+        count = int(rng.integers(1, 40))
+        for each in log[at : at + count]:
+            kind = rng.random()
+            if kind < 0.01:
+                each["data"][0] ^= 0xFF
+            elif kind < 0.015:
+                each["length"] = 5
+            elif kind < 0.02:
+                continue
+            rig.send(0, each)
+            if kind > 0.985:
+                other = [
+                    frame(0x123, b"\1"),
+                    frame(0x18DB33F1 | EXTENDED, b"\2\1\0"),
+                    frame(0x700 | REMOTE),
+                    frame(ERROR | 0x004, bytes([0, 0x10, 0, 0, 0, 0, 0, 0])),
+                    frame(ERROR, b"\1"),
+                    frame(0x345, bytes(range(64)), FD),
+                    frame(REQUEST, bytes([3, 0x19, 2, 0xFF, 0, 0, 0, 0])),
+                ]
+                rig.send(0, other[int(rng.integers(len(other)))])
+        at += count
+        for _ in range(int(rng.integers(1, 4))):
+            rig.turn()
+    for _ in range(50):
+        rig.turn()
+    gateway, events, sent = reference(config, rig)
+    assert_equal(rig.gateway, gateway)
+    assert [e for e in rig.events if e["event"] != "bus"] == events
+    theirs = sorted(pack(each) for part in sent for each in part)
+    assert sorted(rig.sent[0]) == theirs, "monitors' messages, DTC frames and answers"
+    for why in (pumping.TIME, pumping.RAW, pumping.WANTED, pumping.EVENTS):
+        assert why in rig.why, f"{pumping.REASONS[why]}; seed {SEED}"
+    assert any(event["event"] == "dtc" for event in events)
+    gateway.close()
+
+
+def test_two_buses_in_one_order(rigs, tmp_path):
+    config = write_config(tmp_path, buses=(("chassis", "virtual:a"), ("body", "virtual:b")))
+    rig, rng, counts = rigs(config, 2), np.random.default_rng(SEED), [0, 0]
+    for _ in range(400):
+        for _ in range(int(rng.integers(1, 9))):
+            bus = int(rng.integers(2))
+            counts[bus] += 1 + (rng.random() < 0.01)
+            rig.send(bus, frame(0x300, beat(counts[bus])))
+        rig.turn()
+    for _ in range(3000):
+        rig.turn()
+        if not len(rig.live._merger):
+            break
+    assert pumping.EVENTS in rig.why
+    fed = np.concatenate([what for name, what, *_ in rig.calls if name in ("took", "feed")])
+    assert (np.diff(fed["t_ns"]) >= 0).all(), "in order of time"
+    for bus in (0, 1):
+        mine = fed[(fed["bus"] == bus) & (fed["can_id"] == 0x300)]["data"][:, 0]
+        assert (np.diff(mine.astype(np.int64)) % 256 <= 2).all(), "each bus's in its own order"
+    assert rig.gateway.engine.counters()["frames"] == len(fed)
+    gateway, events, _ = reference(config, rig)
+    assert_equal(rig.gateway, gateway)
+    assert [e for e in rig.events if e["event"] != "bus"] == events
+    gateway.close()
+
+
+def test_frames_join_as_python_joins_them(rigs):
+    """The kernel's order, and what it holds back, is the merger's: 300 random cases, frames late, ahead, equal."""
+    rig, rng = rigs(shipped("gateway.toml")), np.random.default_rng(SEED)
+    engine = rig.gateway.engine
+    pump = Pump(engine, engine.cells, 3)
+    merger, now = Merger(), 10**9
+    memory = pump.memory
+    for _ in range(300):
+        now += int(rng.integers(1, 2 * MS))
+        parts = []
+        for bus in range(3):
+            count = int(rng.choice([0, 1, 2, 9, memory.frames.shape[1]], p=[0.3, 0.3, 0.2, 0.19, 0.01]))
+            stamps = np.sort(now - rng.integers(-50_000, 600_000, count) // 1000 * 1000)
+            if rng.random() < 0.02:
+                stamps += 10**10
+            part = empty(count)
+            part["t_ns"], part["bus"], part["can_id"] = stamps, bus, rng.integers(0, 2048, count)
+            memory.cells[bus, :count] = part.view(np.uint64).reshape(count, 10)
+            memory.sides[bus]["count"] = count
+            parts.append((part, count == memory.frames.shape[1]))
+        memory.state[0]["read_ns"] = now
+        pumping._join(memory, memory.state[0])
+        got = memory.merged[: int(memory.state[0]["count"])].copy()
+        expected = merger.take(parts, now)
+        assert got.tobytes() == expected.tobytes(), f"seed {SEED}"
+        held = int(memory.state[0]["held"])
+        assert held == len(merger) <= HELD
+        assert memory.held[:held].tobytes() == merger._held.tobytes()
+
+
+def test_a_step_of_the_wall_clock_is_python_s(rigs, monkeypatch):
+    """Noticed in the pump its frames are Python's, which looks itself; noticed by Python it is told."""
+    rig = rigs(shipped("gateway.toml"))
+    rig.turn()
+    rig.send(0, frame(0x123), frame(0x124))
+    with monkeypatch.context() as patched:
+        patched.setattr(Clock, "difference_ns", property(lambda clock: clock._difference - 3_000_000_000))
+        rig.turn()
+    assert rig.why[-1] == pumping.STEPPED
+    rig.send(0, frame(0x125))
+    rig.clock._difference -= 3_000_000_000  # as if the wall clock had been set forward
+    for _ in range(20):
+        rig.turn()
+    fed = np.concatenate([what for name, what, *_ in rig.calls if name in ("took", "feed")])
+    assert [f"{each:x}" for each in fed["can_id"] if each < 0x700] == ["123", "124", "125"]
+    assert are_steps(fed).sum() == 1
+    assert [event["event"] for event in rig.events if event["event"] == "clock"] == ["clock"]
+
+
+def test_a_door_and_a_dead_bus_end_a_pass(rigs):
+    rig = rigs(shipped("gateway.toml"))
+
+    class Door:
+        def __init__(self):
+            self.event, self.knocks = os.eventfd(1), 0
+
+        def fileno(self):
+            return self.event
+
+        def listening(self):
+            return False
+
+        def on_frames(self, frames):
+            pass
+
+        def turn(self, now_s, *, wanted):
+            self.knocks += wanted
+
+    door = Door()
+    rig.live._door = door
+    for _ in range(3):
+        rig.turn()
+    assert pumping.DOOR in rig.why
+    assert door.knocks >= 1
+    rig.ends[0].close()
+    for _ in range(5):
+        rig.live.turn()
+    assert pumping.BUS in rig.why
+    os.close(door.event)
