@@ -219,7 +219,9 @@ class Causes:
     def _look_behind(self, t_ns: int) -> None:
         """Bring up to date the tests that the faults are made of which have failed.
 
-        A monitor that tells one of its faults says nothing of the others by that: its tests do.
+        A monitor that tells one of its faults says nothing of the others by that: its tests do. A test that has failed
+        counts until all of the monitor's faults have healed: a second fault may cancel there what the first one does,
+        and what fails then may look like a third one.
         """
         diagnoser, place = self._diagnoser, self._diagnoser.system.test_place
         verdict = diagnoser.state.verdict
@@ -233,6 +235,8 @@ class Causes:
                     diagnoser.update(fault, NOT_TESTED if failed else PASSED, t_ns)
             levels = tests.levels(self._engine.state_of(tests.monitor)[0]) if failed else [math.nan] * len(tests.seen)
             for name, level in zip(tests.seen, levels, strict=True):
+                if failed and verdict[place[name]] == FAILED and not level >= 1.0:
+                    continue
                 now = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED
                 diagnoser.update(name, now, t_ns)
                 diagnoser.size(name, Sized(math.nan, math.nan, {}, 0.0, level) if now == FAILED else None)
