@@ -1,9 +1,9 @@
 """Which residual generators run: those that the configuration names, or the fewest that tell as much as all.
 
-`auto` (and `pairs`, for two faults at once) first asks whether tests of the causality that is preferred tell as much as all that can be computed. If so, it
-is the fewest of them, else the fewest of all, the preferred ones where there is a choice. That a generator can be
-computed the structure says; that algebra finds its code, only algebra does: a set without is left out, and the choice
-made again.
+`auto`, and `pairs` for two faults at once, first ask whether tests of the causality that is preferred tell as much as
+all that can be computed. If so, they are the fewest of them, else the fewest of all, the preferred ones where there is
+a choice. That a generator can be computed the structure says; that algebra finds its code, only algebra does: a set
+without is left out, and the choice made again.
 """
 
 from __future__ import annotations
