@@ -21,7 +21,7 @@ from gateway.engine.depends.parts import Seen
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.engine.instances import FaultSlot
 from gateway.monitors.contract import LastResult
-from gateway_fdi.diagnosis.answer import Group
+from gateway_fdi.diagnosis.answer import Diagnosis, Group
 from gateway_fdi.diagnosis.apart import telling
 from gateway_fdi.diagnosis.diagnoser import Diagnoser
 from gateway_fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
@@ -45,8 +45,9 @@ _AGAIN_NS = 100_000_000
 _MOST_LOOKS = 10
 #: Number of settings of the wall clock that are remembered.
 _MOST_OFFSETS = 8
-#: Causes that an event tells of each group, and tests that would tell them apart.
-_TOLD = 5
+#: Causes that an event tells of each group, and tests that would tell them apart; of causes, those too that have this
+#: share of the last one's probability: which of several equals it is nobody can say.
+_TOLD, _EQUAL = 5, 0.9
 #: Components that concern nothing else: their own fault says all that they explain.
 _ALONE = ("gateway", "reported")
 
@@ -285,7 +286,7 @@ class Causes:
                         for fault in (self._faults([a.test]) if a.test >= 0 else [None])
                     ],
                 }
-                for one in group.diagnoses[:_TOLD]
+                for one in _listed(group)
             ],
             "waits_for": [
                 {"test": fault, "for_s": max(round((w.until_ns - t_ns) * 1e-9, 3), 0.0)}
@@ -305,6 +306,12 @@ class Causes:
             own = self._of[name].faults if name in self._of else (name,)
             found |= dict.fromkeys(o for o in own if o == name or verdict[system.test_place[o]] == FAILED)
         return list(found)
+
+
+def _listed(group: Group) -> list[Diagnosis]:
+    """Return the likeliest diagnoses, and all that are as likely as the last of them."""
+    least = _EQUAL * group.diagnoses[:_TOLD][-1].probability
+    return [one for k, one in enumerate(group.diagnoses) if k < _TOLD or one.probability >= least > 0.0]
 
 
 def _delays(engine: Engine, checks: Sequence[CheckInstance]) -> dict[str, float]:
