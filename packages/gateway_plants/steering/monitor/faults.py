@@ -91,8 +91,9 @@ _VOLTAGES = (Blame("AFS_MotVol.U_sd_mean"), Blame("AFS_MotVol.U_sq_mean"), Blame
 ELECTRIC_PARTS = (*_CURRENTS, *_VOLTAGES)
 
 
-#: How likely one angle is taken for another one, because something else is wrong, too; and a current or voltage for it.
-_SECOND, _UPSET = 0.01, 0.005
+#: How likely one angle is taken for another one, because something else is wrong, too; a current or voltage for the
+#: motor's; and the motor's for the pinion's, which has its name only where the EMF agrees with the motor's.
+_SECOND, _UPSET, _CONSISTENT = 0.01, 0.005, 0.002
 
 
 def _vague(*parts: Blame, share: float = _SECOND) -> tuple[Blame, ...]:
@@ -107,7 +108,7 @@ _MOTOR_BLAMES = (MOTOR_PART, *_vague(WHEEL_PART, _PINION), *_vague(*ELECTRIC_PAR
 BLAMES = {
     **{fault.name: _MOTOR_BLAMES for fault in FAULTS[: IMPLAUSIBLE + 1]},
     "wheel_angle": (WHEEL_PART, *_vague(MOTOR_PART, _PINION)),
-    "pinion_angle": (_PINION, *_vague(MOTOR_PART, WHEEL_PART)),
+    "pinion_angle": (_PINION, *_vague(WHEEL_PART), *_vague(MOTOR_PART, share=_CONSISTENT)),
     "angles": tuple(one._replace(share=0.3) for one in ANGLE_PARTS),
     "current": _CURRENTS,
     "voltage": _VOLTAGES,
