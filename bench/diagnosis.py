@@ -4,12 +4,14 @@
 
 ms of CPU of one thread, and the memory that Python has allocated. Peer: HiGHS (SciPy), which is given the conflicts of
 the same moment and finds one diagnosis, the likeliest, without what sizes and the order of failures say; the ratio is
-its time over ours.
+its time over ours. What is there at the start is kept from Python's collector, as the live loop does: each of its
+full rounds took 24 to 28 ms, twice what a change does.
 """
 
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it
@@ -80,6 +82,8 @@ def measure(causes: int, signed: float, changes: int, seed: int) -> None:
     tracemalloc.reset_peak()
     before = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
+    gc.collect()
+    gc.freeze()
     times, right = [], 0
     for n in range(changes):
         k, t = int(rng.integers(TESTS)), (3 + n) * second
@@ -107,7 +111,7 @@ def measure(causes: int, signed: float, changes: int, seed: int) -> None:
         f"  HiGHS {1e3 * peer:7.1f} ms = {peer / np.median(times):5.1f} x  first is right {right / changes:4.0%}"
         f"  {before / 2**20:.0f} MiB kept, {(peak - begun) / 2**20:.1f} MiB for a change"
     )
-    if np.median(ms) > LIMIT_MS:
+    if ms.max() > LIMIT_MS:
         print(f"  more than {LIMIT_MS:g} ms")
 
 

@@ -100,6 +100,20 @@ def test_two_faults_that_no_test_of_one_explains_are_named_together():
     assert set(group["causes"][0]["components"]) == {"plant brake.f_R", "signal brake.Sensors.Force"}
 
 
+def test_two_faults_that_cancel_each_other_in_a_test_are_no_third_one():
+    """Angle and force of the brake, wrong alike: the caliper holds again, and its monitor names the friction."""
+    scenario = load_scenario(shipped("scenarios/brake_faults.toml"))
+    config = load_config(scenario.config)
+    force, angle = (next(fault for fault in scenario.fault if fault.name == name) for name in ("f_F", "f_a"))
+    both = tuple(f.model_copy(update={"from_s": t, "to_s": None}) for f, t in ((force, 20.0), (angle, 21.1)))
+    short = scenario.model_copy(update={"duration_s": 40.0, "fault": both, "expect": ()})
+    events = played(config, player_of(short, config).frames)
+    assert "brake.f_b" in [event["fault"] for event in events if event["event"] == "dtc"]
+    told = [group for event in diagnoses(events) for group in event["groups"]]
+    assert not any("plant brake.f_b" in (group["cause"] or ()) for group in told)
+    assert set(told[-1]["causes"][0]["components"]) == {"signal brake.Sensors.Angle", "signal brake.Sensors.Force"}
+
+
 def test_frames_without_a_change_of_verdict_cost_nothing(monkeypatch):
     """Of some hundred frames, those are followed by work at which a verdict changes, and a wait ends."""
     config, frames = frames_of("signals_faults", 8.5)

@@ -498,6 +498,8 @@ class Sampled:
 
 #: Share of a part in a fault that says no more than that one of several parts is wrong: others mostly say which.
 VAGUE = 0.1
+#: Share of each other part in a fault that is told by tests behind it: several parts together may look like it.
+TOGETHER = 0.5
 
 
 class Blame(NamedTuple):

@@ -21,7 +21,7 @@ from gateway.engine.depends.parts import Seen
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.engine.instances import FaultSlot
 from gateway.monitors.contract import LastResult
-from gateway_fdi.diagnosis.answer import Group
+from gateway_fdi.diagnosis.answer import Diagnosis, Group
 from gateway_fdi.diagnosis.apart import telling
 from gateway_fdi.diagnosis.diagnoser import Diagnoser
 from gateway_fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
@@ -45,8 +45,9 @@ _AGAIN_NS = 100_000_000
 _MOST_LOOKS = 10
 #: Number of settings of the wall clock that are remembered.
 _MOST_OFFSETS = 8
-#: Causes that an event tells of each group, and tests that would tell them apart.
-_TOLD = 5
+#: Causes that an event tells of each group, and tests that would tell them apart; of causes, those too that have this
+#: share of the last one's probability: which of several equals it is nobody can say.
+_TOLD, _EQUAL = 5, 0.9
 #: Components that concern nothing else: their own fault says all that they explain.
 _ALONE = ("gateway", "reported")
 
@@ -219,7 +220,9 @@ class Causes:
     def _look_behind(self, t_ns: int) -> None:
         """Bring up to date the tests that the faults are made of which have failed.
 
-        A monitor that tells one of its faults says nothing of the others by that: its tests do.
+        A monitor that tells one of its faults says nothing of the others by that: its tests do. A test that has failed
+        counts until all of the monitor's faults have healed: a second fault may cancel there what the first one does,
+        and what fails then may look like a third one.
         """
         diagnoser, place = self._diagnoser, self._diagnoser.system.test_place
         verdict = diagnoser.state.verdict
@@ -233,6 +236,8 @@ class Causes:
                     diagnoser.update(fault, NOT_TESTED if failed else PASSED, t_ns)
             levels = tests.levels(self._engine.state_of(tests.monitor)[0]) if failed else [math.nan] * len(tests.seen)
             for name, level in zip(tests.seen, levels, strict=True):
+                if failed and verdict[place[name]] == FAILED and not level >= 1.0:
+                    continue
                 now = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED
                 diagnoser.update(name, now, t_ns)
                 diagnoser.size(name, Sized(math.nan, math.nan, {}, 0.0, level) if now == FAILED else None)
@@ -281,7 +286,7 @@ class Causes:
                         for fault in (self._faults([a.test]) if a.test >= 0 else [None])
                     ],
                 }
-                for one in group.diagnoses[:_TOLD]
+                for one in _listed(group)
             ],
             "waits_for": [
                 {"test": fault, "for_s": max(round((w.until_ns - t_ns) * 1e-9, 3), 0.0)}
@@ -301,6 +306,12 @@ class Causes:
             own = self._of[name].faults if name in self._of else (name,)
             found |= dict.fromkeys(o for o in own if o == name or verdict[system.test_place[o]] == FAILED)
         return list(found)
+
+
+def _listed(group: Group) -> list[Diagnosis]:
+    """Return the likeliest diagnoses, and all that are as likely as the last of them."""
+    least = _EQUAL * group.diagnoses[:_TOLD][-1].probability
+    return [one for k, one in enumerate(group.diagnoses) if k < _TOLD or one.probability >= least > 0.0]
 
 
 def _delays(engine: Engine, checks: Sequence[CheckInstance]) -> dict[str, float]:

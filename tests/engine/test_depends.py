@@ -89,7 +89,9 @@ def test_isolation_says_whom_a_fault_blames():
     assert actuator[0].component.name == "actuator flight.Aircraft_Command.Rudder"
     _, _, found = depends(shipped("configs/tanks.toml"))
     assert names(found["tanks.f_1"])["signal tanks.Sensors.Level1"] == pytest.approx(0.9)
-    assert list(names(found["tanks.f_p"])) == ["plant tanks.f_p"]  # the pump, not its command
+    (pump, power), *others = names(found["tanks.f_p"]).items()
+    assert pump == "plant tanks.f_p"  # not its command
+    assert power == 2.0 * max(share for _, share in others), "two others may fire together what it does"
 
 
 def test_faults_of_one_channel_share_what_they_see_of_it():

@@ -40,6 +40,7 @@ def test_a_single_fault_is_named_first_and_nobody_else_alone(fault):
         ("brake", "f_R", "f_F"),
         ("belt", "output_offset 2", "output_stuck 1"),
         ("truck", "battery_short", "machine_voltage_sensor"),
+        ("steering", "wheel_angle_offset", "current_offset"),
     ],
 )
 def test_two_faults_are_both_in_the_first_diagnosis(plant, one, other):

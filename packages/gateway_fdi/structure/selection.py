@@ -10,6 +10,8 @@ how many equations each test has, nothing hangs on a test with far more of them 
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,16 +23,22 @@ MOST_EXACT = 100_000
 MOST_TIMES, MOST_BEYOND = 1.5, 8
 
 
-def requirements(signature: Sets, sizes: NDArray[np.int64] | None = None) -> Sets:
+def requirements(signature: Sets, sizes: NDArray[np.int64] | None = None, together: int = 1) -> Sets:
     """Return which test fulfils which requirement, shape (requirements, tests).
 
     Args:
         signature: fault signature matrix, shape (tests, faults).
         sizes: equations of each test, shape (tests,): those with far more than need be do not count.
+        together: faults that may be there at once: each other one is to be told from them, a test that sees it and
+            none of them (Krysander, Frisk 2008, for modes of several faults).
     """
     tests, faults = signature.shape
     rows = [signature[:, i] for i in range(faults)]
-    rows += [signature[:, i] & ~signature[:, j] for i in range(faults) for j in range(faults) if i != j]
+    for there in combinations(range(faults), min(together, max(faults - 1, 0))):
+        blind = ~signature[:, there].any(1)
+        rows += [signature[:, i] & blind for i in range(faults) if i not in there]
+    if together > 1:  # where no test tells two, one may still tell each of them
+        rows += list(requirements(signature, sizes, together - 1))
     possible = [row for row in rows if row.any()]
     if sizes is not None:
         possible = [row & (sizes <= MOST_TIMES * sizes[row].min() + MOST_BEYOND) for row in possible]
@@ -66,7 +74,10 @@ def _greedy(wanted: Sets, weight: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def fewest_tests(
-    signature: Sets, cost: NDArray[np.float64] | None = None, sizes: NDArray[np.int64] | None = None
+    signature: Sets,
+    cost: NDArray[np.float64] | None = None,
+    sizes: NDArray[np.int64] | None = None,
+    together: int = 1,
 ) -> NDArray[np.int64]:
     """Return the fewest tests that detect and isolate as much as all of them do.
 
@@ -75,12 +86,13 @@ def fewest_tests(
         cost: decides between choices of as many tests, shape (tests,), not negative; for instance the number of
             equations of each.
         sizes: equations of each, shape (tests,); see :func:`requirements`.
+        together: faults at once; see there.
 
     Returns:
         the numbers of the tests, rising.
     """
     tests = signature.shape[0]
-    wanted = requirements(signature, sizes)
+    wanted = requirements(signature, sizes, together)
     if wanted.size > MOST_EXACT:
         wanted = _needed(wanted)
     if not len(wanted):

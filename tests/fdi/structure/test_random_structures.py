@@ -1,6 +1,6 @@
 """Random structures: against brute force, and against SciPy's graph algorithms."""
 
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -239,6 +239,19 @@ def test_fewest_tests_are_those_of_brute_force(signature):
     assert as_good(chosen)
     for rows in combinations(range(len(signature)), max(len(chosen) - 1, 0)):
         assert not as_good(rows) or len(chosen) == 0
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(st.lists(st.lists(st.booleans(), min_size=4, max_size=4), min_size=1, max_size=7).map(np.array))
+def test_tests_for_pairs_tell_each_fault_from_one_and_from_two_others(signature):
+    chosen = signature[fewest_tests(signature, together=2)]
+
+    def told(rows, fault, *others):
+        return (rows[:, fault] & ~rows[:, others].any(1)).any()
+
+    for fault, one, other in product(range(4), repeat=3):
+        if fault not in (one, other):
+            assert told(chosen, fault, one, other) == told(signature, fault, one, other)
 
 
 @settings(max_examples=examples(60), deadline=None)

@@ -11,7 +11,7 @@ from typing import Any
 from gateway_fleet.study.cause.cases import Truth
 from gateway_fleet.study.cause.drive import Told
 
-#: Diagnoses of several groups are looked at together: so many of each.
+#: Where more than two groups are looked at together: diagnoses of each.
 _EACH = 4
 #: Nothing else may have so much of the first one's probability.
 _TENTH = 0.1
@@ -56,7 +56,7 @@ def judge(
         truths: of each fault.
         begin_s: when the first of them begins [s].
         end_s: when the last one ends [s].
-        alike: other parts that explain all that the faults do.
+        alike: other parts that explain all that the faults do; with more parts, they still do.
     """
     during = [one for one in told if begin_s <= one.t_s <= end_s and one.groups]
     before = any(one.t_s < begin_s and one.groups for one in told)
@@ -66,7 +66,7 @@ def judge(
     if not during:
         return Verdict(before, False, 0, not alike, False, False, healthy, "")
     groups = during[-1].groups
-    weighed = [one for one in _together(groups) if one[0] not in alike]
+    weighed = [one for one in _together(groups) if _is(one[0], truths) or not any(less <= one[0] for less in alike)]
     places = [k for k, chosen in enumerate((chosen for chosen, _ in weighed), 1) if _is(chosen, truths)]
     whole = [group["cause"] for group in groups]
     near = [chosen for chosen, p in weighed if p >= _TENTH * weighed[0][1]]
@@ -81,7 +81,7 @@ def _is(chosen: frozenset[str], truths: Sequence[Truth]) -> bool:
 
 def _together(groups: Sequence[Mapping[str, Any]]) -> list[tuple[frozenset[str], float]]:
     """Return what may be wrong as a whole with its probability, likeliest first."""
-    each = [group["causes"][:_EACH] for group in groups]
+    each = [group["causes"][: _EACH if len(groups) > 2 else None] for group in groups]
     whole = [
         (
             frozenset(itertools.chain.from_iterable(one["components"] for one in chosen)),

@@ -83,35 +83,41 @@ FAULTS = tuple(
     for name, dtc, text, debounce in _ROWS
 )
 
-_MOTOR = Blame("motor angle", "sensor")  # it comes in two messages
-_WHEEL, _PINION = Blame("SAS_Angle.Delta_S"), Blame("AFS_Angle.Delta_G")
+MOTOR_PART = Blame("motor angle", "sensor")  # it comes in two messages
+WHEEL_PART, _PINION = Blame("SAS_Angle.Delta_S"), Blame("AFS_Angle.Delta_G")
+ANGLE_PARTS = (MOTOR_PART, WHEEL_PART, _PINION)
 _CURRENTS = (Blame("AFS_MotCur.I_U"), Blame("AFS_MotCur.I_V"))
 _VOLTAGES = (Blame("AFS_MotVol.U_sd_mean"), Blame("AFS_MotVol.U_sq_mean"), Blame("inverter", "actuator"))
+ELECTRIC_PARTS = (*_CURRENTS, *_VOLTAGES)
 
 
-#: How likely one angle is taken for another one, because something else is wrong, too.
-_SECOND = 0.01
+#: How likely one angle is taken for another one, because something else is wrong, too; a current or voltage for the
+#: motor's; and the motor's for the pinion's, which has its name only where the EMF agrees with the motor's.
+_SECOND, _UPSET, _CONSISTENT = 0.01, 0.005, 0.002
 
 
-def _vague(*angles: Blame) -> tuple[Blame, ...]:
-    """Return angles that the fault of another one blames a little: the table has one at a time, there may be two."""
-    return tuple(one._replace(share=_SECOND) for one in angles)
+def _vague(*parts: Blame, share: float = _SECOND) -> tuple[Blame, ...]:
+    """Return parts that the fault of another one blames a little: the table has one at a time, there may be two."""
+    return tuple(one._replace(share=share) for one in parts)
+
+
+_MOTOR_BLAMES = (MOTOR_PART, *_vague(WHEEL_PART, _PINION), *_vague(*ELECTRIC_PARTS, share=_UPSET))
 
 
 #: What each fault blames: the component that the signature table names, or those that it cannot tell apart.
 BLAMES = {
-    **{fault.name: (_MOTOR, *_vague(_WHEEL, _PINION)) for fault in FAULTS[: IMPLAUSIBLE + 1]},
-    "wheel_angle": (_WHEEL, *_vague(_MOTOR, _PINION)),
-    "pinion_angle": (_PINION, *_vague(_MOTOR, _WHEEL)),
-    "angles": tuple(one._replace(share=0.3) for one in (_MOTOR, _WHEEL, _PINION)),
+    **{fault.name: _MOTOR_BLAMES for fault in FAULTS[: IMPLAUSIBLE + 1]},
+    "wheel_angle": (WHEEL_PART, *_vague(MOTOR_PART, _PINION)),
+    "pinion_angle": (_PINION, *_vague(WHEEL_PART), *_vague(MOTOR_PART, share=_CONSISTENT)),
+    "angles": tuple(one._replace(share=0.3) for one in ANGLE_PARTS),
     "current": _CURRENTS,
     "voltage": _VOLTAGES,
-    "electric": tuple(one._replace(share=0.3) for one in (*_CURRENTS, *_VOLTAGES)),
+    "electric": tuple(one._replace(share=0.3) for one in ELECTRIC_PARTS),
     "pairing": (Blame("AFS_MotCur.MC_cur"), Blame("AFS_MotVol.MC_vol")),
     # An angle that is wrong is steered by.
     "ratio": (
         Blame("steering", "actuator"),
-        *(one._replace(share=0.3) for one in (_MOTOR, _WHEEL, _PINION)),
+        *(one._replace(share=0.3) for one in ANGLE_PARTS),
         Blame("ESC_Speed.v_X", share=0.5),
     ),
 }

@@ -39,6 +39,7 @@ from gateway_plants.steering.monitor import (
     road_wheel,
     symptoms,
 )
+from gateway_plants.steering.monitor.behind import BEHIND
 from gateway_plants.steering.monitor.decision import NONE
 from gateway_plants.steering.monitor.faults import (
     ANGLES,
@@ -344,6 +345,7 @@ MONITOR = Monitor(
     faults=_faults,
     emits=_emits,
     capabilities=(
+        BEHIND,
         Blames(_blames),
         Readout(
             (

@@ -1,9 +1,9 @@
 """Which residual generators run: those that the configuration names, or the fewest that tell as much as all.
 
-`auto` first asks whether tests of the causality that is preferred tell as much as all that can be computed. If so, it
-is the fewest of them, else the fewest of all, the preferred ones where there is a choice. That a generator can be
-computed the structure says; that algebra finds its code, only algebra does: a set without is left out, and the choice
-made again.
+`auto`, and `pairs` for two faults at once, first ask whether tests of the causality that is preferred tell as much as
+all that can be computed. If so, they are the fewest of them, else the fewest of all, the preferred ones where there is
+a choice. That a generator can be computed the structure says; that algebra finds its code, only algebra does: a set
+without is left out, and the choice made again.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def choose(model: Model, p: Params) -> Plan:
     """
     need("structure", "monitors made from a structural model", key="type")
     progress.say(f"{model.name}: tests are chosen and their code is written; the next start finds it")
-    chosen = tuple(_auto(model, p) if p.tests == "auto" else _named(model, p))
+    chosen = tuple(_auto(model, p) if isinstance(p.tests, str) else _named(model, p))
     if not chosen:
         raise InputError(
             "no equation of the model can be checked: it has no redundancy that can be computed", key="model"
@@ -152,10 +152,10 @@ def _auto(model: Model, p: Params) -> Iterator[Test]:
     analysis = analyse(model)
     if analysis.left_out:
         progress.say(f"{model.name}: {analysis.left_out}")
-    sets = _sets(analysis, p)
+    sets, together = _sets(analysis, p), 2 if p.tests == "pairs" else 1
     made: dict[bytes, Test] = {}
     while sets:
-        chosen = _fewest(model, sets, large=bool(analysis.left_out))
+        chosen = _fewest(model, sets, large=bool(analysis.left_out), together=together)
         lost = [s for s in chosen if not _made(model, p, s, made)]
         if not lost:
             yield from _with_names(model, [made[s.row.tobytes()] for s in chosen])
@@ -164,20 +164,20 @@ def _auto(model: Model, p: Params) -> Iterator[Test]:
         sets = [s for s in sets if s.row.tobytes() not in gone]
 
 
-def _fewest(model: Model, sets: Sequence[_Set], *, large: bool) -> list[_Set]:
+def _fewest(model: Model, sets: Sequence[_Set], *, large: bool, together: int) -> list[_Set]:
     """Return the fewest sets; of a large model, whose sets differ tenfold in size, none that is needlessly large."""
     rows = np.array([s.row for s in sets])
     incidence = np.array([[f in e.faults for f in model.faults] for e in model.equations], np.int64)
     signature: Sets = (rows.astype(np.int64) @ incidence.reshape(len(model.equations), -1)) > 0
     preferred = np.array([s.preferred for s in sets])
-    wanted = requirements(signature)
+    wanted = requirements(signature, together=together)
     if preferred.any() and (not len(wanted) or wanted[:, preferred].any(1).all()):
         places = np.flatnonzero(preferred)
     else:
         places = np.arange(len(sets))
     cost = np.array([sets[int(k)].cost for k in places])
     sizes = rows.sum(1)[places] if large else None
-    return [sets[int(places[int(k)])] for k in fewest_tests(signature[places], cost, sizes)]
+    return [sets[int(places[int(k)])] for k in fewest_tests(signature[places], cost, sizes, together)]
 
 
 def _made(model: Model, p: Params, found: _Set, made: dict[bytes, Test]) -> bool:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gateway.monitors.contract import VAGUE, Blame, Debounce, Fault
+from gateway.monitors.contract import TOGETHER, VAGUE, Blame, Debounce, Fault
 from gateway_fdi.masks import unpack
 from gateway_fdi.structure.model import Model
 from gateway_plants.structural.monitor.decision import AS_BITS, TWO_DIGITS
@@ -136,6 +136,7 @@ def blames(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     """Return what each fault blames: the faults of the model that it stands for, and of what is not isolated, all.
 
     A fault in the equation of a sensor blames the sensor's signal, any other one the part that it is named after.
+    Each blames the rest, too: of two faults that fire together what a third one would, the third one has the name.
     """
     sensors = _sensors(model)
     parts = {f: Blame(sensors[f]) if f in sensors else Blame(f, "plant") for f in plan.faults}
@@ -147,8 +148,11 @@ def blames(model: Model, plan: Plan) -> dict[str, list[Blame]]:
         name: [parts[f] if own[f] == faults else parts[f]._replace(share=VAGUE) for f in faults]
         for name, faults in zip(names_of(plan), plan.diagnoses, strict=False)
     }
-    every = [one._replace(share=VAGUE) for one in dict.fromkeys(parts.values())]
-    return found | {UNISOLATED: [*every, Blame("model", "model")]}
+    every = dict.fromkeys(parts.values())
+    for blamed in found.values():
+        there = {(one.part, one.kind) for one in blamed}
+        blamed += [one._replace(share=TOGETHER) for one in every if (one.part, one.kind) not in there]
+    return found | {UNISOLATED: [*(one._replace(share=VAGUE) for one in every), Blame("model", "model")]}
 
 
 #: How likely a test fires if a fault is there that it sees: of a large one all do, of a small one few.

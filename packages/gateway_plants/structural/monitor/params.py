@@ -32,9 +32,10 @@ class Params(MonitorParams):
     """Parameters of a monitor made from a structural model."""
 
     model: Path = Field(description="the model; relative to this configuration, or of those that come with the gateway")
-    tests: Literal["auto"] | tuple[str, ...] = Field(
+    tests: Literal["auto", "pairs"] | tuple[str, ...] = Field(
         "auto",
-        description="auto: the fewest that detect and tell apart as much as all; or names of the model's residuals, or"
+        description="auto: the fewest that detect and tell apart as much as all; pairs: likewise of two faults at once,"
+        " twice as many or so; or names of the model's residuals, or"
         ' "SET:EQUATION" as gateway structure lists them',
     )
     causality: Literal["integral", "mixed"] = Field(

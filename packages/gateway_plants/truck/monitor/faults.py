@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from gateway.monitors.contract import VAGUE, Blame, Debounce, Fault
+from gateway.monitors.contract import TOGETHER, VAGUE, Blame, Debounce, Fault
 
 #: Faults by their place: those of the structural model in its order, and what is not isolated.
 BATTERY, INVERTER, EFFICIENCY, RESISTANCE, SENSOR, UNISOLATED = range(6)
@@ -49,10 +49,12 @@ BLAMES: dict[str, tuple[Blame, ...]] = {
     "machine_resistance": (Blame("machine", "plant"),),
     "machine_voltage_sensor": (Blame("HEV_SENS_ELEC.U_em_sens"),),
 }
-BLAMES["unisolated"] = (
-    *dict.fromkeys(one._replace(share=VAGUE) for blamed in BLAMES.values() for one in blamed),
-    Blame("model", "model"),
-)
+_PARTS = tuple(dict.fromkeys(one for blamed in BLAMES.values() for one in blamed))
+BLAMES = {
+    name: (*blamed, *(one._replace(share=TOGETHER) for one in _PARTS if one not in blamed))
+    for name, blamed in BLAMES.items()
+}
+BLAMES["unisolated"] = (*(one._replace(share=VAGUE) for one in _PARTS), Blame("model", "model"))
 
 #: How likely a test fires if a fault is there that it sees.
 _FIRES = 0.8
