@@ -24,7 +24,7 @@ def names_of(owner):
     folders = [f"packages/{package.replace('.', '/')}", f"dbc/{owner}", f"scenarios/{owner}"]
     files = [file for folder in folders for file in (ROOT / folder).rglob("*.*") if file.suffix in (".toml", ".dbc")]
     brought = vars(import_module(f"{package}.plugin").PLUGIN).values()
-    words = {word for door in brought if isinstance(door, dict) for name in door for word in name.split()}
+    words = {name.split()[-1] for door in brought if isinstance(door, dict) for name in door}
     bench = {"gateway.toml"} if words & words_of(ROOT / "gateway.toml") else set()
     return {owner, *words, *bench, *EVERY, *(file.stem for file in files)}
 
