@@ -1,4 +1,4 @@
-"""What a monitor can do beside monitoring: its capabilities, at most one of each class.
+"""Capabilities of a monitor: what it can do beside monitoring, at most one of each class.
 
 Authors import them from :mod:`gateway.monitors.contract`.
 """
