@@ -138,11 +138,11 @@ def missing(file):
     return tuple(sorted(filter(lacking, uses(file))))
 
 
-def tests_of(package):
-    """Return the files of a package's own tests: it is the highest that they use."""
+def tests_of(package, used_by=uses):
+    """Return the files of a package's own tests: it is the highest that they use, or import (``used_by=imported``)."""
     found = []
     for file in sorted(TESTS.rglob("test_*.py")):
-        used = {"gateway_plants" if name in PLANTS else name for name in uses(file)}
+        used = {"gateway_plants" if name in PLANTS else name for name in used_by(file)}
         if package in used and used <= {package, *BELOW[package]}:
             found.append(file)
     return found
