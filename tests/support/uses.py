@@ -138,7 +138,7 @@ def missing(file):
     return tuple(sorted(filter(lacking, uses(file))))
 
 
-def tests_of(package, used_by=uses):
+def own_tests(package, used_by=uses):
     """Return the files of a package's own tests: it is the highest that they use, or import (``used_by=imported``)."""
     found = []
     for file in sorted(TESTS.rglob("test_*.py")):
