@@ -25,7 +25,7 @@ class Plugin:
     """Contents of a package: in each mapping its name -> ``"package.module:NAME"``.
 
     Attributes:
-        api: :data:`API` as it was when the package was written.
+        api: :data:`API` as it was when the package was written, as a number; a package that says nothing is of 1.
         monitors: types of monitor (``gateway.monitors.contract.Monitor`` or ``Family``).
         ecus: types of virtual ECU (``gateway_bench.vecu.contract.VirtualEcu``, or a class with ``step``).
         commands: of the command line, each a function or a ``typer.Typer``; two words for one of a group, as
@@ -39,7 +39,7 @@ class Plugin:
             (``gateway_fleet.learn.observers.Observer``).
     """
 
-    api: int = API
+    api: int = 1
     monitors: Places = field(default_factory=dict)
     ecus: Places = field(default_factory=dict)
     commands: Places = field(default_factory=dict)

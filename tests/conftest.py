@@ -5,7 +5,7 @@ import os
 
 import pytest
 from amount import SMALL, examples
-from present import missing
+from uses import missing
 
 from gateway_fdi.common import log
 from gateway_fdi.jit import BOUNDSCHECK, COMPILED

@@ -18,7 +18,6 @@ import gateway_fleet
 import gateway_plants
 from gateway.bus.logs import open_writer, read_log
 from gateway.cli.doctor import doctor
-from gateway.cli.structure import structure
 from gateway.common import extras
 from gateway.common.extras import EXTRAS, PURPOSES
 from gateway.faults.catalogue import Catalogue
@@ -27,6 +26,7 @@ from gateway.faults.store import Store
 from gateway.monitors.registry import MONITORS
 from gateway_fdi.common import log
 from gateway_fdi.errors import InputError
+from gateway_plants.structural.analysis.command import structure
 
 ROOT = Path(__file__).parents[1]
 
@@ -310,7 +310,7 @@ for name in {names!r}:
         print(name)
 """
     refused = set(run(code).stdout.split())
-    pictures = {f"gateway.cli.{name}" for name in ("drawing", "series_figures", "structure_figures")}
+    pictures = {f"gateway.cli.{name}" for name in ("drawing", "series_figures")}
     algebra = {
         f"gateway_fdi.structure.generator.{name}"
         for name in (
@@ -320,7 +320,10 @@ for name in {names!r}:
     } | {f"gateway_fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}
     assert len(names) > 200
-    others = {"gateway_plants.structural.monitor.choice", "gateway_bench.vecu.fmu.model"}
+    others = {
+        *("gateway_plants.structural.monitor.choice", "gateway_plants.structural.analysis.figures"),
+        "gateway_bench.vecu.fmu.model",
+    }
     assert refused == pictures | algebra | pages | others
 
 

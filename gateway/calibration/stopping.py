@@ -3,7 +3,7 @@
 Each stopping rule keeps the largest level it has seen. Read once a second of recorded time, these maxima tell for any
 threshold how many alarms there would have been: seconds beyond it that follow each other are one. If the logs are
 longer than the target, the threshold is where the alarms are as rare as asked for. If they are not, the maxima's tail
-is continued as an exponential (mean excess over the 90 % quantile), and the result says by how much the target lies
+is continued as an exponential (:mod:`gateway_fdi.tails`), and the result says by how much the target lies
 beyond the data. The time that the data assure, with 95 %, is chi-square: T / 3.0 without an alarm in the time T.
 """
 
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import log
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +22,10 @@ from gateway.config.model import Config
 from gateway.monitors.contract import Calibration
 from gateway_fdi.errors import InputError
 from gateway_fdi.stopping import assured
+from gateway_fdi.tails import exceeded_once
 
 #: Time whose largest levels are kept together [ns], and left out at the begin of each log.
 BLOCK_NS, WARM_UP_NS = 1_000_000_000, 2_000_000_000
-#: Quantile from which on the maxima are the tail.
-TAIL = 0.9
 #: A threshold is not below the largest healthy level times this.
 MARGIN = 1.05
 
@@ -83,11 +81,7 @@ def propose(maxima: Array, seconds: float, target: float) -> float:
                 break
             best = float(level)
         return float(np.nextafter(best, np.inf)) if allowed > 1 else largest * MARGIN
-    from_level = float(np.quantile(maxima, TAIL)) if len(maxima) else 0.0
-    over = maxima[maxima > from_level] - from_level
-    if not len(over):
-        return largest * MARGIN
-    reached = from_level + float(over.mean()) * log(max(len(over) * target / seconds, 1.0))
+    reached = exceeded_once(maxima, len(maxima) * target / seconds) if len(maxima) else 0.0
     return max(reached, largest * MARGIN)
 
 

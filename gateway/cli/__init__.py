@@ -261,42 +261,6 @@ def report(
 
 
 @app.command()
-def structure(
-    model: Annotated[
-        Path, typer.Argument(help="File of a structural model, or the name of a shipped one, e.g. truck.")
-    ],
-    json: Json = False,
-    plot: Annotated[Path | None, typer.Option(help="Draw the analysis into this file (.svg, .png, .pdf).")] = None,
-    limit: Annotated[
-        int,
-        typer.Option(
-            min=1, help="Search all MSO sets up to this number; if there are more, search only as many as needed."
-        ),
-    ] = 20_000,
-    residual: Annotated[
-        str | None,
-        typer.Option(help="Print the sequence and code of this residual generator, by its name or as SET:EQUATION."),
-    ] = None,
-    export: Annotated[
-        str | None, typer.Option(metavar="LANGUAGE", help="With --residual: write its code in this language: c (C99).")
-    ] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="With --export: file to write.")] = None,
-    sensors: Annotated[
-        str | None,
-        typer.Option(help="Choose sensors among these unknowns (a,b,c or all) so that faults can be found."),
-    ] = None,
-) -> None:
-    """Find the residual generators of a structural model.
-
-    It shows which faults each generator finds, and which faults can be told apart.
-    """
-    from gateway.cli.structure import structure as work
-
-    made = {"export": export, "output": None if output is None else str(output)}
-    raise typer.Exit(work(model, json=json, plot=plot, limit=limit, residual=residual, sensors=sensors, **made))
-
-
-@app.command()
 def bus(
     address: Annotated[str, typer.Argument(help="Loopback address and port to listen on.")] = "127.0.0.1:29536",
     duration: Annotated[float | None, typer.Option(min=0, help="Stop after this time [s].")] = None,

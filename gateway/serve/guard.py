@@ -126,7 +126,7 @@ class Guard:
             return 403, "a page of another origin may not ask"
         if any(name == "sec-fetch-site" and value not in ("same-origin", "none") for name, value in headers):
             return 403, "a page of another site may not ask"
-        return self._wrong_shape(scope, headers) or self._wrong_right(scope, headers, bool(origins))
+        return self._wrong_shape(scope, headers) or self._wrong_right(scope, headers)
 
     def _wrong_shape(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
         if scope["http_version"] not in ("1.0", "1.1"):
@@ -148,7 +148,7 @@ class Guard:
         kinds = [value.partition(";")[0].strip().lower() for name, value in headers if name == "content-type"]
         return None if kinds == ["application/json"] else (415, "application/json")
 
-    def _wrong_right(self, scope: Scope, headers: list[tuple[str, str]], has_origin: bool) -> tuple[int, str] | None:
+    def _wrong_right(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
         path: str = scope["path"]
         if scope["method"] != "POST" and not path.startswith(("/api/", "/metrics")):
             return None  # the page itself: it is the same everywhere, and says nothing of this gateway

@@ -1,4 +1,4 @@
-"""``gateway doctor --bench`` and the tables of docs/performance.md: what is measured is told, and nothing else."""
+"""``gateway doctor --bench``, by crank_healthy, and docs/performance.md: what is measured is told, and nothing else."""
 
 import importlib.util
 import json

@@ -14,7 +14,7 @@ from gateway.bus.frames import empty, payload
 from gateway_bench.vecu.expectations import Judge
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario, load_scenario
-from gateway_bench.vecu.wire_faults import apply_wire_faults
+from gateway_bench.vecu.wire_faults import Wire
 from gateway_fdi.common.resources import all_shipped, shipped
 from gateway_fdi.errors import InputError, InputErrors
 from gateway_plants.crank.ecu.capture import read_capture
@@ -206,9 +206,9 @@ def test_the_player_is_deterministic_and_its_batches_are_its_frames():
 def test_wire_faults_are_what_they_say(fault, check):
     made = scenario(wire=[fault])
     healthy = Player(scenario(), {"can": 0}, seed=1).frames
-    frames, truth = apply_wire_faults(healthy, made.wire, RNG(1))
-    assert check(healthy, frames)
-    assert len(truth) == 1
+    wire = Wire(made.wire, RNG(1), {}, {})
+    assert check(healthy, wire.apply(healthy, np.iinfo(np.int64).max))
+    assert len(wire.truth) == 1
 
 
 @pytest.mark.parametrize(

@@ -190,6 +190,18 @@ def test_what_fails_says_what_was_seen(project, artifacts):
     assert not any("ATTACHMENT" in (case.system_out or "") for name, case in cases.items() if name != "test_too_early")
 
 
+@pytest.mark.long
+def test_a_checked_monitor_says_its_seed(project):
+    (project / "tests" / "test_monitor.py").write_text(
+        "import sys\n\nsys.path.append('.')\nfrom battery_voltage import MONITOR\n\n"
+        "def test_it(check_monitor):\n    check_monitor(MONITOR, low=10.5)\n"
+    )
+    code, said = run(project, "tests", "--junitxml=out.xml", "--gateway-seed", "7")
+    assert (code, "1 passed" in said) == (0, True), said
+    (case,) = (case for suite in JUnitXml.fromfile(str(project / "out.xml")) for case in suite)
+    assert ("seed", "7") in properties(case)
+
+
 def test_who_does_not_ask_gets_nothing(project):
     (project / "pytest.ini").write_text("[pytest]\n")
     (project / "scenarios" / "broken.toml").write_text(BROKEN)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+#: Kinds of frames, as the high nibble of the first byte has them.
 SINGLE, FIRST, CONSECUTIVE, FLOW_CONTROL = range(4)
 #: A separation time that the standard reserves counts as the longest one (9.6.5.5): 127 ms.
 LONGEST_STMIN = 0x7F

@@ -10,11 +10,9 @@ import isotp
 from isotp.protocol import PDU
 
 from gateway.common.times import NEVER
-from gateway.servers.isotp.edges import judge
+from gateway.servers.isotp.edges import CONSECUTIVE, FLOW_CONTROL, judge
 from gateway.servers.isotp.params import IsoTpParams
 
-#: Kinds of frames, as the high nibble of the first byte has them (ISO 15765-2).
-_CONSECUTIVE, _FLOW_CONTROL = 2, 3
 #: Wait frames in a row that a tester may send.
 MOST_WAITS = 16
 
@@ -163,10 +161,10 @@ class IsoTpLayer:
             data: of the next frame that is taken later; each is shown once, in its order.
         """
         logic, kind = self._logic, data[0] >> 4
-        if kind == _FLOW_CONTROL or self._shown is None:
+        if kind == FLOW_CONTROL or self._shown is None:
             return None
         expected = (logic.last_seqnum + len(self._shown) + 1) & 0xF
-        if kind != _CONSECUTIVE or data[0] & 0xF != expected or logic.timer_rx_cf.is_timed_out():
+        if kind != CONSECUTIVE or data[0] & 0xF != expected or logic.timer_rx_cf.is_timed_out():
             self._shown = None  # the message ends here, and is not answered
             return None
         self._shown.append(len(data) - 1)

@@ -70,7 +70,7 @@ def _hyundai_fd(f: Frame) -> Checksum:
 
 
 def _volkswagen_mqb(f: Frame) -> Checksum:
-    return Checksum(KNOWN["crc8_autosar"], by_counter=MQB_DATA_IDS.get(f.can_id, ()))
+    return Checksum(KNOWN["crc8_autosar"], by_counter=tuple(MQB_DATA_IDS.get(f.can_id, b"")))
 
 
 def _volkswagen_mlb(f: Frame) -> Checksum:

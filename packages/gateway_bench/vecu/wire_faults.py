@@ -138,27 +138,6 @@ def _concerned(fault: WireFault, key: str, databases: Mapping[int, Database], bu
     return can_id, buses[fault.bus]
 
 
-def apply_wire_faults(
-    frames: Frames,
-    faults: Iterable[WireFault],
-    rng: np.random.Generator,
-    databases: Mapping[int, Database] | None = None,
-) -> tuple[Frames, list[Truth]]:
-    """Return all frames of a run as they arrive, in order of time, and the faults done to them.
-
-    Args:
-        frames: shape (n,) of FRAME, in order of time, stamped from 0.
-        faults: in the order they are applied.
-        rng: source of all randomness.
-        databases: bus index -> messages that the faults may name.
-
-    Raises:
-        InputError: a fault of a message that is none.
-    """
-    wire = Wire(faults, rng, databases or {}, {})
-    return wire.apply(frames, np.iinfo(np.int64).max), wire.truth
-
-
 def disturbed(
     kind: WireKind, frames: Frames, hit: NDArray[np.bool_], delay_ms: float, rng: np.random.Generator
 ) -> Frames:

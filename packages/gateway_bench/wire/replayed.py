@@ -11,7 +11,6 @@ from gateway.bus.frames import Frames
 from gateway.config.model import Config
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
-from gateway_fdi.common.tomlfile import read_toml
 
 
 @dataclass
@@ -35,11 +34,6 @@ def config_of(monitor: dict[str, Any], database: Path | str, **more: Any) -> Con
     """A configuration of one bus and one monitor, from the tables that a file would have."""
     bus = {"name": "can0", "uri": "loopback:127.0.0.1:29999", "database": [str(database)]}
     return Config.model_validate({"name": "t", "bus": [bus], "monitor": [{"name": "m", **monitor}], **more})
-
-
-def read_config(path: Path) -> Config:
-    """A configuration's file."""
-    return Config.model_validate(read_toml(path))
 
 
 def through(config: Config, batches: Iterable[Frames]) -> Said:

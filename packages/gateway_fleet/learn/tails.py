@@ -1,18 +1,14 @@
-"""How far healthy values go beyond those that were seen: the tail of the values seen, at a given rate of false alarms.
-
-Above a high quantile of block maxima the excess is taken for exponential (peaks over threshold): its mean excess
-says how much farther the next ones go. The limit is exceeded once in ``HOURS`` hours.
-"""
+"""Limits from the tail of healthy values (:mod:`gateway_fdi.tails`): they are exceeded once in ``HOURS`` hours."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway_fdi.tails import exceeded_once
+
 #: Time in which a configuration may set one false code [h], and limits of one configuration that share it.
 HOURS, SHARERS = 100.0, 100.0
-#: Share of the blocks whose excess is taken for the tail, and how many they are at least.
-SHARE, LEAST = 0.1, 5
 
 
 def limit_above(maxima: NDArray[np.float64], block_s: float, floor: float) -> float:
@@ -23,13 +19,7 @@ def limit_above(maxima: NDArray[np.float64], block_s: float, floor: float) -> fl
         block_s: length of a block [s].
         floor: mean excess at least: the resolution of what is measured.
     """
-    count = max(LEAST, int(SHARE * len(maxima)))
-    ordered = np.sort(maxima)
-    threshold = float(ordered[max(len(ordered) - count - 1, 0)])
-    excess = ordered[max(len(ordered) - count, 0) :] - threshold
-    mean = max(float(excess.mean()), floor)
-    blocks = HOURS * SHARERS * 3600.0 / block_s
-    return threshold + mean * float(np.log(max(count / len(ordered) * blocks, 1.0)))
+    return exceeded_once(maxima, HOURS * SHARERS * 3600.0 / block_s, floor)
 
 
 def sustained(off: NDArray[np.float64], rows: int) -> NDArray[np.float64]:

@@ -19,7 +19,6 @@ from gateway.runtime.app import Gateway
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario, load_scenario
 from gateway_fdi.common.resources import shipped
-from gateway_fdi.structure.file import load_model
 from gateway_plants.structural.ecu.params import StructuralFault, StructuralParams
 
 #: Plants of the gallery.
@@ -132,11 +131,3 @@ def run(plant: str, case: Case, seed: int) -> Outcome:
         tuple(code for _, code in behind),
         named[0] - begin if named else float("nan"),
     )
-
-
-def other_parameters(plant: str, share: float, seed: int) -> dict[str, float]:
-    """Return parameters of a plant, each off by a share up or down."""
-    model = load_model(shipped(f"models/{plant}.toml"))
-    rng = np.random.default_rng([seed, 5])
-    values = {p: model.quantities[p].value for p in model.parameters}
-    return {p: v * (1.0 + share * float(rng.choice([-1.0, 1.0]))) for p, v in values.items() if v is not None}

@@ -12,10 +12,10 @@ from matplotlib.image import imread
 from typer.testing import CliRunner
 
 from gateway.cli import app
-from gateway.cli.structure_figures import draw
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.structure.analysis import analyse
 from gateway_fdi.structure.file import load_model
+from gateway_plants.structural.analysis.figures import draw
 
 
 def run(*arguments, code=0):

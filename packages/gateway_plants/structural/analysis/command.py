@@ -293,7 +293,7 @@ def structure(
             progress=lambda what, share: bar.update(task, description=what, completed=share),
         )
     if plot is not None:
-        from gateway.cli.structure_figures import draw  # noqa: PLC0415 - slow to load
+        from gateway_plants.structural.analysis.figures import draw  # noqa: PLC0415 - slow to load
 
         draw(plot, analysis)
     if residual is not None and export is not None:

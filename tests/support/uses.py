@@ -1,0 +1,148 @@
+"""The packages and plants that each file of tests uses: the one table of the tests' own settings and of scripts.
+
+A file whose packages or plants are not in this checkout is left out (conftest.py, scripts/without). The tests of a
+package are those of which it is the highest that they use (scripts/mutate).
+"""
+
+import re
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+TESTS = ROOT / "tests"
+_IMPORT = re.compile(r"^ *(?:from|import) ([\w.]+)", re.MULTILINE)
+PLANTS = ("crank", "pedal", "steering", "linear", "truck", "structural")
+_BENCH = "gateway_bench"
+
+#: Package -> those below it. The door of pytest imports nothing, and opens the bench's plugin.
+BELOW = {
+    "gateway_fdi": (),
+    "gateway": ("gateway_fdi",),
+    _BENCH: ("gateway", "gateway_fdi", "gateway_pytest"),
+    "gateway_plants": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
+    "gateway_fleet": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
+}
+PACKAGES = (*BELOW, "gateway_pytest")
+
+#: Files of tests, helpers, and folders of them that use a plant's shipped files, or a package's commands and types, by
+#: name only. What a file imports, itself or by its helpers, has no line here (tests/test_uses.py holds the lines).
+USES = {
+    "fleet": ("gateway_fleet",),
+    "pytest_plugin": (_BENCH,),
+    "cli/test_wheel.py": ("crank", "gateway_fleet"),
+    "cli/test_measure.py": ("crank",),
+    "bus/test_bounds.py": ("crank",),
+    "calibration/test_cusum_tests.py": ("steering", "crank"),
+    "calibration/test_of_a_fleet.py": ("steering", "gateway_fleet"),
+    "calibration/test_stopping_rules.py": ("pedal", "steering"),
+    "cli/test_check.py": ("steering", "structural"),
+    "cli/test_errors.py": (*PLANTS, _BENCH),
+    "cli/test_failures.py": ("crank", "structural"),
+    "cli/test_present.py": ("crank", "pedal", "steering", "linear"),
+    "cli/test_series.py": ("structural", _BENCH),
+    "cli/test_simulate.py": ("pedal",),
+    "engine/checks/test_communication.py": ("crank",),
+    "engine/test_depends.py": (*PLANTS, _BENCH),
+    "fdi/structure/test_c_export.py": ("truck", "structural"),
+    "fdi/structure/test_conditioning.py": ("structural",),
+    "fdi/structure/test_generator.py": ("truck", "structural"),
+    "fdi/structure/test_model_files.py": ("truck",),
+    "fdi/structure/test_simulation.py": ("structural",),
+    "fdi/structure/test_sufficient.py": ("truck",),
+    "fdi/structure/test_table_iv.py": ("truck",),
+    "fdi/structure/test_toolbox.py": ("truck",),
+    "fleet/test_digest.py": ("structural",),
+    "inject/ecus.py": ("linear",),
+    "jit/test_shipped.py": (*PLANTS, _BENCH),
+    "live/test_causes_everywhere.py": ("linear",),
+    "live/test_several_buses.py": ("pedal",),
+    "monitors/test_invalid_values.py": ("crank", "pedal", "steering", "linear", "truck"),
+    "monitors/test_wrong_parameters.py": PLANTS,
+    "serve/test_hostile.py": ("crank", _BENCH),
+    "serve/test_metrics.py": ("crank",),
+    "serve/test_processes.py": ("crank", _BENCH),
+    "serve/test_prometheus.py": ("crank", _BENCH),
+    "serve/test_report.py": ("crank",),
+    "serve/test_watch.py": ("crank",),
+    "structural/monitor/test_choice.py": ("truck",),
+    "structural/test_structure.py": ("truck",),
+    "studies/test_cause.py": ("structural", "pedal", "truck"),
+    "system/test_page.py": ("crank", _BENCH),
+    "system/test_pedal.py": ("pedal",),
+    "system/test_processes.py": ("crank",),
+    "system/test_watchdog.py": (_BENCH,),
+    "system/vcan/test_crank_scenarios.py": ("crank",),
+    "system/vcan/test_linear_scenarios.py": ("linear",),
+    "system/vcan/test_peers.py": ("crank",),
+    "system/vcan/test_pedal_scenarios.py": PLANTS,
+    "system/vcan/test_steering_scenarios.py": ("steering",),
+    "system/vcan/test_truck_scenarios.py": ("truck",),
+    "system/vcan/test_guest.py": (*PLANTS, _BENCH),
+    "test_causes.py": ("structural", "pedal", "crank", "truck"),
+    "test_docs.py": (*PLANTS, _BENCH, "gateway_fleet"),
+    "test_gateway.py": PLANTS,
+    "test_kernels_again.py": PLANTS,
+    "test_mistakes.py": ("crank",),
+    "test_own_frames.py": ("crank",),
+    "test_plugins.py": ("crank", _BENCH),
+    "test_reload.py": ("crank", "pedal", "steering", "linear", "truck"),
+    "test_start.py": tuple(name for name in PLANTS if name != "structural"),
+    "vecu/test_conditional.py": ("crank", "linear"),
+    "vecu/test_encode.py": ("pedal", "steering"),
+    "vecu/test_every_ecu.py": ("crank",),
+    "vecu/test_loop.py": ("linear",),
+}
+
+
+@cache
+def lacking(name):
+    """Return whether a package ("gateway_bench") or a plant ("crank") is not in this checkout."""
+    if name == "gateway":
+        return not (ROOT / "gateway" / "__init__.py").exists()
+    folder = f"packages/{name}" if name.startswith("gateway_") else f"packages/gateway_plants/{name}"
+    return not (ROOT / folder).is_dir()
+
+
+@cache
+def helpers(file):
+    """Return the files of tests that a file imports, by their names."""
+    names = {name.partition(".")[0] for name in _IMPORT.findall(file.read_text())}
+    near = [path for name in names for path in TESTS.glob(f"*/{name}.py") if not name.startswith("test_")]
+    return tuple(path for path in near if path != file)
+
+
+@cache
+def imported(file):
+    """Return the packages and plants that a file of tests imports, itself or by its helpers."""
+    found = set()
+    for name in _IMPORT.findall(file.read_text()):
+        package, _, rest = name.partition(".")
+        found.add(rest.partition(".")[0] if package == "gateway_plants" and rest else package)
+    found &= {*PACKAGES, *PLANTS}
+    return frozenset(found.union(*map(imported, helpers(file))))
+
+
+@cache
+def uses(file):
+    """Return the packages and plants that a file of tests uses; each file in a plant's folder uses it."""
+    place = file.relative_to(TESTS)
+    named = [name for path in (place, *place.parents) for name in USES.get(path.as_posix(), ())]
+    own = {place.parts[0]} & {*PLANTS}
+    return imported(file).union(named, own, *map(uses, helpers(file)))
+
+
+def missing(file):
+    """Return which packages and plants a file of tests uses that are not in this checkout."""
+    if file.suffix != ".py" or not any(map(lacking, (*PLANTS, *PACKAGES))):
+        return ()
+    return tuple(sorted(filter(lacking, uses(file))))
+
+
+def own_tests(package, used_by=uses):
+    """Return the files of a package's own tests: it is the highest that they use, or import (``used_by=imported``)."""
+    found = []
+    for file in sorted(TESTS.rglob("test_*.py")):
+        used = {"gateway_plants" if name in PLANTS else name for name in used_by(file)}
+        if package in used and used <= {package, *BELOW[package]}:
+            found.append(file)
+    return found
