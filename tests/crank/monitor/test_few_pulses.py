@@ -43,8 +43,12 @@ def driven(
     seed=1,
     gone=(),
     ripple=(),
+    events=None,
 ):
-    """Drive an engine whose first pulse is any; returns failed faults, what was sent, and tooth and speed then."""
+    """Drive an engine whose first pulse is any; returns failed faults, what was sent, and tooth and speed then.
+
+    ``events`` takes those of faults.
+    """
     print(f"seed {seed}")
     w, rng = Wheel.parse(real or wheel), np.random.default_rng([seed, 44])
     if not ripple and w.pulses < 12:
@@ -65,8 +69,9 @@ def driven(
         emission=load_database([GATEWAY_DBC]).message("GW_EngineSync"),
     )
     engine = build_engine([(0, load_database([shipped("dbc/crank.dbc")]))], [monitor], [])
-    failed = []
-    sent = engine.process(frames, lambda e: failed.extend(e["fault"][e["result"] == FAILED].tolist()))
+    events = [] if events is None else events
+    sent = engine.process(frames, lambda e: events.extend(e[e["result"] == FAILED].copy()))
+    failed = [e["fault"] for e in events]
     alone = frames["t_ns"][np.isin(frames["can_id"], [0x700, 0x703])]
     sent = sent[np.isin(sent["t_ns"], alone)]
     last = np.searchsorted(times, sent["t_ns"] - (242_000 if form == "classic" else 354_000), side="right") - 1
@@ -192,10 +197,16 @@ def test_one_pulse_missed_or_added_is_named_where_physics_decides(text):
         assert [FAULTS[j].name for j in found.fault] == ["added_pulse"], k
 
 
-@pytest.mark.parametrize(("told", "real", "cam"), [("6", "36-1", ()), ("36", "60-2", ()), ("24", "36", HALF_MOON)])
-def test_another_wheel_is_told(told, real, cam):
-    failed, values, *_ = driven(told, "fd", real=real, cam=cam, tolerance=3.0, seconds=6.0)
+@pytest.mark.parametrize(
+    ("told", "real", "cam", "gap"), [("6", "36-1", (), 2), ("36", "60-2", (), 3), ("24", "36", HALF_MOON, 1)]
+)
+def test_another_wheel_is_told(told, real, cam, gap):
+    events = []
+    failed, values, *_ = driven(told, "fd", real=real, cam=cam, tolerance=3.0, seconds=6.0, events=events)
     assert "wrong_wheel" in failed
+    evidence = next(e["evidence"] for e in events if FAULTS[e["fault"]].name == "wrong_wheel")
+    wheel = Wheel.parse(real)
+    assert evidence[:3] == pytest.approx([wheel.pulses + gap - 1, wheel.pulses, gap], rel=0.05)
     assert set(failed) <= {"wrong_wheel", "missed_pulse", "pulses_lost"}
     assert {v["SyncState"] for v in values} <= {0, 1, SPEED_ONLY}
     assert values[-1]["SyncState"] == 0
