@@ -19,13 +19,15 @@ from gateway.config.model import Config
 from gateway.config.resolve import resolve
 from gateway.engine.wiring import wire
 from gateway.monitors.contract import SensorCalibration
+from gateway.monitors.sampling import Const, Numbers, Sampling, number_all, prepare
 from gateway.signals.decode import lookup
 from gateway.signals.payloads import columns
 from gateway.signals.tables import SignalRef, compile_plan
 from gateway_fdi.errors import InputError
+from gateway_fdi.jit import zeros
 
-#: Samples further from each other than this number of periods are no neighbours.
-_GAP = 1.5
+#: Samples further from each other than this number of periods are not of one record.
+_GAP = 16
 
 Array = NDArray[np.float64]
 
@@ -52,7 +54,15 @@ class Sensors:
 class _Reader:
     """Reads the signals of one monitor off the frames."""
 
-    def __init__(self, config: Config, places: Sequence[SignalRef], databases: Mapping[int, Any]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        places: Sequence[SignalRef],
+        counters: Sequence[SignalRef],
+        databases: Mapping[int, Any],
+    ) -> None:
+        self._sensors = len(places)
+        places = [*places, *(counter for counter in counters if counter[:2] == places[-1][:2])]
         self._plan = compile_plan(list(databases.items()), set(places))
         self._columns = [
             (self._plan.message(place.bus, place.message), self._plan.position(*place)) for place in places
@@ -78,18 +88,29 @@ class _Reader:
                 if message == row:
                     self._values[k].append((mine["t_ns"].astype(np.int64), values[:, position]))
 
-    def records(self, period_ns: float) -> Iterator[Array]:
-        """Yield samples, shape (samples, signals): one a frame of the last signal; of the others the newest."""
+    def records(self, sampling: Sampling) -> Iterator[Array]:
+        """Yield samples, shape (samples, signals): one a frame of the last signal; of the others the newest.
+
+        Which sample a frame carries its counter says, if it has one; those that were lost are NaN.
+        """
         if not all(self._values):
             return
         told = [(np.concatenate([t for t, _ in v]), np.concatenate([y for _, y in v])) for v in self._values]
-        t_ns = told[-1][0]
-        table = np.full((len(t_ns), len(told)), np.nan)
-        for k, (times, values) in enumerate(told):
+        t_ns = told[self._sensors - 1][0]
+        table = np.full((len(t_ns), self._sensors), np.nan)
+        for k, (times, values) in enumerate(told[: self._sensors]):
             at = np.searchsorted(times, t_ns, side="right") - 1
             table[at >= 0, k] = values[at[at >= 0]]
-        cuts = np.flatnonzero(np.diff(t_ns) > _GAP * period_ns) + 1
-        yield from np.split(table, cuts)
+        c, numbers = zeros(1, Const)[0], np.empty(len(t_ns), np.int64)
+        prepare(c, sampling, 1)
+        counters = told[-1][1] if len(told) > self._sensors else np.full(len(t_ns), np.nan)
+        number_all(zeros(1, Numbers)[0], c, t_ns, counters, numbers)
+        taken = numbers >= 0
+        for rows in np.split(np.flatnonzero(taken), np.flatnonzero(np.diff(numbers[taken]) > _GAP) + 1):
+            at = numbers[rows] - numbers[rows[0]]
+            record = np.full((at[-1] + 1, self._sensors), np.nan)
+            record[at] = table[rows]
+            yield record
 
 
 def of_log(
@@ -103,7 +124,7 @@ def of_log(
 ) -> Part:
     """Replay a log; returns the readings of one monitor.
 
-    They are one array of shape (samples, inputs); the fact ``rows`` says how many of these are in a row without a gap.
+    They are one array of shape (samples, inputs); the fact ``rows`` says how many of these are of one record.
 
     Raises:
         InputError: the log cannot be read.
@@ -113,20 +134,19 @@ def of_log(
     databases = dict(enumerate(found.databases))
     wired = wire(found.monitors[0], databases, {bus.name: k for k, bus in enumerate(config.bus)})
     places = wired.inputs[: chosen.calibration.sensors(chosen.params)]
-    reader = _Reader(alone, [place for place in places if place is not None], databases)
+    reader = _Reader(alone, [place for place in places if place is not None], wired.counters, databases)
     with Replay(alone, file) as replay:
         for frames in replay.frames(log, maps, progress):
             reader.take(frames)
             replay.gateway.feed(frames)
-    period_ns = chosen.calibration.period_ms(chosen.params) * 1e6
-    records = list(reader.records(period_ns))
+    records = list(reader.records(wired.samplings[0]))
     readings = {chosen.name: np.concatenate(records)} if records else {}
     rows = [len(record) for record in records]
     return Part(replay.seconds, tuple(sorted(replay.failed)), readings, {"rows": rows})
 
 
 def _records(part: Part) -> list[Array]:
-    """Return the readings of a log that are in a row."""
+    """Return the records of a log."""
     ends = np.cumsum(part.facts["rows"], dtype=np.int64)[:-1]
     return [record for array in part.arrays.values() for record in np.split(array, ends)]
 

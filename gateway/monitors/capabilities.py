@@ -95,16 +95,14 @@ class Measured:
 
 @dataclass(frozen=True)
 class SensorCalibration:
-    """Redundant sensors of a monitor that healthy logs can measure.
+    """Redundant sensors of a monitor (:class:`Sampled`) that healthy logs can measure.
 
     Attributes:
-        period_ms: parameters -> time between two samples.
         sensors: parameters -> how many of its inputs they are, the first ones.
-        found: parameters, readings in a row of shape (samples, sensors) -> what they say; an
-            :class:`~gateway_fdi.errors.InputError` with the key of its table where they do not tell.
+        found: parameters, readings in a row of shape (samples, sensors), NaN where a sample was lost -> what they say;
+            an :class:`~gateway_fdi.errors.InputError` with the key of its table where they do not tell.
     """
 
-    period_ms: Callable[[Any], float]
     sensors: Callable[[Any], int]
     found: Callable[[Any, Sequence[Any]], Measured]
 

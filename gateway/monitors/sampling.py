@@ -39,6 +39,8 @@ SETTLES = 32
 #: Number of frames in a row that seem to be overtaken: the sender has started again; so it has if, after DOUBT of them,
 #: one seems to have waited for half as many periods.
 ANEW, DOUBT = 16, 8
+#: Periods that all frames of a window have waited from where on they may catch up soon.
+ALL_LATE = 2.0
 #: Number of frames in a row with one counter, and not just a repeated frame: it does not count.
 STANDS = 3
 
@@ -158,6 +160,8 @@ class State(Record, lengths={"messages": 1}):
     begun: i8 = means("1: there is a set")
     newest: i8 = means("number of the newest of all frames")
     shift: i8 = means("a number less its counter")
+    turned_ns: i8 = means("when the first message came after the last silence of half a turn of the counter", "ns")
+    turns: i8 = means("turns that the counter made in it, by that message")
     apart: i8 = means("sets that were given up")
     tick_ns: i8 = means("next tick; 0: the clock stands", "ns")
     at_ns: i8 = means("time of the sample", "ns")
@@ -216,6 +220,8 @@ def _by_clock(s: Numbers, arrived_ns: int, period_ns: int) -> int:
 @kernel
 def _wait(s: Numbers, arrived_ns: int, period_ns: int) -> None:
     """Take a frame's waiting: the periods lie where frames waited least."""
+    if s.date_ns - arrived_ns > EARLY * period_ns or (s.window == WINDOW - 1 and s.least > ALL_LATE * period_ns):
+        s.settled = 0  # all before had waited, or wait now: who catches up comes too early
     s.date_ns = min(s.date_ns, float(arrived_ns))
     waited = arrived_ns - s.date_ns
     s.least = waited if s.window == 0 else min(s.least, waited)
@@ -251,8 +257,8 @@ def _steps(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
         s.rounds, rounds = 0, in_order
     elif rounds < 0 and s.settled < SETTLES:  # it is the first frames that waited
         rounds = in_order
-    elif rounds > 0 and 2 * (arrived_ns - s.arrived_ns) < modulo * period_ns:
-        rounds = in_order  # frames keep coming: they have all waited for long
+    elif rounds > in_order and 2 * (arrived_ns - s.arrived_ns) < modulo * period_ns:
+        rounds = in_order  # frames keep coming: they have all waited for long, or been swapped meanwhile
     steps += modulo * rounds
     if rounds > in_order:
         s.rounds, s.doubt_ns = rounds - in_order, arrived_ns
@@ -329,6 +335,14 @@ def number(s: Numbers, c: Const, arrived_ns: int, counter: float) -> int:
 
 
 @kernel
+def number_all(s: Numbers, c: Const, arrived_ns: Any, counters: Any, numbers: Any) -> None:
+    """Number all frames of a message, shape (frames,); -1: it was overtaken."""
+    for k in range(len(numbers)):
+        newer = number(s, c, arrived_ns[k], counters[k])
+        numbers[k] = s.number if newer > 0 else -1
+
+
+@kernel
 def _gap(s: Any, c: Const, t_ns: int) -> int:
     """Return the periods from the sample before, by a message that both have; else by their times."""
     if s.samples == 0:
@@ -373,6 +387,18 @@ def _agree(s: Any, c: Const, n: Numbers, counter: float) -> None:
 
 
 @kernel
+def _share_turns(s: Any, c: Const, message: int, t_ns: int, steps: int) -> int:
+    """Return a message's steps with as many turns of the counter as the first of all took after a common silence."""
+    came_ns = s.came_ns[message]
+    if came_ns == 0 or 2 * (t_ns - came_ns) < c.modulo * c.period_ns:
+        return steps
+    turns = (steps - 1) // c.modulo
+    if s.turned_ns <= came_ns:
+        s.turned_ns, s.turns = t_ns, turns
+    return int(steps + c.modulo * (s.turns - turns))
+
+
+@kernel
 def _take_of_set(s: Any, c: Const, message: int, t_ns: int, counter: float) -> int:
     """Take a frame of one of several messages whose counters agree; see :func:`take`."""
     n, bit = s.numbers[message], 1 << message
@@ -380,6 +406,10 @@ def _take_of_set(s: Any, c: Const, message: int, t_ns: int, counter: float) -> i
         return OVERTAKEN
     agrees = s.begun == 1 and n.seen > 0 and _follows(n, c, counter)
     steps = number(n, c, t_ns, counter)
+    if steps > 0:
+        shared = _share_turns(s, c, message, t_ns, steps)
+        n.number += shared - steps
+        steps = shared
     if agrees and steps == 1:
         s.newest = max(s.newest, n.number)
     elif steps > 0:

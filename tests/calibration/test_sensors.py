@@ -11,6 +11,7 @@ from gateway.bus.logs import open_writer
 from gateway.cli import app
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
+from gateway_bench.wire.road import road
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED
 from gateway_plants.pedal.monitor.measured import found
@@ -40,10 +41,10 @@ dtc = "P157C-28"
 """
 
 
-def log(path, plant, travel, rng, *, supply=None, faults=()):
-    """Write a drive as a log."""
+def log(path, plant, travel, rng, **way):
+    """Write a drive as a log; ``way``: what happens to its frames."""
     with open_writer(path) as writer:
-        writer.write(sensors.frames(plant, sensors.readings(plant, travel, rng, supply=supply, faults=faults)))
+        writer.write(road(sensors.frames(plant, sensors.readings(plant, travel, rng)), rng, **way))
     return path
 
 
@@ -104,6 +105,21 @@ def test_the_command_measures_and_writes(tmp_path, drive):
     assert again.exit_code == 0, again.output
     anew = monitor_of(load_config(config).monitor[0])[1]
     assert [c.noise for c in anew.channels] == pytest.approx([c.noise for c in params.channels], rel=0.08)
+
+
+def test_frames_that_are_lost_or_late_or_swapped_change_nothing(tmp_path, drive):
+    print("seed", SEED + 5)
+    plant, travel, _ = drive
+    config, said = tmp_path / "c.toml", []
+    config.write_text(CONFIG)
+    for way in ({}, {"loss": 0.05, "stamps_ms": 0.3, "reorder": 0.02}):
+        drove = log(tmp_path / "drive.log", plant, travel, np.random.default_rng(SEED + 5), **way)
+        shown = calibrate(config, drove, "--json")
+        assert shown.exit_code == 0, shown.output
+        said.append({name: value for name, _, value, _ in json.loads(shown.stdout)["sensors"][0]["rows"]})
+    whole, lossy = said
+    for name in ("channel[0].noise", "channel[1].noise", "tolerance", "gain_error", "lag_ms"):
+        assert lossy[name] == pytest.approx(whole[name], rel=0.05), name
 
 
 def test_what_it_sets_is_silent_on_a_fresh_drive_and_sees_a_fault_sooner(drive):

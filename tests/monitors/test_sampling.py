@@ -77,6 +77,32 @@ def test_where_more_than_a_turn_of_the_counter_waits_it_goes_on_as_if_that_was_l
     assert (gaps[100:] == 1).all()
 
 
+def test_two_that_were_swapped_while_all_wait_are_no_turn_of_the_counter():
+    """From the 100th on frames come each 1.5 periods."""
+    n = np.arange(140)
+    late = BEGIN + (n + np.maximum(n - 100, 0) // 2) * PERIOD
+    n[[134, 135]] = 135, 134
+    found = numbered(late, n % 16)
+    assert found[135] == 0, "it was overtaken"
+    assert set(np.diff(found[found > 0])) == {1, 2}
+
+
+def test_messages_of_one_counter_agree_on_its_turns():
+    """All wait, from the midst of a set on, so that one has been silent for three turns, the other for nearly three."""
+    s, c = zeros(1, two)[0], zeros(1, sampling.Const)[0]
+    sampling.prepare(c, Sampling("counter", 1.0, np.inf, 1000.0, depth=32), 2)
+    ends = []
+    for k in range(500):
+        n, message = divmod(k, 2)
+        t = BEGIN + n * PERIOD + message * 150_000
+        if 100 * PERIOD <= t - BEGIN < 148 * PERIOD and k > 200:
+            t = BEGIN + 147_857_000 + (k - 201) * 60_000
+        if sampling.take(s, c, message, max(t, int(s["came_ns"].max())), float(n % 16)) == SAMPLE:
+            ends.append((n, message))
+    assert all(message == 1 for _, message in ends), "each set ends with the second message of its own time"
+    assert [n for n, _ in ends] == [n for n in range(250) if n != 100]
+
+
 def test_samples_that_were_lost_are_counted_also_beyond_a_turn():
     n = np.concatenate([np.arange(100), np.arange(140, 300)])
     found = numbered(BEGIN + n * PERIOD, n % 16)

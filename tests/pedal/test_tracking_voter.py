@@ -99,7 +99,7 @@ def test_a_line_that_moves_while_another_channel_repeats_itself():
     for row in rows[1:]:
         y = np.array(row)
         habits.watch(h, 2, y, y, 3, 0, 0.01, 0.0, 0.1, 0.0, 1.0)
-        found.append((habits.outrun(h, 2, 1, y, 2, 0.03, 0.003), habits.outrun(h, 2, 0, y, 2, 0.03, 0.003)))
+        found.append(tuple(habits.outrun(h, 2, i, y, 2, 0.03, 0.003)[0] for i in (1, 0)))
     assert found[-1] == (0, -1)
     assert found[1] == (-1, -1), "two samples are not enough"
 

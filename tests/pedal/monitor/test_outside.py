@@ -45,6 +45,10 @@ def test_no_healthy_pedal_is_accused(k):
         ("supply -10 %", 5_200_126),  # in motion, beside a lag
         ("open, floating", 5_200_113),  # beside a channel that rests and repeats itself
         ("healthy", 5_320_004),  # a frame that was overtaken by a whole turn of the counter
+        ("healthy", 5_330_047),  # 8 bits, and a channel that lags ends beside the one that has stopped
+        ("chatter in 20 %", 5_340_013),  # two readings of it made a line, beside a channel that rests
+        ("chatter in 20 %", 5_350_017),  # likewise, and the resting one is quieter than its steps
+        ("lag 50 ms", 5_330_023),  # frames that waited for more than a turn of the counter
     ],
 )
 def test_what_was_told_wrong_or_not_at_all(name, seed):

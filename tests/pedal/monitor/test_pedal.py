@@ -158,6 +158,13 @@ def test_each_fault_is_named_with_evidence_and_heals(injected, name):
 
 
 @pytest.mark.skipif(not COMPILED, reason="seconds of samples")
+def test_a_channel_that_goes_wrong_once_for_some_samples_is_not_erratic():
+    """For 25 samples, too few to isolate it: what counts is how often it begins."""
+    seen, _ = found(drive(SensorFault(kind="offset", channel=(1,), from_s=BEGIN, to_s=BEGIN + 0.025, size=0.03)))
+    assert seen.failed() == []
+
+
+@pytest.mark.skipif(not COMPILED, reason="seconds of samples")
 def test_a_drift_is_seen_in_a_pair_and_named_in_a_triple():
     drifting = SensorFault(kind="drift", channel=(1,), from_s=BEGIN, size=0.05)
     pair, engine = found(drive(drifting))

@@ -37,15 +37,16 @@ Array = NDArray[np.float64]
 
 
 def _positions(p: Params, records: Sequence[Array]) -> list[Array]:
-    """Return readings as per cent of the travel; those beyond the range end a record."""
+    """Return readings as per cent of the travel; those beyond the range end a record, lost ones (NaN) do not."""
     low = np.array([channel.low for channel in p.channels])
     high = np.array([channel.high for channel in p.channels])
     rest = np.array([channel.at_rest for channel in p.channels])
     percent = np.array([channel.percent for channel in p.channels])
     found, total, wrong = [], 0, np.zeros(len(p.channels))
     for record in records:
-        fine = (record >= low) & (record <= high)
-        total += len(record)
+        lost = np.isnan(record)
+        fine = lost | ((record >= low) & (record <= high))
+        total += int(np.count_nonzero(~lost.any(axis=1)))
         wrong += (~fine).sum(axis=0)
         cuts = np.flatnonzero(~fine.all(axis=1))
         found += [part[1:] if k else part for k, part in enumerate(np.split((record - rest) * percent, cuts))]
@@ -64,8 +65,8 @@ def _refuse(p: Params, s: Survey) -> None:
     if s.blocks < BLOCKS:
         least = BLOCKS * max(20.0, LEAST_SAMPLES * p.period_ms * 1e-3)
         raise InputError(
-            f"the logs hold {s.blocks} stretches without a gap that are long enough; {BLOCKS} are needed, {least:.0f} "
-            f"s of readings each {p.period_ms:g} ms",
+            f"the logs hold {s.blocks} stretches that are long enough and not full of gaps; {BLOCKS} are needed, "
+            f"{least:.0f} s of readings each {p.period_ms:g} ms",
             key="period_ms",
             value=p.period_ms,
         )
@@ -100,7 +101,7 @@ def found(p: Params, records: Sequence[Array]) -> Measured:
 
     Args:
         p: parameters.
-        records: readings in a row, shape (samples, channels), units of the signals.
+        records: readings in a row, shape (samples, channels), units of the signals; NaN: lost.
 
     Raises:
         InputError: the logs do not tell, or are not healthy.

@@ -208,7 +208,7 @@ def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
         capabilities=(
             Blames(blames),
             Readout(_SHOWN),
-            SensorCalibration(lambda p: p.period_ms, lambda p: len(p.channels), measured.found),
+            SensorCalibration(lambda p: len(p.channels), measured.found),
             Sampled(lambda p: p.sampling),
         ),
     )

@@ -35,8 +35,10 @@ LOST = 0.05
 SHARE = 0.25
 #: What a silent sensor should have moved is forgotten, share a frame: at rest the filter's speed is noise.
 STILL = 0.02
-#: After so many lost frames everything starts anew, perhaps while the motor turns [rad/s].
+#: After so many lost frames, or ones that only waited, nobody knows how far the motor has turned, nor how fast [rad/s].
 GAP, MOVING = 8.0, 100.0
+#: Time in which the filter finds its state, and its speed alone [ms], and least frames of that.
+SETTLES, RESUMES, LEAST = 100.0, 15.0, 10
 
 
 class Const(Record):
@@ -53,6 +55,8 @@ class Const(Record):
     flux_error: f8 = means("share that c_M may be off")
     dead: f8 = means("voltage lost to dead time", "V")
     noise: f8 = means("voltage that is noise", "V")
+    settled: i8 = means("frames from which on the filter's state is known", "frames")
+    resumed: i8 = means("frames after a gap that its speed takes", "frames")
     input_gain: f8 = means("current that a voltage makes in a period", "A/V")
     quiet: f8 = means("speed below which the motor rests", "rad/s")
     silent: i8 = means("frames from which on a repeated reading counts", "frames")
@@ -64,7 +68,7 @@ class State(Record):
     """State."""
 
     started: i8 = means("1: a pair of frames has come")
-    frames: i8 = means("pairs of frames since the start", "frames")
+    frames: i8 = means("pairs of frames since the start; a gap takes some back", "frames")
     theta: f8 = means("electrical angle of the last frame", "rad")
     turned: f8 = means("electrical angle since then", "rad")
     speed: f8 = means("speed of the sensor", "rad/s")
@@ -114,6 +118,7 @@ def prepare(s: State, c: Const, p: Params) -> None:
     c.quiet, c.silent = 2.0, max(p.frames(35.0), 10)
     c.share = 1.0 - (1.0 - AVERAGE) ** p.period_ms
     c.gate, c.noise = 5.0 * motor.emf, 0.05
+    c.settled, c.resumed = p.frames(SETTLES), max(p.frames(RESUMES), LEAST)
     c.resistance_error, c.flux_error = p.resistance_error, p.flux_error
     c.dead = p.dead_volts
     c.input_gain = (1.0 - exp(-motor.resistance * period / motor.lq)) / motor.resistance
@@ -204,6 +209,25 @@ def _begin(s: State, c: Const, theta: float, i_alpha: float, i_beta: float) -> N
     s.theta, s.i_alpha, s.i_beta = theta, i_alpha, i_beta
     s.forward.alpha, s.forward.beta = i_alpha, i_beta
     s.angle = nan
+
+
+@kernel
+def _go_on(s: State, c: Const, theta: float, i_alpha: float, i_beta: float, periods: float) -> None:
+    """Go on after a gap: angle, speed and currents are found anew, load and resistance are what they were.
+
+    How long it was is not sure: what seems lost may have waited, and come now. So nothing is predicted over it; the
+    load wanders by its process noise.
+    """
+    f, n = s.filter, c.filter.n
+    speed, load = f.x[2], f.x[4]
+    unsure = f.p[4 * n + 4] + periods * c.filter.steps * c.filter.q[4 * n + 4]
+    resistance, frames, angle = f.resistance, s.frames, s.angle
+    _begin(s, c, theta, i_alpha, i_beta)
+    f.x[0], f.x[1], f.x[2], f.x[4] = i_alpha, i_beta, speed, load
+    f.p[0] = f.p[n + 1] = c.filter.r
+    f.p[4 * n + 4] = min(unsure, f.p[4 * n + 4])
+    f.resistance, s.angle = resistance, angle
+    s.frames = min(frames, c.settled - c.resumed)
 
 
 @kernel
@@ -315,8 +339,11 @@ def step(
         trusted: nothing is known against the sensor that anchors the filter at standstill.
     """
     i_alpha, i_beta = clarke(i_u, i_v)
-    if s.started == 0 or periods > GAP:
+    if s.started == 0:
         _begin(s, c, theta, i_alpha, i_beta)
+        return
+    if periods > GAP:
+        _go_on(s, c, theta, i_alpha, i_beta, periods)
         return
     if c.warm == 1 and isfinite(celsius):
         s.filter.resistance = warm_resistance(c.resistance, celsius)

@@ -66,8 +66,6 @@ OLDEST = 1000
 #: turned: what it makes of a turning wheel is allowed for. The motor stands: the EMF cannot say which angle is wrong.
 #: The angle sensor is not lively at rest: one that is stuck shows when it is to move.
 NO_PAIRS, NO_GEAR, AGE_UNKNOWN, NO_EMF, STUCK_AT_REST = 1, 2, 4, 8, 16
-#: Frames behind a start in which nothing is judged [ms].
-SETTLES = 100.0
 #: Steps of the motor's angle sensor that matter beside the other two [deg].
 COARSE_STEP = 0.1
 #: From this period on the current's time constant is missed [ms].
@@ -143,7 +141,6 @@ def _emits(_: Params) -> Emission:
 
 def _prepare(p: Params, s: State, c: Const) -> None:
     c.period_ns = round(p.period_ms * 1e6)
-    c.settled = p.frames(SETTLES)
     c.degraded = p.period_ms >= COARSE
     electrics.prepare(s.electrics, c.electrics, p)
     kinematics.prepare(c.kinematics, p)
@@ -174,7 +171,7 @@ def _unseen(s: State, c: Const) -> int:
     m, k = s.electrics, s.kinematics
     s.wheel_age_ms = (c.kinematics.delay_ns + k.extra_ns) * 1e-6
     s.angle_step = m.step * 180.0 / (pi * c.electrics.pole_pairs)
-    missing = NO_PAIRS if m.frames < c.settled else 0
+    missing = NO_PAIRS if m.frames < c.electrics.settled else 0
     if s.symptoms.geared == 0:
         missing |= NO_GEAR
     elif k.aged == 0:
@@ -224,7 +221,9 @@ def _pair(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> bool:
     trusted = not decision.motor_angle_fault(d.found)
     theta = u.theta_park * pi / 180.0
     electrics.step(m, c.electrics, u.i_u, u.i_v, theta, u.u_sd_mean, u.u_sq_mean, u.t_wdg, periods, trusted)
-    if m.frames >= c.settled and periods <= 1.0:
+    if m.frames < c.electrics.settled or periods > 1.0:
+        y.onset.torn = 1
+    else:
         symptoms.update_motor(y, c.symptoms, m)
         y.geared = 1 if kinematics.tested(k, c.kinematics, u.t_ns) else 0
         known = decision.angle_fault(d.found)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import hypot, sqrt
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8s, i8, kernel, means
+from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
 
 #: Voltage residuals that are kept.
 RING = 256
@@ -19,8 +19,8 @@ SEARCH, BEFORE, BEHIND = 220, 12, 6
 FIRST = 1.5
 #: A step stands out of the noise before it by this factor at least.
 STANDS_OUT = 2.0
-#: How a step begins; UNKNOWN: none stands out, or too little was kept.
-UNKNOWN, AT_ONCE, DELAYED = range(3)
+#: How a step begins; UNKNOWN: none stands out, or too little was kept; UNSEEN: while nothing was kept.
+UNKNOWN, AT_ONCE, DELAYED, UNSEEN = range(4)
 
 
 class State(Record):
@@ -30,6 +30,8 @@ class State(Record):
     held: i8 = means("residuals that there are")
     alpha: Annotated[f8s, RING] = means("voltage residual", "V")
     beta: Annotated[f8s, RING] = means("likewise", "V")
+    behind: Annotated[i8s, RING] = means("1: residuals are missing before it")
+    torn: i8 = means("1: the next residual does not follow the last one")
 
 
 @kernel
@@ -37,6 +39,7 @@ def keep(s: State, alpha: float, beta: float) -> None:
     """Keep a voltage residual [V]."""
     s.alpha[s.at] = alpha
     s.beta[s.at] = beta
+    s.behind[s.at], s.torn = s.torn, 0
     s.at = (s.at + 1) % RING
     s.held = min(s.held + 1, RING)
 
@@ -80,13 +83,16 @@ def shape(s: State) -> int:
     """Tell how the step of the voltage residual begins."""
     if s.held < RING:
         return UNKNOWN
-    best, ratio = 0.0, 0.0
+    best, ratio, unseen = 0.0, 0.0, 0
     for back in range(BEHIND + 1, SEARCH):
         # The onset is where the step stands out most from what was before.
         standing, product, step = _step(s, back)
         if standing > best:
             best = standing
             ratio = product / (step * step)
+            unseen = s.behind[(s.at - 1 - back) % RING]
     if best < STANDS_OUT:
         return UNKNOWN
+    if unseen == 1:
+        return UNSEEN
     return AT_ONCE if ratio > FIRST else DELAYED

@@ -11,7 +11,6 @@ class Const(Record):
     """Constants."""
 
     period_ns: i8 = means("period of the motor's messages", "ns")
-    settled: i8 = means("pairs of frames after a start in which nothing is judged")
     degraded: i8 = means("1: the period is too long for the currents' time constant")
     electrics: electrics.Const = means("the motor's side")
     kinematics: kinematics.Const = means("the gear's side")

@@ -74,6 +74,7 @@ class State(Record):
     emf_alarms: i8 = means("frames in a row in which the EMF contradicted the motor's angle", "frames")
     electric: i8 = means("how often currents and voltages did not fit, lately")
     frozen: i8 = means("frames for which a current has not changed", "frames")
+    unseen: i8 = means("1: nobody has seen how the present misfit of currents and voltages began")
     last_u: f8 = means("last phase current", "A")
     last_v: f8 = means("likewise", "A")
     jump: jumps.State = means("window behind a jump")
@@ -258,6 +259,10 @@ def _angles(s: State, c: Const, angle: float, parity: float, wheel: float, watch
 def step_shape(s: State) -> int:
     """Return the symptom of how the voltage residual has stepped; none if that cannot be told."""
     shape = onset.shape(s.onset)
+    if shape == onset.UNSEEN:
+        s.unseen = 1
+    if s.unseen == 1:
+        return 0  # a later step is not the one that it began with
     if shape == onset.AT_ONCE:
         return STEP_AT_ONCE
     return STEP_DELAYED if shape == onset.DELAYED else 0
@@ -281,6 +286,8 @@ def _count_electric(s: State, c: Const, i_u: float, i_v: float, angle_wrong: boo
 def _electric(s: State, c: Const, i_u: float, i_v: float, angle_wrong: bool) -> int:
     """Return the symptoms of currents and voltages."""
     _count_electric(s, c, i_u, i_v, angle_wrong)
+    if s.electric == 0:
+        s.unseen = 0
     if s.electric < c.window // 2:
         return 0
     if s.frozen >= FROZEN:

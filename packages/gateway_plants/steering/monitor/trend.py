@@ -8,6 +8,8 @@ from gateway_fdi.jit import Record, f8s, i8, kernel, means
 
 #: Parities that are kept, and those needed at least.
 HISTORY, LEAST = 64, 16
+#: Share of what a slope makes of all parities from which on one step of them is no growth.
+STEP = 0.5
 #: How an error grows.
 UNKNOWN, WITH_TIME, WITH_ANGLE = range(3)
 
@@ -36,7 +38,7 @@ def growth(s: State) -> int:
     n = s.held
     if n < LEAST:
         return UNKNOWN
-    t = p = tt = tp = pp = mm = mp = mean_m = 0.0
+    t = p = tt = tp = pp = mm = mp = mean_m = largest = 0.0
     for k in range(n):
         j = (s.at - n + k) % HISTORY
         y, x = s.parity[j], s.motor[j]
@@ -48,6 +50,8 @@ def growth(s: State) -> int:
         mm += x * x
         mp += x * y
         mean_m += x
+        if k > 0:
+            largest = max(largest, abs(y - s.parity[(j - 1) % HISTORY]))
     spread_t = tt - t * t / n
     slope = (tp - t * p / n) / spread_t
     around = max(pp - p * p / n, 0.0)
@@ -57,6 +61,7 @@ def growth(s: State) -> int:
     floor = n * 1.5e-3  # of quantisation and lash [deg^2]
     if moving and with_angle < 0.5 * with_time + floor and with_angle < 0.5 * around:
         return WITH_ANGLE
-    if with_time < 0.6 * with_angle and with_time < 0.5 * around + floor:
+    stepped = largest > STEP * abs(slope) * n  # by far more than in any other interval: nobody saw it begin
+    if not stepped and with_time < 0.6 * with_angle and with_time < 0.5 * around + floor:
         return WITH_TIME
     return UNKNOWN

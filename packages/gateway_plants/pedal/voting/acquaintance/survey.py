@@ -74,19 +74,24 @@ def _learn(
     gates: scale.Scale,
     n: int,
     y: Any,
+    at: Any,
     span: float,
     bend: float,
     aligned: Any,
 ) -> None:
-    """Let noise and lag be learned of a block ``y``, shape (samples, channels); ``aligned``: room for a sample."""
+    """Let noise and lag be learned of a block.
+
+    ``y``: readings, shape (samples, channels); ``at``: numbers of these samples; ``aligned``: room for a sample.
+    """
     fine = (1 << n) - 1
     for k in range(y.shape[0]):
-        noise.learn(ns, nc, n, y[k], fine, 1.0)
+        noise.learn(ns, nc, n, y[k], fine, float(at[k] - at[k - 1]) if k > 0 else 1.0)
     scale.measure(gates, noise.largest_noise(ns, nc, n), noise.widest_step(ns, nc, n), span, bend)
     for k in range(y.shape[0]):
-        smooth = lag.smooth(ls, n, y[k], 0, gates.straight, 1.0)
+        dt = float(at[k] - at[k - 1]) if k > 0 else 1.0
+        smooth = lag.smooth(ls, n, y[k], 0, gates.straight, dt)
         lag.align(ls, lc, n, y[k], smooth, 0.0, aligned)
-        lag.learn(ls, lc, n, aligned, fine, smooth, 1.0, gates.variance)
+        lag.learn(ls, lc, n, aligned, fine, smooth, dt, gates.variance)
 
 
 def _of_blocks(values: Sequence[float]) -> Estimate:
@@ -99,9 +104,11 @@ def _windows(block: Array, size: int, span: float) -> Array:
     """Return the means of a block's slow windows, shape (windows, channels)."""
     count = len(block) // size
     cut = block[: count * size].reshape(count, size, block.shape[1])
-    means = cut.mean(axis=1)
     half = size // 2
-    moved = np.abs(cut[:, half:].mean(axis=1) - cut[:, :half].mean(axis=1)).max(axis=1)
+    there: NDArray[np.bool_] = np.asarray(np.isfinite(cut).all(axis=2))
+    cut = cut[np.minimum(there[:, :half].sum(axis=1), there[:, half:].sum(axis=1)) >= size // 4]
+    means = np.nanmean(cut, axis=1)
+    moved = np.abs(np.nanmean(cut[:, half:], axis=1) - np.nanmean(cut[:, :half], axis=1)).max(axis=1)
     return np.asarray(means[moved < SLOW * span], np.float64)
 
 
@@ -125,7 +132,7 @@ def survey(records: Sequence[Array], *, period_ms: float, told: float, step: flo
     """Look at records.
 
     Args:
-        records: readings in a row without a gap, each of shape (samples, channels), finite.
+        records: readings in a row, each of shape (samples, channels); NaN: lost.
         period_ms: between two samples.
         told: noise that is told.
         step: resolution that is told.
@@ -141,16 +148,20 @@ def survey(records: Sequence[Array], *, period_ms: float, told: float, step: flo
     windows, blocks = [], 0
     for record in records:
         for first in range(0, len(record) - length + 1, length):
-            block = np.ascontiguousarray(record[first : first + length])
-            blocks += 1
+            block = record[first : first + length]
+            at = np.flatnonzero(np.isfinite(block).all(axis=1))
+            came = np.ascontiguousarray(block[at])
             nc = zeros(1, noise.Const)[0]
             expected = told
             for _ in range(2):  # its classes are as wide as what is expected: what was told must not show in it
                 ns, ls, lc = zeros(1, noise.State)[0], zeros(1, lag.State)[0], zeros(1, lag.Const)[0]
                 noise.prepare(nc, noise=expected, step=step, span=span)
                 lag.prepare(lc, period_ms=period_ms, most_ms=MOST_LAG_MS)
-                _learn(ns, nc, ls, lc, zeros(1, scale.Scale)[0], channels, block, span, bend, np.zeros(channels))
+                _learn(ns, nc, ls, lc, zeros(1, scale.Scale)[0], channels, came, at, span, bend, np.zeros(channels))
                 expected = max(float(ns.noise[i]) for i in range(channels))
+            if ns.known == 0:
+                continue  # hardly any readings in a row
+            blocks += 1
             for i in range(channels):
                 noises[i].append(float(ns.noise[i]))
                 if ns.resolution[i] > 0.0:

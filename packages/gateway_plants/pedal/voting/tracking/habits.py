@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway_fdi.jit import Record, f8s, i8s, kernel, means
-from gateway_plants.pedal.voting.movement import bent
+from gateway_plants.pedal.voting.movement import MOST_LOST, bent
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 
 #: Same readings in a row that are suspicious while another channel moves.
@@ -28,6 +28,8 @@ TREND_OVER = 8.0
 BENDS = 3.0
 #: Share of what the other is expected to move by if something moves both: from there on that is what has happened.
 BOTH = 0.5
+#: Share of the largest bend of a line below which that of the quantity's way in a sample is a small one.
+FINE = 0.1
 #: Share of what it has jumped by that a channel keeps from one agreement to the next.
 FORGETS = 0.95
 
@@ -100,14 +102,39 @@ def start(h: State, n: int, y: f8s, raw: f8s) -> None:
 
 
 @kernel
+def _land(h: State, n: int, i: int, read: f8s, straight: float, bends: float, slew: float) -> None:
+    """Note where channel ``i`` is at the end of a leap."""
+    moved = read[i] - h.from_[i] - h.pace[i] * h.elapsed[i]
+    other = (h.trend[i] - h.pace[i]) * h.elapsed[i]
+    if abs(other) > straight and abs(moved - other) < abs(moved):
+        moved -= other  # it has gone a way of its own before
+    # Less than what begins a jump makes none; nor does what a way that bends meanwhile leaves. Of samples far apart the
+    # bends are the most of what begins a jump: there they count again only where there are many.
+    least = straight
+    if h.rough[i] > SMOOTH or BENDS * bends < FINE * straight:
+        least += BENDS * bends * h.elapsed[i] ** 1.5
+    if h.leapt[i] == 1 and abs(moved) > least:
+        h.moved[i] += moved
+        h.origin[i] = h.from_[i]
+        if abs(moved) > slew * h.lasted[i]:
+            h.torn[i] += moved
+        for j in range(n):
+            way = read[j] - h.left[i * MOST_CHANNELS + j] - h.pace[i] * h.elapsed[i]
+            if not np.isnan(way):
+                h.along_with[i * MOST_CHANNELS + j] += way
+
+
+@kernel
 def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, slew: float, speed: float) -> None:
     """Note whether channel ``i`` jumps, and where to; and by how much the others leave their way meanwhile.
 
     Who jumps bends twice, to and fro; a pedal that meets its stop bends once.
     """
-    raw, bend = read[i], np.nan
-    if np.isfinite(raw) and np.isfinite(h.raw[i]):
-        bend = bent(raw, h.raw[i], h.before[i], h.gap[i], h.spacing[i])
+    raw = read[i]
+    bend = bent(raw, h.raw[i], h.before[i], h.gap[i], h.spacing[i]) if np.isfinite(raw - h.raw[i]) else np.nan
+    if max(h.gap[i], h.spacing[i]) > MOST_LOST:
+        # Nobody knows how it went, nor whether a turn of the counter passed at all.
+        bend, h.since[i] = np.nan, 0
     large = abs(bend) > straight
     jump = large and abs(h.bend[i]) > straight and bend * h.bend[i] < 0.0
     h.shaken[i] += ((1.0 if jump else 0.0) - h.shaken[i]) / ROUGH_OVER
@@ -132,21 +159,7 @@ def _leap(h: State, n: int, i: int, read: f8s, straight: float, bends: float, sl
         h.leapt[i] = 1
     if h.calm[i] < CALM and h.since[i] < LEAPS:
         return
-    moved = raw - h.from_[i] - h.pace[i] * h.elapsed[i]
-    other = (h.trend[i] - h.pace[i]) * h.elapsed[i]
-    if abs(other) > straight and abs(moved - other) < abs(moved):
-        moved -= other  # it has gone a way of its own before
-    # Less than what begins a jump makes none; nor, of many, what a way that bends meanwhile leaves of each.
-    least = straight if h.rough[i] <= SMOOTH else straight + BENDS * bends * h.elapsed[i] ** 1.5
-    if h.leapt[i] == 1 and abs(moved) > least:
-        h.moved[i] += moved
-        h.origin[i] = h.from_[i]
-        if abs(moved) > slew * h.lasted[i]:
-            h.torn[i] += moved
-        for j in range(n):
-            way = read[j] - h.left[i * MOST_CHANNELS + j] - h.pace[i] * h.elapsed[i]
-            if not np.isnan(way):
-                h.along_with[i * MOST_CHANNELS + j] += way
+    _land(h, n, i, read, straight, bends, slew)
     h.since[i] = 0
 
 
@@ -259,8 +272,8 @@ def jumped(h: State, i: int, j: int, least: float, common: float) -> bool:
 
 
 @kernel
-def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: float) -> int:
-    """Return the channel that moves, smoothly and fast, while channel ``i`` repeats itself; -1: none.
+def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: float) -> tuple[int, float]:
+    """Return the channel that moves, smoothly and fast, while channel ``i`` repeats itself, and by how much; -1: none.
 
     Args:
         h: record of State.
@@ -272,7 +285,7 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
         rate: least movement of the other in a period; a drift is slower.
     """
     if h.same[i] < FEW:
-        return -1
+        return -1, 0.0
     for j in range(n):
         if j == i or h.line[j] < smooth or h.uneven[j] > NOISY:
             continue
@@ -294,5 +307,5 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
         least = far if min(step, before) > 0.0 else FARTHER * far
         goes_on = slowly or min(step, before) > 0.0
         if goes_on and min(abs(moved), on_the_way) >= least and abs(moved) >= rate * length:
-            return j
-    return -1
+            return j, moved
+    return -1, 0.0

@@ -7,7 +7,7 @@ import numpy as np
 from gateway_fdi.jit import f8s, kernel
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 from gateway_plants.pedal.voting.tracking import habits, mismatch, track
-from gateway_plants.pedal.voting.tracking.habits import FEW
+from gateway_plants.pedal.voting.tracking.habits import FEW, SMOOTH
 from gateway_plants.pedal.voting.tracking.scale import GATE
 from gateway_plants.pedal.voting.tracking.shape import (
     COMMON,
@@ -62,7 +62,8 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
             company = company or (h.same[j] >= FEW and abs(s.z[j] - s.z[i]) <= s.scale.agree + s.swing)
             k = i * MOST_CHANNELS + j
             comes = abs(y[j] - y[i]) < abs(h.anchor[k] - y[i])  # after it, as one that lags does
-            silent = silent and h.same[j] <= patience // 2 and h.strayed[k] >= s.scale.lively + s.swing and not comes
+            lively = h.same[j] <= patience // 2 and h.strayed[k] >= s.scale.lively + s.swing and not comes
+            silent = silent and lively and h.rough[j] <= SMOOTH  # who jumps often does not stray
     if company:
         return False
     # Against a track that is sure a few impulses in a row are not enough.
@@ -70,15 +71,18 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     # Where readings are so coarse that a line may jump farther than a foot moves, few samples prove none.
     smooth = int(smooth * max(2.0 * s.scale.straight / c.slew, 1.0))
     far = 2.0 * (s.scale.agree + s.swing)
-    mover = habits.outrun(h, c.channels, i, y, smooth, far, c.creep)
+    mover, moved = habits.outrun(h, c.channels, i, y, smooth, far, c.creep)
     if mover < 0:
-        mover = habits.outrun(h, c.channels, i, y, STEADY, far, c.amble)
-    # One that has jumped as no foot moves has to go on for longer, but beside one at a rail.
-    wild = mover >= 0 and abs(h.torn[mover]) > s.scale.agree and h.line[mover] < WILD and c.floor < y[i] < c.ceiling
-    if mover < 0 or others & (1 << mover) == 0 or wild:
+        mover, moved = habits.outrun(h, c.channels, i, y, STEADY, far, c.amble)
+    if mover < 0 or others & (1 << mover) == 0:
         return bool(silent)
-    # One that lags comes after a channel that has stopped, having gone there itself; from a frozen one it goes away.
-    away = (y[mover] - y[i]) * (h.last[mover] - h.oldest[mover]) > 0.0
+    # One that has jumped as no foot moves, or jumps often, has to go on for longer, but beside one at a rail.
+    torn = abs(h.torn[mover]) > s.scale.agree or h.rough[mover] > SMOOTH
+    if torn and h.line[mover] < WILD and c.floor < y[i] < c.ceiling:
+        return bool(silent)
+    # One that lags comes after a channel that has stopped, and ends beside it, however far its way was; from a frozen
+    # one it goes away by all of that. Between the two is the half.
+    away = (y[mover] - y[i]) / moved >= 0.5
     return bool(silent or away or abs(h.moved[i]) > s.scale.agree)
 
 
