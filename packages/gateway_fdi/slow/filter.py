@@ -9,10 +9,11 @@ b; h, shape (n,), is what each adds to the equation, in the equation's unit by t
 
     e(t + dt) = e(t) + w,    var w_k = dt rate_k WALK (high_k - low_k)
 
-so that a walk spans the bound in the time that the rate allows for it. :func:`measure` takes a set. Where there are
-many, :func:`add` takes them into a block, :func:`update` a block into the filter: rest and h are linear in e, so the
-mean of a block holds the mean of its equations, and a block of B sets costs a B-th. Noise of a mean of B is sqrt(B)
-smaller; COLOURED times that is taken, as not all is white.
+so that a walk spans the bound in the time that the rate allows for it. :func:`add` takes sets into a block,
+:func:`update` a block into the filter: rest and h are linear in e, so the mean of a block holds the mean of its
+equations, and a block of B sets costs a B-th. Noise is taken as independent only once in so many sets: as often the
+variance of a mean of B. h is made of readings, so noise is in h as well as in rest: of a set alone h v is not 0 in the
+mean (a sensor's gain and its own noise), and an e that nothing else tells runs away by that; of a block it is a B-th.
 
 The estimate is ``error``, without bounds; a monitor uses ``taken``. It is the most likely e within the bounds
 (:func:`_within`): with e ~ N(m, P) and e_k held at its bound,
@@ -43,8 +44,8 @@ from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 MOST = 24
 #: Sets of a block.
 BLOCK = 10
-#: Factor of the standard deviation of an equation's noise, as not all of it is white.
-COLOURED = 3.0
+#: Sets after which the noise of an equation is taken as independent, where nothing else is known.
+COLOURED = 9.0
 #: Share of a walk: the rate is the most that happens, not the usual.
 WALK = 0.1
 #: Uses of the estimate.
@@ -189,34 +190,26 @@ def age(s: State, c: Const, dt: float) -> None:
 
 
 @kernel
-def update(s: State, c: Const, b: Block, mode: int) -> None:
+def update(s: State, c: Const, b: Block, coloured: float, mode: int) -> None:
     """Take a block, and forget it.
 
     Args:
         s: record of State.
         c: record of Const.
         b: the block.
+        coloured: sets after which its noise is independent.
         mode: LEARNS, FOLLOWING or HELD.
     """
-    sets = float(b.sets)
+    h, sets = b.h, float(b.sets)
     for k in range(c.count):
-        b.h[k] /= sets
-    measure(s, c, b.h, b.rest / sets, COLOURED * COLOURED * b.variance / (sets * sets), mode)
+        h[k] /= sets
+    _measure(s, c, h, b.rest / sets, coloured * b.variance / (sets * sets), mode)
     drop(b)
 
 
 @kernel
-def measure(s: State, c: Const, h: f8s, rest: float, variance: float, mode: int) -> None:
-    """Take an equation's rest.
-
-    Args:
-        s: record of State.
-        c: record of Const.
-        h: sensitivities, shape (MOST,).
-        rest: what the equation leaves.
-        variance: of its noise.
-        mode: LEARNS, FOLLOWING or HELD.
-    """
+def _measure(s: State, c: Const, h: f8s, rest: float, variance: float, mode: int) -> None:
+    """Take an equation's rest, of sensitivities h, shape (MOST,)."""
     n, left, size = c.count, rest, variance
     for k in range(n):
         s.passed[k] = _walk(s, c, k) if h[k] != 0.0 else 0.0

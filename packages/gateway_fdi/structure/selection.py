@@ -19,18 +19,28 @@ from gateway_fdi.masks import Sets
 MOST_EXACT = 100_000
 #: Equations of a test that a fault, or a pair, may hang on: times those of the smallest that would do, and beyond that.
 MOST_TIMES, MOST_BEYOND = 1.5, 8
+#: And that sees the fault so many times worse than another one.
+MOST_WORSE = 3.0
 
 
-def requirements(signature: Sets, sizes: NDArray[np.int64] | None = None) -> Sets:
+def requirements(
+    signature: Sets, sizes: NDArray[np.int64] | None = None, quality: NDArray[np.float64] | None = None
+) -> Sets:
     """Return which test fulfils which requirement, shape (requirements, tests).
 
     Args:
         signature: fault signature matrix, shape (tests, faults).
         sizes: equations of each test, shape (tests,): those with far more than need be do not count.
+        quality: how well a test sees a fault, shape of the matrix: those that see it far worse do not count.
     """
     tests, faults = signature.shape
-    rows = [signature[:, i] for i in range(faults)]
-    rows += [signature[:, i] & ~signature[:, j] for i in range(faults) for j in range(faults) if i != j]
+    rows = []
+    for i in range(faults):
+        for j in range(faults):
+            row = signature[:, i] & (~signature[:, j] | (i == j))
+            if quality is not None and row.any():
+                row &= quality[:, i] >= quality[row, i].max() / MOST_WORSE
+            rows.append(row)
     possible = [row for row in rows if row.any()]
     if sizes is not None:
         possible = [row & (sizes <= MOST_TIMES * sizes[row].min() + MOST_BEYOND) for row in possible]
@@ -66,7 +76,10 @@ def _greedy(wanted: Sets, weight: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def fewest_tests(
-    signature: Sets, cost: NDArray[np.float64] | None = None, sizes: NDArray[np.int64] | None = None
+    signature: Sets,
+    cost: NDArray[np.float64] | None = None,
+    sizes: NDArray[np.int64] | None = None,
+    quality: NDArray[np.float64] | None = None,
 ) -> NDArray[np.int64]:
     """Return the fewest tests that detect and isolate as much as all of them do.
 
@@ -75,12 +88,13 @@ def fewest_tests(
         cost: decides between choices of as many tests, shape (tests,), not negative; for instance the number of
             equations of each.
         sizes: equations of each, shape (tests,); see :func:`requirements`.
+        quality: shape of the matrix; see :func:`requirements`.
 
     Returns:
         the numbers of the tests, rising.
     """
     tests = signature.shape[0]
-    wanted = requirements(signature, sizes)
+    wanted = requirements(signature, sizes, quality)
     if wanted.size > MOST_EXACT:
         wanted = _needed(wanted)
     if not len(wanted):

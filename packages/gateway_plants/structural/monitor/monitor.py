@@ -321,7 +321,7 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
     model = load_own_model(path, key="model")
     asked = {
         "name": model.name, "tests": p.tests, "causality": p.causality, "unseen": sorted(p.unseen),
-        "start": sorted(p.start.items()), "sizes": p.sizes,
+        "start": sorted(p.start.items()), "sizes": p.sizes, "noise": sorted(p.noise.items()),
     }  # fmt: skip
     key = kept.key_of(path.read_bytes(), asked)
     wrong = Gathered()

@@ -432,7 +432,8 @@ sensors.g1 = { gain = "1 %", bias = 0.5 }
 sensors.g2 = { gain = "1 %", bias = 0.5 }
 sensors.tg = { gain = "1 %", bias = 170.0 }
 """,
-    "start = { wr = 1.6, wg = 152.0, Tg = 17000.0 }\nsettle_s = 5\nconfirm_s = 2\n",
+    "start = { wr = 1.6, wg = 152.0, th = 8.68e-4, Tg = 17000.0 }\nsettle_s = 5\nconfirm_s = 2\n"
+    "noise = { r1 = 0.0251, r2 = 0.0251, g1 = 0.0158, g2 = 0.0158, tg = 0.9 }\n",
     60.0,
 )  # fmt: skip
 
