@@ -94,6 +94,17 @@ def test_an_error_that_is_known_moves_by_its_rate_and_age_makes_a_test_doubt_by_
     assert slow.GUARD * slow.doubt(s, c, one) - before == pytest.approx(0.1, rel=1e-6)
 
 
+@pytest.mark.costly
+def test_a_gain_is_not_pulled_away_by_the_noise_of_its_own_sensor():
+    """y = x (1 + g) + n, h = y: of single sets g comes out 0.2 too large, for h and n go together."""
+    print("seed", SEED)
+    c, s, b = filled([-1.0], [1.0])
+    for n in 0.5 * np.random.default_rng(SEED).normal(size=2000 * slow.BLOCK):
+        reading = 1.0 * (1.0 - 0.1) + n
+        feed(c, s, b, [reading / 0.9], reading - 1.0, 0.25)
+    assert s.error[0] == pytest.approx(-0.1, abs=0.04)
+
+
 def test_an_error_that_is_held_moves_by_its_rate_and_becomes_no_surer():
     c, s, b = filled([-1.0, -1.0], [1.0, 1.0], rate=1e-3)
 

@@ -18,7 +18,9 @@ beside that of its noise, sigma^2. The tests have it as a residual of the noise 
 
     r := (r + h' (x0 - x)) sigma / sqrt(sigma^2 + h' P h)
 
-so that their thresholds are as much higher as the parameters are unknown. sigma is what nu says, or, where none is
+so that their thresholds are as much higher as the parameters are unknown. What is off moves the residual also a
+little before or behind h (the phase of an oscillation, a command between samples), so of h' P h the largest one of the
+last time tau is taken, forgetting. sigma is what nu says, or, where none is
 known yet (calibration), a running mean.
 
 When x has moved away from x0, the generators go on with the parameters and readings of x, their states carried there
@@ -70,6 +72,7 @@ class State(Record, lengths={"tests": MOST_TESTS}):
     moved_ns: i8 = means("when that was", "ns")
     corrected: f8 = means("residual of the corrected model, that :func:`correct` has seen last")
     power: Annotated[f8s, "tests"] = means("running mean square of each")
+    doubt: Annotated[f8s, "tests"] = means("standard deviation of what is not known of x, of each residual")
     block: Annotated[list[slow.Block], "tests"] = means("samples of each that wait")
 
 
@@ -126,7 +129,7 @@ def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: floa
         sigma = _running(s, k, corrected, own.dt, settled)
     if not sigma > 0.0:
         return corrected
-    doubt = slow.doubt(s.slow, c.slow, s.h)
+    doubt = s.doubt[k] = max(slow.doubt(s.slow, c.slow, s.h), exp(-own.dt / c.apart_s[k]) * s.doubt[k])
     spread = sqrt(sigma * sigma + doubt * doubt)
     if settled and own.dt > 0.0:
         fired = abs(corrected) > DOUBTED * spread

@@ -218,7 +218,11 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
             if is_late(slow)
             else []
         ),
-        *([f"class Followed(following.State, lengths={{'tests': {len(plan.tests)}}}):", "    pass", "", ""] if slow else []),
+        *(
+            [f"class Followed(following.State, lengths={{'tests': {len(plan.tests)}}}):", "    pass", "", ""]
+            if slow
+            else []
+        ),
         "class State(Record):",
         "    own: OwnState",
         "    sample: Sample",
