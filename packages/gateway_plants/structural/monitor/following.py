@@ -27,6 +27,9 @@ When x has moved away from x0, the generators go on with the parameters and read
 by their own sensitivities. x0 moves in steps: what a product of two that are off leaves is of second order in x - x0,
 and a model that moved with each sample would run after the filters of its own residual.
 
+In the beginning a test waits until most of what may be off it is known: as long as parameters are far off, the
+residual is not linear in them, and an undamped oscillation runs away from h altogether; learning goes on meanwhile.
+
 A fault that begins moves a residual as a parameter would that jumps, and parameters do not jump: while a test has
 fired, or a residual is too large for noise, x is held to its rate. What ages into an alarm leaves it again; a fault
 that is larger than the bounds stays.
@@ -47,6 +50,8 @@ from gateway_plants.structural.monitor.plan import MOST_TESTS
 DOUBTED = 4.0
 #: Share of a bound by which x may be off x0.
 FAR = 0.1
+#: A test waits until no more than this share of what may be off is not known, so many times ``settle_s`` at most.
+KNOWN, LATEST = 0.2, 4
 #: Share of what is not known that is no line in x: parameters that are off by a fifth bend a residual by a fifth.
 BENDS = 0.2
 #: Time over which the noise of a residual is averaged where no nu is known [s].
@@ -72,6 +77,7 @@ class State(Record, lengths={"tests": MOST_TESTS}):
     moved_ns: i8 = means("when that was", "ns")
     corrected: f8 = means("residual of the corrected model, that :func:`correct` has seen last")
     power: Annotated[f8s, "tests"] = means("running mean square of each")
+    whole: Annotated[f8s, "tests"] = means("the same as nothing was known")
     doubt: Annotated[f8s, "tests"] = means("standard deviation of what is not known of x, of each residual")
     block: Annotated[list[slow.Block], "tests"] = means("samples of each that wait")
 
@@ -128,11 +134,14 @@ def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: floa
     if not sigma > 0.0:
         sigma = _running(s, k, corrected, own.dt, settled)
     if not sigma > 0.0:
+        own.waits[k] = 0 if settled else own.waits[k]
         return corrected
     doubt = s.doubt[k] = max(slow.doubt(s.slow, c.slow, s.h), exp(-own.dt / c.apart_s[k]) * s.doubt[k])
     spread = sqrt(sigma * sigma + doubt * doubt)
+    if own.waits[k] == 1 and settled and _is_known(s, c, own, own_const, k, sigma):
+        own.waits[k] = 0
     if settled and own.dt > 0.0:
-        fired = abs(corrected) > DOUBTED * spread
+        fired = own.waits[k] == 0 and abs(corrected) > DOUBTED * spread
         for w in range(len(own.fired)):
             fired = fired or own.fired[w] != 0
         bend = BENDS * doubt
@@ -140,6 +149,17 @@ def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: floa
             mode = slow.HELD if fired else slow.LEARNS
             slow.update(s.slow, c.slow, s.block[k], max(c.apart_s[k] / own.dt, 1.0), mode)
     return float(corrected * sigma / spread)
+
+
+@kernel
+def _is_known(s: State, c: Const, own: Any, own_const: Any, k: int, sigma: float) -> bool:
+    """Tell whether enough is known of what may be off a test, or it has waited for long enough."""
+    whole = 0.0
+    for i in range(c.slow.count):
+        whole += c.slow.prior[i] * c.slow.prior[i] * s.h[i] * s.h[i]
+    s.whole[k] = max(sqrt(whole), exp(-own.dt / c.apart_s[k]) * s.whole[k])
+    late = own.at_ns - own.since_ns >= (1 + LATEST) * own_const.settle_ns
+    return bool(late or s.doubt[k] <= max(sigma, KNOWN * s.whole[k]))
 
 
 @kernel

@@ -246,7 +246,7 @@ class _Made:
                 near = uncertain.neighbours(self.slow, test)
                 models += [s[f"near_{k}"][i] for i in range(len(near))]
                 if near:
-                    c[f"acts_{k}"] = near
+                    c[f"acts_{k}"], s.own.waits[k] = near, 1
             for model in models:
                 for name in model.dtype.names or ():
                     model[name] = getattr(c, field)[name]
