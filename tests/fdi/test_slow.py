@@ -120,6 +120,13 @@ def test_an_error_that_is_held_moves_by_its_rate_and_becomes_no_surer():
     assert list(np.diag(s.p)[:2]) == pytest.approx([1.0, 1.0])
     take(slow.LEARNS)
     assert abs(s.error[1]) > 0.5, "and is found at once when it is let go"
+    h = np.zeros(slow.MOST)
+    h[:2] = [1.0, -2.0]
+    before = slow.doubt(s, c, h)
+    slow.wait(s, 10.0)
+    take(slow.HELD)
+    most = 3.0 * 1e-3 * 10.0 / slow.GUARD  # h by rate and time: no walk, which would be 0.1 by now
+    assert slow.doubt(s, c, h) < before + most
 
 
 def moved(n, rng):

@@ -83,6 +83,7 @@ class State(Record):
     p: Annotated[f8s, MOST, MOST] = means("covariance of error")
     now: f8 = means("time", "s")
     since: Annotated[f8s, MOST] = means("when it was followed last", "s")
+    held: Annotated[f8s, MOST] = means("for how long it is held", "s")
     refused: Annotated[i8s, MOST] = means("1: beyond its bound for sure")
     wanted: Annotated[f8s, MOST] = means("scratch: the most likely one within the bounds")
     passed: Annotated[f8s, MOST] = means("scratch: time since it was followed", "s")
@@ -167,12 +168,19 @@ def wait(s: State, dt: float) -> None:
 
 
 @kernel
-def _walk(s: State, c: Const, k: int) -> float:
-    """Let an error walk for the time that it has waited; returns that [s]."""
+def _walk(s: State, c: Const, k: int, held: bool) -> float:
+    """Let an error walk for the time that it has waited; returns that [s].
+
+    A walk spreads by the root of the time, at first far beyond the rate: while it is held, and nothing is learned, a
+    test would doubt a fault away in seconds. So then it goes by its rate, GUARD standard deviations.
+    """
     passed = min(s.now - s.since[k], LONG)
     s.since[k] = s.now
+    slope, before = c.rate[k] / GUARD, s.held[k]
+    s.held[k] = before + passed if held else 0.0
     if s.p[k, k] < c.prior[k] * c.prior[k]:
-        s.p[k, k] += passed * c.rate[k] * WALK * (c.high[k] - c.low[k])
+        walk = passed * c.rate[k] * WALK * (c.high[k] - c.low[k])
+        s.p[k, k] += slope * slope * passed * (2.0 * before + passed) if held else walk
     return float(passed)
 
 
@@ -212,7 +220,7 @@ def _measure(s: State, c: Const, h: f8s, rest: float, variance: float, mode: int
     """Take an equation's rest, of sensitivities h, shape (MOST,)."""
     n, left, size = c.count, rest, variance
     for k in range(n):
-        s.passed[k] = _walk(s, c, k) if h[k] != 0.0 else 0.0
+        s.passed[k] = _walk(s, c, k, mode == HELD) if h[k] != 0.0 else 0.0
         s.before[k] = sqrt(max(s.p[k, k], 0.0))
     for j in range(n):
         total = 0.0
