@@ -133,16 +133,22 @@ def _measure(s: State, c: Const) -> None:
 
 
 @kernel
+def sees(c: Const, group: int, k: int) -> bool:
+    """Tell whether a test sees a fault of a group."""
+    for fault in range(c.faults):
+        if has(c.group[group], fault) and has(c.may[fault], k):
+            return True
+    return False
+
+
+@kernel
 def _is_tested(s: State, c: Const, group: int) -> bool:
     """Tell whether a test of a group's faults is at work; of what is not isolated, any test."""
     for k in range(c.tests):
         if s.anew[k] == 1 or s.waits[k] == 1:
             continue
-        if group == c.groups:
+        if group == c.groups or sees(c, group, k):
             return True
-        for fault in range(c.faults):
-            if has(c.group[group], fault) and has(c.may[fault], k):
-                return True
     return False
 
 

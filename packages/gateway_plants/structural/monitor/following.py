@@ -31,8 +31,9 @@ In the beginning a test waits until most of what may be off it is known: as long
 residual is not linear in them, and an undamped oscillation runs away from h altogether; learning goes on meanwhile.
 
 A fault that begins moves a residual as a parameter would that jumps, and parameters do not jump: while a test has
-fired, or a residual is too large for noise, x is held to its rate. What ages into an alarm leaves it again; a fault
-that is larger than the bounds stays.
+fired, or a residual is too large for noise, x is held to its rate. What ages into an alarm leaves it again, as long as
+it has no name; of a fault that has one, the tests that see it are not followed at all: x would take it up in the end,
+and be wrong for the others.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from typing import Annotated, Any
 
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 from gateway_fdi.slow import filter as slow
-from gateway_plants.structural.monitor.decision import NU_OF_NOISE
+from gateway_plants.structural.monitor.decision import NU_OF_NOISE, sees
 from gateway_plants.structural.monitor.plan import MOST_TESTS
 
 #: Standard deviations beyond which a residual is no more of what may be off than while a test has fired.
@@ -140,7 +141,9 @@ def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: floa
     spread = sqrt(sigma * sigma + doubt * doubt)
     if own.waits[k] == 1 and settled and _is_known(s, c, own, own_const, k, sigma):
         own.waits[k] = 0
-    if settled and own.dt > 0.0:
+    if 0 <= own.found < own_const.groups and sees(own_const, own.found, k):
+        slow.drop(s.block[k])
+    elif settled and own.dt > 0.0:
         fired = own.waits[k] == 0 and abs(corrected) > DOUBTED * spread
         for w in range(len(own.fired)):
             fired = fired or own.fired[w] != 0
