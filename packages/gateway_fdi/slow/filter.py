@@ -11,7 +11,7 @@ b; h, shape (n,), is what each adds to the equation, in the equation's unit by t
 
 so that a walk spans the bound in the time that the rate allows for it. :func:`add` takes sets into a block,
 :func:`update` a block into the filter: rest and h are linear in e, so the mean of a block holds the mean of its
-equations, and a block of B sets costs a B-th. Noise is taken as independent only once in so many sets: as often the
+equations, and a block of B sets costs a B-th. Noise is taken as independent only once in a number of sets: as often the
 variance of a mean of B. h is made of readings, so noise is in h as well as in rest: of a set alone h v is not 0 in the
 mean (a sensor's gain and its own noise), and an e that nothing else tells runs away by that; of a block it is a B-th.
 
@@ -107,7 +107,7 @@ def prepare(s: State, c: Const) -> None:
 
 
 @kernel
-def add(b: Block, h: f8s, rest: float, variance: float) -> bool:
+def add(b: Block, h: f8s, rest: float, variance: float, size: int = BLOCK) -> bool:
     """Add a set to a block; returns whether it is whole.
 
     Args:
@@ -115,12 +115,13 @@ def add(b: Block, h: f8s, rest: float, variance: float) -> bool:
         h: sensitivities, shape (MOST,).
         rest: what the equation leaves.
         variance: of its noise.
+        size: sets of a block.
     """
     b.h += h
     b.rest += rest
     b.variance += variance
     b.sets += 1
-    return bool(b.sets >= BLOCK)
+    return bool(b.sets >= size)
 
 
 @kernel

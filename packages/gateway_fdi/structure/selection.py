@@ -19,7 +19,7 @@ from gateway_fdi.masks import Sets
 MOST_EXACT = 100_000
 #: Equations of a test that a fault, or a pair, may hang on: times those of the smallest that would do, and beyond that.
 MOST_TIMES, MOST_BEYOND = 1.5, 8
-#: And that sees the fault so many times worse than another one.
+#: And that sees the fault worse than another one, by this factor.
 MOST_WORSE = 3.0
 
 

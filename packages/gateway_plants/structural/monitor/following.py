@@ -42,7 +42,7 @@ from collections.abc import Sequence
 from math import exp, isfinite, sqrt
 from typing import Annotated, Any
 
-from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.slow import filter as slow
 from gateway_plants.structural.monitor.decision import NU_OF_NOISE, sees
 from gateway_plants.structural.monitor.plan import MOST_TESTS
@@ -65,6 +65,7 @@ class Const(Record):
     slow: slow.Const = means("bounds and rates of the slow errors")
     bound: Annotated[f8s, slow.MOST] = means("of what may be off, a share; of a bias in the sensor's unit")
     sigma: Annotated[f8s, MOST_TESTS] = means("of each healthy residual; not above 0: not known")
+    sets: Annotated[i8s, MOST_TESTS] = means("samples of a block of each")
     apart_s: Annotated[f8s, MOST_TESTS] = means("after which its noise is independent", "s")
 
 
@@ -148,7 +149,7 @@ def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: floa
         for w in range(len(own.fired)):
             fired = fired or own.fired[w] != 0
         bend = BENDS * doubt
-        if slow.add(s.block[k], s.h, rest, sigma * sigma + bend * bend):
+        if slow.add(s.block[k], s.h, rest, sigma * sigma + bend * bend, c.sets[k]):
             mode = slow.HELD if fired else slow.LEARNS
             slow.update(s.slow, c.slow, s.block[k], max(c.apart_s[k] / own.dt, 1.0), mode)
     return float(corrected * sigma / spread)
@@ -189,7 +190,7 @@ def prepare(s: State, c: Const, bounds: Sequence[float], seconds: float) -> None
     slow.prepare(s.slow, c.slow)
 
 
-def prepare_test(c: Const, k: int, nu: float, apart_s: float) -> None:
+def prepare_test(c: Const, k: int, nu: float, apart_s: float, turn: float) -> None:
     """Fill the constants of a test.
 
     Args:
@@ -197,6 +198,8 @@ def prepare_test(c: Const, k: int, nu: float, apart_s: float) -> None:
         k: number of the test.
         nu: of its residual; infinite: not known.
         apart_s: after which its noise is independent [s].
+        turn: of its fastest oscillation in a sample [rad]: a block is no longer than one radian of it.
     """
+    c.sets[k] = max(int(min(slow.BLOCK, 1.0 / max(turn, 1e-9))), 1)
     c.sigma[k] = nu / NU_OF_NOISE if isfinite(nu) else 0.0
     c.apart_s[k] = apart_s

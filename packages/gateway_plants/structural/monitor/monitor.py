@@ -242,7 +242,9 @@ class _Made:
             if k < len(self.plan.tests):
                 fitted = filters.bandwidths(test, p)
                 apart_s = max(p.confirm_s, 1.0 / fitted.filter if test.filtered else 0.0)
-                following.prepare_test(c.follow, k, p.nu.get(test.name, math.inf), apart_s)
+                found = modes.modes(self.model, test, p)
+                turn = 0.0 if found is None else float(abs(found.every.imag).max()) * p.period_ms / 1e3
+                following.prepare_test(c.follow, k, p.nu.get(test.name, math.inf), apart_s, turn)
                 near = uncertain.neighbours(self.slow, test)
                 models += [s[f"near_{k}"][i] for i in range(len(near))]
                 if near:
