@@ -44,6 +44,7 @@ from typing import Annotated, Any
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.slow import filter as slow
+from gateway_fdi.slow.filter import Block
 from gateway_plants.structural.monitor.decision import NU_OF_NOISE, sees
 from gateway_plants.structural.monitor.plan import MOST_TESTS
 
@@ -81,7 +82,7 @@ class State(Record, lengths={"tests": MOST_TESTS}):
     power: Annotated[f8s, "tests"] = means("running mean square of each")
     whole: Annotated[f8s, "tests"] = means("the same as nothing was known")
     doubt: Annotated[f8s, "tests"] = means("standard deviation of what is not known of x, of each residual")
-    block: Annotated[list[slow.Block], "tests"] = means("samples of each that wait")
+    block: Annotated[list[Block], "tests"] = means("samples of each that wait")
 
 
 @kernel
