@@ -9,10 +9,11 @@ b; h, shape (n,), is what each adds to the equation, in the equation's unit by t
 
     e(t + dt) = e(t) + w,    var w_k = dt rate_k WALK (high_k - low_k)
 
-so that a walk spans the bound in the time that the rate allows for it. :func:`measure` takes a set. Where there are
-many, :func:`add` takes them into a block, :func:`update` a block into the filter: rest and h are linear in e, so the
-mean of a block holds the mean of its equations, and a block of B sets costs a B-th. Noise of a mean of B is sqrt(B)
-smaller; COLOURED times that is taken, as not all is white.
+so that a walk spans the bound in the time that the rate allows for it. :func:`add` takes sets into a block,
+:func:`update` a block into the filter: rest and h are linear in e, so the mean of a block holds the mean of its
+equations, and a block of B sets costs a B-th. Noise is taken as independent only once in a number of sets: as often the
+variance of a mean of B. h is made of readings, so noise is in h as well as in rest: of a set alone h v is not 0 in the
+mean (a sensor's gain and its own noise), and an e that nothing else tells runs away by that; of a block it is a B-th.
 
 The estimate is ``error``, without bounds; a monitor uses ``taken``. It is the most likely e within the bounds
 (:func:`_within`): with e ~ N(m, P) and e_k held at its bound,
@@ -43,8 +44,8 @@ from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 MOST = 24
 #: Sets of a block.
 BLOCK = 10
-#: Factor of the standard deviation of an equation's noise, as not all of it is white.
-COLOURED = 3.0
+#: Sets after which the noise of an equation is taken as independent, where nothing else is known.
+COLOURED = 9.0
 #: Share of a walk: the rate is the most that happens, not the usual.
 WALK = 0.1
 #: Uses of the estimate.
@@ -82,6 +83,7 @@ class State(Record):
     p: Annotated[f8s, MOST, MOST] = means("covariance of error")
     now: f8 = means("time", "s")
     since: Annotated[f8s, MOST] = means("when it was followed last", "s")
+    held: Annotated[f8s, MOST] = means("for how long it is held", "s")
     refused: Annotated[i8s, MOST] = means("1: beyond its bound for sure")
     wanted: Annotated[f8s, MOST] = means("scratch: the most likely one within the bounds")
     passed: Annotated[f8s, MOST] = means("scratch: time since it was followed", "s")
@@ -105,7 +107,7 @@ def prepare(s: State, c: Const) -> None:
 
 
 @kernel
-def add(b: Block, h: f8s, rest: float, variance: float) -> bool:
+def add(b: Block, h: f8s, rest: float, variance: float, size: int = BLOCK) -> bool:
     """Add a set to a block; returns whether it is whole.
 
     Args:
@@ -113,12 +115,13 @@ def add(b: Block, h: f8s, rest: float, variance: float) -> bool:
         h: sensitivities, shape (MOST,).
         rest: what the equation leaves.
         variance: of its noise.
+        size: sets of a block.
     """
     b.h += h
     b.rest += rest
     b.variance += variance
     b.sets += 1
-    return bool(b.sets >= BLOCK)
+    return bool(b.sets >= size)
 
 
 @kernel
@@ -166,12 +169,19 @@ def wait(s: State, dt: float) -> None:
 
 
 @kernel
-def _walk(s: State, c: Const, k: int) -> float:
-    """Let an error walk for the time that it has waited; returns that [s]."""
+def _walk(s: State, c: Const, k: int, held: bool) -> float:
+    """Let an error walk for the time that it has waited; returns that [s].
+
+    A walk spreads by the root of the time, at first far beyond the rate: while it is held, and nothing is learned, a
+    test would doubt a fault away in seconds. So then it goes by its rate, GUARD standard deviations.
+    """
     passed = min(s.now - s.since[k], LONG)
     s.since[k] = s.now
+    slope, before = c.rate[k] / GUARD, s.held[k]
+    s.held[k] = before + passed if held else 0.0
     if s.p[k, k] < c.prior[k] * c.prior[k]:
-        s.p[k, k] += passed * c.rate[k] * WALK * (c.high[k] - c.low[k])
+        walk = passed * c.rate[k] * WALK * (c.high[k] - c.low[k])
+        s.p[k, k] += slope * slope * passed * (2.0 * before + passed) if held else walk
     return float(passed)
 
 
@@ -189,37 +199,29 @@ def age(s: State, c: Const, dt: float) -> None:
 
 
 @kernel
-def update(s: State, c: Const, b: Block, mode: int) -> None:
+def update(s: State, c: Const, b: Block, coloured: float, mode: int) -> None:
     """Take a block, and forget it.
 
     Args:
         s: record of State.
         c: record of Const.
         b: the block.
+        coloured: sets after which its noise is independent.
         mode: LEARNS, FOLLOWING or HELD.
     """
-    sets = float(b.sets)
+    h, sets = b.h, float(b.sets)
     for k in range(c.count):
-        b.h[k] /= sets
-    measure(s, c, b.h, b.rest / sets, COLOURED * COLOURED * b.variance / (sets * sets), mode)
+        h[k] /= sets
+    _measure(s, c, h, b.rest / sets, coloured * b.variance / (sets * sets), mode)
     drop(b)
 
 
 @kernel
-def measure(s: State, c: Const, h: f8s, rest: float, variance: float, mode: int) -> None:
-    """Take an equation's rest.
-
-    Args:
-        s: record of State.
-        c: record of Const.
-        h: sensitivities, shape (MOST,).
-        rest: what the equation leaves.
-        variance: of its noise.
-        mode: LEARNS, FOLLOWING or HELD.
-    """
+def _measure(s: State, c: Const, h: f8s, rest: float, variance: float, mode: int) -> None:
+    """Take an equation's rest, of sensitivities h, shape (MOST,)."""
     n, left, size = c.count, rest, variance
     for k in range(n):
-        s.passed[k] = _walk(s, c, k) if h[k] != 0.0 else 0.0
+        s.passed[k] = _walk(s, c, k, mode == HELD) if h[k] != 0.0 else 0.0
         s.before[k] = sqrt(max(s.p[k, k], 0.0))
     for j in range(n):
         total = 0.0

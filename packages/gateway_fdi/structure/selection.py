@@ -21,24 +21,38 @@ from gateway_fdi.masks import Sets
 MOST_EXACT = 100_000
 #: Equations of a test that a fault, or a pair, may hang on: times those of the smallest that would do, and beyond that.
 MOST_TIMES, MOST_BEYOND = 1.5, 8
+#: And that sees the fault worse than another one, by this factor.
+MOST_WORSE = 3.0
 
 
-def requirements(signature: Sets, sizes: NDArray[np.int64] | None = None, together: int = 1) -> Sets:
+def requirements(
+    signature: Sets,
+    sizes: NDArray[np.int64] | None = None,
+    quality: NDArray[np.float64] | None = None,
+    *,
+    together: int = 1,
+) -> Sets:
     """Return which test fulfils which requirement, shape (requirements, tests).
 
     Args:
         signature: fault signature matrix, shape (tests, faults).
         sizes: equations of each test, shape (tests,): those with far more than need be do not count.
+        quality: how well a test sees a fault, shape of the matrix: those that see it far worse do not count.
         together: faults that may be there at once: each other one is to be told from them, a test that sees it and
             none of them (Krysander, Frisk 2008, for modes of several faults).
     """
     tests, faults = signature.shape
-    rows = [signature[:, i] for i in range(faults)]
+    wanted = [(i, signature[:, i]) for i in range(faults)]
     for there in combinations(range(faults), min(together, max(faults - 1, 0))):
         blind = ~signature[:, there].any(1)
-        rows += [signature[:, i] & blind for i in range(faults) if i not in there]
+        wanted += [(i, signature[:, i] & blind) for i in range(faults) if i not in there]
+    rows = []
+    for i, row in wanted:
+        if quality is not None and row.any():
+            row = row & (quality[:, i] >= quality[row, i].max() / MOST_WORSE)  # noqa: PLW2901 - what is left of it
+        rows.append(row)
     if together > 1:  # where no test tells two, one may still tell each of them
-        rows += list(requirements(signature, sizes, together - 1))
+        rows += list(requirements(signature, sizes, quality, together=together - 1))
     possible = [row for row in rows if row.any()]
     if sizes is not None:
         possible = [row & (sizes <= MOST_TIMES * sizes[row].min() + MOST_BEYOND) for row in possible]
@@ -77,6 +91,8 @@ def fewest_tests(
     signature: Sets,
     cost: NDArray[np.float64] | None = None,
     sizes: NDArray[np.int64] | None = None,
+    quality: NDArray[np.float64] | None = None,
+    *,
     together: int = 1,
 ) -> NDArray[np.int64]:
     """Return the fewest tests that detect and isolate as much as all of them do.
@@ -86,13 +102,14 @@ def fewest_tests(
         cost: decides between choices of as many tests, shape (tests,), not negative; for instance the number of
             equations of each.
         sizes: equations of each, shape (tests,); see :func:`requirements`.
+        quality: shape of the matrix; see :func:`requirements`.
         together: faults at once; see there.
 
     Returns:
         the numbers of the tests, rising.
     """
     tests = signature.shape[0]
-    wanted = requirements(signature, sizes, together)
+    wanted = requirements(signature, sizes, quality, together=together)
     if wanted.size > MOST_EXACT:
         wanted = _needed(wanted)
     if not len(wanted):

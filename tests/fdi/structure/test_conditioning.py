@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from gateway_fdi.structure.file import load_model
-from gateway_fdi.structure.generator.conditioning import begins, forgets
+from gateway_fdi.structure.generator.conditioning import begins, forgets, gains_at_rest
 from gateway_fdi.structure.generator.initial import find_initial
 from gateway_fdi.structure.generator.realisation import realise
 from gateway_fdi.structure.model import Quantity
@@ -64,3 +64,41 @@ def test_a_beginning_that_divides_by_zero(load):
     for one, there in ((model, False), (other, True)):
         realised = realise(one, members, "e2")
         assert begins(realised, find_initial(realised)) == there
+
+
+#: A shaft between two masses, as stiff as that of a wind turbine: at rest its ends turn alike, whatever the torque.
+SHAFT = """
+[unknown]
+a = {}
+b = {}
+twist = {}
+[known]
+u = {}
+y = {}
+z = {}
+[fault]
+f_u = {}
+f_y = {}
+[parameter]
+K = { value = 2.7e9 }
+N = { value = 95.0 }
+[equation.e1]
+relation = "der(twist) = a - b / N"
+unique = ["der(twist)"]
+[equation.e2]
+relation = "390 * der(b) = K * twist / N + 700 * (a - b / N) - 45 * b - u * (1 + f_u)"
+unique = ["der(b)"]
+[equation.e3]
+relation = "y = a + f_y"
+unique = ["a"]
+[equation.e4]
+relation = "z = b"
+unique = ["b"]
+"""
+
+
+def test_what_is_left_at_rest_is_no_rounding(tmp_path):
+    (tmp_path / "shaft.toml").write_text(SHAFT)
+    model = load_model(tmp_path / "shaft.toml")
+    found = gains_at_rest(realise(model, frozenset({"e1", "e2", "e3", "e4"}), "e4", start={"twist": 0.0, "b": 0.0}))
+    assert found == {"f_u": 0.0, "f_y": pytest.approx(95.0)}

@@ -241,6 +241,15 @@ def test_fewest_tests_are_those_of_brute_force(signature):
         assert not as_good(rows) or len(chosen) == 0
 
 
+def test_no_fault_hangs_on_a_test_that_sees_it_far_worse_than_another_one():
+    """The first test alone would tell f0 and f1 apart; it sees f0 only while it changes, the second for good."""
+    signature = np.array([[True, False], [True, False], [True, True]])
+    quality = np.array([[0.0, np.inf], [4.0, np.inf], [5.0, 5.0]])
+    assert list(fewest_tests(signature, np.array([1.0, 9.0, 1.0]))) == [0, 2]
+    assert list(fewest_tests(signature, np.array([1.0, 9.0, 1.0]), quality=quality)) == [1, 2]
+    assert list(fewest_tests(signature[[0, 2]], quality=quality[[0, 2]])) == [0, 1], "else it counts"
+
+
 @settings(max_examples=examples(60), deadline=None)
 @given(st.lists(st.lists(st.booleans(), min_size=4, max_size=4), min_size=1, max_size=7).map(np.array))
 def test_tests_for_pairs_tell_each_fault_from_one_and_from_two_others(signature):

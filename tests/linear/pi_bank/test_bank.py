@@ -202,6 +202,24 @@ def test_a_sensor_s_fault_is_sized_and_heals(place, kind):
 
 
 @compiled
+def test_a_sensor_that_is_latched_in_doubt_is_released():
+    """Its offset is not small, and never what counts: another cause left its observer alone with an explanation."""
+    y, u = healthy(0.01, 30.0, 3)
+    s, c = records(5.0, known=False)
+    for k in range(100):
+        isolation.step(s, c, y[k], u[k])
+    y[:, 1] += 0.75 * c["sensor"][1]
+    latched = []
+    for k in range(100, 100 + isolation.PATIENCE + 3):
+        if k == 100:
+            isolation._latch_sensor(s, c, y[k], 2)
+        isolation.step(s, c, y[k], u[k])
+        latched.append(int(s["latched"]))
+    assert latched[: isolation.PATIENCE] == [1] * isolation.PATIENCE
+    assert isolation.NONE in latched[isolation.PATIENCE :]
+
+
+@compiled
 def test_two_sensors_at_once_are_not_isolated_and_said_to_be_so():
     faults = tuple(LinearFault(kind="output_offset", place=k, from_s=10.0, to_s=20.0, size=0.5) for k in (1, 2))
     found, _ = flown(faults, 60.0)

@@ -11,7 +11,7 @@ from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway_fdi.errors import InputErrors
 from gateway_fdi.jit import COMPILED
-from gateway_plants.structural.study.drives import as_bought, calibrated, configuration, frames_of, off, run
+from gateway_plants.structural.study.drives import as_bought, calibrated, configuration, frames_of, off, run, told_as
 from gateway_plants.structural.study.foreign import BUCK, MOTOR, SPRING
 
 compiled = pytest.mark.skipif(not COMPILED, reason="tens of thousands of samples")
@@ -39,7 +39,7 @@ def test_a_plant_that_is_off_has_no_code_and_its_faults_their_names(tmp_path, pl
         assert named(config, frames_of(plant, healthy)) == []
         for fault in plant.faults:
             rows = as_bought(plant, run(plant, plant.seconds, seed + 1, fault, 0.5 * plant.seconds, p), seed)
-            assert named(config, frames_of(plant, rows))[-1:] == [plant.groups.get(fault, fault)], fault
+            assert named(config, frames_of(plant, rows))[-1:] == [told_as(load_config(config), config, fault)], fault
 
 
 def read_early(plant, seconds, seed, known, parts, fault="", onset=0.0):
@@ -64,7 +64,7 @@ def test_a_sensor_that_is_late_is_followed_and_nobody_is_at_fault(tmp_path):
     gateway.start(int(frames_of(MOTOR, faulty)[0]["t_ns"]))
     gateway.feed(frames_of(MOTOR, faulty))
     state = gateway.engine.state_of(gateway.engine.place_of("own"))[0]
-    assert state["off_w_lag"] == pytest.approx(7.0, abs=2.0)  # the moment of inertia may be off as well
+    assert state["off_w_lag"] == pytest.approx(7.0, abs=2.5)  # the moment of inertia may be off as well
     gateway.close()
     assert named(config, frames_of(MOTOR, faulty)) == ["f_w"]
 

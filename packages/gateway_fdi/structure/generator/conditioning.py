@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import sympy
+from numpy.typing import NDArray
 
 from gateway_fdi.structure.generator.initial import Initial
 from gateway_fdi.structure.generator.propagation import SLOPE, slope
@@ -132,11 +133,9 @@ def noise_gains(realisation: Realisation) -> tuple[tuple[str, float, float], ...
     """Return how noise of known variables reaches a residual: each with the residual by it, and by its derivative [s].
 
     States that are integrated are held: an integral passes little of what is new with every sample. Nothing is returned
-    where there are no numbers, or nothing is differentiated.
+    where there are no numbers.
     """
     slopes = (*realisation.transformed, *realisation.differentiated)
-    if not slopes:
-        return ()
     n, model = _Numbers(realisation), realisation.model
     chain = [(n.of[v], n.function(e)) for s in realisation.statements if s.solutions for v, e in s.solutions[0].items()]
     residual = n.function(realisation.residual)
@@ -170,28 +169,29 @@ def noise_gains(realisation: Realisation) -> tuple[tuple[str, float, float], ...
     return tuple(one for one in found if one[1:] != (0.0, 0.0) and all(map(math.isfinite, one[1:])))
 
 
-def fleeting(realisation: Realisation) -> tuple[str, ...]:
-    """Return the faults that leave nothing in the residual once they, and all derivatives, are constant.
+def gains_at_rest(realisation: Realisation) -> dict[str, float]:
+    """Return by how much each fault of size 1 moves the residual once it, and all derivatives, are constant.
 
     With the derivatives zero, the equations that compute the unknowns v are A dv + B df = 0, and the check is off by
     (e_f - e_v A^-1 B) df: that is the residual's gain at zero frequency. Where A has no inverse a state integrates, and
-    its error grows. A gain that is nearly zero at all of the points that are tried is fleeting (a fault that is weakly
-    detectable: Chen, Patton: Robust Model-Based Fault Diagnosis, 1999, section 2.5).
+    its error grows: infinite, as where there are no numbers. It is the largest modulus at the points that are tried. A
+    fault that is nearly zero at all of them is fleeting, here 0 (weakly detectable: Chen, Patton: Robust Model-Based
+    Fault Diagnosis, 1999, section 2.5).
     """
     model, numbers = realisation.model, _Numbers(realisation)
     symbols = Symbols(model, faulty=True)
     own = [model.by_name[name] for name in realisation.equations]
     relations = [(e.name, e.relation) for e in own if e.relation is not None]
-    if len(relations) != len([e for e in own if not e.differential]):
-        return ()
     flat = {symbols.of[der(x)]: 0 for x in model.states}
     zero = {name: symbols.residual(relation).xreplace(flat) for name, relation in relations}
     check = zero.pop(realisation.consistency, None)
     faults = [f for f in model.faults if any(f in e.faults for e in own)]
+    unknown = dict.fromkeys(faults, math.inf)
     unknowns = [v for v in model.unknowns if any(zero[name].has(symbols.of[v]) for name in zero)]
-    if check is None or len(unknowns) != len(zero):
-        return ()
-    left, rng = set(faults), np.random.default_rng(1)
+    whole = len(relations) == len([e for e in own if not e.differential])
+    if not whole or check is None or len(unknowns) != len(zero):
+        return unknown
+    rng = np.random.default_rng(1)
     free = [symbols.of[x] for x in (*model.unknowns, *model.knowns)]
     rows = [*zero.values(), check]
     try:
@@ -201,33 +201,34 @@ def fleeting(realisation: Realisation) -> tuple[str, ...]:
             for names in [(*unknowns, *faults)]
         ]
     except (ArithmeticError, ValueError, KeyError, TypeError):
-        return ()
-    for _ in range(_POINTS):
-        point = numbers.drawn(rng, free) | {symbols.of[f]: 0.0 for f in model.faults}
-        left -= _lasting(slopes, faults, point)
-    return tuple(f for f in faults if f in left)
+        return unknown
+    points = [numbers.drawn(rng, free) | {symbols.of[f]: 0.0 for f in model.faults} for _ in range(_POINTS)]
+    largest = np.max([_at_rest(slopes, len(faults), point) for point in points], axis=0)
+    return {f: float(gain) for f, gain in zip(faults, largest, strict=True)}
 
 
-def _lasting(
+def _at_rest(
     slopes: Sequence[Sequence[Callable[[Mapping[Algebra, float]], float] | None]],
-    faults: Sequence[str],
+    faults: int,
     point: dict[Algebra, float],
-) -> set[str]:
-    """Return the faults that leave something at rest, at one point; all of them where there are no numbers.
+) -> NDArray[np.float64]:
+    """Return what each fault leaves at rest, at one point, shape (faults,); infinite where there are no numbers.
 
     Args:
         slopes: of each relation, the last one is checked, its derivative by each unknown and each fault; None: zero.
-        faults: these faults.
+        faults: how many.
         point: values of all symbols.
     """
     try:
         with np.errstate(all="ignore"):
             rows = np.array([[0.0 if one is None else one(point) for one in row] for row in slopes])
-            count = rows.shape[1] - len(faults)
+            count = rows.shape[1] - faults
             size = np.maximum(np.abs(rows[:-1, :count]).max(axis=1, keepdims=True), 1e-300)
-            moved = np.linalg.solve(rows[:-1, :count] / size, rows[:-1, count:] / size)
+            unit = np.maximum(np.abs(rows[:-1, :count] / size).max(axis=0), 1e-300)
+            moved = np.linalg.solve(rows[:-1, :count] / size / unit, rows[:-1, count:] / size)
+            moved[np.abs(moved) <= _NOTHING**2 * np.abs(moved).max(axis=0)] = 0.0  # rounding
     except (ArithmeticError, ValueError, KeyError, TypeError, np.linalg.LinAlgError):
-        return set(faults)
-    direct, by = rows[-1, count:], rows[-1, :count, None] * moved
+        return np.full(faults, math.inf)
+    direct, by = rows[-1, count:], rows[-1, :count, None] * moved / unit[:, None]
     gain, most = np.abs(direct - by.sum(0)), np.abs(direct) + np.abs(by).sum(0)
-    return {f for f, g, whole in zip(faults, gain, most, strict=True) if not g <= _NOTHING * whole}
+    return np.asarray(np.where(gain <= _NOTHING * most, 0.0, np.where(np.isfinite(gain), gain, math.inf)))

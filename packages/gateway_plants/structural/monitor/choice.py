@@ -8,7 +8,7 @@ without is left out, and the choice made again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from gateway_fdi.errors import InputError, nearest, under
 from gateway_fdi.masks import Sets
 from gateway_fdi.structure.analysis import Analysis, analyse
 from gateway_fdi.structure.generator.code import correctable, write
-from gateway_fdi.structure.generator.conditioning import begins, fleeting, forgets, noise_gains
+from gateway_fdi.structure.generator.conditioning import begins, forgets, gains_at_rest, noise_gains
 from gateway_fdi.structure.generator.initial import find_initial
 from gateway_fdi.structure.generator.realisation import Realisation, realise
 from gateway_fdi.structure.generator.solving import NotSolvableError
@@ -29,12 +29,14 @@ from gateway_fdi.structure.model import Model, Quantity, ResidualChoice, state_o
 from gateway_fdi.structure.selection import fewest_tests, requirements
 from gateway_fdi.structure.sensors import place_sensors
 from gateway_fdi.structure.sequence import shown
-from gateway_plants.structural.monitor import modes, observer
+from gateway_plants.structural.monitor import filters, modes, observer
 from gateway_plants.structural.monitor.params import Params
 from gateway_plants.structural.monitor.plan import MOST_FAULTS, MOST_TESTS, Noise, Plan, Test
 
 #: Places for sensors that a refusal names.
 MOST_HINTS = 4
+#: Sets up to which each is written, and its noise compared, where noise is told.
+MOST_COMPARED = 200
 
 #: What a class of causality costs against one equation, by what is preferred. (20) is a derivative in the consistency
 #: relation; a derivative elsewhere is a low-pass's slope, and the last resort.
@@ -155,16 +157,35 @@ def _auto(model: Model, p: Params) -> Iterator[Test]:
     sets, together = _sets(analysis, p), 2 if p.tests == "pairs" else 1
     made: dict[bytes, Test] = {}
     while sets:
-        chosen = _fewest(model, sets, large=bool(analysis.left_out), together=together)
+        quality = _quality(model, p, sets, made)
+        chosen = _fewest(model, sets, quality, large=bool(analysis.left_out), together=together)
+        new = [s for s in chosen if s.row.tobytes() not in made]
         lost = [s for s in chosen if not _made(model, p, s, made)]
-        if not lost:
+        if not lost and not new:
             yield from _with_names(model, [made[s.row.tobytes()] for s in chosen])
             return
         gone = {s.row.tobytes() for s in lost}
         sets = [s for s in sets if s.row.tobytes() not in gone]
 
 
-def _fewest(model: Model, sets: Sequence[_Set], *, large: bool, together: int) -> list[_Set]:
+def _quality(model: Model, p: Params, sets: Sequence[_Set], made: Mapping[bytes, Test]) -> NDArray[np.float64]:
+    """Return how well each set sees each fault, shape (sets, faults): of size 1 at rest, over the residual's noise.
+
+    It is infinite of a set that is not known yet; and of what lasts, where no noise is told or the sets are many.
+    """
+    found = np.full((len(sets), len(model.faults)), np.inf)
+    for k, test in enumerate(made.get(s.row.tobytes()) for s in sets):
+        if test is None:
+            continue
+        noise = filters.noises(test, p)[0] if len(sets) <= MOST_COMPARED else 0.0
+        for fault, gain in zip(test.faults, test.at_rest, strict=True):
+            found[k, model.faults.index(fault)] = gain / noise if noise > 0.0 else np.inf if gain > 0.0 else 0.0
+    return found
+
+
+def _fewest(
+    model: Model, sets: Sequence[_Set], quality: NDArray[np.float64], *, large: bool, together: int
+) -> list[_Set]:
     """Return the fewest sets; of a large model, whose sets differ tenfold in size, none that is needlessly large."""
     rows = np.array([s.row for s in sets])
     incidence = np.array([[f in e.faults for f in model.faults] for e in model.equations], np.int64)
@@ -177,7 +198,8 @@ def _fewest(model: Model, sets: Sequence[_Set], *, large: bool, together: int) -
         places = np.arange(len(sets))
     cost = np.array([sets[int(k)].cost for k in places])
     sizes = rows.sum(1)[places] if large else None
-    return [sets[int(places[int(k)])] for k in fewest_tests(signature[places], cost, sizes, together)]
+    found = fewest_tests(signature[places], cost, sizes, quality[places], together=together)
+    return [sets[int(places[int(k)])] for k in found]
 
 
 def _made(model: Model, p: Params, found: _Set, made: dict[bytes, Test]) -> bool:
@@ -244,13 +266,13 @@ def _written(
 ) -> Test:
     """Return a test with its code."""
     code = write(name or realised.consistency, realised, sized=p.sizes, observed=observed)
-    there = {f for e in realised.equations for f in model.by_name[e].faults}
+    gains = gains_at_rest(realised)
     return Test(
         name=name,
         equations=realised.equations,
         consistency=realised.consistency,
         causality=_causality(realised),
-        faults=tuple(f for f in model.faults if f in there),
+        faults=tuple(gains),
         sequence=shown(model, realised.steps),
         knowns=code.knowns,
         rates=code.rates,
@@ -260,7 +282,7 @@ def _written(
         differentiated=realised.differentiated,
         filtered=bool(realised.transformed),
         noise=tuple(Noise(*one) for one in noise_gains(realised)),
-        fleeting=fleeting(realised),
+        at_rest=tuple(gains.values()),
         measures=code.fault,
         source=code.source,
         observed=observed,

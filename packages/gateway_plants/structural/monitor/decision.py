@@ -96,6 +96,8 @@ def _weigh(s: State, c: Const) -> None:
             s.from_ns[k] = s.at_ns
             for d in range(WINDOW):
                 s.begun_jump[k, d, 0] = 0.0
+        elif s.waits[k] == 1:
+            s.without += 1
         elif settled and s.at_ns - s.from_ns[k] >= c.settle_ns:
             _judge(s, c, k)
         if s.norm[k] > 1.0:
@@ -131,16 +133,22 @@ def _measure(s: State, c: Const) -> None:
 
 
 @kernel
-def _is_tested(s: State, c: Const, group: int) -> bool:
-    """Tell whether a test of a group's faults gives a number; of what is not isolated, any test."""
-    for k in range(c.tests):
-        if s.anew[k] == 1:
-            continue
-        if group == c.groups:
+def sees(c: Const, group: int, k: int) -> bool:
+    """Tell whether a test sees a fault of a group."""
+    for fault in range(c.faults):
+        if has(c.group[group], fault) and has(c.may[fault], k):
             return True
-        for fault in range(c.faults):
-            if has(c.group[group], fault) and has(c.may[fault], k):
-                return True
+    return False
+
+
+@kernel
+def _is_tested(s: State, c: Const, group: int) -> bool:
+    """Tell whether a test of a group's faults is at work; of what is not isolated, any test."""
+    for k in range(c.tests):
+        if s.anew[k] == 1 or s.waits[k] == 1:
+            continue
+        if group == c.groups or sees(c, group, k):
+            return True
     return False
 
 

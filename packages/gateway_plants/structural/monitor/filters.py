@@ -39,7 +39,7 @@ class Bandwidths(NamedTuple):
     said: str
 
 
-def _noises(test: Test, p: Params) -> tuple[float, float]:
+def noises(test: Test, p: Params) -> tuple[float, float]:
     """Return the standard deviations of what is told: of the residual's direct part, and of what is differentiated."""
     direct = sqrt(sum((one.direct * p.noise.get(one.known, 0.0)) ** 2 for one in test.noise))
     slope = sqrt(sum((one.slope * p.noise.get(one.known, 0.0)) ** 2 for one in test.noise))
@@ -94,7 +94,7 @@ def bandwidths(test: Test, p: Params) -> Bandwidths:
     """Return the bandwidths of a test: as given, else fitted to the noise, else as by default."""
     given = p.model_fields_set
     own = Bandwidths(p.filter_bandwidth, p.derivative_bandwidth, "")
-    direct, slope = _noises(test, p)
+    direct, slope = noises(test, p)
     key = "derivative_bandwidth" if test.differentiated else "filter_bandwidth"
     if not test.noise or slope <= 0.0 or direct <= 0.0 or key in given:
         return own

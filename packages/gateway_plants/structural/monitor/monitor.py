@@ -242,11 +242,13 @@ class _Made:
             if k < len(self.plan.tests):
                 fitted = filters.bandwidths(test, p)
                 apart_s = max(p.confirm_s, 1.0 / fitted.filter if test.filtered else 0.0)
-                following.prepare_test(c.follow, k, p.nu.get(test.name, math.inf), apart_s)
+                found = modes.modes(self.model, test, p)
+                turn = 0.0 if found is None else float(abs(found.every.imag).max()) * p.period_ms / 1e3
+                following.prepare_test(c.follow, k, p.nu.get(test.name, math.inf), apart_s, turn)
                 near = uncertain.neighbours(self.slow, test)
                 models += [s[f"near_{k}"][i] for i in range(len(near))]
                 if near:
-                    c[f"acts_{k}"] = near
+                    c[f"acts_{k}"], s.own.waits[k] = near, 1
             for model in models:
                 for name in model.dtype.names or ():
                     model[name] = getattr(c, field)[name]
@@ -321,7 +323,7 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
     model = load_own_model(path, key="model")
     asked = {
         "name": model.name, "tests": p.tests, "causality": p.causality, "unseen": sorted(p.unseen),
-        "start": sorted(p.start.items()), "sizes": p.sizes,
+        "start": sorted(p.start.items()), "sizes": p.sizes, "noise": sorted(p.noise.items()),
     }  # fmt: skip
     key = kept.key_of(path.read_bytes(), asked)
     wrong = Gathered()

@@ -47,7 +47,7 @@ class Test:
         differentiated: variables whose derivative is the slope of a low-pass.
         filtered: the residual is filtered by (20), and the gain of what it measures with it.
         noise: how the noise of its known variables reaches the residual.
-        fleeting: of the faults, those that it sees only while they change: at rest they leave nothing.
+        at_rest: by how much each fault of size 1 moves the residual for good; infinite: ever more, or not known.
         observed: its states are corrected by the residual (:mod:`.observer`).
         measures: the fault whose size is minus the residual over the gain that its state shows; empty: none.
         source: its code.
@@ -67,10 +67,15 @@ class Test:
     differentiated: tuple[str, ...]
     filtered: bool
     noise: tuple[Noise, ...]
-    fleeting: tuple[str, ...]
+    at_rest: tuple[float, ...]
     measures: str
     source: str
     observed: bool = False
+
+    @property
+    def fleeting(self) -> tuple[str, ...]:
+        """Faults that it sees only while they change: at rest they leave nothing."""
+        return tuple(f for f, gain in zip(self.faults, self.at_rest, strict=True) if gain == 0.0)
 
 
 @dataclass(frozen=True)

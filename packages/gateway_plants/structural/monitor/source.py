@@ -218,6 +218,11 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
             if is_late(slow)
             else []
         ),
+        *(
+            [f"class Followed(following.State, lengths={{'tests': {len(plan.tests)}}}):", "    pass", "", ""]
+            if slow
+            else []
+        ),
         "class State(Record):",
         "    own: OwnState",
         "    sample: Sample",
@@ -226,7 +231,7 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
         *(f"    near_{k}: Annotated[list[m{k}.Const], {count}]" for k, count in beside),
         *(_numbered(plan, "    model_{k}: m{k}.Const") if slow else []),
         *(["    late: Late"] if is_late(slow) else []),
-        *([f"    read: Annotated[list[Sample], {len(slow)}]", "    follow: following.State"] if slow else []),
+        *([f"    read: Annotated[list[Sample], {len(slow)}]", "    follow: Followed"] if slow else []),
         *(f"    {name}: f8" for name in (*sizes_of(plan), *(one.field for one in slow), *COUNTS)),
         "",
         "",

@@ -159,6 +159,15 @@ def calibrated(config: Path, *frames: Frames) -> None:
         path.unlink()
 
 
+def told_as(config: Config, file: Path, fault: str) -> str:
+    """Return the name that a fault has when all its tests have fired: its own, or with those that they cannot tell."""
+    gateway = Gateway(config, None, file=file)
+    own = gateway.engine.monitors[0]
+    names: list[str] = [one.name for one in own.monitor.faults(own.params)]
+    gateway.close()
+    return min((name for name in names if fault in name.split("_or_")), key=lambda name: name.count("_or_"))
+
+
 def codes(config: Config, file: Path, frames: Frames) -> list[tuple[float, str]]:
     """Return the faults whose DTCs a drive sets, with their times [s]."""
     gateway = Gateway(config, None, file=file)

@@ -6,7 +6,7 @@ The ODE is solved by SciPy (:mod:`.drives`), apart from the gateway's code.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,6 @@ class Plant:
         told: lines of a configuration that say so.
         options: further lines of a configuration.
         seconds: of a drive with a fault.
-        groups: fault -> the name that it has together with what cannot be told from it.
         linear: the slopes are linear in the state.
     """
 
@@ -57,7 +56,6 @@ class Plant:
     told: str
     options: str = ""
     seconds: float = 60.0
-    groups: Mapping[str, str] = field(default_factory=dict)
     linear: bool = True
 
 
@@ -204,7 +202,6 @@ sensors = { i = { gain = "1 %", bias = 0.05 }, v = { gain = "1 %", bias = 0.1 },
 """,
     "start = { I = 1.2, V = 12.0 }\nsettle_s = 1\nconfirm_s = 1\n",
     20.0,
-    {"f_sw": "f_sw_or_f_RL_or_f_vin", "f_RL": "f_sw_or_f_RL_or_f_vin", "f_vin": "f_sw_or_f_RL_or_f_vin"},
 )  # fmt: skip
 
 
@@ -316,7 +313,6 @@ sensors.y4 = { gain = "1 %", bias = 0.1 }
 """,
     "start = { h1 = 12.3, h2 = 12.8, h3 = 1.6, h4 = 1.4 }\nsettle_s = 60\nconfirm_s = 60\n",
     1800.0,
-    {"f_1": "f_1_or_f_p1", "f_2": "f_2_or_f_p2"},
     linear=False,
 )  # fmt: skip
 
@@ -432,7 +428,8 @@ sensors.g1 = { gain = "1 %", bias = 0.5 }
 sensors.g2 = { gain = "1 %", bias = 0.5 }
 sensors.tg = { gain = "1 %", bias = 170.0 }
 """,
-    "start = { wr = 1.6, wg = 152.0, Tg = 17000.0 }\nsettle_s = 5\nconfirm_s = 2\n",
+    "start = { wr = 1.6, wg = 152.0, th = 8.68e-4, Tg = 17000.0 }\nsettle_s = 5\nconfirm_s = 2\n"
+    "noise = { r1 = 0.0251, r2 = 0.0251, g1 = 0.0158, g2 = 0.0158, tg = 0.9 }\n",
     60.0,
 )  # fmt: skip
 

@@ -9,7 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from gateway.config.load import load_config
-from gateway_plants.structural.study.drives import as_bought, calibrated, codes, configuration, frames_of, off, run
+from gateway_plants.structural.study.drives import (
+    as_bought,
+    calibrated,
+    codes,
+    configuration,
+    frames_of,
+    off,
+    run,
+    told_as,
+)
 from gateway_plants.structural.study.foreign import Plant
 
 #: Healthy drives that thresholds are found on, by their seeds, and their length in those of a drive with a fault.
@@ -85,7 +94,7 @@ def evaluate(plant: Plant, share: float, hours: float, runs: int, seed: int, fol
     for k, fault in _cases(plant, runs, seed):
         onset = plant.seconds * float(np.random.default_rng([k, 3]).uniform(0.45, 0.55))
         found = told(plant.seconds, k, fault, onset)
-        right = plant.groups.get(fault, fault)
+        right = told_as(config, file, fault)
         kind = _judged(right, fault, onset, found)
         counts[kind] += 1
         if kind == "wrong":

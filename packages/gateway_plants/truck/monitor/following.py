@@ -101,7 +101,7 @@ def _voltage(s: State, c: Const, u: Inputs) -> None:
     """Follow the first equation."""
     left = alignment.doubt(s.alignment)
     if slow.add(s.blocks[0], s.h_1, u.U_em_sens - u.U_em_ctrl, c.voltage_noise * c.voltage_noise + left * left):
-        slow.update(s.ageing, c.ageing, s.blocks[0], _mode(s, c))
+        slow.update(s.ageing, c.ageing, s.blocks[0], slow.COLOURED, _mode(s, c))
 
 
 @kernel
@@ -112,7 +112,7 @@ def _machine(s: State, c: Const, u: Inputs, ratio: float) -> None:
     rest = u.U_em_ctrl - s.h_2[MAGNETS] - s.h_2[WINDING]
     if not slow.add(s.blocks[1], s.h_2, rest, variance):
         return
-    slow.update(s.ageing, c.ageing, s.blocks[1], _mode(s, c))
+    slow.update(s.ageing, c.ageing, s.blocks[1], slow.COLOURED, _mode(s, c))
     if machine_known(s, c):
         return
     winding = s.h_2[WINDING] * (c.ageing.high[WINDING] - c.ageing.low[WINDING])
@@ -131,7 +131,7 @@ def _battery(s: State, c: Const, u: Inputs) -> None:
     rest = u.I_em_sens * u.U_em_sens - s.h_3[OPEN] - s.h_3[CELLS]
     if not slow.add(s.blocks[2], s.h_3, rest, c.power_noise * c.power_noise):
         return
-    slow.update(s.ageing, c.ageing, s.blocks[2], _mode(s, c))
+    slow.update(s.ageing, c.ageing, s.blocks[2], slow.COLOURED, _mode(s, c))
     if battery_known(s, c):
         return
     volts = s.h_3[OPEN] * (c.ageing.high[OPEN] - c.ageing.low[OPEN])
