@@ -84,7 +84,7 @@ OF_SIGNALS = (
     ('signal = "Speed", gradient = 1', f"{SIGNAL}.signal = 'Speed'", "did you mean Wheel.Speed?"),
     ('signal = "can1.Wheel.Speed", gradient = 1', f"{SIGNAL}.signal = 'can1.Wheel.Speed'", "did you mean can?"),
     ('signal = "Wheel.Speed", gradiant = 1', f"{SIGNAL}.gradiant", "did you mean gradient?"),
-    ('signal = "Wheel.Speed", stuck = 5', f"{SIGNAL}.stuck = 5", "by, during, moving"),
+    ('signal = "Wheel.Speed", stuck = 5', f"{SIGNAL}.stuck = 5", "by, during, inside, moving"),
     ('signal = "Wheel.Speed", stuck = { second = 5 }', f"{SIGNAL}.stuck.second", "did you mean seconds?"),
     (
         'signal = "Wheel.Speed", stuck = { moving = "Body.Movin", moving_by = 1 }',

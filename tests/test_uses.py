@@ -63,4 +63,4 @@ def test_without_plants_all_tests_are_collected_and_some_run(plants):
     command = [sys.executable, "scripts/without", *plants, "--", "-n", "0", "-k", "test_help or test_plugins"]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stdout[-3000:] + ended.stderr
-    assert re.search(r"\d+ passed", ended.stdout)
+    assert "100%]" in ended.stdout, "pytest's code is 0 only where tests ran and passed"

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import ERROR, REMOTE, Frames
+from gateway.bus.frames import ERROR, FRAME, REMOTE, Frames
 from gateway.signals.bits import read_bits
 from gateway.signals.decode import OK, decode, lookup
 from gateway.signals.tables import DecodePlan
@@ -135,7 +135,7 @@ def message_rows(frames: Frames, plan: DecodePlan) -> NDArray[np.int16]:
     """Return the row of each frame's message in a plan, -1: it has none; shape (frames,)."""
     frames = np.ascontiguousarray(frames)
     out = np.zeros(len(frames), np.int16)
-    rows_of(frames.view(np.uint64).reshape(len(frames), -1), plan.keys, plan.rows, out)
+    rows_of(frames.view(np.uint64).reshape(len(frames), FRAME.itemsize // 8), plan.keys, plan.rows, out)
     return out
 
 

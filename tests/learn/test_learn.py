@@ -298,7 +298,7 @@ def test_messages_by_pgn(tmp_path, run):
         (["car.dbc", "foreign.log"], ["foreign.log", "no frame of this log is one of", "car.dbc", "0x7A1"]),
         (["bad.dbc", "drive.log"], ["bad.dbc", "not a good .dbc file"]),
         (["car.dbc", "drive.log", "--bus", "x=car.dbc"], ["--bus"]),
-        (["drive.log", "--bus", "x"], ["--bus", "NAME=DATABASE"]),
+        (["drive.log", "--bus", "x="], ["--bus", "NAME[=DATABASE"]),
         (["car.dbc", "cut.log"], ["cut.log"]),
         (["--update", "drive.log", "-o", "mine.toml"], ["mine.toml"]),
         (["--update", "drive.log", "-o", "hand.toml"], ["hand.learned.json", "not there"]),

@@ -63,7 +63,8 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
             k = i * MOST_CHANNELS + j
             comes = abs(y[j] - y[i]) < abs(h.anchor[k] - y[i])  # after it, as one that lags does
             lively = h.same[j] <= patience // 2 and h.strayed[k] >= s.scale.lively + s.swing and not comes
-            silent = silent and lively and h.rough[j] <= SMOOTH  # who jumps often does not stray
+            # One that jumps often strays by that: beside it a quiet time has to be twice as long.
+            silent = silent and lively and (h.rough[j] <= SMOOTH or h.same[i] >= 2 * patience)
     if company:
         return False
     # Against a track that is sure a few impulses in a row are not enough.
