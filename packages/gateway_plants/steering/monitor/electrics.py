@@ -339,7 +339,7 @@ def step(
         trusted: nothing is known against the sensor that anchors the filter at standstill.
     """
     i_alpha, i_beta = clarke(i_u, i_v)
-    if s.started == 0:
+    if s.started == 0 or periods > c.settled:  # after as long a gap the load is another one
         _begin(s, c, theta, i_alpha, i_beta)
         return
     if periods > GAP:
