@@ -6,11 +6,10 @@ import socket
 import numpy as np
 import pytest
 
-from gateway.bus.base import Bus
-from gateway.bus.can_structs import RawReceiver, pack
+from bench.live import StructBus
+from gateway.bus.can_structs import pack
 from gateway.bus.conditions import are_steps
 from gateway.bus.frames import ERROR, EXTENDED, FD, REMOTE, copied, empty, put
-from gateway.bus.socketcan import SocketCanBus
 from gateway.config.load import load_config
 from gateway.live import pumping
 from gateway.live.clock import Clock
@@ -30,22 +29,6 @@ MS = 1_000_000
 REQUEST = 0x7E0
 
 
-class Pair(SocketCanBus):
-    """What SocketCanBus does, on one end of a pair of unix sockets."""
-
-    def __init__(self, uri, index, end):
-        Bus.__init__(self, uri, index)
-        self._gone, self._socket = None, end
-        end.setblocking(False)
-        self._receiver = RawReceiver(end, self.statistics)
-
-    def set_filters(self, can_ids):
-        pass
-
-    def set_echo(self, on):
-        return False
-
-
 class Rig:
     """A gateway on pairs of sockets, whose every frame and time is noted as it was fed."""
 
@@ -60,7 +43,7 @@ class Rig:
             theirs.setblocking(False)
             self.ends.append(theirs)
             name = load_config(config).bus[k].name
-            self.links.append(Link(f"test:{k}", k, name, lambda uri, i, end=ours: Pair(uri, i, end), self.clock))
+            self.links.append(Link(f"test:{k}", k, name, lambda uri, i, end=ours: StructBus(end, i), self.clock))
             self.links[-1].start()
         self.gateway = Gateway(load_config(config))
         self.gateway.listen(self.events.append)
