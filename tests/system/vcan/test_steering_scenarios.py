@@ -2,7 +2,7 @@
 
 import pytest
 from amount import FULL
-from scenario_runs import ATTEMPTS, by_config, play, run_all
+from scenario_runs import by_config, play, run_all
 
 pytestmark = pytest.mark.vcan
 
@@ -21,17 +21,17 @@ def test_its_parts_over_vcan(tmp_path):
     What compares angles is not tested while senders stand still for tens of ms, as they do in the kernel of a busy
     machine. In one process, and with pauses of a known length, all are asked for (tests/test_gateway.py,
     tests/steering/monitor/test_pauses.py), as are those of ``steering_angle``, which need a second of even
-    milliseconds in between. Where the scenario stood still and nothing was found it is played again, to a daemon that
-    knows nothing; a machine that never lets it run evenly shows the first half only, and says so.
+    milliseconds in between. Where the scenario stood still its plant stood still, too, which no steering does while
+    time goes on: that run shows only that the daemon goes on, and it is played again to one that knows nothing.
     """
     parts = {"C1A02-64", "C1A03-64", "C1A04-62", "C1A05-64", "C1A06-64", "C1A08-82"}
-    for attempt in range(ATTEMPTS):
+    for attempt in range(2):
         (tmp_path / str(attempt)).mkdir()
         events, _, still = play(CONFIG, [PARTS], tmp_path / str(attempt))
         failed = {e["dtc"] for e in events if e["event"] == "dtc" and e["status"] & 1}
         failed = {dtc for dtc in failed if dtc[0] != "U"}  # at the end nobody sends any more
-        assert failed <= parts
-        if failed:
+        if not still:
+            assert failed
+            assert failed <= parts
             return
-        assert still, "frames came evenly, and nothing was found"
-    print(f"this machine stood still in {ATTEMPTS} of {ATTEMPTS} runs: that parts are found is not shown")
+    print("this machine stood still in each run: of the steering's parts nothing is shown here")
