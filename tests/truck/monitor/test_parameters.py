@@ -42,7 +42,7 @@ def test_each_wrong_name_is_told_at_once_and_tables_that_are_too_long(tmp_path):
 def test_the_shipped_configuration_follows_warmth_and_age():
     table = read_toml(shipped("configs/truck.toml"))["monitor"][0]
     told = Params.model_validate({key: value for key, value in table.items() if key in Params.model_fields})
-    assert told.followed is not None
+    assert told.follow
     assert told.observer == Params().observer
 
 
