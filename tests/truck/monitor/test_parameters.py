@@ -72,3 +72,9 @@ def test_each_wrong_accuracy_is_told_at_once_with_its_key(tmp_path):
         )
     }  # fmt: skip
     assert 'its unit is "V"' in str(told.value)
+
+
+@pytest.mark.parametrize("key", ["system", "signed_charge"])
+def test_a_key_of_the_papers_systems_says_where_they_are(key):
+    with pytest.raises(ValueError, match=f"{key}.*the paper's systems.*gateway evaluate truck"):
+        Params.model_validate({key: "RDS"})

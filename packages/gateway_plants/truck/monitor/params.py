@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -138,6 +139,11 @@ class Sensors(StrictModel):
 
 class Params(MonitorParams):
     """Parameters of the hybrid powertrain's monitor."""
+
+    moved: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("system", "filter_bandwidth", "after_s", "signed_charge", "absolute_charge"),
+        "the paper's systems, with T3 and T4, are in the study (gateway evaluate truck); leave the key out",
+    )
 
     period_ms: float = Field(10.0, gt=0, le=100, description="of a set of four frames")
     least_volts: float = Field(20.0, gt=0, description="of the machine, below which T1 shows no inverter fault [V]")
