@@ -12,9 +12,11 @@ from gateway_fdi.jit import zeros
 from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.generator.code import write
 from gateway_fdi.structure.generator.realisation import realise
-from gateway_plants.truck.monitor import blanking, dynamic, excitation, gate, isolation
+from gateway_plants.truck.monitor import blanking, gate, isolation
 from gateway_plants.truck.monitor import generated as folder
 from gateway_plants.truck.monitor.generated import GENERATED
+from gateway_plants.truck.study import dynamic, excitation
+from gateway_plants.truck.study.paper import TESTS
 
 
 def test_the_generated_modules_are_what_the_model_gives():
@@ -29,10 +31,10 @@ def test_the_generated_modules_are_what_the_model_gives():
 MODEL = load_model(shipped("models/truck.toml"))
 
 
-def isolated(system):
-    """State and constants of the isolation."""
+def isolated(system="RDS"):
+    """State and constants of the isolation, of a system of the paper's or of the monitor."""
     s, c = zeros(1, isolation.State)[0], zeros(1, isolation.Const)[0]
-    isolation.prepare(s, c, MODEL, system, 0.5)
+    isolation.prepare_table(s, c, MODEL, TESTS.get(system, isolation.TESTS), 0.5)
     return s, c
 
 
@@ -40,7 +42,7 @@ def test_signatures_are_those_of_the_structure():
     for system in ("ICDS", "MCDS"):
         assert isolated(system)[1]["may"][:, 0].tolist() == [0b1010, 0b0101, 0b1100, 0b0110, 0b1001]
     robust = [0b01010, 0b00101, 0b10000, 0b00110, 0b01001]
-    assert isolated("RDS")[1]["may"][:, 0].tolist() == robust
+    assert isolated()[1]["may"][:, 0].tolist() == robust
 
 
 def test_candidates_explain_all_that_has_fired():
