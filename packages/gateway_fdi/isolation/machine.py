@@ -158,8 +158,12 @@ def decide(s: State, c: Const, level: f8s, said: int, contradicts: bool) -> None
         s.found = NOTHING
     if empty(s.up):
         return  # all of them are down, at least for now
-    if said != OPEN and s.joined_ns >= c.confirm_ns and not _on_its_way(s, c, level, False):
+    ready = s.joined_ns >= c.confirm_ns and not _on_its_way(s, c, level, False)
+    awaits = _awaits(s, c, level, said)
+    if said == OPEN and not awaits:
+        said = table.at_last(s, c)
+    if said != OPEN and ready:
         s.found = said
         copy(s.basis, s.fired)
-    elif not _awaits(s, c, level, said):
+    elif not awaits:
         s.found = c.groups
