@@ -82,6 +82,8 @@ def stand(s: State, c: Const, past_ns: int, use_ns: int) -> bool:
     rest_ns = NEVER
     s.joined_ns = min(s.joined_ns + use_ns, NEVER // 2)
     s.waited_ns = min(s.waited_ns + past_ns, NEVER // 2)
+    if empty(s.up) and empty(s.fired):
+        return False  # nearly always
     hold_ns = c.heal_ns if 0 <= s.found < c.groups else c.hold_ns
     for k in range(c.tests):
         if has(s.up, k):
