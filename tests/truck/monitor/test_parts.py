@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gateway_fdi.common.resources import shipped
-from gateway_fdi.isolation import table
+from gateway_fdi.isolation import machine, table
 from gateway_fdi.jit import zeros
 from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.generator.code import write
@@ -36,6 +36,21 @@ def isolated(system="RDS"):
     s, c = zeros(1, isolation.State)[0], zeros(1, isolation.Const)[0]
     isolation.prepare_table(s, c, MODEL, TESTS.get(system, isolation.TESTS), 0.5)
     return s, c
+
+
+@pytest.mark.parametrize(
+    ("system", "test", "named"), [("RDS", "T5", 3), ("RDS", "T2", 5), ("RDS", "T1", 5), ("ICDS", "T3_ICDS", 5)]
+)
+def test_a_test_that_fires_alone_names_the_resistance_if_it_is_t5(system, test, named):
+    """T2 sees a resistance above 100 A only; T1 would have told of an inverter."""
+    s, c = isolated(system)
+    s.up[0], level = 1 << isolation.TESTS[system].index(test), np.zeros(isolation.MOST_TESTS)
+    told = []
+    for _ in range(200):
+        machine.stand(s, c, 1_000_000_000, 1_000_000_000)
+        machine.decide(s, c, level, table.answer(s, c), machine.contradicted(s))
+        told.append(int(s.found))
+    assert told == [table.NOTHING] * 60 + [named] * 140
 
 
 def test_signatures_are_those_of_the_structure():
