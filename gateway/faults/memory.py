@@ -146,12 +146,12 @@ class FaultMemory(Readable):
         if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
             return []
         definition = self.catalogue[int(event["fault"])]
-        if not self._cycles.counts(definition):
+        if not self._cycles.counts(definition.cycle):
             return []
         record = self._records[definition.id]
         old = STATUS[record.status]
         if kind != FDC_REACHED:
-            self.performance.completed(definition)
+            self.performance.completed(definition.id)
         if kind == FDC_REACHED:
             content = finite(snapshot(definition).frame)
             self._entries.prestore(definition.id, FreezeFrame(0, int(event["t_ns"]), content))
@@ -159,8 +159,27 @@ class FaultMemory(Readable):
             self._entries.fail(definition, record, failure_of(definition, event, snapshot))
         else:
             record.status = int(transition.on_passed(old))
-            self._entries.give_up(definition.id)
+            self._entries.give_up(record)
         return self._changed(definition, record, old, int(event["fdc"]), int(event["t_ns"]))
+
+    def complete(self, places: Sequence[int]) -> bool:
+        """Take tests that have passed of faults that are not there, by their places: they are complete, no more.
+
+        Returns:
+            whether it was so; else nothing was taken, and each is to be told by :meth:`apply`.
+        """
+        found = [self.catalogue[place] for place in places]
+        records = [self._records[definition.id] for definition in found]
+        if any(record.status & _TEST_FAILED for record in records):
+            return False
+        counts = {cycle for cycle in {definition.cycle for definition in found} if self._cycles.counts(cycle)}
+        self._held.complete([r for r, definition in zip(records, found, strict=True) if definition.cycle in counts])
+        if self.performance.offered or self._entries.waits:
+            for definition, record in zip(found, records, strict=True):
+                if definition.cycle in counts:
+                    self.performance.completed(definition.id)
+                    self._entries.give_up(record)
+        return True
 
     def _changed(
         self, definition: FaultDefinition, record: Record, old: Status, fdc: int, t_ns: int

@@ -280,6 +280,8 @@ class Live:
         if len(left.taken):
             self._take_down(left.taken)
             self._gateway.took(left.taken)
+            if left.start < 0:  # first passes wait for any reason to leave
+                self._send(self._gateway.resume(empty(0), 0))
         if left.raw:
             parts = [link.take(*each) for link, each in zip(self._links, left.raw, strict=True)]
             frames = self._with_steps(parts[0][0]) if len(parts) == 1 else self._joined(parts, left.read_ns)

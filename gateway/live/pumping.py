@@ -34,7 +34,7 @@ WANTED = 6  # one is for a server
 AHEAD = 7  # a time comes among them before which all must be done: a diagnosis, a look of the usage meter
 FULL = 8  # no room to take them down
 #: The engine has begun with the batch:
-EVENTS = 9  # it has something to tell
+EVENTS = 9  # it has something to tell that does not wait for the next reason, as first passes do
 SENDING = 10  # a monitor sends, and a queue is full, or somebody takes down what is sent
 SERVER = 11  # the time of a server, or of a recording, has come
 FAILED = 12  # the loop of the engine has failed
@@ -91,7 +91,7 @@ class State(Record):
     never: i8 = means("the time that never comes", "ns")
     now_at: i8 = means("cell of the clock: its time")
     deadline_at: i8 = means("cell of the clock: before it no timer is due")
-    events_at: i8 = means("cell of the clock: events of the pass")
+    urgent_at: i8 = means("cell of the clock: whether there are events that do not wait")
     sent_at: i8 = means("cell of the clock: frames sent")
     fed_at: i8 = means("cell of the clock: first of these that went through the engine")
     taken_at: i8 = means("cell of the clock: first of these that have left")
@@ -317,7 +317,7 @@ def _run(P: Any, s: Any) -> int:
         if call_bound(s.entry, s.arguments_at, s.results_at) != 0:
             return FAILED
         s.start = P.results[0]
-        if clock[s.events_at] > 0:
+        if clock[s.urgent_at] != 0:
             return EVENTS
         if clock[s.sent_at] > clock[s.taken_at] and not _transmit(P, s):
             return SENDING

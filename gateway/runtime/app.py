@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import FRAME, Frames, empty, joined
+from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
 from gateway.engine.core import Engine
@@ -107,6 +108,7 @@ class Gateway:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
     """
 
+    @uncollected()
     def __init__(
         self,
         config: Config,
@@ -266,6 +268,7 @@ class Gateway:
         """Add a listener; it is called with each event of the JSON contract, in order."""
         self._outbox.listen(listener)
 
+    @uncollected()
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
         self.engine.warm()

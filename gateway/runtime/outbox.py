@@ -70,6 +70,11 @@ class Outbox:
         """Whether nothing is noted, and nothing is to be sent."""
         return not (self._changes or self._untold or self._early)
 
+    @property
+    def is_heard(self) -> bool:
+        """Whether there is anybody who listens."""
+        return bool(self._listeners)
+
     def note(self, *events: dict[str, Any]) -> None:
         """Keep events to be told in their order, when all that happened before them is stored."""
         self._untold += events
