@@ -143,21 +143,25 @@ class Engine:
             if self.pause_ns < NEVER:  # asked for by the sink
                 return joined([*sent, self._in_parts(frames[start:], sink, until_ns)])
 
+    def tell(self, sink: Sink) -> Frames:
+        """Give the events that wait where a pump has left to ``sink``; returns what the monitors have sent."""
+        self._drain(sink)
+        return self._sent()
+
     def resume(self, frames: Frames, start: int, sink: Sink) -> Frames:
-        """Go on with a batch that a pump has begun; returns what the monitors send (see :meth:`process`).
+        """Go on with a batch that a pump has begun, after :meth:`tell`; returns what the monitors send.
 
         Args:
             frames: of FRAME, shape (n,).
             start: the first that was not handled.
-            sink: called with the events, first with those that wait.
+            sink: called with further events (see :meth:`process`).
         """
-        self._drain(sink)
-        sent = [self._sent()]
+        sent = []
         if self.pause_ns < NEVER:  # asked for by the sink
             sent.append(self._in_parts(frames[start:], sink, NEVER))
         elif start < len(frames) or self._ranks[self._clock[self._fed] : self._clock[self._to_send]].any():
             sent.append(self.process(frames[start:], sink, NEVER if start < len(frames) else self.now_ns))
-        return joined(sent)
+        return joined(sent) if sent else _NO_FRAMES
 
     @property
     def cells(self) -> Bound | None:

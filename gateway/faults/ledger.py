@@ -65,6 +65,7 @@ class Ledger:
     Args:
         store: where they are kept.
         recordings: recordings kept of each fault.
+        ahead: whether others see what is not written yet.
 
     Attributes:
         records: by fault id.
@@ -75,8 +76,8 @@ class Ledger:
         commits: how many transactions were written.
     """
 
-    def __init__(self, store: Store, recordings: int = 1) -> None:
-        self.store = store
+    def __init__(self, store: Store, recordings: int = 1, *, ahead: bool = False) -> None:
+        self.store, self._ahead = store, ahead
         self.records: dict[str, Record] = {record.id: record for record in store.load()}
         self.cycles: dict[str, Cycle] = store.cycles()
         self.identifiers: dict[int, bytes] = store.identifiers()
@@ -234,12 +235,16 @@ class Ledger:
 
     @property
     def shown(self) -> dict[str, Record]:
-        """Records as last written; while nothing can be written, as they are."""
-        return self.records if self.outage.reason else self._stored
+        """Records as last written; while nothing can be written, or where others see them first, as they are."""
+        return self.records if self._shows_all else self._stored
+
+    @property
+    def _shows_all(self) -> bool:
+        return bool(self._ahead or self.outage.reason)
 
     def shown_failed(self) -> list[Record]:
         """Return those of :attr:`shown` that have failed since they were cleared; in no order."""
-        return self.failed() if self.outage.reason else _with_entry(self._stored, self._failed)
+        return self.failed() if self._shows_all else _with_entry(self._stored, self._failed)
 
     def failed(self) -> list[Record]:
         """Return the records that have failed since they were cleared, as they are; in no order."""
@@ -256,7 +261,7 @@ class Ledger:
     @property
     def shown_permanent(self) -> list[Permanent]:
         """The permanent DTCs as last written, or as they are; the oldest first."""
-        return self._permanent.all() if self.outage.reason else self._stored_permanent
+        return self._permanent.all() if self._shows_all else self._stored_permanent
 
     # Writing
 

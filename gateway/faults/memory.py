@@ -1,8 +1,9 @@
 """The fault memory: qualified verdicts become status bytes, entries, freeze frames, permanent DTCs.
 
 Changes take effect in two steps: :meth:`FaultMemory.apply` and its like change the memory,
-:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told: readers get the memory as it was
-last written. While the file cannot be written there is a third state, told as such: known here, not stored.
+:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told, unless the configuration wants it
+first: readers get the memory as it was last written. While the file cannot be written there is a third state, told as
+such: known here, not stored.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ class FaultMemory(Readable):
         recordings: recordings kept of each fault.
         statistics: of the faults' debounce.
         usage: signals of the vehicle's use; None: there are none.
+        ahead: whether others see what is not written yet.
 
     Attributes:
         performance: how often monitors have run.
@@ -68,10 +70,11 @@ class FaultMemory(Readable):
         recordings: int = 1,
         statistics: Statistics | None = None,
         usage: UsageParams | None = None,
+        ahead: bool = False,
     ) -> None:
         self.catalogue = catalogue
         self._statistics = statistics
-        self._held = Ledger(store, recordings)
+        self._held = Ledger(store, recordings, ahead=ahead)
         self._records = self._held.records
         self._definitions: dict[str, FaultDefinition] = {}
         self._now_ns = 0

@@ -49,7 +49,7 @@ class Rig:
         self.gateway.listen(self.events.append)
         self.start_ns = self.clock.now()
         self.gateway.start(self.start_ns)
-        self._note("took", "feed", "advance", "poll", "resume")
+        self._note("took", "feed", "advance", "poll")
         self.live = Live(self.gateway, self.links, self.events.append, clock=self.clock, tick_s=0.0, settle=print)
         self.live.turn()
         self.sent = [[] for _ in self.ends]
@@ -121,8 +121,6 @@ def reference(config, rig):
     gateway.listen(events.append)
     gateway.start(rig.start_ns)
     for name, what, *_ in rig.calls:
-        if name == "resume":
-            continue  # its batch was taken down: fed here as a whole
         sent.append(gateway.feed(what) if name == "took" else getattr(gateway, name)(what))
     return gateway, events, sent
 
