@@ -271,11 +271,10 @@ def test_told_first_a_dtc_does_not_wait_for_the_disk_and_says_when_it_is_stored(
     assert told(rig)[-1] == ("C1001-11", True), "while a write is under way"
     assert of(rig, "stored") == []
     assert not {"b.M0.length", "b.M1.length"} & set(stored(rig))
-    slow.go_on(rig)
-    rig.wait(50)
-    slow.go_on(rig)
-    rig.wait(50)
-    assert [e["faults"] for e in of(rig, "stored")] == [["b.M0.length"], ["b.M1.length"]]
+    for _ in range(3):  # the write under way, and those of what came meanwhile
+        slow.go_on(rig)
+        rig.wait(50)
+    assert [fault for e in of(rig, "stored") for fault in e["faults"]] == ["b.M0.length", "b.M1.length"]
     assert set(stored(rig)) == {"b.M0.length", "b.M1.length"}
     assert len(of(rig, "dtc")) == 2, "each is told once"
     assert rig.gateway.summary(1.0)["counters"]["memory_not_stored"] == 0
