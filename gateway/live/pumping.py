@@ -15,8 +15,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.can_structs import CAN_MTU, CANFD_BRS, CANFD_ESI, CANFD_FDF, CANFD_MTU, settle
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN
+from gateway.bus.can_structs import fill_struct, settle
+from gateway.bus.frames import ERROR, EXTENDED, OWN
 from gateway.live.merge import LONGEST_NS, SETTLE_NS
 from gateway_fdi.jit import Record, i4, i8, i8s, kernel, means
 from gateway_fdi.jit.system import call_bound, clock_gettime, poll, recvmmsg, send
@@ -38,12 +38,6 @@ EVENTS = 9  # it has something to tell that does not wait for the next reason, a
 SENDING = 10  # a monitor sends, and a queue is full, or somebody takes down what is sent
 SERVER = 11  # the time of a server, or of a recording, has come
 FAILED = 12  # the loop of the engine has failed
-
-#: Names of the reasons, in their order.
-REASONS = (
-    "time", "door", "bus", "interrupted", "raw", "clock step", "request", "ahead", "full", "events", "sending",
-    "server", "failed",
-)  # fmt: skip
 
 _POLLIN = 1
 _DONTWAIT = 0x40
@@ -100,7 +94,6 @@ class State(Record):
     count: i8 = means("its frames")
     start: i8 = means("first of these that the engine has not handled")
     took: i8 = means("frames taken down since the pump was entered")
-    fed: i8 = means("frames fed since then")
     knocked: i8 = means("1: the other descriptor is readable")
     held: i8 = means("frames held back: an earlier one of another bus may still come")
     read_ns: i8 = means("when the sockets were looked at last", "ns")
@@ -280,18 +273,8 @@ def _transmit(P: Any, s: Any) -> bool:
         return False
     while clock[s.taken_at] < last:
         row = P.outbox[clock[s.taken_at]]
-        header = row[1]
-        side = P.sides[np.int64((header >> np.uint64(32)) & np.uint64(0xFF))]
-        flags = np.int64((header >> np.uint64(40)) & np.uint64(0xFF))
-        word = (header & np.uint64(0xFFFFFFFF)) | (((header >> np.uint64(48)) & np.uint64(0xFF)) << np.uint64(32))
-        size = CAN_MTU
-        if flags & FD:
-            size = CANFD_MTU
-            bits = CANFD_FDF | (CANFD_BRS if flags & BRS else 0) | (CANFD_ESI if flags & ESI else 0)
-            word |= np.uint64(bits) << np.uint64(40)
-        P.wire[0] = word
-        for j in range(1, size // 8):
-            P.wire[j] = row[j + 1]
+        side = P.sides[np.int64((row[1] >> np.uint64(32)) & np.uint64(0xFF))]
+        size = fill_struct(row, P.wire)
         if send(side.fd, P.wire.ctypes.data, size, _DONTWAIT | _NOSIGNAL) != size:
             return False
         side.sent += 1
@@ -334,7 +317,6 @@ def _feed(P: Any, s: Any, cells: Any) -> int:
         for j in range(10):
             P.taken[s.took + k, j] = cells[k, j]
     s.took += s.count
-    s.fed += s.count
     return _run(P, s)
 
 
@@ -346,7 +328,7 @@ def pump(P: Any) -> int:
         P: a :class:`Pumped`.
     """
     s = P.state[0]
-    s.took = s.fed = s.passes = s.count = s.start = s.knocked = 0
+    s.took = s.passes = s.count = s.start = s.knocked = 0
     buses = P.sides.shape[0]
     for b in range(buses):
         side = P.sides[b]
