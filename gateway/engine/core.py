@@ -68,6 +68,8 @@ class Engine:
         self._run: Callable[..., int] = self._first_run
         self.pause_ns = NEVER
         self.on_pause: Callable[[int], None] = lambda t_ns: None
+        firsts = zip(tables.handlers["fault"].tolist(), tables.handlers["faults"].tolist(), strict=True)
+        self._monitor_of = {first + j: k for k, (first, count) in enumerate(firsts) for j in range(count)}
         self._rules = {int(row["fault"][RULE]): k for k, row in enumerate(tables.checks) if row["fault"][RULE] >= 0}
 
     def state_of(self, monitor: int) -> Any:
@@ -364,13 +366,12 @@ class Engine:
 
     def inputs_of(self, fault: int) -> dict[SignalRef, float]:
         """Return what the monitor of a fault sees: the mailbox of its signals."""
-        for h in self.tables.handlers:
-            if h["fault"] <= fault < h["fault"] + h["faults"]:
-                first = int(h["first_slot"])
-                slots = self.tables.slots[first : first + int(h["slots"])]
-                names = self.plan.slot_names
-                return {names[slot]: self.value(slot) for slot in slots if slot < len(names)}
-        return {}
+        monitor = self._monitor_of.get(fault)
+        if monitor is None:
+            return {}
+        h, names = self.tables.handlers[monitor], self.plan.slot_names
+        slots = self.tables.slots[int(h["first_slot"]) :][: int(h["slots"])]
+        return {names[slot]: self.value(slot) for slot in slots if slot < len(names)}
 
     def end_cycles(self) -> None:
         """Take every operation cycle to be over."""
