@@ -127,6 +127,9 @@ class EventPrinter:
         by = f"  by {' and '.join(event['cause'])}" if event["cause"] else ""
         self._lines.print(f"{self._time(event)}  {mark}  {', '.join(event['faults'])}{by}", mark=mark, colour="bold")
 
+    def _on_stored(self, event: dict[str, Any]) -> None:
+        self._lines.print(f"{self._time(event)}  stored  {', '.join(event['faults'])}")
+
     def _on_clear(self, event: dict[str, Any]) -> None:
         gone = ", ".join(event["faults"]) or "no entry was there"
         self._lines.print(f"{self._time(event)}  cleared: {gone}")

@@ -6,7 +6,7 @@ import socket
 import time
 
 from gateway.bus.base import Statistics
-from gateway.bus.can_structs import RawReceiver
+from gateway.bus.can_structs import Packer, RawReceiver
 from gateway.bus.frames import empty
 from gateway.bus.traffic import Traffic
 from gateway.cli.present import print_json, say
@@ -45,6 +45,7 @@ def warmup(*, json: bool) -> int:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         RawReceiver(ours, Statistics())
+        Packer()
     seconds = time.monotonic() - begun
     if json:
         print_json({"seconds": seconds, "cache": str(folder())})

@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from gateway.common.plugins import importable
+from gateway.common.uncollected import uncollected
 from gateway.config.cross_check import cross_check
 from gateway.config.model import Config
 from gateway.faults.settings import FaultOverride
@@ -109,6 +110,7 @@ def _overridden(data: dict[str, Any], path: Path) -> Config:
         raise InputError(text, file=path) from error
 
 
+@uncollected()
 def load_config(path: str | Path, without: Collection[tuple[int, str]] = ()) -> Config:
     """Read a configuration; databases are those beside it, else shipped ones.
 

@@ -109,6 +109,11 @@ class MemoryConfig(StrictModel):
         description="false: no DTC when it cannot be written, or was damaged; log, events and counters"
         " tell it in any case",
     )
+    tell: Literal["stored", "first"] = Field(
+        "stored",
+        description="first: a DTC is told and sent at once, as not stored; an event tells when it is: a power cut"
+        " between the two loses it",
+    )
     symptoms: Literal["keep", "hold"] = Field(
         "keep", description="hold: a fault that only shows a proven cause is stored, but not confirmed"
     )

@@ -124,6 +124,7 @@ class Changes:
 
     Attributes:
         records: faults that changed.
+        statuses: faults of which only the status byte has changed: their status bytes.
         cycles: operation cycles that changed, by name.
         answered: requests of other processes, with their answers.
         permanent: permanent DTCs, all of them; None: not changed.
@@ -139,6 +140,7 @@ class Changes:
     """
 
     records: Sequence[Record] = ()
+    statuses: dict[str, int] = field(default_factory=dict)
     cycles: Mapping[str, Cycle] = field(default_factory=dict)
     answered: Mapping[int, int] = field(default_factory=dict)
     permanent: Sequence[Permanent] | None = None
@@ -151,3 +153,8 @@ class Changes:
     interventions: Mapping[int, Intervention] = field(default_factory=dict)
     kept_interventions: Sequence[int] = ()
     cleared: Sequence[int] = ()
+
+    @property
+    def faults(self) -> int:
+        """How many faults have changed."""
+        return len(self.records) + len(self.statuses)

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
@@ -88,6 +89,7 @@ class Parts:
     behind: tuple[Tests, ...]
 
 
+@uncollected()
 def prepare(config: Config, file: Path | None = None, *, extra: Collection[str] = ()) -> Parts:
     """Build what needs no fault memory; may be done in a thread beside a running gateway.
 
@@ -100,12 +102,11 @@ def prepare(config: Config, file: Path | None = None, *, extra: Collection[str] 
         InputError, InputErrors: a database, message, signal or fault that is wrong.
     """
     try:
-        parts = assemble(resolve(config, extra=extra))
+        return assemble(resolve(config, extra=extra))
     except InputError as error:
         raise error.within(file) from error
     except InputErrors as errors:
         raise InputErrors([error.within(file) for error in errors.errors]) from errors
-    return parts
 
 
 def assemble(resolved: Resolved) -> Parts:
