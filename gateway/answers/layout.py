@@ -38,8 +38,8 @@ def read_file(path: Path, year: int | None = None) -> Layouts:
     """Read the layouts of a file, and what it has besides.
 
     Args:
-        path: a database (DBC, KCD, SYM, ARXML: an extended identifier ``service << 16 | identifier`` a message), a CDD, a
-            signal set of OBDb (JSON).
+        path: a database (DBC, KCD, SYM, ARXML: an extended identifier ``service << 16 | identifier`` a message), a CDD,
+            a signal set of OBDb (JSON).
         year: model year, where a file distinguishes them; None: all, of two for one request the later.
 
     Raises:

@@ -171,7 +171,7 @@ def message_of(service: int, identifier: int, signals: Sequence[Any], *, name: s
     """
     from cantools.database.can import Message  # noqa: PLC0415 - takes a while to load
 
-    ends = [_end(signal) for signal in signals]
+    ends = [bits_needed(signal) for signal in signals]
     return Message(
         frame_id=service << 16 | identifier,
         name=name or f"A_{request_name(service, identifier)}",
@@ -183,7 +183,7 @@ def message_of(service: int, identifier: int, signals: Sequence[Any], *, name: s
     )
 
 
-def _end(signal: Any) -> int:
+def bits_needed(signal: Any) -> int:
     """Return how many bits of a payload a signal needs."""
     start = int(signal.start)
     if signal.byte_order == "big_endian":

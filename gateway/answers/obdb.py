@@ -1,8 +1,8 @@
 """Signal sets of the OBDb project (JSON, version 3), as layouts.
 
-A command is a request; ``bix`` is the place of a signal's first bit, the highest bit of the first byte being 0, and a value
-is ``raw * mul / div + add``. ``blsb`` turns the signal's bytes round before its bits are taken, in numbers, not in texts
-(``map``): as the project's own tools do. Definition: OBDb/.schemas, signals.json.
+A command is a request; ``bix`` is the place of a signal's first bit, the highest bit of the first byte being 0, and a
+value is ``raw * mul / div + add``. ``blsb`` turns the signal's bytes round before its bits are taken, in numbers, not
+in texts (``map``): as the project's own tools do. Definition: OBDb/.schemas, signals.json.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gateway.answers.model import Address, AnswerLayout, LeftOut, Layouts, Limits, message_of, request_name, signal_of
+from gateway.answers.model import Address, AnswerLayout, Layouts, LeftOut, Limits, message_of, request_name, signal_of
 from gateway.bus.frames import EXTENDED
 from gateway.signals.bounds import LONGEST
 from gateway_fdi.errors import InputError
@@ -184,7 +184,7 @@ def _command(entry: Any, place: _Place) -> _Command:
 
 
 def _address(table: Mapping[str, Any], place: _Place) -> Address:
-    """Return the address of a command: of 11 bits (``7E0``), or the middle two bytes of 29 (``DA10``), or all of them."""
+    """Return the address of a command: 11 bits (``7E0``), the middle two bytes of 29 (``DA10``), or all of them."""
     header = table.get("hdr")
     request = _hex(table, "hdr", place, 0x1FFF_FFFF)
     if request is None or not isinstance(header, str):
@@ -210,9 +210,8 @@ def _answered(commands: list[_Command]) -> Iterator[_Command]:
     """Return the commands, one that does not say who answers with the address of those that do for its ECU."""
     known = {(one.address.request, one.address.extended): one.address for one in commands if one.address.response}
     for one in commands:
-        if one.address.response is None:
-            one = one._replace(address=known.get((one.address.request, one.address.extended), one.address))
-        yield one
+        own = one.address
+        yield one if own.response else one._replace(address=known.get((own.request, own.extended), own))
 
 
 def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
