@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from gateway.answers.model import AnswerLayout, bits_needed
 from gateway.answers.pages import PAGE, Page, pages
 from gateway.bus.frames import EXTENDED, empty, put
-from gateway.signals.payloads import decode_columns
 from gateway.signals.database import Database
 from gateway.signals.decode import OK
+from gateway.signals.payloads import decode_columns
 from gateway.signals.tables import DecodePlan, compile_plan
 
 
