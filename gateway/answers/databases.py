@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,9 @@ def read_cdd(path: Path, _year: int | None) -> Layouts:
     import cantools  # noqa: PLC0415 - its parsers take a while to load
 
     try:
-        loaded: Any = cantools.database.load_file(path, database_format="cdd", strict=False)
+        with warnings.catch_warnings():  # it calls its reader of CDDs deprecated, and has no other
+            warnings.simplefilter("ignore")
+            loaded: Any = cantools.database.load_file(path, database_format="cdd", strict=False)
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
     except Exception as error:  # the parser lets any exception of its own through

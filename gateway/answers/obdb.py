@@ -119,7 +119,8 @@ class Years:
             None if fields.get(key) is None else _count(fields, key, place, None, 0) for key in ("from", "to")
         )
         years = _list(fields.get("years") or [], place.at("years"))
-        return Years(first, last, frozenset(int(year) for year in years))
+        single = [_count({"years": year}, "years", place, None, 0) for year in years]
+        return Years(first, last, frozenset(single))
 
     def match(self, year: int) -> bool:
         """Return whether a year is among them."""
