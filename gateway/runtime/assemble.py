@@ -23,14 +23,14 @@ from gateway.faults.catalogue import Catalogue, FaultDefinition, define
 from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
+from gateway.isotp.endpoint import IsoTpEndpoint
+from gateway.isotp.params import IsoTpParams
 from gateway.monitors.contract import Fault
 from gateway.servers.authority import Authority
 from gateway.servers.bus_server import BusServer
 from gateway.servers.diagnostic_server import DiagnosticServer
 from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.identifiers import Identifiers
-from gateway.servers.isotp.endpoint import IsoTpEndpoint
-from gateway.servers.isotp.params import IsoTpParams
 from gateway.servers.j1939.endpoint import J1939Endpoint
 from gateway.servers.j1939.server import J1939Server
 from gateway.servers.obd.server import ObdServer

@@ -1,4 +1,4 @@
-"""A UDS server that knows some answers: ISO-TP by can-isotp, the scenario's time for all that it waits for.
+"""A UDS server that knows some answers: the scenario's time for all that it waits for.
 
 Unknown requests are answered as ISO 14229-1 wants: serviceNotSupported where no request with this service is known,
 requestOutOfRange else; nothing where the request came to all and nothing but that could be said (7.5.5).
@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-import isotp
-
-from gateway.bus.frames import EXTENDED, FD, ID_MASK, Frames, empty, payload, put
+from gateway.bus.frames import Frames
+from gateway.common.times import NEVER
+from gateway.isotp.endpoint import IsoTpEndpoint, Request
+from gateway.isotp.params import IsoTpParams
 from gateway_bench.vecu.responder.params import UdsStub
 
 #: NRC: the service is not known; the parameters are not; of these, a request to all gets no answer.
@@ -31,62 +32,36 @@ class UdsResponder:
     """
 
     def __init__(self, params: UdsStub, bus: int, read: Callable[[str], bytes]) -> None:
-        self._params, self._bus, self._read = params, bus, read
-        self._flag = EXTENDED if params.extended else 0
-        self._now_ns = 0
-        self._waiting: deque[isotp.CanMessage] = deque()
-        self._sent: list[Frames] = []
+        self._params, self._read = params, read
         self._answers: deque[tuple[int, bytes]] = deque()  # due [ns], answer
-        mode = isotp.AddressingMode.Normal_29bits if params.extended else isotp.AddressingMode.Normal_11bits
-        address = isotp.Address(mode, txid=params.response, rxid=params.request)
-        # The pause that a tester asks for would be taken by the machine's clock, which a scenario does not go by.
-        settings = {"tx_padding": 0xCC, "override_receiver_stmin": 0.0, "rx_flowcontrol_timeout": 3_600_000}
-        self._layer = isotp.TransportLayerLogic(self._receive, self._send, address, params=settings)
-
-    def _receive(self, _timeout: float) -> isotp.CanMessage | None:
-        return self._waiting.popleft() if self._waiting else None
-
-    def _send(self, message: isotp.CanMessage) -> None:
-        made = empty(1)
-        flags = FD if message.is_fd else 0
-        data = bytes(message.data)
-        put(made, 0, self._now_ns, message.arbitration_id | self._flag, data, bus=self._bus, flags=flags)
-        self._sent.append(made)
+        address = IsoTpParams.model_validate(params.model_dump(include=set(IsoTpParams.model_fields)))
+        self._transport = IsoTpEndpoint(address, bus)
 
     def step(self, end_ns: int, heard: Frames) -> list[Frames]:
         """Take frames, and return what is sent until a time [ns]."""
-        params = self._params
-        for frame in heard:
-            can_id, data = int(frame["can_id"]), payload(frame)
-            self._now_ns = max(self._now_ns, int(frame["t_ns"]))
-            if can_id == params.request | self._flag:
-                self._waiting.append(
-                    isotp.CanMessage(
-                        arbitration_id=can_id & ID_MASK, data=data, extended_id=params.extended, is_fd=False
-                    )
-                )
-                self._layer.process()
-                while self._layer.available():
-                    self._take(bytes(self._layer.recv() or b""))
-            elif params.functional is not None and can_id == params.functional | self._flag:
-                length = data[0] if data else 0  # a request to all is a single frame
-                if 0 < length <= 7 and len(data) > length:
-                    self._take(data[1 : 1 + length], to_all=True)
-        while self._answers and self._answers[0][0] < end_ns and not self._layer.transmitting():
-            due_ns, answer = self._answers.popleft()
-            self._now_ns = max(self._now_ns, due_ns)
-            self._layer.send(answer)
-            self._layer.process()
-        if self._layer.transmitting():
-            self._layer.process()
-        sent, self._sent = self._sent, []
-        self._now_ns = max(self._now_ns, end_ns - 1)
+        transport, sent = self._transport, []
+        for frame in heard[transport.wanted(heard)]:
+            request = transport.receive(frame, int(frame["t_ns"]))
+            if request is not None:
+                self._take(request)
+            sent.append(transport.take_frames())
+        while (due_ns := self._due_ns) < end_ns:
+            now_ns = transport.advance(due_ns)
+            ready = bool(self._answers) and self._answers[0][0] <= now_ns and not transport.sending
+            transport.send([self._answers.popleft()[1]] if ready else [])
+            sent.append(transport.take_frames())
         return sent
 
-    def _take(self, request: bytes, *, to_all: bool = False) -> None:
-        answer = self.answer(request, to_all=to_all)
+    @property
+    def _due_ns(self) -> int:
+        """When the next frame is due: of the answer under way, else of the next one."""
+        waits = self._answers and not self._transport.sending
+        return min(self._transport.next_ns, self._answers[0][0] if waits else NEVER)
+
+    def _take(self, request: Request) -> None:
+        answer = self.answer(request.data, to_all=request.functional)
         if answer:
-            self._answers.append((self._now_ns + round(self._params.delay_ms * 1e6), answer))
+            self._answers.append((request.t_ns + round(self._params.delay_ms * 1e6), answer))
 
     def answer(self, request: bytes, *, to_all: bool = False) -> bytes:
         """Return the answer to a request, nothing where there is none."""
