@@ -1,7 +1,7 @@
 """ODX and PDX files as layouts, by odxtools: services that read an identifier, and whose answer has fixed places.
 
 A parameter's bits are those of ISO 22901-1, 7.3.6: bytes from its byte position on, in their order, shifted by its bit
-position. Parameters without a fixed place, or with a conversion neither linear nor a table of texts, are left out.
+position. Parameters without a fixed place, or with a conversion other than linear or a table of texts, are left out.
 """
 
 from __future__ import annotations
