@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gateway.answers.model import TWO_BYTES, AnswerLayout, Layouts, LeftOut, message_of, signal_of
-from gateway.answers.pages import LONGEST_SIGNAL, unreachable
+from gateway.answers.model import LONGEST_SIGNAL, TWO_BYTES, AnswerLayout, Layouts, LeftOut, message_of, signal_of
 from gateway.signals.database import load_database
 from gateway_fdi.errors import InputError
 
@@ -31,8 +30,6 @@ def read(path: Path, _year: int | None) -> Layouts:
             left.append(LeftOut(message.name, f"service 0x{service:02X} has identifiers up to 0xFF"))
         else:
             found.append(AnswerLayout(service, identifier, message))
-            why = f"more than {LONGEST_SIGNAL} bits, or far from its multiplexer"
-            left += [LeftOut(f"{message.name}.{name}", why) for name in unreachable(message)]
     if not found:
         raise InputError("no message has an extended identifier service << 16 | identifier, as 0x22F190", file=path)
     return Layouts(tuple(found), tuple(left))

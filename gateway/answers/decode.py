@@ -1,21 +1,20 @@
-"""Answers into values, by the engine's own decoder: also those longer than a frame, or shorter than their layout."""
+"""Answers into values, as the engine has them: through the bus of the answers, and its decoder."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.answers.model import AnswerLayout, bits_needed
-from gateway.answers.pages import PAGE, Page, pages
-from gateway.bus.frames import EXTENDED, empty, put
-from gateway.signals.database import Database
+from gateway.answers.model import AnswerLayout, Limits
+from gateway.answers.pages import BYTES, answer_bus
+from gateway.answers.weave import framed
+from gateway.bus.frames import joined
 from gateway.signals.decode import OK
-from gateway.signals.payloads import decode_columns
-from gateway.signals.tables import DecodePlan, compile_plan
+from gateway.signals.payloads import decode_columns, message_rows
+from gateway.signals.tables import compile_plan
 
 
 class Values(NamedTuple):
@@ -40,11 +39,18 @@ class AnswerDecoder:
     """
 
     def __init__(self, layout: AnswerLayout) -> None:
+        key = (layout.service, layout.identifier)
+        bus = answer_bus([("", {key: layout})])
+        self._pages = bus.pages[0][key]
+        self._plan = compile_plan([(0, bus.database)])
         self._limits = layout.limits
-        self._pages = [(page, _plan(page)) for page in pages(layout)]
-        self.names = tuple(ref.signal for _, plan in self._pages for ref in plan.slot_names)
-        needed = {name: bits for page, _ in self._pages for name, bits in _needed(page).items()}
-        self._needed = np.asarray([needed[name] for name in self.names], np.int64)
+        # By page: places of its signals among those of the plan's message.
+        self._places: dict[int, list[tuple[str, int]]] = {}
+        for ref in self._plan.slot_names:
+            if not ref.signal.startswith(BYTES):
+                place = ref.signal, self._plan.position(*ref)
+                self._places.setdefault(self._plan.message(ref.bus, ref.message), []).append(place)
+        self.names = tuple(name for row in sorted(self._places) for name, _ in self._places[row])
 
     def decode(self, answers: Sequence[bytes], *, void: bool = False) -> Values:
         """Return the values of answers; of one that is shorter than the layout, those of the signals that fit.
@@ -53,47 +59,27 @@ class AnswerDecoder:
             answers: data after service and identifier.
             void: also values that the file calls none (:class:`~gateway.answers.model.Limits`).
         """
-        parts = [_columns(page, plan, answers) for page, plan in self._pages]
-        values = np.concatenate([part[0] for part in parts]) if parts else np.zeros((0, len(answers)))
-        there = np.concatenate([part[1] for part in parts]) if parts else np.zeros(values.shape, np.bool_)
-        lengths = 8 * np.asarray([len(answer) for answer in answers], np.int64)
-        there = there & (self._needed[:, None] <= lengths[None, :]) & np.isfinite(values)
+        values = np.zeros((len(self.names), len(answers)))
+        there = np.zeros(values.shape, np.bool_)
+        # The stamp of a page is the number of its answer.
+        frames = joined([framed(answer, self._pages, k, 0) for k, answer in enumerate(answers)])
+        rows, at = message_rows(frames, self._plan), 0
+        for row, places in sorted(self._places.items()):
+            mine = frames[rows == row]
+            found, these = decode_columns(mine, self._plan, row), slice(at, at + len(places))
+            order = [place for _, place in places]
+            values[these, mine["t_ns"]] = found.values[order]
+            there[these, mine["t_ns"]] = found.there[order] & (found.results == OK)[None, :]
+            at += len(places)
+        there &= np.isfinite(values)
         if not void:
             for k, name in enumerate(self.names):
-                limits = self._limits.get(name)
-                if limits is not None and limits.void_low is not None:
-                    there[k] &= values[k] > limits.void_low
-                if limits is not None and limits.void_high is not None:
-                    there[k] &= values[k] < limits.void_high
+                there[k] &= ~_void(values[k], self._limits.get(name, Limits()))
         return Values(self.names, values, there)
 
 
-def _plan(page: Page) -> DecodePlan:
-    """Return the decode plan of a page, which takes answers of any length."""
-    plan = compile_plan([(0, Database([(page.message, Path(page.message.name))]))])
-    plan.messages["length"] = 0
-    return plan
-
-
-def _needed(page: Page) -> dict[str, int]:
-    """Return how many bits of an answer each signal needs, its multiplexers with it."""
-    by_name = {signal.name: signal for signal in page.message.signals}
-    needed = {}
-    for signal in page.message.signals:
-        most, other = bits_needed(signal), signal
-        while other.multiplexer_signal is not None:
-            other = by_name[other.multiplexer_signal]
-            most = max(most, bits_needed(other))
-        needed[signal.name] = 8 * page.first + most
-    return needed
-
-
-def _columns(page: Page, plan: DecodePlan, answers: Sequence[bytes]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the values of a page, and whether they are there; shape (signals, answers) each, in the plan's order."""
-    frames = empty(len(answers))
-    can_id = page.message.frame_id | EXTENDED
-    for k, answer in enumerate(answers):
-        put(frames, k, 0, can_id, answer[page.first : page.first + PAGE])
-    found = decode_columns(frames, plan, 0)
-    order = [plan.position(ref.bus, ref.message, ref.signal) for ref in plan.slot_names]
-    return found.values[order], found.there[order] & (found.results == OK)[None, :]
+def _void(values: NDArray[np.float64], limits: Limits) -> NDArray[np.bool_]:
+    """Return which values are none, shape (answers,)."""
+    low = -np.inf if limits.void_low is None else limits.void_low
+    high = np.inf if limits.void_high is None else limits.void_high
+    return (values <= low) | (values >= high)

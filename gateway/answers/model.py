@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 #: Services whose identifier has two bytes; those of others have one.
 TWO_BYTES = (0x22, 0x2A, 0x2E, 0x2F, 0x31)
 
+#: Bits of a signal that the decoder reads, at most.
+LONGEST_SIGNAL = 64
+
 
 @dataclass(frozen=True)
 class Address:

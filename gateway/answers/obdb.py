@@ -14,7 +14,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gateway.answers.model import Address, AnswerLayout, Layouts, LeftOut, Limits, message_of, request_name, signal_of
+from gateway.answers.model import (
+    LONGEST_SIGNAL,
+    Address,
+    AnswerLayout,
+    Layouts,
+    LeftOut,
+    Limits,
+    message_of,
+    request_name,
+    signal_of,
+)
 from gateway.bus.frames import EXTENDED
 from gateway.signals.bounds import LONGEST
 from gateway_fdi.errors import InputError
@@ -224,8 +234,8 @@ def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
     place = place.at("fmt")
     first, length = _count(fmt, "bix", place, 0, 0), _count(fmt, "len", place, None, 1)
     unit = fmt.get("unit")
-    if unit == "ascii" or length > 64:
-        return LeftOut(name, f"a text, or a number of {length} bits: at most 64 are decoded")
+    if unit == "ascii" or length > LONGEST_SIGNAL:
+        return LeftOut(name, f"a text, or a number of {length} bits: at most {LONGEST_SIGNAL} are decoded")
     texts = _texts(fmt, place)
     big, start = True, 8 * (first // 8) + 7 - first % 8
     if fmt.get("blsb") and length > 8 and "map" not in fmt:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gateway.answers.model import (
+    LONGEST_SIGNAL,
     TWO_BYTES,
     Address,
     AnswerLayout,
@@ -20,7 +21,6 @@ from gateway.answers.model import (
     message_of,
     signal_of,
 )
-from gateway.answers.pages import LONGEST_SIGNAL
 from gateway.bus.frames import EXTENDED
 from gateway.common.extras import need
 from gateway_fdi.errors import InputError
