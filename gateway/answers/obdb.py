@@ -306,6 +306,31 @@ def _joined(commands: list[_Command], left: list[LeftOut]) -> AnswerLayout | Non
     return AnswerLayout(first.service, first.identifier, message, first.address, limits, first.every_s)
 
 
+def _document(path: Path) -> dict[str, Any]:
+    """Return the file's contents."""
+    try:
+        document = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(error.strerror or str(error), file=path) from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"no good JSON: {error.msg}", file=path, line=error.lineno) from error
+    except (UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"no good JSON: {error}", file=path) from error
+    return dict(_object(document, _Place(path, "")))
+
+
+def of_year(path: Path, year: int) -> str:
+    """Return the text of a signal set that has the commands of one model year only."""
+    document = _document(path)
+    place = _Place(path, "commands")
+    document["commands"] = [
+        entry
+        for k, entry in enumerate(_list(document.get("commands"), place))
+        if _command(entry, _Place(path, f"commands[{k}]")).years.match(year)
+    ]
+    return json.dumps(document, indent=1) + "\n"
+
+
 def read(path: Path, year: int | None) -> Layouts:
     """Read a signal set.
 
@@ -316,16 +341,8 @@ def read(path: Path, year: int | None) -> Layouts:
     Raises:
         InputError: it cannot be read, is no signal set, or has nothing for the year; names key and value.
     """
-    try:
-        document = json.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(error.strerror or str(error), file=path) from error
-    except json.JSONDecodeError as error:
-        raise InputError(f"no good JSON: {error.msg}", file=path, line=error.lineno) from error
-    except (UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"no good JSON: {error}", file=path) from error
     top = _Place(path, "")
-    entries = _list(_object(document, top).get("commands"), top.at("commands"))
+    entries = _list(_document(path).get("commands"), top.at("commands"))
     commands = [_command(entry, top.at(f"commands[{k}]")) for k, entry in enumerate(entries)]
     left: list[LeftOut] = []
     requests: dict[tuple[Address, int, int], list[_Command]] = {}

@@ -275,6 +275,34 @@ def bus(
     raise typer.Exit(work(address, duration=duration, json=json))
 
 
+@app.command("import")
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Layouts of answers: .dbc, .kcd, .sym, .arxml, .cdd, .odx, .pdx, or a signal set of OBDb (.json)."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Configuration file to write.")] = Path("ecu.toml"),
+    bus: Annotated[str, typer.Option(metavar="NAME[=URI]", help="Bus that the ECUs are on.")] = "can0",
+    request: Annotated[
+        str | None, typer.Option(help="Identifier of requests, e.g. 0x7E0, where the file has none.")
+    ] = None,
+    response: Annotated[str | None, typer.Option(help="Identifier of answers, e.g. 0x7E8.")] = None,
+    year: Annotated[
+        int | None, typer.Option(min=1900, max=2200, help="Model year, where the file has several.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
+    json: Json = False,
+) -> None:
+    """Make a configuration that asks ECUs, from a file that says how they answer."""
+    from gateway.cli.import_layouts import import_layouts as work
+
+    raise typer.Exit(
+        work(source, out=out, bus=bus, request=request, response=response, year=year, force=force, json=json)
+    )
+
+
 @app.command()
 def record(
     buses: Annotated[list[str], typer.Argument(help="URIs, e.g. socketcan:can0 socketcan:can1.")],
