@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from gateway.signals.protection.params import ProtectionParams
 from gateway_bench.vecu.contract import EcuParams
+from gateway_bench.vecu.responder.memory import StoredDtc
 from gateway_fdi.common.tomlfile import StrictModel
 
 _PAIRS = re.compile(r"(?:[0-9A-Fa-f]{2}\s*)+")
@@ -52,6 +53,7 @@ class UdsStub(StrictModel):
     identifiers: dict[str, str] = Field(
         default_factory=dict, description='"F190" -> text, "0x.." bytes in hex, or "Message.Signal": read by 0x22'
     )
+    dtc: tuple[StoredDtc, ...] = Field((), description="its fault memory: 0x19, 0x14, and modes 03, 04, 07, 0A of OBD")
     delay_ms: float = Field(5.0, ge=0, le=60_000, allow_inf_nan=False, description="until it answers [ms]")
 
     @model_validator(mode="after")
