@@ -295,7 +295,7 @@ def import_(
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     json: Json = False,
 ) -> None:
-    """Make a configuration that asks ECUs from a file of their answers."""
+    """Make a configuration from a file of ECUs' answers."""
     from gateway.cli.import_layouts import import_layouts as work
 
     raise typer.Exit(
