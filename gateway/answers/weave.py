@@ -8,6 +8,8 @@ from gateway.answers.model import TWO_BYTES
 from gateway.answers.pages import Page
 from gateway.bus.frames import FD, Frames, empty, joined, put
 
+#: Services of requests that read values; all others have no layout.
+READ_SERVICES = (0x01, 0x09, 0x21, 0x22)
 #: Added to the service of a request in a positive answer; a negative answer.
 POSITIVE, NEGATIVE = 0x40, 0x7F
 
@@ -83,9 +85,10 @@ class Weaver:
         """
         if answer[0] == NEGATIVE:
             self.counts["negative"] += 1
+        if answer[0] - POSITIVE not in READ_SERVICES:
             return empty(0)
         made = []
-        for key, data in records(answer, self._lengths) if answer[0] >= POSITIVE else ():
+        for key, data in records(answer, self._lengths):
             length = self._lengths.get(key)
             if length is None:
                 self.counts["unknown"] += 1

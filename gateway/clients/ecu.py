@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from gateway.answers.weave import NEGATIVE, POSITIVE
+from gateway.answers.weave import NEGATIVE, POSITIVE, READ_SERVICES
 from gateway.bus.frames import Frames, empty, put
-from gateway.clients.params import DTC_SERVICES, READ_SERVICES, EcuAddress, EcuParams
+from gateway.clients.params import DTC_SERVICES, EcuAddress, EcuParams
 from gateway.clients.refusals import BUSY, FINAL, PENDING
 from gateway.common.times import NEVER
 from gateway.isotp.heard import N_CR_NS
@@ -86,6 +86,7 @@ class EcuClient:
     _rests_ns: int = 0
     _pending: int = 0
     _again: int = 0
+    _begun_ns: int = 0
 
     def __post_init__(self) -> None:
         self.place: EcuAddress = self.params.place
@@ -114,7 +115,9 @@ class EcuClient:
         ask = min((each for each in self.asks if not each.refused), key=lambda each: each.due_ns)
         if not allowed(ask.request):
             raise AssertionError(f"{ask.name} would change something")
+        ask.due_ns = ask.due_ns or t_ns
         self._asked, self._deadline_ns, self._pending = ask, t_ns + round(self.params.p2_ms * MS), 0
+        self._begun_ns = t_ns
         self.counts["requests"] += 1
         return self._frame(bytes([len(ask.request)]) + ask.request, t_ns)
 
@@ -189,9 +192,9 @@ class EcuClient:
         if ask.every_ns == NEVER:
             self.asks.remove(ask)
             return
-        late = max(t_ns - ask.due_ns, 0) // ask.every_ns if ask.due_ns else 0
+        late = max(t_ns - ask.due_ns, 0) // ask.every_ns
         self.counts["skipped"] += late
-        ask.due_ns = (ask.due_ns or t_ns) + (late + 1) * ask.every_ns
+        ask.due_ns += (late + 1) * ask.every_ns
         if ask.delays:
             ask.due_ns += min(ask.every_ns << ask.delays, LONGEST_REST_NS)
 
@@ -240,6 +243,6 @@ def asks_of(params: EcuParams) -> list[Ask]:
 
 
 def in_order(clients: Sequence[EcuClient], t_ns: int) -> list[EcuClient]:
-    """Return the clients that may ask now, the most overdue first."""
+    """Return the clients that may ask now: the most overdue first, of these the one that has asked least lately."""
     ready = [client for client in clients if not client.busy and client.due_ns <= t_ns]
-    return sorted(ready, key=lambda client: client.due_ns)
+    return sorted(ready, key=lambda client: (client.due_ns, client._begun_ns))

@@ -8,13 +8,12 @@ from typing import NamedTuple, Self
 from pydantic import Field, model_validator
 
 from gateway.answers.model import TWO_BYTES, Address, request_name
+from gateway.answers.weave import READ_SERVICES
 from gateway.bus.frames import EXTENDED
 from gateway.engine.checks.communication import Params as CheckParams
 from gateway.faults.settings import ConditionSettings
 from gateway_fdi.common.tomlfile import StrictModel
 
-#: Services that only read values: nothing else can be scheduled.
-READ_SERVICES = (0x01, 0x09, 0x21, 0x22)
 #: Services that only read DTCs.
 DTC_SERVICES = (0x19, 0x03, 0x07, 0x0A)
 #: Requests for the DTCs that fail, did in this cycle or since the clear, are pending, confirmed, or ask for a lamp.
