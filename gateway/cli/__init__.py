@@ -275,6 +275,21 @@ def bus(
     raise typer.Exit(work(address, duration=duration, json=json))
 
 
+@app.command()
+def survey(
+    bus: Annotated[str, typer.Argument(help="URI of the bus, e.g. socketcan:can0.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write a configuration that asks them.")] = None,
+    rate: Annotated[float, typer.Option(min=0.1, max=1000, help="Most requests a second.")] = 10.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Ask also where there is traffic on the bus.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    json: Json = False,
+) -> None:
+    """Find the ECUs of a bus by asking them: identity, PIDs, DTCs."""
+    from gateway.cli.survey import survey as work
+
+    raise typer.Exit(work(bus, out=out, rate=rate, yes=yes, force=force, json=json))
+
+
 @app.command("import")
 def import_(
     source: Annotated[

@@ -12,11 +12,12 @@ from typing import Any
 from gateway.answers.layout import Address, AnswerLayout, LeftOut, read_file
 from gateway.answers.obdb import of_year
 from gateway.answers.pages import answer_bus
+from gateway.answers.weave import READ_SERVICES
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.cli.lines import Lines
 from gateway.cli.present import print_json
 from gateway.clients.document import Asked, Read, tables
-from gateway.clients.params import READ_SERVICES, AskParams
+from gateway.clients.params import AskParams
 from gateway_fdi.errors import InputError
 
 #: Time between two requests where a file does not say [ms].

@@ -174,15 +174,15 @@ class EcuClient:
             return
         if code in FINAL:
             ask.refused = f"{FINAL[code]} (0x{code:02X})"
-            log.warning(
-                "an ECU refuses, and is not asked this again",
-                ecu=self.params.name,
-                request=ask.name,
-                reason=ask.refused,
-            )
+            self._tell(ask)
         else:
             ask.delays = min(ask.delays + 1, 16)
         self._end(ask, t_ns, heard=True)
+
+    def _tell(self, ask: Ask) -> None:
+        """Tell of a request that is not asked again."""
+        name = self.params.name
+        log.warning("an ECU refuses, and is not asked this again", ecu=name, request=ask.name, reason=ask.refused)
 
     def _end(self, ask: Ask, t_ns: int, *, heard: bool) -> None:
         """Put a request back into the schedule."""
