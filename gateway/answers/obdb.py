@@ -205,16 +205,15 @@ def _address(table: Mapping[str, Any], place: _Place) -> Address:
     if len(header) == 3:
         if request > 0x7FF or (response or 0) > 0x7FF:
             raise place.at("hdr").wrong("an identifier of three digits has at most 7FF", header)
-        return Address(request, response, own, tester if tester is not None else own)
+        return Address(request, response, own, None if own is None else own if tester is None else tester)
     source = _TESTER if tester is None else tester
     if len(header) == 4:
         priority = _hex(table, "pri", place, 0x1F)
         request |= (_PRIORITY if priority is None else priority) << 16
         request = request << 8 | source
-    if response is not None:
-        response = response if response > 0xFFFF else 0x18DA0000 | source << 8 | response & 0xFF
-        response |= EXTENDED
-    return Address(request | EXTENDED, response, own, own)
+    if response is not None and len(table["rax"]) < 8:  # the ECU's address is its last byte
+        response = 0x18DA0000 | source << 8 | response & 0xFF
+    return Address(request | EXTENDED, None if response is None else response | EXTENDED, own, own)
 
 
 def _answered(commands: list[_Command]) -> Iterator[_Command]:

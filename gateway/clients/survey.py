@@ -45,7 +45,7 @@ class Place:
 
 @dataclass
 class Found:
-    """What a survey has found.
+    """Result of a survey.
 
     Attributes:
         frames: heard while nothing was asked, and in which time [ns].
@@ -125,7 +125,7 @@ class Survey:
         self._until_ns = t_ns + max(wait_ns, self._apart_ns if len(out) else 0)
         return out
 
-    # Who is there.
+    # Search for ECUs.
 
     def _run(self) -> _Script:
         came = yield empty(0), LISTEN_NS
@@ -198,7 +198,7 @@ class Survey:
     def _single(self, can_id: int, request: bytes) -> Frames:
         return self._frame(can_id, (bytes([len(request)]) + request).ljust(8, b"\xcc"))
 
-    # What it says.
+    # Questions to each ECU.
 
     def _begin_questions(self, t_ns: int) -> Frames:
         ecus = [questioned(place.name, place.request, place.response) for place in self.found.ecus]
