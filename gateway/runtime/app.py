@@ -501,6 +501,17 @@ class Gateway:
         return self._parts.notes
 
     @property
+    def unread(self) -> list[str]:
+        """Signals of answers that are not decoded, and reads whose answers have no layout, one line each."""
+        found = [text for bus in self._parts.answers for text in bus.left_out]
+        for ecus, answers in zip(self.config.answered.values(), self._parts.answers, strict=True):
+            for k, lengths in zip(ecus, answers.lengths, strict=True):
+                ecu = self.config.ecu[k]
+                unread = [read.request.hex().upper() for read in ecu.read if read.key not in lengths]
+                found += [f"ecu[{k}]: no layout of {', '.join(unread)}: answers are only counted"] if unread else []
+        return found
+
+    @property
     def signal_slots(self) -> dict[str, int]:
         """Mailbox slots of the signals whose latest value is known, by full name; with the bus if there are several."""
         return signal_slots(self.config, self.engine)

@@ -1,5 +1,7 @@
 """DTCs of other ECUs: came, changed, went; what an answer does not say is not concluded; kept over restarts."""
 
+import json
+
 import numpy as np
 import pytest
 from asking_rig import BUS, Car, Ecu, Server, settled, write
@@ -173,3 +175,46 @@ def test_names_of_faults_are_theirs_alone(tmp_path):
         with pytest.raises(GatewayError, match="taken|of") as error:
             load_config(write(tmp_path, BUS + wrong))
         assert text in str(error.value)
+
+
+def test_people_and_programs_see_them(brake, tmp_path, capsys):
+    from typer.testing import CliRunner
+
+    from gateway.cli import app
+
+    made, _, file = brake
+    made.run(2000)
+    made.gateway.stop(made.now)
+    run = CliRunner()
+    memory = ["--memory", str(tmp_path / "memory.sqlite")]
+    shown = run.invoke(app, ["faults", "list", *memory, "--ecu", "brake"]).stdout
+    assert "C0000-11" in shown
+    assert "1904: 0101F19031" in shown
+    assert (
+        "no DTCs of other ECUs; the ECUs with DTCs are brake"
+        in run.invoke(app, ["faults", "list", *memory, "--ecu", "break"]).stdout
+    )
+    (known,) = json.loads(run.invoke(app, ["faults", "list", *memory, "--ecu", "all", "--json"]).stdout)
+    assert (known["ecu"], known["there"]) == ("brake", True)
+    checked = run.invoke(app, ["check", str(file)]).stdout
+    assert "asks brake (0x7E0, 0x7E8) on obd: DTCs (uds) every 1 s" in checked
+    assert "U1234-00  brake.any" in checked
+
+
+def test_metrics_and_the_broker_have_them():
+    from pathlib import Path
+
+    from gateway.serve.hub import Hub
+    from gateway.serve.metrics import Metrics
+    from gateway.serve.mqtt import BrokerSettings, Publisher
+
+    hub = Hub(Path("none"))
+    hub.ecus = [{"ecu": "brake", "requests": 7, "answers": 5, "absent": 2, "not_asked": {}}]
+    one = {"ecu": "brake", "dtc": "C0035-11", "there": True, "status": 8}
+    hub.memory["ecu_dtcs"] = [one, {**one, "dtc": "C0036-11", "there": False}]
+    text = Metrics(hub).text().decode()
+    assert 'gateway_ecu_requests_total{ecu="brake"} 7.0' in text
+    assert 'gateway_ecu_outcomes_total{ecu="brake",outcome="absent"} 2.0' in text
+    assert 'gateway_ecu_dtc{dtc="C0036-11",ecu="brake"} 0.0' in text
+    states = Publisher(hub, BrokerSettings("none"), "car").states()
+    assert [topic for topic in states if "/ecu/" in topic] == ["gateway/car/ecu/brake/dtc/C0035-11"]
