@@ -67,13 +67,14 @@ class Weaver:
         bus: index of the bus of the answers.
 
     Attributes:
+        bus: it.
         counts: answers of each kind: decoded, shorter or longer than their layout, without a layout, negative.
     """
 
     def __init__(
         self, pages: Mapping[tuple[int, int], tuple[Page, ...]], lengths: Mapping[tuple[int, int], int], bus: int
     ) -> None:
-        self._pages, self._lengths, self._bus = pages, lengths, bus
+        self._pages, self._lengths, self.bus = pages, lengths, bus
         self.counts = dict.fromkeys(("decoded", "shorter", "longer", "unknown", "negative"), 0)
 
     def frames(self, answer: bytes, t_ns: int) -> Frames:
@@ -94,5 +95,5 @@ class Weaver:
                 self.counts["unknown"] += 1
                 continue
             self.counts["decoded" if len(data) == length else "longer" if len(data) > length else "shorter"] += 1
-            made.append(framed(data, self._pages[key], t_ns, self._bus))
+            made.append(framed(data, self._pages[key], t_ns, self.bus))
         return joined(made)

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from gateway.answers.weave import Weaver
-from gateway.bus.frames import EXTENDED, Frames, empty, has_none_of, joined, payload
-from gateway.clients.ecu import MS, EcuClient, in_order
+from gateway.answers.weave import NEGATIVE, Weaver
+from gateway.bus.frames import EXTENDED, Frames, empty, has_none_of, joined, payload, put
+from gateway.clients.dtcs import READ_DTCS, details_of, told_by
+from gateway.clients.ecu import MS, Ask, EcuClient
+from gateway.clients.refusals import PENDING
 from gateway.common.times import NEVER
+from gateway.faults.vehicle import TOLD, Told
 from gateway.isotp.heard import Reassembler
 
 #: Identifiers of functional requests: any tester's are for each ECU of the bus.
 FUNCTIONAL = (0x7DF, EXTENDED | 0x18DB33F1)
+#: Identifier of a frame behind each answer that tells DTCs, on the bus of the answers: it is the place in time of
+#: :attr:`Asking.told`.
+TELLS = EXTENDED | READ_DTCS << 16
+#: DTCs whose data are read after one answer, at most; those of others are read after the next.
+MOST_DETAILS = 16
 #: How often a bus that rests is looked at again [ns].
 LOOK_NS = 100 * MS
 
@@ -29,12 +38,16 @@ class Ecu:
         weaver: of its answers.
         answers: its messages.
         requests: messages to it.
+        asked: the last one, until its answer.
+        detailed: DTCs whose data have been asked for since they came.
     """
 
     client: EcuClient
     weaver: Weaver
     answers: Reassembler = field(init=False)
     requests: Reassembler = field(init=False)
+    asked: bytes = b""
+    detailed: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         place = self.client.place
@@ -48,6 +61,9 @@ class Asking:
         ecus: in the order of the configuration.
         rates: requests a second at most, by index of the bus; on others nothing is asked.
         may_ask: whether a bus may be asked now: it lives, the vehicle is awake, nobody has switched communication off.
+
+    Attributes:
+        told: what answers say of DTCs, in the order of the frames TELLS.
     """
 
     def __init__(
@@ -61,14 +77,15 @@ class Asking:
         self._apart_ns = {bus: round(1e9 / rate) for bus, rate in rates.items()}
         self._next_of_bus = dict.fromkeys(rates, 0)
         self._said: list[Frames] = []
+        self.told: deque[Told] = deque()
         self._heard: dict[tuple[int, int], list[tuple[Ecu, bool]]] = {}
-        self._functional: dict[tuple[int, int], list[EcuClient]] = {}
+        self._functional: dict[tuple[int, int], list[Ecu]] = {}
         for ecu in self.ecus:
             client = ecu.client
             self._heard.setdefault((client.bus, client.place.request), []).append((ecu, True))
             self._heard.setdefault((client.bus, client.place.response), []).append((ecu, False))
             for can_id in FUNCTIONAL:
-                self._functional.setdefault((client.bus, can_id), []).append(client)
+                self._functional.setdefault((client.bus, can_id), []).append(ecu)
         places = self._heard.keys() | self._functional.keys()
         self.heard = frozenset(can_id for _, can_id in places)
         self._ids = np.asarray(sorted(self.heard), np.uint32)
@@ -94,15 +111,17 @@ class Asking:
 
     def _take(self, frame: np.void) -> Frames:
         bus, can_id, t_ns = int(frame["bus"]), int(frame["can_id"]), int(frame["t_ns"])
-        for client in self._functional.get((bus, can_id), ()):
-            client.give_way(t_ns)
         data, made = payload(frame), []
+        for ecu in self._functional.get((bus, can_id), ()):
+            ecu.client.give_way(t_ns)
+            ecu.asked = Reassembler().take(data, t_ns) or b""
         for ecu, request in self._heard.get((bus, can_id), ()):
             address = ecu.client.place.target if request else ecu.client.place.tester
             if address is not None and data[:1] != bytes([address]):
                 continue
             if request:
                 ecu.client.give_way(t_ns)
+                ecu.asked = ecu.requests.take(data, t_ns) or ecu.asked
             else:
                 made.append(self._answer(ecu, data, t_ns))
         return joined(made)
@@ -119,8 +138,27 @@ class Asking:
                 else:
                     ecu.client.on_more(t_ns)
             return empty(0)
+        ours = ecu.client.busy
         ecu.client.on_answer(answer, t_ns)
-        return ecu.weaver.frames(answer, t_ns)
+        told = told_by(ecu.client.params.name, answer, ecu.asked)
+        if answer[0] != NEGATIVE or answer[2:3] != bytes([PENDING]):
+            ecu.asked = b""
+        if told is None:
+            return ecu.weaver.frames(answer, t_ns)
+        if ours and told.covers and told.whole and ecu.client.params.dtcs is not None:
+            self._read_details(ecu, told)
+        self.told.append(told)
+        made = empty(1)
+        put(made, 0, t_ns, TELLS, answer[:8], bus=ecu.weaver.bus)
+        return made
+
+    def _read_details(self, ecu: Ecu, told: Told) -> None:
+        """Have the data of DTCs read that came, once each."""
+        there = {dtc for dtc, status in told.found.items() if status & TOLD}
+        ecu.detailed &= there
+        for dtc in sorted(there - ecu.detailed)[:MOST_DETAILS]:
+            ecu.detailed.add(dtc)
+            ecu.client.asks += [Ask(request, NEVER) for request in details_of(dtc)]
 
     def poll(self, t_ns: int) -> Frames:
         """Let time pass; returns the frames to send."""
@@ -135,15 +173,16 @@ class Asking:
 
     def _ask(self, bus: int, t_ns: int) -> Frames:
         """Return the next request on a bus, if there is one."""
-        clients = [ecu.client for ecu in self.ecus if ecu.client.bus == bus]
-        ready = in_order(clients, t_ns)
+        ready = [ecu for ecu in self.ecus if ecu.client.bus == bus and ecu.client.is_due(t_ns)]
         if ready and not self._may_ask(bus):
             self._next_of_bus[bus] = t_ns + LOOK_NS
             return empty(0)
-        for client in ready:
-            if client.postpone(t_ns):
+        for ecu in sorted(ready, key=lambda ecu: ecu.client.urgency):
+            if ecu.client.postpone(t_ns):
                 self._next_of_bus[bus] = t_ns + self._apart_ns[bus]
-                return client.begin(t_ns)
+                made = ecu.client.begin(t_ns)
+                ecu.asked = ecu.client.request
+                return made
         return empty(0)
 
     def _plan(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from gateway.answers.weave import NEGATIVE, POSITIVE, READ_SERVICES
@@ -102,6 +102,20 @@ class EcuClient:
         if self._asked is not None:
             return self._deadline_ns
         return max(min((ask.due_ns for ask in self.asks if not ask.refused), default=NEVER), self._rests_ns)
+
+    @property
+    def request(self) -> bytes:
+        """The request whose answer is waited for; empty: none is."""
+        return b"" if self._asked is None else self._asked.request
+
+    @property
+    def urgency(self) -> tuple[int, int]:
+        """Order of clients that are due: the most overdue first, of these the one whose last request is longest ago."""
+        return self.due_ns, self._begun_ns
+
+    def is_due(self, t_ns: int) -> bool:
+        """Return whether it may ask now."""
+        return self._asked is None and self.due_ns <= t_ns
 
     def postpone(self, t_ns: int) -> bool:
         """Put off requests that are due and whose conditions are not met; returns whether one is left."""
@@ -240,9 +254,3 @@ class EcuClient:
 def asks_of(params: EcuParams) -> list[Ask]:
     """Return the schedule of an ECU's reads."""
     return [Ask(read.request, round(read.every_ms * MS)) for read in params.read]
-
-
-def in_order(clients: Sequence[EcuClient], t_ns: int) -> list[EcuClient]:
-    """Return the clients that may ask now: the most overdue first, of these the one that has asked least lately."""
-    ready = [client for client in clients if not client.busy and client.due_ns <= t_ns]
-    return sorted(ready, key=lambda client: (client.due_ns, client._begun_ns))

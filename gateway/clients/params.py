@@ -11,7 +11,8 @@ from gateway.answers.model import TWO_BYTES, Address, request_name
 from gateway.answers.weave import READ_SERVICES
 from gateway.bus.frames import EXTENDED
 from gateway.engine.checks.communication import Params as CheckParams
-from gateway.faults.settings import ConditionSettings
+from gateway.faults.settings import ConditionSettings, DtcText
+from gateway.monitors.contract import Debounce, Fault
 from gateway_fdi.common.tomlfile import StrictModel
 
 #: Services that only read DTCs.
@@ -67,6 +68,23 @@ class DtcsParams(StrictModel):
     when: tuple[ConditionSettings, ...] = Field((), description="only while all of these are met, by fresh values")
 
 
+class EcuFaultParams(StrictModel):
+    """A fault of ours that stands for a DTC of an ECU: other settings are in ``[fault."ecu.name"]``."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="second part of its id")
+    of: str = Field(
+        pattern=r"^[PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?$", description='DTC of the ECU: "P0A80-16", "P0A80"'
+    )
+    dtc: DtcText = Field(description="DTC of ours")
+    description: str = Field("another ECU reports a DTC", min_length=1, description="one line for people")
+    remedy: str = Field("", description="what to do about it, for people; default: by its failure type")
+
+    @property
+    def fault(self) -> Fault:
+        """The fault as the engine knows it: each answer qualifies."""
+        return Fault(self.name, self.dtc, self.description, (), Debounce(jump_down=True), self.remedy)
+
+
 class AskParams(StrictModel):
     """How a bus is asked."""
 
@@ -101,6 +119,7 @@ class EcuParams(StrictModel):
     read: tuple[ReadParams, ...] = Field((), description="values that are read again and again")
     dtcs: DtcsParams | None = Field(None, description="its DTCs are read; none: they are not")
     check: tuple[CheckParams, ...] = Field((), description="checks of its answers, as of messages of a bus")
+    fault: tuple[EcuFaultParams, ...] = Field((), description="faults of ours that stand for DTCs of it")
     p2_ms: float = Field(200, ge=10, le=10_000, description="how long its answer is waited for [ms]")
     p2_star_ms: float = Field(5000, ge=10, le=60_000, description="the same after it said that it needs longer [ms]")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.faults.settings import POWER
+from gateway.isotp.params import IsoTpParams
 from gateway.servers.access_review import wrong_rules
 from gateway.servers.identifiers import check_unique
 from gateway_fdi.errors import InputError, InputErrors, nearest, under
@@ -27,6 +28,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
         _access(config),
         _addresses(config),
         _ecus(config),
+        _faults_of_ecus(config),
         _only_listened_to(config),
     )
 
@@ -210,11 +212,12 @@ def _index(config: Config, name: str | None) -> int | None:
 def _ecus(config: Config) -> Iterator[InputError]:
     """ECUs that are asked are on buses that there are, at addresses of their own, which are none of ours."""
     uds, obd = config.output.uds, config.output.obd
-    servers = [("output.uds", uds), ("output.obd", obd)]
-    servers += [] if uds is None else [(f"output.uds.further[{k}]", one) for k, one in enumerate(uds.further)]
+    servers: dict[str, IsoTpParams | None] = {"output.obd": obd}
+    for k, each in enumerate(() if uds is None else uds.each_address):
+        servers[f"output.uds.further[{k - 1}]" if k else "output.uds"] = each
     ours = {
         (_index(config, server.bus), can_id | server.flags): key
-        for key, server in servers
+        for key, server in servers.items()
         if server is not None
         for can_id in (server.request, server.response)
     }
@@ -226,7 +229,7 @@ def _ecus(config: Config) -> Iterator[InputError]:
             yield InputError(f"the buses are {known}", key=f"{key}.bus", value=ecu.bus or "(no bus named)")
             continue
         keys = ("address", "address") if ecu.address is not None else ("request", "response")
-        for name, can_id in zip(keys, place, strict=False):
+        for name, can_id in zip(keys, (place.request, place.response), strict=True):
             if (bus, can_id) in ours:
                 text = f"this is the gateway itself: {ours[bus, can_id]} has this identifier"
                 yield InputError(text, key=f"{key}.{name}", value=f"0x{can_id & 0x1FFFFFFF:X}")
@@ -234,6 +237,19 @@ def _ecus(config: Config) -> Iterator[InputError]:
         if owner != key:
             text = f"{owner} answers with this identifier"
             yield InputError(text, key=f"{key}.{keys[1]}", value=f"0x{place.response & 0x1FFFFFFF:X}")
+
+
+def _faults_of_ecus(config: Config) -> Iterator[InputError]:
+    """Names of ECUs with faults, and of these faults, are theirs alone."""
+    taken = {"gateway", *(bus.name for bus in config.bus), *(monitor.name for monitor in config.monitor)}
+    taken |= set() if config.report is None else {reporter.name for reporter in config.report.reporter}
+    for k, ecu in enumerate(config.ecu):
+        if ecu.fault and ecu.name in taken:
+            yield InputError("ids of its faults begin so, and this name is taken", key=f"ecu[{k}].name", value=ecu.name)
+        names = [fault.name for fault in ecu.fault]
+        for j, name in enumerate(names):
+            if name in names[:j]:
+                yield InputError("this name is taken", key=f"ecu[{k}].fault[{j}].name", value=name)
 
 
 def _only_listened_to(config: Config) -> Iterator[InputError]:

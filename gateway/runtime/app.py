@@ -44,6 +44,7 @@ from gateway.runtime.told import (
 )
 from gateway.runtime.upkeep import PATIENCE_S
 from gateway.runtime.usage_meter import UsageMeter
+from gateway.runtime.vehicle import Vehicle
 from gateway.runtime.verdicts import Verdicts
 from gateway.servers.access import signals_of
 from gateway.servers.authority import Authority
@@ -147,12 +148,10 @@ class Gateway:
         self._standing = Standing(self.engine, self.controls, told=self.store.path is None)
         self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
-        self.servers = BusServers(
-            servers_of(config, self._parts, self.memory, self.authority, self.identifiers),
-            len(config.bus),
-            lambda: self.controls.send,
-        )
         self.asking = asking_of(config, self._parts, self.controls, self._may_ask)
+        self._vehicle = Vehicle(config, self.asking, self.memory, self.engine)
+        servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
+        self.servers = BusServers([*servers, self._vehicle], len(config.buses), lambda: self.controls.send)
         served = self.servers.heard
         self._heard = None if served is None else served | self.asking.heard
         self._connect()
@@ -198,6 +197,7 @@ class Gateway:
             self._explainer.failed,
         )
         self._explainer.note_changes = self._verdicts.note_changes
+        self._vehicle.connect(self._outbox.note, self._verdicts.take)
         judged = [self._parts.slots[name] for name in signals_of(self.config.needs)]
         self._reception = Reception(self.engine, self.controls, self._meter, judged, self._verdicts.take)
         self._interventions = Interventions(
@@ -499,6 +499,17 @@ class Gateway:
     def notes(self) -> tuple[str, ...]:
         """Choices where the configuration leaves them to the databases, one line each."""
         return self._parts.notes
+
+    @property
+    def unread(self) -> list[str]:
+        """Signals of answers that are not decoded, and reads whose answers have no layout, one line each."""
+        found = [text for bus in self._parts.answers for text in bus.left_out]
+        for ecus, answers in zip(self.config.answered.values(), self._parts.answers, strict=True):
+            for k, lengths in zip(ecus, answers.lengths, strict=True):
+                ecu = self.config.ecu[k]
+                unread = [read.request.hex().upper() for read in ecu.read if read.key not in lengths]
+                found += [f"ecu[{k}]: no layout of {', '.join(unread)}: answers are only counted"] if unread else []
+        return found
 
     @property
     def signal_slots(self) -> dict[str, int]:

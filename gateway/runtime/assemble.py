@@ -166,7 +166,7 @@ def _engine(resolved: Resolved) -> Engine:
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
         buses=resolved.buses,
         clock=config.clock,
-        reported=[*_reported_faults(config), *_own_faults(config, resolved.monitors)],
+        reported=[*_reported_faults(config), *_faults_of_ecus(config), *_own_faults(config, resolved.monitors)],
     )
 
 
@@ -201,6 +201,16 @@ def _reported_faults(config: Config) -> list[FaultSlot]:
     """Return the faults that other processes test; they are of no bus."""
     reporters = () if config.report is None else config.report.reporter
     return [FaultSlot(f"{each.name}.{fault.name}", fault.fault, NO_BUS) for each in reporters for fault in each.fault]
+
+
+def _faults_of_ecus(config: Config) -> list[FaultSlot]:
+    """Return the faults that stand for DTCs of other ECUs; each is of the ECU's bus."""
+    return [
+        FaultSlot(f"{config.ecu[k].name}.{fault.name}", fault.fault, bus)
+        for bus, ecus in config.answered.items()
+        for k in ecus
+        for fault in config.ecu[k].fault
+    ]
 
 
 def _definition(resolved: Resolved, slot: FaultSlot) -> FaultDefinition:

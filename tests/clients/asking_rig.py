@@ -80,12 +80,11 @@ class Server:
 class Car:
     """The gateway, the ECUs, and a log of their bus."""
 
-    def __init__(self, config, ecus=(), start=True):
-        self.gateway, self.ecus = Gateway(load_config(config), file=config), list(ecus)
+    def __init__(self, config, ecus=(), memory=None):
+        self.gateway, self.ecus = Gateway(load_config(config), memory, file=config), list(ecus)
         self.now, self.log, self.sent, self.events = 0, [], [], []
         self.gateway.listen(self.events.append)
-        if start:
-            self.gateway.start(0)
+        self.gateway.start(0)
 
     def close(self):
         self.gateway.close()
