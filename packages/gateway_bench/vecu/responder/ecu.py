@@ -222,6 +222,8 @@ def _fits(params: ResponderParams, fault: ResponderFault) -> None:
     """Refuse a fault of answers of an ECU that knows no requests."""
     if params.uds is None:
         raise ValueError(f"ECU {params.name!r} has no [ecu.uds], so it has no {fault.kind}")
+    if fault.request is not None and fault.request not in params.uds.values:
+        raise ValueError(f"ECU {params.name!r} has no value {fault.request!r}; it has {', '.join(params.uds.values)}")
 
 
 def _sends(params: ResponderParams, databases: Sequence[Path]) -> dict[str, Protection]:

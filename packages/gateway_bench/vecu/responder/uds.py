@@ -65,6 +65,7 @@ class UdsResponder:
         self._owed: list[_Owed] = []  # in order of time
         self._begin()
         self._off_ns = 0  # until when it is off
+        self._told: list[ResponderFault] = []
 
     def _begin(self) -> None:
         params = self._params.model_dump(include=set(IsoTpParams.model_fields))
@@ -134,16 +135,21 @@ class UdsResponder:
         answer = self.answer(request.data, request.t_ns, to_all=request.functional)
         if not answer:
             return None
-        fault = self._faults.of(request.t_ns)
+        fault = self._faults.of(request.t_ns, request.data)
         due_ns = request.t_ns + round(self._params.delay_ms * 1e6)
         if fault is None:
             return self._owe(_Owed(due_ns, answer))
-        self._run.note(Truth(request.t_ns, fault.kind, 1))
+        if fault not in self._told:
+            self._told.append(fault)
+            self._run.note(Truth(request.t_ns, fault.kind, 1))
         service = request.data[0]
         if fault.kind == "slow":
             self._owe(_Owed(due_ns + fault.by_ns, answer))
         elif fault.kind == "pending":
             self._owe(_Owed(due_ns, bytes([NEGATIVE, service, PENDING]), fault, answer))
+        elif fault.kind == "reading":
+            number = self._params.values[request.data.hex()].raw(fault.number or 0)
+            self._owe(_Owed(due_ns, answer[: len(request.data)] + number))
         elif fault.kind == "echo":
             self._owe(_Owed(due_ns, other_echo(answer) if answer[0] != NEGATIVE else answer))
         elif fault.kind == "refuse" and not (request.functional and fault.code in QUIET):
@@ -162,7 +168,7 @@ class UdsResponder:
         plain = bytes([request[0], request[1] & 0x7F, *request[2:]]) if quiet else request
         found = self._found(plain, t_ns)
         if found is None:
-            services = {int(text[:2], 16) for text in self._params.answers}
+            services = {int(text[:2], 16) for text in (*self._params.answers, *self._params.values)}
             known = plain[0] in services or (plain[0] == READ_IDENTIFIER and bool(self._params.identifiers))
             code = OUT_OF_RANGE if known else SERVICE_NOT_SUPPORTED
             found = bytes([NEGATIVE, plain[0], code])
@@ -174,6 +180,8 @@ class UdsResponder:
         text, answers = request.hex(), self._params.answers
         if text in answers:
             return bytes.fromhex(answers[text])
+        if text in self._params.values:
+            return bytes([request[0] + POSITIVE]) + request[1:] + self._params.values[text].at(t_ns)
         if request[0] == READ_IDENTIFIER and len(request) >= 3 and len(request) % 2:
             names = [request[k : k + 2].hex().upper() for k in range(1, len(request), 2)]
             known = {name.upper(): name for name in self._params.identifiers}
