@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,16 +49,17 @@ def import_layouts(
     given = _given(request, response)
     relative = os.path.relpath(signals, out.parent)
     asked, assumed = [], []
+    groups: dict[str, list[AnswerLayout]] = {}
     for own, layouts in _by_address(found.layouts, given, source).items():
         address = own
         if own.response is None:
             address = Address(own.request, own.request + 8, own.extended, own.tester)
             assumed.append(f"{own.request & ID_MASK:X}: response {(own.request + 8) & ID_MASK:X} is assumed")
         asked.append(_asked(address, layouts, relative, left))
+        groups[asked[-1].name] = layouts
     rate = sum(1000 / read.every_ms for ecu in asked for read in ecu.reads)
-    files[out] = tables(
-        asked, bus, f"ECUs of {source.name}. Each line of read asks the car: take out others than you need."
-    )
+    head = f"ECUs of {source.name}. Each line of read asks the car: take out what you do not need."
+    files[out] = tables(asked, bus, head, _limits(groups))
     for file, text in files.items():
         try:
             file.write_text(text)
@@ -128,6 +129,20 @@ def _asked(address: Address, layouts: Sequence[AnswerLayout], signals: str, left
     return Asked(name, address, reads, [signals])
 
 
+def _limits(groups: Mapping[str, Sequence[AnswerLayout]]) -> list[tuple[str, float, float]]:
+    """Return the signals that the file gives limits, by their names on the bus of the answers."""
+    found = []
+    count = Counter(name for layouts in groups.values() for name in {layout.message.name for layout in layouts})
+    for ecu, layouts in groups.items():
+        for layout in layouts:
+            for signal, limits in layout.limits.items():
+                if limits.low is not None and limits.high is not None and limits.low < limits.high:
+                    name = layout.message.name
+                    shown = f"{ecu}_{name}" if count[name] > 1 else name
+                    found.append((f"{shown}.{signal}", limits.low, limits.high))
+    return found
+
+
 def _facts(ecu: Asked) -> dict[str, Any]:
     address = ecu.address
     return {
@@ -148,9 +163,7 @@ def _say(facts: dict[str, Any], asked: Sequence[Asked], left: Sequence[LeftOut])
         lines.print(f"assumed  {text}")
     rate, most = facts["requests_per_s"], AskParams().requests_per_s
     if rate > most:
-        lines.print(
-            f"{rate:.1f} requests/s are asked for; a bus has {most:g} unless [bus.ask] requests_per_s says more"
-        )
+        lines.print(f"{rate:.1f} requests/s in all; a bus has {most:g}, or its [bus.ask] requests_per_s")
     reasons = Counter(re.sub(r"\d+", "N", part.why) for part in left)
     if left:
         print(f"left out: {len(left)}")

@@ -42,20 +42,23 @@ def survey(uri: str, *, out: Path | None, rate: float, yes: bool, force: bool, j
 
     made = Survey(rate, may_ask)
     with open_bus(uri) as bus:
-        _run(bus, made)
+        try:
+            _run(bus, made)
+        except KeyboardInterrupt:
+            print("\nstopped: what follows is not all", file=sys.stderr)
     found = made.found
     if out is not None:
         out.write_text(
             tables(_asked(found, rate), f"can0={uri}", "Found by gateway survey; take out what you do not need.")
         )
-    facts = _facts(found)
+    facts = _facts(found) | {"complete": made.done}
     if json:
         print_json(facts | ({} if out is None else {"written": str(out)}))
     else:
         _say(found, facts)
         if out is not None:
             print(f"written: {out}")
-    return 0
+    return 0 if made.done else 1
 
 
 def _agreed(found: Found, uri: str) -> bool:

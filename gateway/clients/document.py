@@ -65,13 +65,14 @@ class Asked(NamedTuple):
     comment: str = ""
 
 
-def tables(ecus: Iterable[Asked], bus: str, head: str) -> str:
+def tables(ecus: Iterable[Asked], bus: str, head: str, limits: Sequence[tuple[str, float, float]] = ()) -> str:
     """Return the text of some ECUs.
 
     Args:
         ecus: with their addresses.
         bus: NAME or NAME=URI of their bus; the file is a whole configuration with it.
         head: comment of the file, a line each.
+        limits: signal of the answers, and between which values it is likely; a comment that can be made a monitor.
     """
     bus, _, uri = bus.partition("=")
     lines = [f"# {line}".rstrip() for line in head.splitlines()]
@@ -86,6 +87,13 @@ def tables(ecus: Iterable[Asked], bus: str, head: str) -> str:
         if ecu.dtcs_s is not None:
             protocol = ', protocol = "obd"' if ecu.obd else ""
             lines.append(f"dtcs = {{ every_s = {ecu.dtcs_s:g}{protocol} }}")
+    if limits:
+        lines += ["", "# Limits that the file gives. To have them monitored, take the # away:", "# [[monitor]]"]
+        lines += ['# name = "limits"', '# type = "signal"', f"# bus = {json.dumps(f'answers:{bus}')}", "# signal = ["]
+        lines += [
+            f"#     {{ signal = {json.dumps(name)}, plausible = [{low}, {high}] }}," for name, low, high in limits
+        ]
+        lines.append("# ]")
     return "\n".join(lines) + "\n"
 
 

@@ -8,6 +8,7 @@ from answer_files import odx, signal_set
 from gateway.answers.layout import layouts_for, read_layouts
 from gateway.cli.import_layouts import import_layouts
 from gateway.config.load import load_config
+from gateway.runtime.app import Gateway
 from gateway_fdi.errors import InputError
 
 
@@ -34,6 +35,18 @@ def test_a_signal_set_becomes_ecus_that_are_asked(tmp_path, capsys):
         assert {read.key for read in ecu.read} <= set(own)
     assert told["requests_per_s"] == pytest.approx(1 + 1 / 5 + 1 / 60 + 1 / 5, abs=1e-3)
     assert any("VIN" in part["where"] for part in told["left_out"])
+
+
+def test_limits_of_the_file_become_a_monitor_where_it_is_wanted(tmp_path, capsys):
+    source, out = tmp_path / "car.json", tmp_path / "ecu.toml"
+    source.write_text(signal_set())
+    imported(source, out)
+    head, _, monitor = out.read_text().partition("take the # away:\n")
+    out.write_text(head + "\n" + monitor.replace("# ", ""))
+    gateway = Gateway(load_config(out))
+    names = {definition.id for definition in gateway.catalogue}
+    gateway.close()
+    assert {"limits.T.low", "limits.T.high"} <= names
 
 
 def test_a_model_year_has_a_signal_set_of_its_own(tmp_path, capsys):

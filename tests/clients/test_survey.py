@@ -1,13 +1,18 @@
 """gateway survey against virtual ECUs: who is found, what they say, nothing but reads."""
 
+import importlib
+
 import numpy as np
 import pytest
 
 from gateway.bus.frames import EXTENDED, FRAME, empty, payload, put
+from gateway.clients.document import tables
 from gateway.clients.survey import LISTEN_NS, Survey
 from gateway.config.load import load_config
 from gateway_bench.playing import player_of
 from gateway_bench.vecu.scenario import load_scenario
+
+cli = importlib.import_module("gateway.cli.survey")  # gateway.cli.survey is the command
 
 MS = 1_000_000
 SOME = (*range(0x720, 0x730), 0x7E0, *(EXTENDED | 0x18DA00F1 | k << 8 for k in range(0x3C, 0x42)))
@@ -98,6 +103,19 @@ def test_ecus_of_11_and_29_bits_are_found_and_say_who_they_are(tmp_path):
     assert body.services == {0x01: False, 0x03: False, 0x07: False, 0x09: False, 0x0A: False, 0x19: False, 0x22: True}
     assert wide.dtcs == [("P0171", None)]
     assert (found.unclear, found.not_tried) == ([], [])
+
+
+def test_what_is_found_is_a_configuration_that_asks_it(tmp_path, capsys):
+    found, _ = surveyed(tmp_path, ENGINE + WIDE)
+    (tmp_path / "ecu.toml").write_text(tables(cli._asked(found, 10.0), "obd=virtual:y", "found"))
+    ecus = {ecu.name: ecu for ecu in load_config(tmp_path / "ecu.toml").ecu}
+    assert [read.key for read in ecus["ecu_7E0"].read] == [(0x01, pid) for pid in (0x05, 0x0C, 0x0D, 0x2F)]
+    assert (ecus["ecu_7E0"].dtcs.protocol, ecus["ecu_18DA40F1"].dtcs.protocol) == ("uds", "obd")
+    assert ecus["ecu_18DA40F1"].address == 0x40
+    facts = cli._facts(found)
+    assert facts["ecus"][1]["dtcs"] == [{"dtc": "P0171", "status": None}]
+    cli._say(found, facts)
+    assert max(map(len, capsys.readouterr().out.splitlines())) <= 88
 
 
 def test_it_only_reads_and_keeps_its_rate(tmp_path):
