@@ -130,7 +130,7 @@ def test_wrong_sequence_numbers_and_a_reset_in_the_middle(bench):
     wait(tester, 1)
     tester.layer.reset()
     assert tester.ask("22 F1 90").startswith("62 F1 90")
-    tester = bench(fault("reset", by_ms=500, to_s=0.2))
+    tester = bench(fault("reset", by_ms=500, to_s=0.05))
     assert tester.ask("22 F1 90", 0.1) is None  # the first frame came, and no other
     tester.layer.reset()
     assert tester.ask("3E 00", 0.1) is None  # it is off
