@@ -58,7 +58,7 @@ identifiers = { F18A = "ACME" }
 """
 
 
-def surveyed(folder, text, *, rate=200.0, traffic=(), seconds=60, **options):
+def surveyed(folder, text, *, rate=200.0, traffic=(), until_ns=LISTEN_NS, seconds=60, **options):
     """Run a survey on a bus of virtual ECUs; returns it with the frames that it sent."""
     (folder / "gateway.toml").write_text('[[bus]]\nname = "can"\nuri = "virtual:x"\n')
     file = folder / "s.toml"
@@ -69,7 +69,7 @@ def surveyed(folder, text, *, rate=200.0, traffic=(), seconds=60, **options):
     while not made.done and t_ns < seconds * 1000 * MS:
         t_ns += 2 * MS
         heard = player.take(t_ns)
-        if traffic and t_ns < LISTEN_NS:
+        if traffic and t_ns < until_ns:
             heard = np.concatenate([heard, *traffic])
         out = made.poll(t_ns, heard)
         for k in range(len(out)):
@@ -141,6 +141,13 @@ def test_identifiers_with_traffic_are_not_asked_and_are_told(tmp_path):
     assert found.not_tried == [0x726]
     assert 0x726 not in sent["can_id"]
     assert found.frames > 100
+
+
+def test_traffic_that_looks_like_an_answer_is_none(tmp_path):
+    alike = [frame(0x650, bytes.fromhex("037f223100000000")), frame(0x650, bytes.fromhex("027e000000000000"))]
+    found, _ = surveyed(tmp_path, ENGINE, traffic=alike, until_ns=60_000 * MS)
+    assert set(named(found)) == {"ecu_7E0"}
+    assert found.unclear == []
 
 
 def test_nothing_is_sent_where_nobody_agrees(tmp_path):
