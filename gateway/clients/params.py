@@ -23,6 +23,10 @@ DTC_REQUESTS = {"uds": (b"\x19\x02\xaf",), "obd": (b"\x03", b"\x07", b"\x0a")}
 TESTER = 0xF1
 
 
+#: DTC of another ECU, as the vehicle's memory has it; without a failure type it is any.
+_CODE = r"^([PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?|SPN \d+ FMI \d+)$"
+
+
 class ReadParams(StrictModel):
     """A value that is read again and again."""
 
@@ -73,7 +77,8 @@ class EcuFaultParams(StrictModel):
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="second part of its id")
     of: str = Field(
-        pattern=r"^[PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?$", description='DTC of the ECU: "P0A80-16", "P0A80"'
+        pattern=r"^([PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?|SPN \d+ FMI \d+)$",
+        description='DTC of the ECU: "P0A80-16", "P0A80"',
     )
     dtc: DtcText = Field(description="DTC of ours")
     description: str = Field("another ECU reports a DTC", min_length=1, description="one line for people")
