@@ -14,6 +14,7 @@ from gateway.bus.frames import EXTENDED, Frames, empty, has_none_of, joined, pay
 from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.dtcs import READ_DTCS, details_of, told_by
 from gateway.clients.ecu import MS, Ask, EcuClient
+from gateway.clients.pgn import MARK, ended_by, identifiers_of
 from gateway.clients.refusals import PENDING
 from gateway.common.times import NEVER
 from gateway.faults.vehicle import TOLD, Told
@@ -86,13 +87,17 @@ class Asking:
         self.told: deque[Told] = deque()
         self._heard: dict[tuple[int, int], list[tuple[Ecu, bool]]] = {}
         self._functional: dict[tuple[int, int], list[Ecu]] = {}
+        self._groups: dict[tuple[int, int], EcuClient] = {}
         for ecu in self.ecus:
             client = ecu.client
             self._heard.setdefault((client.bus, client.place.request), []).append((ecu, True))
             self._heard.setdefault((client.bus, client.place.response), []).append((ecu, False))
+            groups = [ask.request for ask in client.asks if ask.request[0] == MARK]
+            for can_id in identifiers_of(groups, client.params.address or 0):
+                self._groups[client.bus, can_id] = client
             for can_id in FUNCTIONAL:
                 self._functional.setdefault((client.bus, can_id), []).append(ecu)
-        places = self._heard.keys() | self._functional.keys()
+        places = self._heard.keys() | self._functional.keys() | self._groups.keys()
         self._known = frozenset(can_id for _, can_id in places)
         self._ids = np.asarray(sorted(self._known), np.uint32)
         self._places = places
@@ -127,6 +132,10 @@ class Asking:
     def _take(self, frame: np.void) -> Frames:
         bus, can_id, t_ns = int(frame["bus"]), int(frame["can_id"]), int(frame["t_ns"])
         data, made = payload(frame), []
+        if (bus, can_id) in self._groups:
+            ended = ended_by(frame)
+            if ended is not None:
+                self._groups[bus, can_id].on_group(ended, t_ns)
         for ecu in self._functional.get((bus, can_id), ()):
             ecu.client.give_way(t_ns)
             ecu.asked = Reassembler().take(data, t_ns) or b""

@@ -513,7 +513,7 @@ class Gateway:
         for ecus, answers in zip(self.config.answered.values(), self._parts.answers, strict=True):
             for k, lengths in zip(ecus, answers.lengths, strict=True):
                 ecu = self.config.ecu[k]
-                unread = [read.request.hex().upper() for read in ecu.read if read.key not in lengths]
+                unread = [read.name for read in ecu.read if read.key not in lengths and read.pgn is None]
                 found += [f"ecu[{k}]: no layout of {', '.join(unread)}: answers are only counted"] if unread else []
         return found
 
