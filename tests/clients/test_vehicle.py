@@ -218,3 +218,43 @@ def test_metrics_and_the_broker_have_them():
     assert 'gateway_ecu_dtc{dtc="C0036-11",ecu="brake"} 0.0' in text
     states = Publisher(hub, BrokerSettings("none"), "car").states()
     assert [topic for topic in states if "/ecu/" in topic] == ["gateway/car/ecu/brake/dtc/C0035-11"]
+
+
+@pytest.mark.parametrize("listening", [True, False])
+def test_dtcs_that_are_broadcast_are_kept_without_asking(tmp_path, listening):
+    from gateway.j1939.frame import GLOBAL, Pdu
+    from gateway.j1939.transport import Transport
+    from gateway.servers.j1939.messages import dtc_bytes
+
+    dtcs = [dtc_bytes(100, 3, 1), dtc_bytes(0x7FFFE, 31, 1)]
+    engine = Transport(0x00)
+    toml = (
+        BUS
+        + ("dm1 = true\n" if listening else "")
+        + '[[ecu]]\nname = "engine"\naddress = 0\n[clock]\nwatched = false\n'
+    )
+    made = Car(write(tmp_path, toml))
+
+    def say(transport, coded):
+        pdus = transport.send(0xFECA, b"\x04\xff" + (b"".join(coded) or bytes(4)), GLOBAL, made.now)
+        while pdus:
+            for pdu in pdus:
+                made.say(pdu.can_id, pdu.data)
+            made.run(60)
+            pdus = transport.on_time(made.now)
+
+    say(engine, dtcs)
+    say(Transport(0x21), dtcs[:1])
+    say(engine, dtcs[:1])
+    say(Transport(0x21), [])
+    told = [(e["ecu"], e["dtc"], e["state"]) for e in made.events if e["event"] == "ecu_dtc"]
+    wanted = [
+        ("engine", "SPN 100 FMI 3", "came"),
+        ("engine", "SPN 524286 FMI 31", "came"),
+        ("obd:21", "SPN 100 FMI 3", "came"),
+        ("engine", "SPN 524286 FMI 31", "went"),
+        ("obd:21", "SPN 100 FMI 3", "went"),
+    ]
+    assert told == (wanted if listening else [])
+    assert made.sent == []
+    assert Pdu(0xFECA, 0x21, GLOBAL, b"").can_id == 0x98FECA21
