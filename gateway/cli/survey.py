@@ -16,7 +16,7 @@ from gateway.bus.uri import open_bus
 from gateway.cli.lines import Lines
 from gateway.cli.present import print_json
 from gateway.clients.document import Asked, Read, tables
-from gateway.clients.questions import Told
+from gateway.clients.questions import Said
 from gateway.clients.survey import Found, Place, Survey
 from gateway_fdi.errors import InputError
 
@@ -99,9 +99,9 @@ def _run(bus: Bus, made: Survey) -> None:
         print(file=sys.stderr)
 
 
-def _ecus(found: Found) -> Iterator[tuple[Place, Told]]:
+def _ecus(found: Found) -> Iterator[tuple[Place, Said]]:
     for place, told in found.ecus.items():
-        yield place, told or Told({})
+        yield place, told or Said({})
 
 
 def _asked(found: Found, rate: float) -> Iterator[Asked]:
@@ -123,7 +123,7 @@ def _asked(found: Found, rate: float) -> Iterator[Asked]:
         )
 
 
-def _words(told: Told) -> Iterator[tuple[str, str]]:
+def _words(told: Said) -> Iterator[tuple[str, str]]:
     if told.vin:
         yield "VIN", told.vin
     yield from told.parts.items()
@@ -142,11 +142,12 @@ def _facts(found: Found) -> dict[str, Any]:
                 "parts": told.parts,
                 "services": {f"{service:02X}": known for service, known in told.services.items()},
                 "pids": told.pids,
-                "dtcs": [{"dtc": dtc, "status": status} for dtc, status in told.dtcs],
+                "dtcs": [{"dtc": dtc, "status": status} for dtc, status in told.dtcs.items()],
             }
             for place, told in _ecus(found)
         ],
         "j1939_names": {f"{address:02X}": f"{name:016X}" for address, name in sorted(found.names.items())},
+        "j1939_dtcs": {f"{address:02X}": dtcs for address, dtcs in sorted(found.active.items())},
         "not_tried": [can_id & ID_MASK for can_id in found.not_tried],
         "unclear": [can_id & ID_MASK for can_id in found.unclear],
     }
@@ -162,13 +163,15 @@ def _say(found: Found, facts: dict[str, Any]) -> None:
     for place, told in _ecus(found):
         for words, said in told.parts.items():
             lines.print(f"{place.name}  {words}: {said}", hang=4)
-        for dtc, status in told.dtcs:
-            lines.print(f"{place.name}  DTC {dtc}" + ("" if status is None else f"  status 0x{status:02X}"), hang=4)
+        for dtc, status in told.dtcs.items():
+            lines.print(f"{place.name}  DTC {dtc}  status 0x{status:02X}", hang=4)
         silent = [f"{service:02X}" for service, known in told.services.items() if known is None]
         if silent:
             lines.print(f"{place.name}  no answer to {' '.join(silent)}: not known whether it has them", hang=4)
     for address, name in facts["j1939_names"].items():
         print(f"J1939 address {address}: name {name}")
+    for address, dtcs in facts["j1939_dtcs"].items():
+        lines.print(f"J1939 address {address}: {', '.join(dtcs) or 'no active DTC'}", hang=4)
     print(f"{len(found.ecus)} ECUs, {len(found.names)} J1939 names")
     if found.not_tried:
         listed = " ".join(f"{can_id:X}" for can_id in facts["not_tried"])

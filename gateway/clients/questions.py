@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from gateway.answers.weave import Weaver
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.clients.asking import Ecu
+from gateway.clients.dtcs import told_by
 from gateway.clients.ecu import SILENT, Ask, EcuClient
 from gateway.clients.params import DTC_REQUESTS, EcuParams
 from gateway.common.times import NEVER
-from gateway.faults.dtc import Dtc
 
 #: Identifiers of a part (ISO 14229-1, Annex C.1), by the words of people.
 PARTS = {
@@ -106,7 +105,7 @@ def supported(request: bytes, answer: bytes) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Told:
+class Said:
     """All that an ECU has said.
 
     Attributes:
@@ -152,29 +151,15 @@ class Told:
         return sorted(pid for pid in found if pid % _MASK)
 
     @property
-    def dtcs(self) -> list[tuple[str, int | None]]:
-        """DTCs with their status byte; None: OBD does not say it."""
-        return [*_of_uds(self.answers.get(DTC_REQUESTS["uds"][0], b"")), *self._of_obd()]
-
-    def _of_obd(self) -> Iterator[tuple[str, int | None]]:
-        if self.services.get(0x19):
-            return
-        seen = set()
-        for request in DTC_REQUESTS["obd"]:
-            answer = self.answers.get(request, b"")
-            if answer[:1] != bytes([request[0] + 0x40]):
-                continue
-            for k in range(2, len(answer) - 1, 2):
-                code = str(Dtc(int.from_bytes(answer[k : k + 2], "big") << 8))[:5]
-                if code not in seen and answer[k : k + 2] != b"\0\0":
-                    seen.add(code)
-                    yield code, None
-
-
-def _of_uds(answer: bytes) -> Iterator[tuple[str, int | None]]:
-    if answer[:2] == b"\x59\x02":
-        for k in range(3, len(answer) - 3, 4):
-            yield str(Dtc.from_bytes(answer[k : k + 3])), answer[k + 3]
+    def dtcs(self) -> dict[str, int]:
+        """DTCs with their status: of UDS the byte, of OBD a bit for each mode, as the vehicle's memory has them."""
+        found: dict[str, int] = {}
+        for request in DTC_REQUESTS["uds" if self.services[0x19] else "obd"]:
+            answer = self.answers.get(request)
+            told = told_by("", answer, request) if answer else None
+            for dtc, status in told.found.items() if told is not None else ():
+                found[dtc] = found.get(dtc, 0) | status
+        return found
 
 
 def text(data: bytes) -> str:

@@ -13,7 +13,8 @@ import numpy as np
 
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, joined, payload, put
 from gateway.clients.asking import Asking, Ecu
-from gateway.clients.questions import Questioned, Told, questioned
+from gateway.clients.dm1 import Dm1Listener
+from gateway.clients.questions import Questioned, Said, questioned
 
 MS = 1_000_000
 #: How long it listens before it asks, and how long an answer may take [ns].
@@ -52,14 +53,16 @@ class Found:
         heard_ns: that time.
         ecus: address -> what it has said; None: it has not been asked yet.
         names: J1939 source address -> name, 64 bits.
+        active: J1939 source address -> DTCs that it broadcasts (DM1).
         not_tried: identifiers that were not asked, as there was traffic on them.
         unclear: identifiers that answered once, and not again.
     """
 
     frames: int = 0
     heard_ns: int = LISTEN_NS
-    ecus: dict[Place, Told | None] = field(default_factory=dict)
+    ecus: dict[Place, Said | None] = field(default_factory=dict)
     names: dict[int, int] = field(default_factory=dict)
+    active: dict[int, list[str]] = field(default_factory=dict)
     not_tried: list[int] = field(default_factory=list)
     unclear: list[int] = field(default_factory=list)
 
@@ -98,6 +101,7 @@ class Survey:
         self._traffic: set[int] = set()
         self._until_ns = -1
         self._asking: Asking | None = None
+        self._dm1 = Dm1Listener([0], {}, {0: ""}, ())
 
     def poll(self, t_ns: int, heard: Frames) -> Frames:
         """Go on.
@@ -114,6 +118,7 @@ class Survey:
         if self._asking is not None:
             return self._question(t_ns, heard)
         self._heard.append(heard)
+        self._listen(heard)
         if t_ns < self._until_ns:
             return empty(0)
         came, self._heard = joined(self._heard), []
@@ -190,6 +195,13 @@ class Survey:
             if can_id & EXTENDED and can_id >> 8 & 0x3FF00 == NAMES and frame["length"] == 8:
                 self.found.names[can_id & 0xFF] = int.from_bytes(payload(frame), "little")
 
+    def _listen(self, heard: Frames) -> None:
+        """Note DTCs that are broadcast."""
+        for frame in heard[self._dm1.among(heard)]:
+            told = self._dm1.take(frame)
+            if told is not None:
+                self.found.active[int(told.ecu.rpartition(":")[2], 16)] = list(told.found)
+
     def _frame(self, can_id: int, data: bytes) -> Frames:
         made = empty(1)
         put(made, 0, 0, can_id, data)
@@ -214,7 +226,7 @@ class Survey:
         self._asking.hear(heard)
         out = self._asking.poll(t_ns)
         clients = [_client(ecu) for ecu in self._asking.ecus]
-        self.found.ecus = {place: Told(client.answers) for place, client in zip(self.found.ecus, clients, strict=True)}
+        self.found.ecus = {place: Said(client.answers) for place, client in zip(self.found.ecus, clients, strict=True)}
         self.step = self.steps - sum(len(client.asks) for client in clients)
         self.done = all(client.done for client in clients)
         return out

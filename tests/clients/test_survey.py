@@ -97,11 +97,11 @@ def test_ecus_of_11_and_29_bits_are_found_and_say_who_they_are(tmp_path):
     assert engine.vin == "WVWZZZ1JZXW000001"
     assert engine.parts == {"part number": "03C906016"}
     assert engine.pids == [0x05, 0x0C, 0x0D, 0x2F]
-    assert engine.dtcs == [("P0301-00", 0x2F)]
+    assert engine.dtcs == {"P0301-00": 0x2F}
     assert engine.services[0x19] is True
     assert body.parts == {"serial number": "4711"}
     assert body.services == {0x01: False, 0x03: False, 0x07: False, 0x09: False, 0x0A: False, 0x19: False, 0x22: True}
-    assert wide.dtcs == [("P0171", None)]
+    assert wide.dtcs == {"P0171": 0x08}
     assert (found.unclear, found.not_tried) == ([], [])
 
 
@@ -113,7 +113,7 @@ def test_what_is_found_is_a_configuration_that_asks_it(tmp_path, capsys):
     assert (ecus["ecu_7E0"].dtcs.protocol, ecus["ecu_18DA40F1"].dtcs.protocol) == ("uds", "obd")
     assert ecus["ecu_18DA40F1"].address == 0x40
     facts = cli._facts(found)
-    assert facts["ecus"][1]["dtcs"] == [{"dtc": "P0171", "status": None}]
+    assert facts["ecus"][1]["dtcs"] == [{"dtc": "P0171", "status": 8}]
     cli._say(found, facts)
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 88
 
@@ -158,7 +158,9 @@ def test_nothing_is_sent_where_nobody_agrees(tmp_path):
 
 @pytest.mark.parametrize("kind", ["mute", "pending", "sequence", "reset", "echo", "refuse", "slow"])
 def test_ecus_with_faults_end_it_too(tmp_path, kind):
-    faults = f'[[fault]]\necu = "engine"\nkind = "{kind}"\nfrom_s = 4.85\nby_ms = 400\n'
+    by_ms = 50 if kind == "pending" else 400
+    faults = f'[[fault]]\necu = "engine"\nkind = "{kind}"\nfrom_s = 4.85\nby_ms = {by_ms}\n'
+    faults += 'request = "01 05"\nnumber = 3\n' if kind == "reading" else ""
     found, sent = surveyed(tmp_path, ENGINE + BODY.format(delay=20) + faults, rate=50.0, seconds=400)
     assert "ecu_726" in named(found)
     assert named(found)["ecu_726"].parts == {"serial number": "4711"}
@@ -168,11 +170,12 @@ def test_ecus_with_faults_end_it_too(tmp_path, kind):
     assert payload(sent[0])
 
 
-def test_j1939_names(tmp_path):
+def test_j1939_names_and_dtcs():
     made = Survey(200.0)
-    made.poll(0, empty(0))
+    made.poll(0, frame(EXTENDED | 0x18FECA21, bytes.fromhex("04ff6e0003010000")))
     made.poll(LISTEN_NS, empty(0))
     claim = frame(EXTENDED | 0x18EEFF3D, bytes.fromhex("0102030405060708"))
     made.poll(LISTEN_NS + 100 * MS, claim)
     made.poll(LISTEN_NS + 400 * MS, empty(0))
+    assert made.found.active == {0x21: ["SPN 110 FMI 3"]}
     assert made.found.names == {0x3D: 0x0807060504030201}

@@ -46,7 +46,7 @@ WORDS = {
     "slow": "answers come late",
     "pending": "says that it needs longer, and gives no answer",
     "sequence": "frames of answers are numbered wrong",
-    "reset": "ECU starts anew in the middle of answers",
+    "reset": "ECU resets in the middle of answers",
     "mute": "ECU gives no answer",
     "echo": "answers are those of other requests",
     "refuse": "ECU refuses requests",
