@@ -258,7 +258,7 @@ def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
         offset=0 if texts or offset is None else offset,
         texts=texts,
         unit=UNITS.get(str(unit)),
-        limits=(least or 0, most) if most is not None and most > (least or 0) and not texts else None,
+        limits=(least or 0, most) if most is not None and most > (least or 0) and "map" not in fmt else None,
         comment=str(table.get("name") or ""),
     )
     return signal, Limits(*numbers[:4])
