@@ -22,6 +22,8 @@ from gateway_fdi.errors import InputError
 
 #: Time between two requests where a file does not say [ms].
 EVERY_MS = 1000.0
+#: Requests to all -> answers of the engine's ECU.
+FUNCTIONAL = {0x7DF: 0x7E8, EXTENDED | 0x18DB33F1: EXTENDED | 0x18DAF110}
 #: Parts that are left out and named one by one; of more their number is told.
 _NAMED = 8
 
@@ -53,8 +55,8 @@ def import_layouts(
     for own, layouts in _by_address(found.layouts, given, source).items():
         address = own
         if own.response is None:
-            address = Address(own.request, own.request + 8, own.extended, own.tester)
-            assumed.append(f"{own.request & ID_MASK:X}: response {(own.request + 8) & ID_MASK:X} is assumed")
+            address = Address(own.request, _response(own.request), own.extended, own.tester)
+            assumed.append(f"{own.request & ID_MASK:X}: response {(address.response or 0) & ID_MASK:X} is assumed")
         asked.append(_asked(address, layouts, relative, left))
         groups[asked[-1].name] = layouts
     rate = sum(1000 / read.every_ms for ecu in asked for read in ecu.reads)
@@ -97,6 +99,13 @@ def _given(request: str | None, response: str | None) -> Address | None:
         return None
     flag = EXTENDED if max(asks, answers) > 0x7FF else 0
     return Address(asks | flag, answers | flag)
+
+
+def _response(request: int) -> int:
+    """Return the usual identifier of answers to one of requests, where a file does not say it."""
+    if request & EXTENDED and request >> 16 & 0xFF == 0xDA:  # normal fixed addressing: the addresses change places
+        return request & ~0xFFFF | (request & 0xFF) << 8 | request >> 8 & 0xFF
+    return FUNCTIONAL.get(request, request + 8)
 
 
 def _by_address(
