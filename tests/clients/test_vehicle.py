@@ -1,6 +1,7 @@
 """DTCs of other ECUs: came, changed, went; what an answer does not say is not concluded; kept over restarts."""
 
 import json
+import sqlite3
 
 import numpy as np
 import pytest
@@ -258,3 +259,19 @@ def test_dtcs_that_are_broadcast_are_kept_without_asking(tmp_path, listening):
     assert told == (wanted if listening else [])
     assert made.sent == []
     assert Pdu(0xFECA, 0x21, GLOBAL, b"").can_id == 0x98FECA21
+
+
+def test_they_are_recovered_from_a_damaged_file(brake, tmp_path):
+    made, _, file = brake
+    made.run(2000)
+    made.gateway.stop(made.now)
+    known = made.gateway.memory.vehicle.all()
+    made.gateway.close()
+    path = tmp_path / "memory.sqlite"
+    db = sqlite3.connect(path, isolation_level=None)
+    db.execute("UPDATE fault SET status = status + 1")  # not by a gateway
+    db.execute("INSERT INTO ecu_dtc VALUES ('brake', 'x', 1, 1, 1, 1, 1, NULL, 'no JSON')")
+    db.close()
+    made.gateway = Gateway(load_config(file), path, file=file)
+    assert made.gateway.memory.vehicle.all() == known != []
+    assert list(tmp_path.glob("memory.sqlite.damaged-*"))
