@@ -181,7 +181,7 @@ def read_ecu_dtc(*row: Any) -> EcuDtc:
         ValueError: it makes no sense.
     """
     ecu, dtc, status, there, came, first_ns, last_ns, went_ns, content = row
-    snapshots = json.loads(content) if isinstance(content, str) else None
+    snapshots: Any = json.loads(content) if isinstance(content, str) else None
     numbers = (status, there, came, first_ns, last_ns, 0 if went_ns is None else went_ns)
     texts = isinstance(ecu, str) and isinstance(dtc, str) and isinstance(snapshots, dict)
     if not texts or not all(isinstance(each, int) for each in numbers):
