@@ -229,11 +229,8 @@ def test_dtcs_that_are_broadcast_are_kept_without_asking(tmp_path, listening):
 
     dtcs = [dtc_bytes(100, 3, 1), dtc_bytes(0x7FFFE, 31, 1)]
     engine = Transport(0x00)
-    toml = (
-        BUS
-        + ("dm1 = true\n" if listening else "")
-        + '[[ecu]]\nname = "engine"\naddress = 0\n[clock]\nwatched = false\n'
-    )
+    toml = BUS + ("dm1 = true\n" if listening else "") + "[clock]\nwatched = false\n"
+    toml += '[[ecu]]\nname = "engine"\naddress = 0\nread = [{ pgn = 65260, every_ms = 86_400_000 }]\n'
     made = Car(write(tmp_path, toml))
 
     def say(transport, coded):
@@ -257,7 +254,7 @@ def test_dtcs_that_are_broadcast_are_kept_without_asking(tmp_path, listening):
         ("obd:21", "SPN 100 FMI 3", "went"),
     ]
     assert told == (wanted if listening else [])
-    assert made.sent == []
+    assert [can_id for _, can_id, _ in made.sent] == [0x98EA00F9]  # what was asked for, and nothing for DM1
     assert Pdu(0xFECA, 0x21, GLOBAL, b"").can_id == 0x98FECA21
 
 
