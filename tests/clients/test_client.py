@@ -148,6 +148,7 @@ def test_nothing_is_sent_without_an_ecu_or_where_it_is_only_listened_to(tmp_path
     )
     assert found.sent == []
     assert found.gateway.next_ns > 1 << 62
+    assert found.gateway.asking._said == []
 
 
 def test_a_sleeping_vehicle_is_not_asked(tmp_path):
@@ -173,6 +174,16 @@ def test_a_dead_bus_is_not_asked(tmp_path):
     found.run(2000)
     assert len(found.requests) == asked
     found._feed(condition_frame(found.now, 0, RUNNING))
+    assert len(found.run(500).requests) > asked
+
+
+def test_nobody_is_asked_while_a_tester_has_switched_sending_off(tmp_path):
+    found = car(tmp_path, once(POSITIVE)).run(500)
+    found.gateway.controls.set_communication(receive=True, send=False, by="a tester")
+    asked = len(found.requests)
+    found.run(2000)
+    assert len(found.requests) == asked
+    found.gateway.controls.set_communication(receive=True, send=True, by="a tester")
     assert len(found.run(500).requests) > asked
 
 
