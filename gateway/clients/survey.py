@@ -27,8 +27,8 @@ FUNCTIONAL_11, FUNCTIONAL_29 = 0x7DF, EXTENDED | 0x18DB33F1
 TESTER = 0xF1
 #: Physical addresses: of 11 bits, and of 29 bits in normal fixed addressing with the tester F1.
 PHYSICAL = (*range(0x700, 0x800), *(EXTENDED | 0x18DA0000 | k << 8 | TESTER for k in range(256)))
-#: J1939: request for the address claimed by all, and the answers; name and source address.
-ASK_NAMES, NAMES, GROUP = EXTENDED | 0x18EAFFF9, 0xEE00, b"\x00\xee\x00"
+#: J1939: request for the address claimed, to all, from the null address (J1939-81); the group of the answers.
+ASK_NAMES, NAMES, GROUP = EXTENDED | 0x18EAFFFE, 0xEE00, b"\x00\xee\x00"
 
 
 @dataclass(frozen=True)

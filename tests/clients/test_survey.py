@@ -121,7 +121,7 @@ def test_what_is_found_is_a_configuration_that_asks_it(tmp_path, capsys):
 def test_it_only_reads_and_keeps_its_rate(tmp_path):
     _, sent = surveyed(tmp_path, ENGINE + BODY.format(delay=20), rate=50.0)
     asked = sent[(sent["data"][:, 0] >> 4) == 0]
-    asked = asked[asked["can_id"] != EXTENDED | 0x18EAFFF9]
+    asked = asked[asked["can_id"] != EXTENDED | 0x18EAFFFE]
     assert {int(each) for each in asked["data"][:, 1]} <= {0x01, 0x03, 0x07, 0x09, 0x0A, 0x19, 0x22, 0x3E}
     assert np.diff(asked["t_ns"]).min() >= 20 * MS
     rest = sent[(sent["data"][:, 0] >> 4) != 0]
