@@ -156,7 +156,7 @@ def test_a_daemon_on_our_own_buses_imports_no_python_can(tmp_path):
         *("run", "gateway.toml", "--bus", "loopback:127.0.0.1:1", "--duration", "0"),
         *("--memory", tmp_path / "faults.sqlite"),
     )
-    assert "gateway.servers.isotp" in modules
+    assert "gateway.isotp" in modules
     assert not loaded(modules, (*EXTRA, *DESIGN, *PYTHON_CAN, *STUDIES, *OTHERS))
 
 

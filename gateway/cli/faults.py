@@ -48,8 +48,10 @@ def _say_if_behind(path: Path) -> None:
         )
 
 
-def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
-    """List the entries; returns the exit code."""
+def list_faults(config: Path | None, *, memory: Path | None, json: bool, ecu: str | None = None) -> int:
+    """List the entries, or the DTCs of another ECU ("all": of all); returns the exit code."""
+    if ecu is not None:
+        return _list_ecu_dtcs(ecu, config, memory=memory, json=json)
     path = _path(config, memory)
     entries = service.list_entries(path)
     _say_if_behind(path)
@@ -65,6 +67,28 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
         console.print(_entries(case.entries, wide=wide, below=bool(case.text), folds=case.proven))
     if service.overflowed(path):
         print("the memory was full: entries of less important faults gave way")
+    return 0
+
+
+def _list_ecu_dtcs(ecu: str, config: Path | None, *, memory: Path | None, json: bool) -> int:
+    """List the DTCs of another ECU, or of all; returns the exit code."""
+    path = _path(config, memory)
+    known = service.ecu_dtcs(path)
+    found = [each for each in known if ecu in ("all", each["ecu"])]
+    _say_if_behind(path)
+    if json:
+        print_json(found)
+        return 0
+    table = table_of("ECU", "DTC", "status", "state", "came", "first, last", "snapshots")
+    for each in found:
+        table.add_row(
+            each["ecu"], each["dtc"], f"0x{each['status']:02X}", "there" if each["there"] else "went",
+            str(each["came"]), f"{_second(each['first_ns'])}\n{_second(each['last_ns'])}",
+            "\n".join(f"{name}: {data}" for name, data in each["snapshots"].items()),
+        )  # fmt: skip
+    others = ", ".join(sorted({each["ecu"] for each in known}))
+    hint = f"; the ECUs with DTCs are {others}" if others else ""
+    wide_console().print(table if found else f"no DTCs of other ECUs{hint}")
     return 0
 
 

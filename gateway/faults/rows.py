@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import astuple, fields
 from operator import attrgetter
 from typing import Any
 
 from gateway.faults.explained import HOLDS, Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.records import Changes, FreezeFrame, Record
+from gateway.faults.vehicle import EcuDtc
 
 #: Columns of the table of faults, named as in :class:`Record`; the others have tables. These two hold JSON.
 COLUMNS = tuple(f.name for f in fields(Record) if f.name not in ("freeze_frames", "cause", "hold"))
@@ -44,6 +45,7 @@ SELECT_RECORDS = f"SELECT {', '.join(COLUMNS)} FROM fault"  # noqa: S608 - our o
 #: Columns of the table of interventions, named as in :class:`Intervention`.
 INTERVENTION = tuple(f.name for f in fields(Intervention))
 SELECT_INTERVENTIONS = f"SELECT {', '.join(INTERVENTION)} FROM intervention"  # noqa: S608 - our own names
+SELECT_ECU_DTCS = "SELECT ecu, dtc, status, there, came, first_ns, last_ns, went_ns, snapshots FROM ecu_dtc"
 SELECT_RECORDINGS = "SELECT fault, t_ns, frames, dropped, log FROM recording"
 
 
@@ -104,6 +106,8 @@ def write(db: sqlite3.Connection, changes: Changes) -> list[int]:
             "INSERT INTO permanent VALUES (?, ?, ?)",
             [(p.fault, p.dtc, p.t_ns) for p in changes.permanent],
         )
+    if changes.ecu_dtcs:
+        _write_ecu_dtcs(db, changes.ecu_dtcs)
     gone = _write_interventions(db, changes) if changes.interventions or changes.kept_interventions else []
     if changes.buses is not None:
         _write_buses(db, changes.buses)
@@ -153,6 +157,38 @@ def _write_interventions(db: sqlite3.Connection, changes: Changes) -> list[int]:
         (max(changes.kept_interventions), json.dumps(list(changes.kept_interventions))),
     )
     return [number for (number,) in gone.fetchall()]
+
+
+def _write_ecu_dtcs(db: sqlite3.Connection, changed: Mapping[tuple[str, str], EcuDtc | None]) -> None:
+    db.executemany("DELETE FROM ecu_dtc WHERE ecu = ? AND dtc = ?", list(changed))
+    db.executemany(
+        "INSERT INTO ecu_dtc VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        [(*astuple(each)[:-1], json.dumps(each.snapshots)) for each in changed.values() if each is not None],
+    )
+
+
+def read_ecu_dtcs(db: sqlite3.Connection) -> list[EcuDtc]:
+    """Return the DTCs of other ECUs.
+
+    Raises:
+        ValueError: a row makes no sense.
+    """
+    return [read_ecu_dtc(*row) for row in db.execute(f"{SELECT_ECU_DTCS} ORDER BY ecu, dtc")]
+
+
+def read_ecu_dtc(*row: Any) -> EcuDtc:
+    """Return a row of the DTCs of other ECUs.
+
+    Raises:
+        ValueError: it makes no sense.
+    """
+    ecu, dtc, status, there, came, first_ns, last_ns, went_ns, content = row
+    snapshots: Any = json.loads(content) if isinstance(content, str) else None
+    numbers = (status, there, came, first_ns, last_ns, 0 if went_ns is None else went_ns)
+    texts = isinstance(ecu, str) and isinstance(dtc, str) and isinstance(snapshots, dict)
+    if not texts or not all(isinstance(each, int) for each in numbers):
+        raise ValueError(row)
+    return EcuDtc(ecu, dtc, status, bool(there), came, first_ns, last_ns, went_ns, snapshots)
 
 
 def _write_buses(db: sqlite3.Connection, states: Sequence[Mapping[str, Any]]) -> None:

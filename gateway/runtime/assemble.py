@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from gateway.answers.pages import AnswerBus
+from gateway.answers.weave import Weaver
+from gateway.clients.asking import Asking, Ecu
+from gateway.clients.dm1 import Dm1Listener
+from gateway.clients.ecu import MS, Ask, EcuClient, asks_of
+from gateway.clients.params import DTC_REQUESTS, EcuParams
 from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
@@ -24,14 +30,14 @@ from gateway.faults.catalogue import Catalogue, FaultDefinition, define
 from gateway.faults.interventions import encode
 from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
+from gateway.isotp.endpoint import IsoTpEndpoint
+from gateway.isotp.params import IsoTpParams
 from gateway.monitors.contract import Fault
 from gateway.servers.authority import Authority
 from gateway.servers.bus_server import BusServer
 from gateway.servers.diagnostic_server import DiagnosticServer
 from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.identifiers import Identifiers
-from gateway.servers.isotp.endpoint import IsoTpEndpoint
-from gateway.servers.isotp.params import IsoTpParams
 from gateway.servers.j1939.endpoint import J1939Endpoint
 from gateway.servers.j1939.server import J1939Server
 from gateway.servers.obd.server import ObdServer
@@ -62,6 +68,7 @@ class Parts:
         slots: mailbox slots of all signals that a name outside the engine stands for.
         live: monitor and value of all names that stand for a live value.
         cycles: names of the operation cycles, in the engine's order.
+        answers: buses of ECUs' answers.
         security: of the UDS server; its key functions have been found.
         authentication: of the UDS server; its roots have been read.
         checks: of messages, in the engine's order.
@@ -79,6 +86,7 @@ class Parts:
     slots: dict[str, int]
     live: Mapping[str, tuple[str, str]]
     cycles: tuple[str, ...]
+    answers: tuple[AnswerBus, ...]
     security: Security
     authentication: Authentication
     checks: tuple[CheckInstance, ...]
@@ -130,6 +138,7 @@ def assemble(resolved: Resolved) -> Parts:
         {name: engine.plan.slot(*ref) for name, ref in resolved.signals.items()},
         resolved.live,
         tuple(resolved.cycles),
+        resolved.answers,
         resolved.security,
         resolved.authentication,
         resolved.checks,
@@ -159,7 +168,7 @@ def _engine(resolved: Resolved) -> Engine:
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
         buses=resolved.buses,
         clock=config.clock,
-        reported=[*_reported_faults(config), *_own_faults(config, resolved.monitors)],
+        reported=[*_reported_faults(config), *_faults_of_ecus(config), *_own_faults(config, resolved.monitors)],
     )
 
 
@@ -194,6 +203,16 @@ def _reported_faults(config: Config) -> list[FaultSlot]:
     """Return the faults that other processes test; they are of no bus."""
     reporters = () if config.report is None else config.report.reporter
     return [FaultSlot(f"{each.name}.{fault.name}", fault.fault, NO_BUS) for each in reporters for fault in each.fault]
+
+
+def _faults_of_ecus(config: Config) -> list[FaultSlot]:
+    """Return the faults that stand for DTCs of other ECUs; each is of the ECU's bus."""
+    return [
+        FaultSlot(f"{config.ecu[k].name}.{fault.name}", fault.fault, bus)
+        for bus, ecus in config.answered.items()
+        for k in ecus
+        for fault in config.ecu[k].fault
+    ]
 
 
 def _definition(resolved: Resolved, slot: FaultSlot) -> FaultDefinition:
@@ -309,3 +328,49 @@ def servers_of(
         )
         made.append(J1939Server(asked.j1939, endpoint, memory, control, authority, config.bus[index].name))
     return made
+
+
+def asking_of(config: Config, parts: Parts, control: TesterControl, may_ask: Callable[[int], bool]) -> Asking:
+    """Build the clients of other ECUs.
+
+    Args:
+        config: the configuration.
+        parts: of it.
+        control: judges conditions.
+        may_ask: whether a bus may be asked now, by its index.
+    """
+    made: list[Ecu] = []
+    for at, (bus, ecus) in enumerate(config.answered.items()):
+        answers = parts.answers[at]
+        for k, pages, lengths in zip(ecus, answers.pages, answers.lengths, strict=True):
+            params = config.ecu[k]
+            client = EcuClient(params, bus, [*asks_of(params), *_asks_of_dtcs(params, control)])
+            made.append(Ecu(client, Weaver(pages, lengths, len(config.bus) + at)))
+    rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
+    bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}
+    return Asking(made, rates, may_ask, _dm1_of(config), bus_of)
+
+
+def _dm1_of(config: Config) -> Dm1Listener | None:
+    """Build what hears DTCs that are broadcast; None: no bus wants it. An ECU is known by its address."""
+    buses = [k for k, bus in enumerate(config.bus) if bus.dm1]
+    names = {
+        (bus, config.ecu[k].address or 0): config.ecu[k].name
+        for bus, ecus in config.answered.items()
+        for k in ecus
+        if config.ecu[k].address is not None
+    }
+    own = config.output.j1939
+    ours = [] if own is None else [(config.bus_index(own.bus), own.address)]
+    return Dm1Listener(buses, names, {k: config.bus[k].name for k in buses}, ours) if buses else None
+
+
+def _asks_of_dtcs(params: EcuParams, control: TesterControl) -> list[Ask]:
+    """Return the requests for an ECU's DTCs."""
+    if params.dtcs is None:
+        return []
+    when = params.dtcs.when
+    return [
+        Ask(request, round(params.dtcs.every_s * 1000 * MS), ready=lambda: control.meets(when))
+        for request in DTC_REQUESTS[params.dtcs.protocol]
+    ]

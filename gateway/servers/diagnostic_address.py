@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.servers.isotp.params import IsoTpParams
+from gateway.isotp.params import IsoTpParams
 from gateway_fdi.errors import InputError
 
 

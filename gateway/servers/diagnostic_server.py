@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway.faults.entries import DtcChange
+from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.servers.application import Application
 from gateway.servers.bus_server import BusServer
-from gateway.servers.isotp.endpoint import IsoTpEndpoint
 from gateway.servers.obd.server import MODES
 
 

@@ -40,7 +40,7 @@ def test_a_reserved_separation_time_is_the_longest_one(uds, stmin):
 
 @pytest.mark.parametrize("stmin", [0x00, 0x7F, 0xF1, 0xF9])
 def test_other_separation_times_are_what_they_are(uds, stmin):
-    from gateway.servers.isotp.edges import judge
+    from gateway.isotp.edges import judge
 
     frame = bytes([0x30, 0, stmin])
     assert judge(frame) == (frame, False)
@@ -101,7 +101,7 @@ def test_a_first_frame_that_is_none_leaves_what_is_under_way_alone(uds):
 
 
 def test_a_first_frame_in_can_fd_is_longer_than_a_single_frame():
-    from gateway.servers.isotp.edges import judge
+    from gateway.isotp.edges import judge
 
     def first(length, size):
         return (0x1000 | length).to_bytes(2, "big").ljust(size, b"\0")

@@ -7,7 +7,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from gateway.servers.isotp.params import IsoTpParams
+from gateway.isotp.params import IsoTpParams
 from gateway_fdi.common.tomlfile import StrictModel
 
 #: Usual PIDs with one value: bytes, value of one step, value of a coded 0 (SAE J1979-DA).

@@ -6,8 +6,8 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from gateway.isotp.params import IsoTpParams
 from gateway.servers.access import Access
-from gateway.servers.isotp.params import IsoTpParams
 from gateway.servers.uds.authentication import AuthenticationParams
 from gateway_fdi.common.tomlfile import StrictModel
 

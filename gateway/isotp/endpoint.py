@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, EXTENDED, FD, ID_MASK, Frames, empty, payload, put
-from gateway.servers.isotp.layer import IsoTpLayer
-from gateway.servers.isotp.params import IsoTpParams
+from gateway.isotp.layer import IsoTpLayer
+from gateway.isotp.params import IsoTpParams
 
 #: Responses on events that wait for the one under way.
 MOST_PUSHED = 32
@@ -147,6 +147,11 @@ class IsoTpEndpoint:
     def busy(self) -> bool:
         """Whether a request or a response is under way."""
         return self._layer.busy
+
+    @property
+    def sending(self) -> bool:
+        """Whether a message is being sent."""
+        return self._layer.transmitting
 
     @property
     def next_ns(self) -> int:

@@ -10,8 +10,8 @@ import isotp
 from isotp.protocol import PDU
 
 from gateway.common.times import NEVER
-from gateway.servers.isotp.edges import CONSECUTIVE, FLOW_CONTROL, judge
-from gateway.servers.isotp.params import IsoTpParams
+from gateway.isotp.edges import CONSECUTIVE, FLOW_CONTROL, judge
+from gateway.isotp.params import IsoTpParams
 
 #: Wait frames in a row that a tester may send.
 MOST_WAITS = 16

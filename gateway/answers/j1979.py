@@ -1,0 +1,152 @@
+"""Layouts of service 0x01, current data, as SAE J1979 (ISO 15031-5) defines them; names are the standard's.
+
+Each row of the table is a signal: PID, name, first bit (the highest bit of byte A is 0), length, factor, what is added,
+unit; ``s`` after the length: with a sign. ``=`` and words are what the numbers from 0 on mean, ``-``: nothing.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+from gateway.answers.model import AnswerLayout, message_of, signal_of
+
+_SENSORS = ("11", "12", "13", "14", "21", "22", "23", "24")
+
+#: Monitors of PIDs 0x01 and 0x41, from bit 8 of the answer on; 1 of readiness or completion: not yet.
+_CONTINUOUS = ("CCM", "FUEL", "MIS")
+_OTHERS = ("EGR", "HTR", "O2S", "ACRF", "AIR", "EVAP", "HCAT", "CAT")
+#: Rows of one bit, from their length on.
+_NO, _DONE = "1 1 0 - =no,yes", "1 1 0 - =yes,no"
+
+_TABLE = """
+01 MIL 0 1 1 0 - =off,on
+01 DTC_CNT 1 7 1 0 -
+03 FUELSYS1 0 8 1 0 - =off,OL,CL,-,OL-Drive,-,-,-,OL-Fault,-,-,-,-,-,-,-,CL-Fault
+03 FUELSYS2 8 8 1 0 - =off,OL,CL,-,OL-Drive,-,-,-,OL-Fault,-,-,-,-,-,-,-,CL-Fault
+04 LOAD_PCT 0 8 100/255 0 %
+05 ECT 0 8 1 -40 degC
+06 SHRTFT1 0 8 100/128 -100 %
+06 SHRTFT3 8 8 100/128 -100 %
+07 LONGFT1 0 8 100/128 -100 %
+07 LONGFT3 8 8 100/128 -100 %
+08 SHRTFT2 0 8 100/128 -100 %
+08 SHRTFT4 8 8 100/128 -100 %
+09 LONGFT2 0 8 100/128 -100 %
+09 LONGFT4 8 8 100/128 -100 %
+0A FRP 0 8 3 0 kPa
+0B MAP 0 8 1 0 kPa
+0C RPM 0 16 1/4 0 rpm
+0D VSS 0 8 1 0 km/h
+0E SPARKADV 0 8 1/2 -64 deg
+0F IAT 0 8 1 -40 degC
+10 MAF 0 16 1/100 0 g/s
+11 TP 0 8 100/255 0 %
+12 AIR_STAT 0 8 1 0 - =-,UPS,DNS,-,OFF,-,-,-,DIAG
+1C OBDSUP 0 8 1 0 - =-,OBD-II,OBD,OBD-and-OBD-II,OBD-I,NO-OBD,EOBD,EOBD-and-OBD-II,EOBD-and-OBD,EOBD-OBD-OBD-II,JOBD
+1E PTO_STAT 7 1 1 0 - =off,on
+1F RUNTM 0 16 1 0 s
+21 MIL_DIST 0 16 1 0 km
+22 FRP 0 16 5178/65535 0 kPa
+23 FRP 0 16 10 0 kPa
+2C EGR_PCT 0 8 100/255 0 %
+2D EGR_ERR 0 8 100/128 -100 %
+2E EVAP_PCT 0 8 100/255 0 %
+2F FLI 0 8 100/255 0 %
+30 WARM_UPS 0 8 1 0 -
+31 CLR_DIST 0 16 1 0 km
+32 EVAP_VP 0 16s 1/4 0 Pa
+33 BARO 0 8 1 0 kPa
+3C CATEMP11 0 16 1/10 -40 degC
+3D CATEMP21 0 16 1/10 -40 degC
+3E CATEMP12 0 16 1/10 -40 degC
+3F CATEMP22 0 16 1/10 -40 degC
+42 VPWR 0 16 1/1000 0 V
+43 LOAD_ABS 0 16 100/255 0 %
+44 EQ_RAT 0 16 2/65536 0 -
+45 TP_R 0 8 100/255 0 %
+46 AAT 0 8 1 -40 degC
+47 TP_B 0 8 100/255 0 %
+48 TP_C 0 8 100/255 0 %
+49 APP_D 0 8 100/255 0 %
+4A APP_E 0 8 100/255 0 %
+4B APP_F 0 8 100/255 0 %
+4C TAC_PCT 0 8 100/255 0 %
+4D MIL_TIME 0 16 1 0 min
+4E CLR_TIME 0 16 1 0 min
+51 FUEL_TYP 0 8 1 0 - =-,GAS,METH,ETH,DSL,LPG,CNG,PROP,ELEC,BI_GAS,BI_METH,BI_ETH,BI_LPG,BI_CNG,BI_PROP,BI_ELEC
+52 ALCH_PCT 0 8 100/255 0 %
+53 EVAP_VPA 0 16 1/200 0 kPa
+54 EVAP_VP 0 16s 1 0 Pa
+55 STSO2FT1 0 8 100/128 -100 %
+55 STSO2FT3 8 8 100/128 -100 %
+56 LGSO2FT1 0 8 100/128 -100 %
+56 LGSO2FT3 8 8 100/128 -100 %
+57 STSO2FT2 0 8 100/128 -100 %
+57 STSO2FT4 8 8 100/128 -100 %
+58 LGSO2FT2 0 8 100/128 -100 %
+58 LGSO2FT4 8 8 100/128 -100 %
+59 FRP 0 16 10 0 kPa
+5A APP_R 0 8 100/255 0 %
+5B BAT_PWR 0 8 100/255 0 %
+5C EOT 0 8 1 -40 degC
+5D FUEL_TIMING 0 16 1/128 -210 deg
+5E FUEL_RATE 0 16 1/20 0 l/h
+61 TQ_DD 0 8 1 -125 %
+62 TQ_ACT 0 8 1 -125 %
+63 TQ_REF 0 16 1 0 Nm
+64 TQ_MAX1 0 8 1 -125 %
+64 TQ_MAX2 8 8 1 -125 %
+64 TQ_MAX3 16 8 1 -125 %
+64 TQ_MAX4 24 8 1 -125 %
+64 TQ_MAX5 32 8 1 -125 %
+8E TQ_FR 0 8 1 -125 %
+9D ENG_FUEL_RATE 0 16 1/50 0 g/s
+9D VEH_FUEL_RATE 16 16 1/50 0 g/s
+9E EXH_RATE 0 16 1/5 0 kg/h
+A2 CYL_RATE 0 16 1/32 0 mg/stroke
+A6 ODO 0 32 1/10 0 km
+"""
+
+
+def _rows() -> list[str]:
+    """Return the rows of the table, and those that the standard repeats."""
+    rows = _TABLE.split("\n")
+    for pid, state, enabled in (("01", "RDY", "SUP"), ("41", "CMPL", "ENA")):
+        rows.append(f"{pid} CIM_SUP 12 1 1 0 - =spark,compression")
+        for k, name in enumerate(_CONTINUOUS):
+            rows += [f"{pid} {name}_{state} {9 + k} {_DONE}", f"{pid} {name}_{enabled} {13 + k} {_NO}"]
+        for k, name in enumerate(_OTHERS):
+            rows += [f"{pid} {name}_{enabled} {16 + k} {_NO}", f"{pid} {name}_{state} {24 + k} {_DONE}"]
+    for k, name in enumerate(_SENSORS):
+        rows += [f"{0x14 + k:02X} O2S{name} 0 8 1/200 0 V", f"{0x14 + k:02X} SHRTFT{name} 8 8 100/128 -100 %"]
+        rows += [f"{0x24 + k:02X} LAMBDA{name} 0 16 2/65536 0 -", f"{0x24 + k:02X} O2S{name} 16 16 8/65536 0 V"]
+        rows += [f"{0x34 + k:02X} LAMBDA{name} 0 16 2/65536 0 -", f"{0x34 + k:02X} O2S{name} 16 16 1/256 -128 mA"]
+        rows.append(f"13 O2S{name}_EXISTS {7 - k} {_NO}")
+    return rows
+
+
+def _signal(name: str, first: str, length: str, scale: str, offset: str, unit: str, texts: str = "=") -> Any:
+    start = int(first)
+    return signal_of(
+        name,
+        8 * (start // 8) + 7 - start % 8,
+        int(length.rstrip("s")),
+        big=True,
+        signed=length.endswith("s"),
+        scale=float(Fraction(scale)),
+        offset=float(offset),
+        texts={k: text for k, text in enumerate(texts[1:].split(",")) if text not in ("", "-")},
+        unit=None if unit == "-" else unit,
+    )
+
+
+@cache
+def j1979() -> tuple[AnswerLayout, ...]:
+    """Return the layouts of the standard's PIDs, in their order."""
+    signals: dict[int, list[Any]] = {}
+    for row in filter(None, _rows()):
+        pid, *fields = row.split()
+        signals.setdefault(int(pid, 16), []).append(_signal(*fields))
+    return tuple(AnswerLayout(0x01, pid, message_of(0x01, pid, found)) for pid, found in sorted(signals.items()))
