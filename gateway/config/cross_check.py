@@ -26,6 +26,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
         _cycles(config),
         _access(config),
         _addresses(config),
+        _doip(config),
     )
 
 
@@ -136,6 +137,14 @@ def _outputs(config: Config) -> Iterator[InputError]:
             config.diagnostic_address_is_shared()
         except InputError as error:
             yield error
+
+
+def _doip(config: Config) -> Iterator[InputError]:
+    """The DoIP server has the services, sessions and keys of the UDS server."""
+    if config.output.doip is not None and config.output.uds is None:
+        yield InputError(
+            "this needs the table [output.uds]: services, sessions and keys are its own", key="output.doip"
+        )
 
 
 def _addresses(config: Config) -> Iterator[InputError]:

@@ -46,6 +46,7 @@ class Context:
     bus: str = ""
     trace_did: int | None = None  # data identifier of what testers did
     testers: list[Context] = field(default_factory=list)  # of all addresses, this one too
+    longest: int = 4095  # bytes of a response that the transport carries; of ISO-TP in its usual form
     now_ns: int = 0
     session: int = DEFAULT
     events: EventLogic = field(default_factory=EventLogic)
@@ -99,6 +100,12 @@ class Context:
             self.holder.end()
             self.events.started = False
             self.routines_done.clear()
+
+    def leave(self) -> None:
+        """End all that is the tester's: it has gone, and its address with it."""
+        self.enter(DEFAULT)
+        self.authority.leave(self.holder)
+        self.testers.remove(self)
 
 
 def _refuse(refusal: Refusal) -> None:

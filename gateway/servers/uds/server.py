@@ -14,8 +14,6 @@ from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, NegativeError, Nrc, 
 from gateway.servers.uds.services import SERVICES
 from gateway.servers.uds.services.x86_response_on_event import responses_to
 
-#: The longest response that ISO-TP carries in its usual form.
-LONGEST = 4095
 #: Refusals that say that a tester may not, or not now; others are of requests that make no sense.
 TRACED = frozenset(
     {
@@ -112,6 +110,11 @@ class UdsServer(Application):
             c.check_security()
         return service.handle(c, request)
 
+    def leave(self) -> None:
+        """End the session of a tester that has gone."""
+        self._later = None
+        self._context.leave()
+
     def _note(self, service: Service, request: bytes, outcome: int) -> None:
         """Keep what a request did, or was refused, if it would change anything."""
         c = self._context
@@ -121,7 +124,7 @@ class UdsServer(Application):
                 c.note("lockout", request[:2], outcome)
 
     def _positive(self, sid: int, content: bytes) -> bytes:
-        if 1 + len(content) > LONGEST:
+        if 1 + len(content) > self._context.longest:
             return _negative(sid, Nrc.RESPONSE_TOO_LONG)
         return bytes([sid + 0x40]) + content
 
