@@ -64,6 +64,8 @@ def empty(count: int) -> Frames:
 
 #: A frame as plain bytes: NumPy copies records field by field, which takes ten times as long.
 RAW = np.dtype((np.void, FRAME.itemsize))
+#: Frames of a batch that is looked at one by one.
+MAX_SMALL_BATCH = 16
 #: Frames that are copied as records: to look at them as bytes takes as long (1 us).
 _FEW = 40
 
@@ -76,6 +78,14 @@ def copied(frames: Frames) -> Frames:
 def chosen(frames: Frames, mask: NDArray[np.bool_]) -> Frames:
     """Return a copy of the frames of a batch that a mask, shape (n,), chooses."""
     return frames.view(RAW).take(np.flatnonzero(mask)).view(FRAME)
+
+
+def has_none_of(frames: Frames, ids: frozenset[int]) -> bool:
+    """Return whether a batch has no frame of some identifiers (with EXTENDED), as most have none."""
+    if len(frames) <= MAX_SMALL_BATCH:
+        return ids.isdisjoint(frames["can_id"].tolist())
+    found = np.ascontiguousarray(frames["can_id"])  # one look at memory that is far apart, for all identifiers
+    return not any((found == mine).any() for mine in ids)
 
 
 def joined(parts: Sequence[Frames]) -> Frames:

@@ -25,8 +25,8 @@ def network_codes(config: Config, faults: Iterable[Fault]) -> NetworkCodes:
     """
     taken = {text for text in texts_in(config.model_dump(exclude_unset=True)) if _CODE.fullmatch(text)}
     taken |= {fault.dtc for fault in faults}
-    taken |= set(bus_health.codes_of([bus.health for bus in config.bus]))
-    if any(bus.codes == "same" for bus in config.bus):
+    taken |= set(bus_health.codes_of([bus.health for bus in config.buses]))
+    if any(bus.codes == "same" for bus in config.buses):
         taken |= {communication.LOST, communication.INVALID}
     return NetworkCodes(taken)
 
@@ -38,14 +38,14 @@ def codes_of_messages(config: Config, databases: Iterable[Database], codes: Netw
         InputError: there are not enough.
     """
     known, asked = set(), {}
-    for k, (bus, database) in enumerate(zip(config.bus, databases, strict=True)):
+    for k, (bus, database) in enumerate(zip(config.buses, databases, strict=True)):
         if bus.codes == "own":
             names = {f"{bus.name}.{message.name}" for message in database}
             known |= names
             for j, check in enumerate(bus.check):
                 name = f"{bus.name}.{check.message}"
                 if name in names and not {"lost", "invalid"} <= check.model_fields_set:
-                    asked[name] = f"bus[{k}].check[{j}].message"
+                    asked[name] = f"{config.key_of_check(k, j)}.message"
     try:
         return dict(codes.pairs(known, asked))
     except InputError as error:

@@ -9,6 +9,7 @@ from pathlib import Path
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.faults.settings import POWER
+from gateway.isotp.params import IsoTpParams
 from gateway.servers.access_review import wrong_rules
 from gateway.servers.identifiers import check_unique
 from gateway_fdi.errors import InputError, InputErrors, nearest, under
@@ -27,11 +28,14 @@ def cross_check(config: Config) -> Iterator[InputError]:
         _access(config),
         _addresses(config),
         _doip(config),
+        _ecus(config),
+        _faults_of_ecus(config),
+        _only_listened_to(config),
     )
 
 
 def _names(config: Config) -> Iterator[InputError]:
-    named = {"bus": [bus.name for bus in config.bus], "monitor": [m.name for m in config.monitor]}
+    named = {kind: [entry.name for entry in getattr(config, kind)] for kind in ("bus", "monitor", "ecu")}
     for kind, found in named.items():
         for k, name in enumerate(found):
             if name in found[:k]:
@@ -204,3 +208,67 @@ def _cycles(config: Config) -> Iterator[InputError]:
             cycle = getattr(settings, key)
             if cycle is not None and cycle not in cycles:
                 yield InputError(f"the cycles are {known}", key=f'fault."{fault}".{key}', value=cycle)
+
+
+def _index(config: Config, name: str | None) -> int | None:
+    """Return the index of a bus that is configured; None: there is none of that name."""
+    names = [bus.name for bus in config.bus]
+    if name is None and len(names) == 1:
+        return 0
+    return names.index(name) if name in names else None
+
+
+def _ecus(config: Config) -> Iterator[InputError]:
+    """ECUs that are asked are on buses that there are, at addresses of their own, which are none of ours."""
+    uds, obd = config.output.uds, config.output.obd
+    servers: dict[str, IsoTpParams | None] = {"output.obd": obd}
+    for k, each in enumerate(() if uds is None else uds.each_address):
+        servers[f"output.uds.further[{k - 1}]" if k else "output.uds"] = each
+    ours = {
+        (_index(config, server.bus), can_id | server.flags): key
+        for key, server in servers.items()
+        if server is not None
+        for can_id in (server.request, server.response)
+    }
+    taken: dict[tuple[object, ...], str] = {}
+    for k, ecu in enumerate(config.ecu):
+        key, place, bus = f"ecu[{k}]", ecu.place, _index(config, ecu.bus)
+        if bus is None:
+            known = ", ".join(each.name for each in config.bus)
+            yield InputError(f"the buses are {known}", key=f"{key}.bus", value=ecu.bus or "(no bus named)")
+            continue
+        keys = ("address", "address") if ecu.address is not None else ("request", "response")
+        for name, can_id in zip(keys, (place.request, place.response), strict=True):
+            if (bus, can_id) in ours:
+                text = f"this is the gateway itself: {ours[bus, can_id]} has this identifier"
+                yield InputError(text, key=f"{key}.{name}", value=f"0x{can_id & 0x1FFFFFFF:X}")
+        owner = taken.setdefault((bus, place.response, place.tester), key)
+        if owner != key:
+            text = f"{owner} answers with this identifier"
+            yield InputError(text, key=f"{key}.{keys[1]}", value=f"0x{place.response & 0x1FFFFFFF:X}")
+
+
+def _faults_of_ecus(config: Config) -> Iterator[InputError]:
+    """Names of ECUs with faults, and of these faults, are theirs alone."""
+    taken = {"gateway", *(bus.name for bus in config.bus), *(monitor.name for monitor in config.monitor)}
+    taken |= set() if config.report is None else {reporter.name for reporter in config.report.reporter}
+    for k, ecu in enumerate(config.ecu):
+        if ecu.fault and ecu.name in taken:
+            yield InputError("ids of its faults begin so, and this name is taken", key=f"ecu[{k}].name", value=ecu.name)
+        names = [fault.name for fault in ecu.fault]
+        for j, name in enumerate(names):
+            if name in names[:j]:
+                yield InputError("this name is taken", key=f"ecu[{k}].fault[{j}].name", value=name)
+
+
+def _only_listened_to(config: Config) -> Iterator[InputError]:
+    """Nothing of the configuration sends on a bus that is only listened to."""
+    output = config.output
+    senders = [(f"output.{name}", getattr(output, name)) for name in ("dtc_frame", "uds", "obd", "j1939")]
+    senders += [] if output.uds is None else [(f"output.uds.further[{k}]", e) for k, e in enumerate(output.uds.further)]
+    senders += [(f"monitor[{k}]", entry) for k, entry in enumerate(config.monitor) if entry.send]
+    for key, sender in senders:
+        bus = None if sender is None else _index(config, sender.bus)
+        if bus is not None and config.bus[bus].listen_only:
+            text = "this sends on a bus that is only listened to; take it out, or listen_only of the bus"
+            yield InputError(text, key=key, value=config.bus[bus].name)

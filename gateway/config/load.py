@@ -154,7 +154,11 @@ def config_of(data: dict[str, Any], path: Path) -> Config:
         bus.model_copy(update={"database": tuple(beside_or_shipped(folder, file) for file in bus.database)})
         for bus in config.bus
     )
-    return _with_certificates(config.model_copy(update={"bus": buses}), folder)
+    ecus = tuple(
+        ecu.model_copy(update={"signals": tuple(beside_or_shipped(folder, file) for file in ecu.signals)})
+        for ecu in config.ecu
+    )
+    return _with_certificates(config.model_copy(update={"bus": buses, "ecu": ecus}), folder)
 
 
 def _with_certificates(config: Config, folder: Path) -> Config:

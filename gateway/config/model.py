@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator,
 
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of, parse_uri
+from gateway.clients.params import AskParams, EcuParams
 from gateway.engine.checks import bus_health, communication
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.depends.params import DiagnosisParams
@@ -48,6 +49,9 @@ class BusConfig(StrictModel):
     health: bus_health.Params = Field(
         bus_health.Params(), description="bus-off, error passive, errors, interface lost, overflow"
     )
+
+    ask: AskParams = Field(AskParams(), description="how its ECUs are asked ([[ecu]])")
+    listen_only: bool = Field(False, description="nothing is sent on it, and no ECU of it is asked")
 
     @field_validator("uri")
     @classmethod
@@ -165,6 +169,7 @@ class Config(StrictModel):
 
     name: str = "gateway"
     bus: tuple[BusConfig, ...] = Field(min_length=1)
+    ecu: tuple[EcuParams, ...] = Field((), description="ECUs that are asked; none: nothing is asked")
     monitor: tuple[MonitorConfig, ...] = ()
     fault: dict[str, FaultOverride] = Field(
         default_factory=dict,
@@ -201,13 +206,42 @@ class Config(StrictModel):
         Raises:
             InputError: no bus of that name, or none named while there are several.
         """
-        names = [bus.name for bus in self.bus]
-        if name is None and len(names) == 1:
+        names = [bus.name for bus in self.buses]
+        if name is None and len(self.bus) == 1:
             return 0
         if name not in names:
             text = f"the buses are {', '.join(names)}{nearest(name or '', names)}"
             raise InputError(text, value=name or "(no bus named)")
         return names.index(name)
+
+    @property
+    def answered(self) -> dict[int, list[int]]:
+        """Indices of the ECUs of each bus that has some: a bus of their answers for each, in this order."""
+        found: dict[int, list[int]] = {}
+        for k, ecu in enumerate(self.ecu):
+            names = [bus.name for bus in self.bus]
+            if ecu.bus in names or (ecu.bus is None and len(names) == 1):
+                found.setdefault(0 if ecu.bus is None else names.index(ecu.bus), []).append(k)
+        return dict(sorted(found.items()))
+
+    @property
+    def buses(self) -> tuple[BusConfig, ...]:
+        """The buses, then those of the answers of ECUs on them: ``answers:<bus>``, which nothing opens."""
+        return (*self.bus, *(self._answers_of(self.bus[k].name, ecus) for k, ecus in self.answered.items()))
+
+    def _answers_of(self, bus: str, ecus: list[int]) -> BusConfig:
+        checks = tuple(check for k in ecus for check in self.ecu[k].check)
+        name, health = f"answers:{bus}", bus_health.Params(watched=False)
+        made = BusConfig(name="answers", uri="virtual:answers", check=checks, health=health)
+        return made.model_copy(update={"name": name, "uri": name})
+
+    def key_of_check(self, bus: int, check: int) -> str:
+        """Return the key of a check of a bus, by their indices."""
+        if bus < len(self.bus):
+            return f"bus[{bus}].check[{check}]"
+        ecus = list(self.answered.values())[bus - len(self.bus)]
+        keys = [f"ecu[{k}].check[{at}]" for k in ecus for at in range(len(self.ecu[k].check))]
+        return keys[check]
 
     @property
     def access_rules(self) -> AccessParams:

@@ -11,6 +11,8 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
+from gateway.answers.layout import AnswerLayout, j1979, layouts_for, read_layouts
+from gateway.answers.pages import AnswerBus, answer_bus
 from gateway.config.codes import codes_of_messages, network_codes
 from gateway.config.model import Config, MonitorConfig
 from gateway.config.monitor_types import monitor_of
@@ -50,7 +52,8 @@ class Resolved:
 
     Attributes:
         config: the configuration.
-        databases: of each bus, in the order of the buses.
+        databases: of each bus, in the order of the buses, those of ECUs' answers last.
+        answers: buses of ECUs' answers, in the order of ``Config.answered``.
         monitors: types and parameters, buses, and the messages they send.
         checks: of messages.
         buses: whose health is judged.
@@ -70,6 +73,7 @@ class Resolved:
 
     config: Config
     databases: tuple[Database, ...]
+    answers: tuple[AnswerBus, ...]
     monitors: tuple[MonitorInstance, ...]
     checks: tuple[CheckInstance, ...]
     buses: tuple[BusInstance, ...]
@@ -93,13 +97,15 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
     Raises:
         InputError, InputErrors: a database, message, signal or key function that is wrong.
     """
-    databases = load_databases(config)
+    answers = answer_buses(config)
+    databases = (*load_databases(config), *(bus.database for bus in answers))
     types = [monitor_of(entry) for entry in config.monitor]
     readouts = {entry.name: monitor.readout for entry, (monitor, _) in zip(config.monitor, types, strict=True)}
     names = Names(config, dict(enumerate(databases)), readouts)
     uds, doip = config.output.uds, config.output.doip
     _find_access(config, names)
     _find_usage(config, names)
+    _find_asked(config, names)
     _each(names.find, ((name, "--signal") for name in extra))
     notes: list[str] = []
     whole = [type_ for type_ in types if type_[0].capability(Parts) is None]
@@ -114,7 +120,8 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
         checks=checks,
         notes=tuple(notes),
         codes=codes.given,
-        buses=tuple(BusInstance(bus.name, bus.health) for bus in config.bus),
+        answers=answers,
+        buses=tuple(BusInstance(bus.name, bus.health) for bus in config.buses),
         freeze_frames=_freeze_frames(config, names),
         shown=_shown(config, names),
         debounces={fault: settings.debounce.asked for fault, settings in config.fault.items()},
@@ -148,6 +155,40 @@ def load_databases(config: Config) -> tuple[Database, ...]:
     return tuple(loaded)
 
 
+def answer_buses(config: Config) -> tuple[AnswerBus, ...]:
+    """Read the layouts of ECUs' answers; returns a bus of answers for each bus that has ECUs.
+
+    Raises:
+        InputError, InputErrors: every file that cannot be read.
+    """
+    made, wrong = [], Gathered()
+    for ecus in config.answered.values():
+        found: list[tuple[str, Mapping[tuple[int, int], AnswerLayout]]] = []
+        for k in ecus:
+            ecu = config.ecu[k]
+            layouts = list(j1979()) if any(read.pid is not None for read in ecu.read) else []
+            for at, path in enumerate(ecu.signals):
+                with wrong, under(f"ecu[{k}].signals[{at}]", str(path)):
+                    layouts += read_layouts(path)
+            found.append((ecu.name, layouts_for(layouts, ecu.owner)))
+        with wrong, under(f"ecu[{ecus[-1]}]"):
+            made.append(answer_bus(found))
+    wrong.check()
+    return tuple(made)
+
+
+def _find_asked(config: Config, names: Names) -> None:
+    """Find the signals that say when ECUs are asked."""
+    _each(
+        names.find,
+        (
+            (condition.signal, f"ecu[{k}].dtcs.when[{j}].signal")
+            for k, ecu in enumerate(config.ecu)
+            for j, condition in enumerate(() if ecu.dtcs is None else ecu.dtcs.when)
+        ),
+    )
+
+
 def _each(find: Callable[[str, str], object], asked: Iterable[tuple[str, str]]) -> None:
     """Find what names stand for, each with the key that has it.
 
@@ -170,9 +211,9 @@ def _checks(
         InputError, InputErrors: checks of messages that are not there.
     """
     made, wrong = [], Gathered()
-    for index, bus in enumerate(config.bus):
+    for index, bus in enumerate(config.buses):
         for at, check in enumerate(bus.check):
-            name, key = f"{bus.name}.{check.message}", f"bus[{index}].check[{at}]"
+            name, key = f"{bus.name}.{check.message}", config.key_of_check(index, at)
             given = pairs[name]._asdict() if name in pairs else {}
             update: dict[str, Any] = {what: code for what, code in given.items() if what not in check.model_fields_set}
             if check.protection == "auto":
@@ -201,7 +242,7 @@ def protections(config: Config) -> dict[tuple[int, str], ProtectionParams]:
     Raises:
         InputError, InputErrors: checks of messages that are not there.
     """
-    checks = _checks(config, load_databases(config), {}, [])
+    checks = _checks(config.model_copy(update={"ecu": ()}), load_databases(config), {}, [])
     return {(check.bus, check.params.message): check.params for check in checks}
 
 
@@ -248,7 +289,7 @@ def _monitors(
                 find(name)
         wrong.check()
         try:
-            several = dict(parts.of(params, find, partial(codes.give, config.bus[bus].name)))
+            several = dict(parts.of(params, find, partial(codes.give, config.buses[bus].name)))
         except (InputError, InputErrors) as error:
             for each in each_of(error):
                 own = f"{key}.{each.key}" if each.key else key
@@ -407,7 +448,7 @@ def _powered(config: Config, names: Names, monitors: Sequence[MonitorInstance]) 
             for fault in _suffering(name, of_monitors, f"power.suffers[{k}]"):
                 found[fault] = tuple(supplied)
     wrong.check()
-    for bus in config.bus:
+    for bus in config.buses:
         silent = [f"{bus.name}.{check.message}.timeout" for check in bus.check if check.timeout_ms is not None]
         for fault in (*silent, f"{bus.name}.bus_silent"):
             found[fault] = (*awake, *supplied)
@@ -447,4 +488,10 @@ def _caused_by_buses(config: Config) -> dict[str, Gate]:
             gate = Gate(roots=(f"{bus.name}.bus_off", f"{bus.name}.bus_lost"))
             timeouts = [f"{bus.name}.{one.message}.timeout" for one in bus.check if one.timeout_ms is not None]
             gates |= dict.fromkeys([*timeouts, f"{bus.name}.bus_silent"], gate)
+    for (k, _), answers in zip(config.answered.items(), config.buses[len(config.bus) :], strict=True):
+        bus = config.bus[k]
+        if bus.health.watched:
+            roots = (f"{bus.name}.bus_off", f"{bus.name}.bus_lost")
+            timeouts = [f"{answers.name}.{one.message}.timeout" for one in answers.check if one.timeout_ms is not None]
+            gates |= dict.fromkeys(timeouts, Gate(roots=roots))
     return gates

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import CYCLIC, FRAME, Frames, copied, empty, joined
 from gateway.engine import loop
 from gateway.engine.buckets import Buckets, take
-from gateway.engine.checks.bus_health import COUNTED, SILENT, SPOKEN
+from gateway.engine.checks.bus_health import COUNTED, GONE, OFF, SILENT, SPOKEN, WHOLE
 from gateway.engine.checks.communication import PROVEN, RULE, SAMPLES
 from gateway.engine.checks.runs import tell_all_runs
 from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset
@@ -414,6 +414,11 @@ class Engine:
         row = self.tables.health[bus]
         counts = {name: int(count) for name, count in zip(COUNTED, row["counts"], strict=True)}
         return {**counts, "lost": int(row["lost"])}
+
+    def bus_lives(self, bus: int) -> bool:
+        """Return whether a bus is neither off nor lost, nor silent as a whole, as one that sleeps."""
+        row = self.tables.health[bus]
+        return not int(row["bad"]) & (1 << OFF | 1 << GONE) and int(row["silence"]) != WHOLE
 
     def live_value(self, monitor: str, name: str) -> float:
         """Return a number of a monitor's readout now, NaN if there is none; of one in several parts the first's."""

@@ -35,6 +35,7 @@ from gateway.faults.store import (
     UnusableError,
     damage,
 )
+from gateway.faults.vehicle import EcuDtc
 from gateway_fdi.errors import GatewayError, InputError
 
 T = TypeVar("T")
@@ -95,6 +96,10 @@ class KeptStore(Store):
     def interventions(self) -> list[Intervention]:
         """Return what testers did, the oldest first."""
         return self._or_nothing(super().interventions, [])
+
+    def ecu_dtcs(self) -> list[EcuDtc]:
+        """Return the DTCs of other ECUs."""
+        return self._or_nothing(super().ecu_dtcs, [])
 
     def facts(self) -> dict[str, int]:
         """Return numbers by name."""

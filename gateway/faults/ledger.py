@@ -18,6 +18,7 @@ from gateway.faults.outage import Outage
 from gateway.faults.permanent import PermanentDtcs
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.store import Store, StoreError
+from gateway.faults.vehicle import EcuDtc, Told, VehicleMemory
 
 #: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be
 #: given up.
@@ -43,6 +44,7 @@ def _joined(first: Changes, then: Changes) -> Changes:
         interventions={**first.interventions, **then.interventions},
         kept_interventions=then.kept_interventions or first.kept_interventions,
         cleared=[*first.cleared, *then.cleared],
+        ecu_dtcs={**first.ecu_dtcs, **then.ecu_dtcs},
     )
 
 
@@ -82,6 +84,7 @@ class Ledger:
         self.outage = Outage()
         self.commits = 0
         self.interventions = Interventions(store.interventions())
+        self.vehicle = VehicleMemory(store.ecu_dtcs())
         self._facts = store.facts()
         self._permanent = PermanentDtcs(store.permanent())
         self._pending = Changes(kept_recordings=recordings)
@@ -105,7 +108,7 @@ class Ledger:
         self.cycles.update(old.cycles)
         self.identifiers.update(old.identifiers)
         self._facts, self._permanent = old._facts, old._permanent
-        self.interventions = old.interventions
+        self.interventions, self.vehicle = old.interventions, old.vehicle
         self._dirty |= old._dirty
         kept = self._pending.kept_recordings
         self._pending, self._more = old._pending, old._more
@@ -196,6 +199,14 @@ class Ledger:
         told = made.outcome == DONE or made.count & (made.count - 1) == 0
         self._more = self._more or told
         return made if told else None
+
+    def note_ecu_dtcs(self, told: Told, t_ns: int) -> list[tuple[EcuDtc, str]]:
+        """Note what an answer says of the DTCs of another ECU; returns what to tell of it."""
+        changed, events = self.vehicle.take(told, t_ns)
+        if changed:
+            self._pending.ecu_dtcs = {**self._pending.ecu_dtcs, **changed}
+            self._more = True
+        return events
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Note how the buses do."""
@@ -381,6 +392,7 @@ class Ledger:
         }  # with those that are to go
         whole.facts = self._facts
         whole.interventions = {each.number: each for each in self.interventions.all()}
+        whole.ecu_dtcs = {each.key: each for each in self.vehicle.all()}
         whole.buses, whole.described = self._buses, self._described
         return whole
 

@@ -35,6 +35,7 @@ from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, STATUS, Status
 from gateway.faults.store import Store, StoreError
 from gateway.faults.usage import Usage, UsageParams
+from gateway.faults.vehicle import EcuDtc, Told, VehicleMemory
 
 _TEST_FAILED = int(Status.TEST_FAILED)
 #: Takes a fault's place in the catalogue, returns near misses and greatest detection counter since the last call.
@@ -291,6 +292,15 @@ class FaultMemory(Readable):
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Store each bus's state with the next commit."""
         self._held.note_buses(states)
+
+    @property
+    def vehicle(self) -> VehicleMemory:
+        """The DTCs of other ECUs."""
+        return self._held.vehicle
+
+    def note_ecu_dtcs(self, told: Told, t_ns: int) -> list[tuple[EcuDtc, str]]:
+        """Keep what an answer says of the DTCs of another ECU, with the next commit; returns what to tell of it."""
+        return self._held.note_ecu_dtcs(told, t_ns)
 
     def note_intervention(self, intervention: Intervention) -> Intervention | None:
         """Keep what a tester did, with the next commit; returns what to tell of it, None: nothing."""

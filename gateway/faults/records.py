@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from gateway.faults.explained import Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.status import Cycles, Status
+from gateway.faults.vehicle import EcuDtc
 
 
 @dataclass
@@ -136,6 +137,7 @@ class Changes:
         kept_interventions: numbers of those that are kept, where others had to go; later ones are not meant.
         described: what faults are called, for readers without the configuration.
         cleared: DTCs or groups that were cleared, in order.
+        ecu_dtcs: DTCs of other ECUs that changed, by ECU and DTC; None: one that gave way.
     """
 
     records: Sequence[Record] = ()
@@ -151,3 +153,4 @@ class Changes:
     interventions: Mapping[int, Intervention] = field(default_factory=dict)
     kept_interventions: Sequence[int] = ()
     cleared: Sequence[int] = ()
+    ecu_dtcs: Mapping[tuple[str, str], EcuDtc | None] = field(default_factory=dict)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import astuple, fields
 from operator import attrgetter
 from typing import Any
 
 from gateway.faults.explained import HOLDS, Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.records import Changes, FreezeFrame, Record
+from gateway.faults.vehicle import EcuDtc
 
 #: Columns of the table of faults, named as in :class:`Record`; the others have tables. These two hold JSON.
 COLUMNS = tuple(f.name for f in fields(Record) if f.name not in ("freeze_frames", "cause", "hold"))
@@ -102,6 +103,8 @@ def write(db: sqlite3.Connection, changes: Changes) -> list[int]:
             "INSERT INTO permanent VALUES (?, ?, ?)",
             [(p.fault, p.dtc, p.t_ns) for p in changes.permanent],
         )
+    if changes.ecu_dtcs:
+        _write_ecu_dtcs(db, changes.ecu_dtcs)
     gone = _write_interventions(db, changes) if changes.interventions or changes.kept_interventions else []
     if changes.buses is not None:
         _write_buses(db, changes.buses)
@@ -151,6 +154,27 @@ def _write_interventions(db: sqlite3.Connection, changes: Changes) -> list[int]:
         (max(changes.kept_interventions), json.dumps(list(changes.kept_interventions))),
     )
     return [number for (number,) in gone.fetchall()]
+
+
+def _write_ecu_dtcs(db: sqlite3.Connection, changed: Mapping[tuple[str, str], EcuDtc | None]) -> None:
+    db.executemany("DELETE FROM ecu_dtc WHERE ecu = ? AND dtc = ?", list(changed))
+    db.executemany(
+        "INSERT INTO ecu_dtc VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+        [(*astuple(each)[:-1], json.dumps(each.snapshots)) for each in changed.values() if each is not None],
+    )
+
+
+def read_ecu_dtcs(db: sqlite3.Connection) -> list[EcuDtc]:
+    """Return the DTCs of other ECUs.
+
+    Raises:
+        ValueError: a row makes no sense.
+    """
+    found = db.execute("SELECT * FROM ecu_dtc ORDER BY ecu, dtc")
+    return [
+        EcuDtc(ecu, dtc, status, bool(there), came, first_ns, last_ns, went_ns, json.loads(snapshots))
+        for ecu, dtc, status, there, came, first_ns, last_ns, went_ns, snapshots in found
+    ]
 
 
 def _write_buses(db: sqlite3.Connection, states: Sequence[Mapping[str, Any]]) -> None:

@@ -114,7 +114,23 @@ _SEVENTH = """
 CREATE TABLE cause (fault TEXT PRIMARY KEY REFERENCES fault (id), hold TEXT NOT NULL, content TEXT NOT NULL);
 """
 
+# DTCs of other ECUs, as these tell them. They are copies, and not links of the chain.
+_EIGHTH = """
+CREATE TABLE ecu_dtc (
+    ecu TEXT NOT NULL,
+    dtc TEXT NOT NULL,
+    status INTEGER NOT NULL,
+    there INTEGER NOT NULL,
+    came INTEGER NOT NULL,
+    first_ns INTEGER NOT NULL,
+    last_ns INTEGER NOT NULL,
+    went_ns INTEGER,
+    snapshots TEXT NOT NULL,
+    PRIMARY KEY (ecu, dtc)
+);
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH, _SEVENTH)
+MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH, _SEVENTH, _EIGHTH)
 #: First version that has a chain.
 CHAINED = 6

@@ -19,6 +19,7 @@ from gateway.faults.interventions import Intervention
 from gateway.faults.lock import is_marked, mark, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.schema import APPLICATION_ID, CHAINED, MAGIC, MIGRATIONS
+from gateway.faults.vehicle import EcuDtc
 from gateway_fdi.errors import GatewayError, InputError
 
 #: Another process that writes (a request to clear) is waited for this long [s].
@@ -313,6 +314,11 @@ class Store:
         """Return what testers did, the oldest first."""
         with self._reading():
             return [Intervention(*row) for row in self._db.execute(f"{rows.SELECT_INTERVENTIONS} ORDER BY number")]
+
+    def ecu_dtcs(self) -> list[EcuDtc]:
+        """Return the DTCs of other ECUs."""
+        with self._reading():
+            return rows.read_ecu_dtcs(self._db)
 
     def facts(self) -> dict[str, int]:
         """Return numbers by name."""

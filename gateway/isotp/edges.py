@@ -24,14 +24,15 @@ class Judged(NamedTuple):
     aborts: bool = False
 
 
-def judge(data: bytes) -> Judged:
+def judge(data: bytes, before: int = 0) -> Judged:
     """Return a frame as it is to be taken.
 
     Args:
-        data: of a frame on the identifier of physical requests, normal addressing.
+        data: of a frame, without an address byte.
+        before: whether there is an address byte: 0 or 1.
     """
     kind = data[0] >> 4 if data else -1
-    if kind == FIRST and not _is_first(data):
+    if kind == FIRST and not _is_first(data, before):
         return Judged(None)
     if kind == FLOW_CONTROL and len(data) >= 3:
         if data[0] & 0x0F > 2:
@@ -41,11 +42,11 @@ def judge(data: bytes) -> Judged:
     return Judged(data)
 
 
-def _is_first(data: bytes) -> bool:
+def _is_first(data: bytes, before: int) -> bool:
     """Return whether a first frame is one (9.6.3): full, and of a message that no single frame could carry."""
-    if len(data) < 8:
+    if len(data) + before < 8:
         return False
     length = (data[0] & 0x0F) << 8 | data[1]
     if not length:
         return int.from_bytes(data[2:6], "big") > MOST_SHORT
-    return length >= (8 if len(data) == 8 else len(data) - 1)
+    return length >= (len(data) if len(data) + before == 8 else len(data) - 1)

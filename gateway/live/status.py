@@ -351,6 +351,7 @@ class StatusSocket:
                 receive=monitoring["receive"],
                 monitoring=monitoring,
                 reporters=self._gateway.reports.states(),
+                ecus=self._gateway.asking.states(),
             )
         )
         for reader in self._readers:
@@ -404,4 +405,5 @@ def _described(gateway: Gateway) -> dict[str, Any]:
 
 def _bus_of(gateway: Gateway, fault: int) -> str:
     bus = gateway.engine.faults[fault].bus
-    return gateway.config.bus[bus].name if bus < len(gateway.config.bus) else ""
+    buses = gateway.config.buses
+    return buses[bus].name if bus < len(buses) else ""

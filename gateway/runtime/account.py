@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from gateway.clients.asking import Asking
 from gateway.config.model import Config
 from gateway.engine.core import Engine
 from gateway.faults.catalogue import Catalogue, as_dict
@@ -30,7 +31,7 @@ def description(config: Config, catalogue: Catalogue, identifiers: Identifiers) 
 
 def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
     """Return mailbox slots of the signals by full name; with the bus if there are several."""
-    buses = config.bus
+    buses = config.buses
     return {
         ("" if len(buses) == 1 else f"{buses[ref.bus].name}.") + f"{ref.message}.{ref.signal}": slot
         for slot, ref in enumerate(engine.plan.slot_names)
@@ -39,7 +40,7 @@ def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
 
 def counters(
     engine: Engine,
-    servers: BusServers,
+    speakers: tuple[BusServers, Asking],
     upkeep: Upkeep,
     recorder: Recorder | None,
     reports: Reports,
@@ -47,7 +48,7 @@ def counters(
 ) -> dict[str, int]:
     """Return what was counted, by name: of frames, requests, the fault memory, and other processes' reports."""
     found = engine.counters()
-    for name, count in servers.counters().items():
+    for name, count in (pair for each in speakers for pair in each.counters().items()):
         found[name] = found.get(name, 0) + count
     found["memory_not_stored"] = upkeep.not_stored
     found["memory_write_failures"] = upkeep.failures

@@ -27,7 +27,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.service import as_dict
 from gateway.runtime.account import bus_errors, counters, description, signal_slots
-from gateway.runtime.assemble import Parts, identifiers_of, prepare, servers_of
+from gateway.runtime.assemble import Parts, asking_of, identifiers_of, prepare, servers_of
 from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
@@ -44,6 +44,7 @@ from gateway.runtime.told import (
 )
 from gateway.runtime.upkeep import PATIENCE_S
 from gateway.runtime.usage_meter import UsageMeter
+from gateway.runtime.vehicle import Vehicle
 from gateway.runtime.verdicts import Verdicts
 from gateway.servers.access import signals_of
 from gateway.servers.authority import Authority
@@ -147,19 +148,29 @@ class Gateway:
         self._standing = Standing(self.engine, self.controls, told=self.store.path is None)
         self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
         self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
-        self.servers = BusServers(
-            servers_of(config, self._parts, self.memory, self.authority, self.identifiers),
-            len(config.bus),
-            lambda: self.controls.send,
-        )
+        self.asking = asking_of(config, self._parts, self.controls, self._may_ask)
+        self._vehicle = Vehicle(config, self.asking, self.memory, self.engine)
+        servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
+        self.servers = BusServers([*servers, self._vehicle], len(config.buses), lambda: self.controls.send)
+        served = self.servers.heard
+        self._heard = None if served is None else served | self.asking.heard
         self._connect()
+
+    def _may_ask(self, bus: int) -> bool:
+        """Return whether other ECUs of a bus may be asked now: it is neither dead nor asleep, and we may send."""
+        awake = self.config.power.awake
+        return (
+            self.controls.send
+            and self.engine.bus_lives(bus)
+            and (not awake or any(self.controls.met_so_far(condition) for condition in awake))
+        )
 
     def _connect(self) -> None:
         """Make the links between the parts: frames in, verdicts, events and frames out."""
         self._off = SwitchedOff(self.engine)
         self._outbox = Outbox(self.memory, self.store, self.engine, self._off.report, self.servers.on_changes)
         self._upkeep = self._outbox.upkeep
-        names = [bus.name for bus in self.config.bus]
+        names = [bus.name for bus in self.config.buses]
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
         parts = self._parts
@@ -186,6 +197,7 @@ class Gateway:
             self._explainer.failed,
         )
         self._explainer.note_changes = self._verdicts.note_changes
+        self._vehicle.connect(self._outbox.note, self._verdicts.take)
         judged = [self._parts.slots[name] for name in signals_of(self.config.needs)]
         self._reception = Reception(self.engine, self.controls, self._meter, judged, self._verdicts.take)
         self._interventions = Interventions(
@@ -243,12 +255,13 @@ class Gateway:
         self._causes.succeed(old._causes)
         self._explainer.succeed(old._explainer)
         self._meter.succeed(old._meter)
-        indices = {bus.name: k for k, bus in enumerate(self.config.bus)}
-        buses = {k: indices[bus.name] for k, bus in enumerate(old.config.bus) if bus.name in indices}
+        indices = {bus.name: k for k, bus in enumerate(self.config.buses)}
+        buses = {k: indices[bus.name] for k, bus in enumerate(old.config.buses) if bus.name in indices}
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
         self._proofs.recall()
         self.controls.go_on()
         self.servers.succeed(old.servers, buses)
+        self.asking.succeed(old.asking, buses)
         self._verdicts.count = old._verdicts.count
         self._standing.succeed(old._standing)
         self.reports.succeed(old.reports)
@@ -338,6 +351,7 @@ class Gateway:
             refuse_unless_frames(frames)
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
+        frames = self.asking.hear(frames)
         if self.servers.indifferent(frames):  # as to nearly every batch
             return self._emit(self._reception.process(frames))
         sent: list[Frames] = []
@@ -351,15 +365,12 @@ class Gateway:
     def quiet(self) -> Quiet | None:
         """Return what a pump must know to feed the engine in place of :meth:`feed`; None: something waits."""
         before_ns = self._reception.before_ns
-        if self._closed or before_ns is None or not (self._outbox.empty and self._settled):
-            return None
-        heard = self.servers.heard
-        if heard is None:
+        if self._closed or before_ns is None or self._heard is None or not (self._outbox.empty and self._settled):
             return None
         due_ns = self.servers.next_ns
         if self._recorder is not None:
             due_ns = min(due_ns, self._recorder.due_ns + 1)
-        return Quiet(self.engine, before_ns, due_ns, self.servers.next_prompt_ns, heard, self.controls.send)
+        return Quiet(self.engine, before_ns, due_ns, self.next_ns, self._heard, self.controls.send)
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`resume`."""
@@ -394,12 +405,13 @@ class Gateway:
         return self._emit(self._reception.advance(t_ns))
 
     def poll(self, t_ns: int) -> Frames:
-        """Let time pass for the servers that answer others: the monitors' time lags theirs.
+        """Let time pass for the servers that answer others, and for the clients: the monitors' time lags theirs.
 
         Args:
             t_ns: now, of the clock that stamps frames.
         """
-        return joined(self.servers.on_time(t_ns, prompt=True))
+        made = self.servers.on_time(t_ns, prompt=True)
+        return joined([*made, self.asking.poll(t_ns)] if t_ns >= self.asking.next_ns else made)
 
     def promise(self, frames: Frames, t_ns: int) -> Frames:
         """Return what has testers wait (0x78), whose requests are among frames that a successor is fed.
@@ -413,7 +425,7 @@ class Gateway:
     @property
     def next_ns(self) -> int:
         """Time at which :meth:`poll` has something to do."""
-        return self.servers.next_prompt_ns
+        return min(self.servers.next_prompt_ns, self.asking.next_ns)
 
     @property
     def due_ns(self) -> int:
@@ -435,7 +447,7 @@ class Gateway:
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
         decoded, served = self.engine.plan.identifiers(bus), self.servers.identifiers_on(bus)
-        return None if decoded is None or served is None else decoded + served
+        return None if decoded is None or served is None else decoded + served + self.asking.identifiers_on(bus)
 
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
@@ -511,7 +523,9 @@ class Gateway:
         return summary_event(
             seconds,
             self._verdicts.count,
-            counters(self.engine, self.servers, self._upkeep, self._recorder, self.reports, self._explainer),
+            counters(
+                self.engine, (self.servers, self.asking), self._upkeep, self._recorder, self.reports, self._explainer
+            ),
             buses=bus_errors(self.config, self.engine),
             monitors=self.engine.readout(),
             dtcs=[str(entry.dtc) for entry in self.memory.entries()],

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gateway.answers.pages import AnswerBus
+from gateway.answers.weave import Weaver
+from gateway.clients.asking import Asking, Ecu
+from gateway.clients.ecu import MS, Ask, EcuClient, asks_of
+from gateway.clients.params import DTC_REQUESTS, EcuParams
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
@@ -67,6 +72,7 @@ class Parts:
         slots: mailbox slots of all signals that a name outside the engine stands for.
         live: monitor and value of all names that stand for a live value.
         cycles: names of the operation cycles, in the engine's order.
+        answers: buses of ECUs' answers.
         security: of the UDS server; its key functions have been found.
         authentication: of the UDS server; its roots have been read.
         tls: of the DoIP server; its certificates have been read; None: it has none.
@@ -85,6 +91,7 @@ class Parts:
     slots: dict[str, int]
     live: Mapping[str, tuple[str, str]]
     cycles: tuple[str, ...]
+    answers: tuple[AnswerBus, ...]
     security: Security
     authentication: Authentication
     tls: SSLContext | None
@@ -137,6 +144,7 @@ def assemble(resolved: Resolved) -> Parts:
         {name: engine.plan.slot(*ref) for name, ref in resolved.signals.items()},
         resolved.live,
         tuple(resolved.cycles),
+        resolved.answers,
         resolved.security,
         resolved.authentication,
         resolved.tls,
@@ -167,7 +175,7 @@ def _engine(resolved: Resolved) -> Engine:
         pgn=[index for index, bus in enumerate(config.bus) if bus.match == "pgn"],
         buses=resolved.buses,
         clock=config.clock,
-        reported=[*_reported_faults(config), *_own_faults(config, resolved.monitors)],
+        reported=[*_reported_faults(config), *_faults_of_ecus(config), *_own_faults(config, resolved.monitors)],
     )
 
 
@@ -202,6 +210,16 @@ def _reported_faults(config: Config) -> list[FaultSlot]:
     """Return the faults that other processes test; they are of no bus."""
     reporters = () if config.report is None else config.report.reporter
     return [FaultSlot(f"{each.name}.{fault.name}", fault.fault, NO_BUS) for each in reporters for fault in each.fault]
+
+
+def _faults_of_ecus(config: Config) -> list[FaultSlot]:
+    """Return the faults that stand for DTCs of other ECUs; each is of the ECU's bus."""
+    return [
+        FaultSlot(f"{config.ecu[k].name}.{fault.name}", fault.fault, bus)
+        for bus, ecus in config.answered.items()
+        for k in ecus
+        for fault in config.ecu[k].fault
+    ]
 
 
 def _definition(resolved: Resolved, slot: FaultSlot) -> FaultDefinition:
@@ -319,3 +337,34 @@ def servers_of(
         )
         made.append(J1939Server(asked.j1939, endpoint, memory, control, authority, config.bus[index].name))
     return made
+
+
+def asking_of(config: Config, parts: Parts, control: TesterControl, may_ask: Callable[[int], bool]) -> Asking:
+    """Build the clients of other ECUs.
+
+    Args:
+        config: the configuration.
+        parts: of it.
+        control: judges conditions.
+        may_ask: whether a bus may be asked now, by its index.
+    """
+    made: list[Ecu] = []
+    for at, (bus, ecus) in enumerate(config.answered.items()):
+        answers = parts.answers[at]
+        for k, pages, lengths in zip(ecus, answers.pages, answers.lengths, strict=True):
+            params = config.ecu[k]
+            client = EcuClient(params, bus, [*asks_of(params), *_asks_of_dtcs(params, control)])
+            made.append(Ecu(client, Weaver(pages, lengths, len(config.bus) + at)))
+    rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
+    return Asking(made, rates, may_ask)
+
+
+def _asks_of_dtcs(params: EcuParams, control: TesterControl) -> list[Ask]:
+    """Return the requests for an ECU's DTCs."""
+    if params.dtcs is None:
+        return []
+    when = params.dtcs.when
+    return [
+        Ask(request, round(params.dtcs.every_s * 1000 * MS), ready=lambda: control.meets(when))
+        for request in DTC_REQUESTS[params.dtcs.protocol]
+    ]

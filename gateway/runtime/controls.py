@@ -107,8 +107,16 @@ class Controls:
         """Return whether signals are in their ranges now; one that is unknown or too old is not."""
         return all(self._is_met(condition) for condition in conditions)
 
+    def met_so_far(self, condition: ConditionSettings) -> bool:
+        """Return whether a signal is in its range by the last value that came, however old; before the first it is."""
+        value = self.value(condition.signal)
+        return math.isnan(value) or self._contains(condition, value)
+
     def _is_met(self, condition: ConditionSettings) -> bool:
-        value = self.fresh_value(condition.signal)
+        return self._contains(condition, self.fresh_value(condition.signal))
+
+    @staticmethod
+    def _contains(condition: ConditionSettings, value: float) -> bool:
         low = -math.inf if condition.min is None else condition.min
         high = math.inf if condition.max is None else condition.max
         return low <= value <= high

@@ -131,7 +131,7 @@ class Verdicts:
 
     def _bus_name(self, bus: int) -> str:
         """Return the name of a bus; the gateway's own faults are of none."""
-        return "" if bus == NO_BUS else self._config.bus[bus].name
+        return "" if bus == NO_BUS else self._config.buses[bus].name
 
     def _observe(self, definition: FaultDefinition) -> Observed:
         inputs = self._engine.inputs_of(self._index[definition.id])

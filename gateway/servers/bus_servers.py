@@ -6,13 +6,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from gateway.bus.frames import URGENT, Frames, empty
+from gateway.bus.frames import URGENT, Frames, empty, has_none_of
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.servers.bus_server import BusServer
-
-#: Frames of a batch that is looked at one by one.
-MAX_SMALL_BATCH = 16
 
 _NOBODY = np.void(b"")
 
@@ -72,13 +69,7 @@ class BusServers:
 
     def indifferent(self, frames: Frames) -> bool:
         """Return whether a batch is for no server by its identifiers alone, as most are; others are cut."""
-        heard = self._heard
-        if heard is None:
-            return False
-        if len(frames) <= MAX_SMALL_BATCH:
-            return heard.isdisjoint(frames["can_id"].tolist())
-        ids = np.ascontiguousarray(frames["can_id"])  # one look at memory that is far apart, for all identifiers
-        return not any((ids == mine).any() for mine in heard)
+        return self._heard is not None and has_none_of(frames, self._heard)
 
     def pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
         """Cut a batch after each frame that is for a server, which sees the memory as it is then.

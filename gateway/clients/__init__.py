@@ -1,0 +1,1 @@
+"""The gateway asks: clients of other ECUs, by schedule. They read, and change nothing."""

@@ -1,0 +1,237 @@
+"""All clients of a gateway: frames that they want, the order in which they ask, and answers as frames."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gateway.answers.weave import NEGATIVE, Weaver
+from gateway.bus.frames import EXTENDED, Frames, empty, has_none_of, joined, payload, put
+from gateway.clients.dtcs import READ_DTCS, details_of, told_by
+from gateway.clients.ecu import MS, Ask, EcuClient
+from gateway.clients.refusals import PENDING
+from gateway.common.times import NEVER
+from gateway.faults.vehicle import TOLD, Told
+from gateway.isotp.heard import Reassembler
+
+#: Identifiers of functional requests: any tester's are for each ECU of the bus.
+FUNCTIONAL = (0x7DF, EXTENDED | 0x18DB33F1)
+#: Identifier of a frame behind each answer that tells DTCs, on the bus of the answers: it is the place in time of
+#: :attr:`Asking.told`.
+TELLS = EXTENDED | READ_DTCS << 16
+#: DTCs whose data are read after one answer, at most; those of others are read after the next.
+MOST_DETAILS = 16
+#: How often a bus that rests is looked at again [ns].
+LOOK_NS = 100 * MS
+
+
+@dataclass
+class Ecu:
+    """An ECU: who asks it, and what is heard of it.
+
+    Attributes:
+        client: of it.
+        weaver: of its answers.
+        answers: its messages.
+        requests: messages to it.
+        asked: the last one, until its answer.
+        detailed: DTCs whose data have been asked for since they came.
+    """
+
+    client: EcuClient
+    weaver: Weaver
+    answers: Reassembler = field(init=False)
+    requests: Reassembler = field(init=False)
+    asked: bytes = b""
+    detailed: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        place = self.client.place
+        self.answers, self.requests = Reassembler(place.tester), Reassembler(place.target)
+
+
+class Asking:
+    """The clients.
+
+    Args:
+        ecus: in the order of the configuration.
+        rates: requests a second at most, by index of the bus; on others nothing is asked.
+        may_ask: whether a bus may be asked now: it lives, the vehicle is awake, nobody has switched communication off.
+
+    Attributes:
+        told: what answers say of DTCs, in the order of the frames TELLS.
+    """
+
+    def __init__(
+        self,
+        ecus: Sequence[Ecu],
+        rates: Mapping[int, float],
+        may_ask: Callable[[int], bool],
+    ) -> None:
+        self.ecus = tuple(ecus)
+        self._may_ask = may_ask
+        self._apart_ns = {bus: round(1e9 / rate) for bus, rate in rates.items()}
+        self._next_of_bus = dict.fromkeys(rates, 0)
+        self._said: list[Frames] = []
+        self.told: deque[Told] = deque()
+        self._heard: dict[tuple[int, int], list[tuple[Ecu, bool]]] = {}
+        self._functional: dict[tuple[int, int], list[Ecu]] = {}
+        for ecu in self.ecus:
+            client = ecu.client
+            self._heard.setdefault((client.bus, client.place.request), []).append((ecu, True))
+            self._heard.setdefault((client.bus, client.place.response), []).append((ecu, False))
+            for can_id in FUNCTIONAL:
+                self._functional.setdefault((client.bus, can_id), []).append(ecu)
+        places = self._heard.keys() | self._functional.keys()
+        self.heard = frozenset(can_id for _, can_id in places)
+        self._ids = np.asarray(sorted(self.heard), np.uint32)
+        self._places = places
+        self.next_ns = 0 if self._apart_ns else NEVER
+
+    def identifiers_on(self, bus: int) -> list[int]:
+        """Return the identifiers (with EXTENDED) that it listens to on a bus."""
+        return [can_id for index, can_id in self._places if index == bus]
+
+    def hear(self, frames: Frames) -> Frames:
+        """Take frames in order of time; returns them with those of the answers that they complete."""
+        if has_none_of(frames, self.heard):
+            return frames
+        parts, start = [], 0
+        for k in np.flatnonzero(np.isin(frames["can_id"], self._ids)):
+            made = self._take(frames[k])
+            if len(made):
+                parts += [frames[start : k + 1], made]
+                start = int(k) + 1
+        self._plan()
+        return joined([*parts, frames[start:]]) if parts else frames
+
+    def _take(self, frame: np.void) -> Frames:
+        bus, can_id, t_ns = int(frame["bus"]), int(frame["can_id"]), int(frame["t_ns"])
+        data, made = payload(frame), []
+        for ecu in self._functional.get((bus, can_id), ()):
+            ecu.client.give_way(t_ns)
+            ecu.asked = Reassembler().take(data, t_ns) or b""
+        for ecu, request in self._heard.get((bus, can_id), ()):
+            address = ecu.client.place.target if request else ecu.client.place.tester
+            if address is not None and data[:1] != bytes([address]):
+                continue
+            if request:
+                ecu.client.give_way(t_ns)
+                ecu.asked = ecu.requests.take(data, t_ns) or ecu.asked
+            else:
+                made.append(self._answer(ecu, data, t_ns))
+        return joined(made)
+
+    def _answer(self, ecu: Ecu, data: bytes, t_ns: int) -> Frames:
+        """Take a frame of an answer; returns the frames of the answer that it completes."""
+        before, errors = ecu.answers.receiving, ecu.answers.errors
+        answer = ecu.answers.take(data, t_ns)
+        if answer is None:
+            if ecu.answers.receiving:
+                began = not before or ecu.answers.errors > errors
+                if began:
+                    self._said.append(ecu.client.on_first_frame(t_ns))
+                else:
+                    ecu.client.on_more(t_ns)
+            return empty(0)
+        ours = ecu.client.busy
+        ecu.client.on_answer(answer, t_ns)
+        told = told_by(ecu.client.params.name, answer, ecu.asked)
+        if answer[0] != NEGATIVE or answer[2:3] != bytes([PENDING]):
+            ecu.asked = b""
+        if told is None:
+            return ecu.weaver.frames(answer, t_ns)
+        if ours and told.covers and told.whole and ecu.client.params.dtcs is not None:
+            self._read_details(ecu, told)
+        self.told.append(told)
+        made = empty(1)
+        put(made, 0, t_ns, TELLS, answer[:8], bus=ecu.weaver.bus)
+        return made
+
+    def _read_details(self, ecu: Ecu, told: Told) -> None:
+        """Have the data of DTCs read that came, once each."""
+        there = {dtc for dtc, status in told.found.items() if status & TOLD}
+        ecu.detailed &= there
+        for dtc in sorted(there - ecu.detailed)[:MOST_DETAILS]:
+            ecu.detailed.add(dtc)
+            ecu.client.asks += [Ask(request, NEVER) for request in details_of(dtc)]
+
+    def poll(self, t_ns: int) -> Frames:
+        """Let time pass; returns the frames to send."""
+        said, self._said = self._said, []
+        for ecu in self.ecus:
+            ecu.client.on_time(t_ns)
+        for bus in self._apart_ns:
+            if t_ns >= self._next_of_bus[bus]:
+                said.append(self._ask(bus, t_ns))
+        self._plan()
+        return joined(said)
+
+    def _ask(self, bus: int, t_ns: int) -> Frames:
+        """Return the next request on a bus, if there is one."""
+        ready = [ecu for ecu in self.ecus if ecu.client.bus == bus and ecu.client.is_due(t_ns)]
+        if ready and not self._may_ask(bus):
+            self._next_of_bus[bus] = t_ns + LOOK_NS
+            return empty(0)
+        for ecu in sorted(ready, key=lambda ecu: ecu.client.urgency):
+            if ecu.client.postpone(t_ns):
+                self._next_of_bus[bus] = t_ns + self._apart_ns[bus]
+                made = ecu.client.begin(t_ns)
+                ecu.asked = ecu.client.request
+                return made
+        return empty(0)
+
+    def _plan(self) -> None:
+        """Note when there is something to do next."""
+        due = [0 if self._said else NEVER]
+        for ecu in self.ecus:
+            client = ecu.client
+            at_ns = client.due_ns
+            if client.bus in self._apart_ns or client.busy:
+                due.append(at_ns if client.busy else max(at_ns, self._next_of_bus[client.bus]))
+        self.next_ns = min(due)
+
+    def succeed(self, old: Asking, buses: Mapping[int, int]) -> None:
+        """Go on where those of the configuration before stop, with the ECUs that both have.
+
+        Args:
+            old: not to be used any more.
+            buses: index of a bus there -> its index here.
+        """
+        before = {(buses.get(ecu.client.bus), ecu.client.place): ecu for ecu in old.ecus}
+        for ecu in self.ecus:
+            known = before.get((ecu.client.bus, ecu.client.place))
+            if known is not None:
+                ecu.client.succeed(known.client)
+                ecu.answers, ecu.requests = known.answers, known.requests
+                ecu.weaver.counts.update(known.weaver.counts)
+        for bus, at_ns in old._next_of_bus.items():
+            if buses.get(bus) in self._next_of_bus:
+                self._next_of_bus[buses[bus]] = at_ns
+        self._plan()
+
+    def counters(self) -> dict[str, int]:
+        """Return what they counted, of all ECUs together."""
+        found: dict[str, int] = {}
+        for state in self.states():
+            for name, count in state.items():
+                if isinstance(count, int):
+                    found[f"ecu_{name}"] = found.get(f"ecu_{name}", 0) + count
+        return found
+
+    def states(self) -> list[dict[str, Any]]:
+        """Return what is counted of each ECU, and which requests it refuses."""
+        return [
+            {
+                "ecu": ecu.client.params.name,
+                **ecu.client.counts,
+                **{f"answers_{name}": count for name, count in ecu.weaver.counts.items()},
+                "answers_cut": ecu.answers.errors,
+                "not_asked": {ask.name: ask.refused for ask in ecu.client.asks if ask.refused},
+            }
+            for ecu in self.ecus
+        ]

@@ -1,0 +1,164 @@
+"""Settings of an ECU that is asked: the tables ``[[ecu]]`` and ``[bus.ask]`` of a configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple, Self
+
+from pydantic import Field, model_validator
+
+from gateway.answers.model import TWO_BYTES, Address, request_name
+from gateway.answers.weave import READ_SERVICES
+from gateway.bus.frames import EXTENDED
+from gateway.engine.checks.communication import Params as CheckParams
+from gateway.faults.settings import ConditionSettings, DtcText
+from gateway.monitors.contract import Debounce, Fault
+from gateway_fdi.common.tomlfile import StrictModel
+
+#: Services that only read DTCs.
+DTC_SERVICES = (0x19, 0x03, 0x07, 0x0A)
+#: Requests for the DTCs that fail, did in this cycle or since the clear, are pending, confirmed, or ask for a lamp.
+DTC_REQUESTS = {"uds": (b"\x19\x02\xaf",), "obd": (b"\x03", b"\x07", b"\x0a")}
+#: A tester's address in normal fixed addressing, and usual in extended addressing.
+TESTER = 0xF1
+
+
+class ReadParams(StrictModel):
+    """A value that is read again and again."""
+
+    did: int | None = Field(None, ge=0, le=0xFFFF, description="data identifier (0x22)")
+    pid: int | None = Field(None, ge=0, le=0xFF, description="PID of current data (OBD 0x01)")
+    service: int | None = Field(None, description="0x01, 0x09, 0x21 or 0x22: with identifier, instead of did and pid")
+    identifier: int | None = Field(None, ge=0, le=0xFFFF, description="that the service reads")
+    every_ms: float = Field(ge=10, le=86_400_000, description="time between two requests [ms]")
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        given = [self.did is not None, self.pid is not None, self.service is not None]
+        if sum(given) != 1 or (self.service is None) != (self.identifier is None):
+            raise ValueError("give did, or pid, or service with identifier")
+        service, identifier = self.key
+        if service not in READ_SERVICES:
+            known = ", ".join(f"0x{each:02X}" for each in READ_SERVICES)
+            raise ValueError(f"service 0x{service:02X} is not read by schedule; only {known}")
+        if service not in TWO_BYTES and identifier > 0xFF:
+            raise ValueError(f"service 0x{service:02X} has identifiers up to 0xFF, not 0x{identifier:X}")
+        return self
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Service and identifier."""
+        if self.did is not None:
+            return 0x22, self.did
+        if self.pid is not None:
+            return 0x01, self.pid
+        return self.service or 0, self.identifier or 0
+
+    @property
+    def request(self) -> bytes:
+        """Bytes of the request."""
+        return bytes.fromhex(request_name(*self.key))
+
+
+class DtcsParams(StrictModel):
+    """How often an ECU is asked for its DTCs."""
+
+    every_s: float = Field(ge=1, le=86_400, description="time between two requests [s]")
+    protocol: str = Field("uds", pattern="^(uds|obd)$", description="uds: 0x19 02; obd: modes 03, 07, 0A")
+    when: tuple[ConditionSettings, ...] = Field((), description="only while all of these are met, by fresh values")
+
+
+class EcuFaultParams(StrictModel):
+    """A fault of ours that stands for a DTC of an ECU: other settings are in ``[fault."ecu.name"]``."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="second part of its id")
+    of: str = Field(
+        pattern=r"^[PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?$", description='DTC of the ECU: "P0A80-16", "P0A80"'
+    )
+    dtc: DtcText = Field(description="DTC of ours")
+    description: str = Field("another ECU reports a DTC", min_length=1, description="one line for people")
+    remedy: str = Field("", description="what to do about it, for people; default: by its failure type")
+
+    @property
+    def fault(self) -> Fault:
+        """The fault as the engine knows it: each answer qualifies."""
+        return Fault(self.name, self.dtc, self.description, (), Debounce(jump_down=True), self.remedy)
+
+
+class AskParams(StrictModel):
+    """How a bus is asked."""
+
+    requests_per_s: float = Field(10.0, gt=0, le=1000, description="most requests a second, of all ECUs of the bus")
+
+
+class EcuAddress(NamedTuple):
+    """Identifiers of an ECU, with EXTENDED, and address bytes in its frames; None: there are none."""
+
+    request: int
+    response: int
+    target: int | None
+    tester: int | None
+
+
+class EcuParams(StrictModel):
+    """An ECU that is asked, or whose answers to others are heard."""
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="how the rest refers to it")
+    bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
+    request: int | None = Field(None, ge=0, le=0x1FFFFFFF, description="identifier of requests to it")
+    response: int | None = Field(None, ge=0, le=0x1FFFFFFF, description="identifier of its answers")
+    extended: bool | None = Field(None, description="29-bit identifiers; default: if one of them is above 0x7FF")
+    address: int | None = Field(
+        None, ge=0, le=0xFF, description="normal fixed addressing, instead of request and response: 18DAxxF1, 18DAF1xx"
+    )
+    target: int | None = Field(
+        None, ge=0, le=0xFF, description="extended addressing: its address, first byte of frames to it"
+    )
+    tester: int = Field(TESTER, ge=0, le=0xFF, description="extended addressing: first byte of frames from it")
+    signals: tuple[Path, ...] = Field((), description="layouts of its answers: DBC, OBDb, ...; relative to this file")
+    read: tuple[ReadParams, ...] = Field((), description="values that are read again and again")
+    dtcs: DtcsParams | None = Field(None, description="its DTCs are read; none: they are not")
+    check: tuple[CheckParams, ...] = Field((), description="checks of its answers, as of messages of a bus")
+    fault: tuple[EcuFaultParams, ...] = Field((), description="faults of ours that stand for DTCs of it")
+    p2_ms: float = Field(200, ge=10, le=10_000, description="how long its answer is waited for [ms]")
+    p2_star_ms: float = Field(5000, ge=10, le=60_000, description="the same after it said that it needs longer [ms]")
+
+    @model_validator(mode="after")
+    def _addressed(self) -> Self:
+        pair = (self.request is not None, self.response is not None)
+        if any(pair) != all(pair) or all(pair) == (self.address is not None):
+            raise ValueError("give request and response, or address")
+        if self.address is not None and (self.extended is False or self.target is not None):
+            raise ValueError("address is of 29-bit identifiers, without target")
+        if self.extended is False and max(self.request or 0, self.response or 0) > 0x7FF:
+            raise ValueError("identifiers above 0x7FF have 29 bits: extended = true")
+        if self.request is not None and self.request == self.response:
+            raise ValueError("request and response are the same identifier")
+        seen: set[tuple[int, int]] = set()
+        for read in self.read:
+            if read.key in seen:
+                raise ValueError(f"{request_name(*read.key)} is read twice")
+            seen.add(read.key)
+        return self
+
+    @property
+    def place(self) -> EcuAddress:
+        """Its identifiers and address bytes."""
+        if self.address is not None:
+            fixed = EXTENDED | 0x18DA0000
+            return EcuAddress(fixed | self.address << 8 | TESTER, fixed | TESTER << 8 | self.address, None, None)
+        request, response = self.request or 0, self.response or 0
+        long = self.extended or (self.extended is None and max(request, response) > 0x7FF)
+        flag = EXTENDED if long else 0
+        return EcuAddress(request | flag, response | flag, self.target, None if self.target is None else self.tester)
+
+    @property
+    def asks(self) -> bool:
+        """Whether it is asked for anything; else its answers to others are heard."""
+        return bool(self.read) or self.dtcs is not None
+
+    @property
+    def owner(self) -> Address:
+        """Its address, as files of layouts have it."""
+        place = self.place
+        return Address(place.request, place.response, place.target, place.tester)

@@ -1,0 +1,77 @@
+"""The vehicle's memory in the gateway: DTCs of other ECUs are kept, told, and tested as faults of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.bus.frames import Frames, empty
+from gateway.clients.asking import TELLS, Asking
+from gateway.config.model import Config
+from gateway.engine.core import Engine, Sink
+from gateway.faults.memory import FaultMemory
+from gateway.faults.vehicle import TOLD, EcuDtc, Told
+from gateway.servers.bus_server import BusServer
+
+
+class Vehicle(BusServer):
+    """Takes what answers tell of DTCs, right behind the frame that completes each.
+
+    Args:
+        config: the configuration.
+        asking: hears the answers.
+        memory: keeps the DTCs.
+        engine: debounces the faults that stand for some of them.
+    """
+
+    def __init__(self, config: Config, asking: Asking, memory: FaultMemory, engine: Engine) -> None:
+        self._first, self._asking, self._memory, self._engine = len(config.bus), asking, memory, engine
+        places = {slot.id: k for k, slot in enumerate(engine.faults)}
+        self._faults: dict[str, list[tuple[str, int]]] = {}
+        for ecu in config.ecu:
+            self._faults[ecu.name] = [(fault.of, places[f"{ecu.name}.{fault.name}"]) for fault in ecu.fault]
+        self._note: Callable[[dict[str, Any]], None] = lambda _event: None
+        self._sink: Sink = lambda _events: None
+
+    def connect(self, note: Callable[[dict[str, Any]], None], sink: Sink) -> None:
+        """Say who tells events when they are stored, and who takes the engine's."""
+        self._note, self._sink = note, sink
+
+    def identifiers(self, bus: int) -> list[int] | None:
+        """Return the identifier of the frames that :class:`Asking` puts behind such answers."""
+        return [TELLS] if bus >= self._first else []
+
+    def wanted(self, frames: Frames) -> NDArray[np.bool_] | None:
+        """Return which frames are such ones."""
+        return np.asarray((frames["can_id"] == TELLS) & (frames["bus"] >= self._first), np.bool_)
+
+    def on_frame(self, frame: np.void, t_ns: int) -> Frames:
+        """Take what the answer tells."""
+        told = self._asking.told.popleft()
+        now_ns = self._engine.wall_ns(int(frame["t_ns"]))
+        for dtc, state in self._memory.note_ecu_dtcs(told, now_ns):
+            self._note(ecu_dtc_event(dtc, state, now_ns))
+        self._test(told)
+        return empty(0)
+
+    def _test(self, told: Told) -> None:
+        """Report the faults that stand for DTCs of which the answer speaks."""
+        known = {each.dtc: each for each in self._memory.vehicle.all() if each.ecu == told.ecu}
+        for of, place in self._faults[told.ecu]:
+            # A code without a failure type stands for all that begin so.
+            mine = [each for each in known.values() if each.dtc == of or each.dtc[:5] == of]
+            there = any(each.there for each in mine)
+            if there or told.covers & TOLD:
+                self._engine.report(place, there, float(there), 0.0, (), self._sink)
+
+    def counters(self) -> dict[str, int]:
+        """Return how many DTCs there was no room for."""
+        return {"ecu_dtcs_dropped": self._memory.vehicle.dropped} if self._faults else {}
+
+
+def ecu_dtc_event(dtc: EcuDtc, state: str, t_ns: int) -> dict[str, Any]:
+    """Tell a DTC of another ECU that came, changed or went."""
+    return {"event": "ecu_dtc", "t_ns": t_ns, "ecu": dtc.ecu, "dtc": dtc.dtc, "state": state, "status": dtc.status}

@@ -1,0 +1,175 @@
+"""DTCs of other ECUs: came, changed, went; what an answer does not say is not concluded; kept over restarts."""
+
+import numpy as np
+import pytest
+from asking_rig import BUS, Car, Ecu, Server, settled, write
+from rig import Rig, dtc_text, write_config
+
+from gateway.clients.dtcs import details_of, told_by
+from gateway.config.load import load_config
+from gateway.faults.store import Store
+from gateway.faults.vehicle import MOST, PERMANENT, Told, VehicleMemory
+from gateway.runtime.app import Gateway
+from gateway.runtime.replay import replay
+from gateway_fdi.errors import GatewayError
+
+SEED = 3
+UDS = """
+[[ecu]]
+name = "brake"
+request = 0x7E0
+response = 0x7E8
+dtcs = { every_s = 1 }
+[[ecu.fault]]
+name = "any"
+of = "C0035"
+dtc = "U1234-00"
+[clock]
+watched = false
+"""
+
+
+def told(answer, request="1902AF"):
+    return told_by("e", bytes.fromhex(answer), bytes.fromhex(request))
+
+
+def test_answers_are_read():
+    assert told("5902FF 400011 2F 010203 08") == Told("e", {"C0000-11": 0x2F, "P0102-03": 8}, 0xAF)
+    assert told("5902FF", "1902FF") == Told("e", {}, 0xFF)
+    for request in ("", "190F2F", "1901FF", "03", "1902"):
+        assert told("5902FF", request).covers == 0
+    assert told("590AFF 400011 2F").covers == 0
+    assert told("4302 0133 4035") == Told("e", {"P0133": 8, "C0035": 8}, 8, whole=False)
+    assert told("4301 0133 0000").found == {"P0133": 8}
+    assert told("4303 0133").covers == 0  # cut
+    assert told("4A00") == Told("e", {}, PERMANENT, whole=False)
+    assert told("5904 400011 2F 01 02 F190 31").snapshot == "0102F19031"
+    assert [told(text) for text in ("7F1931", "62F19001", "59", "5904400011", "43")] == [None] * 5
+    assert details_of("C0000-11") == (bytes.fromhex("1904400011FF"), bytes.fromhex("1906400011FF"))
+
+
+def states(memory, answer, request="1902AF", t_ns=0):
+    _, events = memory.take(told(answer, request), t_ns)
+    return [(dtc.dtc, state) for dtc, state in events]
+
+
+def test_a_dtc_comes_changes_and_goes_only_by_what_is_told():
+    memory = VehicleMemory()
+    assert states(memory, "5902FF 400011 2F", t_ns=1) == [("C0000-11", "came")]
+    assert states(memory, "5902FF 400011 2F", t_ns=2) == []
+    assert states(memory, "5902FF", "190208", t_ns=3) == [("C0000-11", "changed")]  # it is not confirmed any more
+    assert states(memory, "5902FF", "", t_ns=4) == []  # nobody knows which DTCs were asked for
+    assert states(memory, "5902FF", t_ns=5) == [("C0000-11", "went")]
+    assert states(memory, "5902FF 400011 50", "1902FF", t_ns=6) == []  # not tested: it is not there
+    assert states(memory, "5902FF 400011 08", t_ns=7) == [("C0000-11", "came")]
+    (dtc,) = memory.all()
+    assert (dtc.came, dtc.first_ns, dtc.last_ns, dtc.went_ns, dtc.there) == (2, 1, 7, 5, True)
+    assert states(memory, "4301 0133", "03") == [("P0133", "came")]
+    assert states(memory, "4701 0133", "07") == [("P0133", "changed")]
+    assert states(memory, "4300", "03") == [("P0133", "changed")]
+    assert states(memory, "4700", "07") == [("P0133", "went")]
+
+
+def test_no_more_are_kept_than_there_is_room_for():
+    print("seed", SEED)
+    memory, rng = VehicleMemory(), np.random.default_rng(SEED)
+    for _ in range(4):
+        found = {f"P{k:04X}-00": 8 for k in rng.permutation(0x4000)[: MOST // 2 + 300]}
+        memory.take(Told(f"e{rng.integers(3)}", found, 0), 0)
+    assert len(memory.all()) == MOST
+    assert memory.dropped > 0
+    memory.take(Told("e0", {}, 0x1FF), 5)
+    memory.take(Told("new", {"C0001-00": 8}, 0), 6)
+    assert len(memory.all()) == MOST
+    assert "C0001-00" in [each.dtc for each in memory.all()]
+
+
+@pytest.fixture
+def brake(tmp_path):
+    """A car whose brakes have DTCs, in a file."""
+    dtcs = {"text": "400011 2F 400022 50"}
+
+    def answer(request):
+        if request[1] == 2:
+            return [(3, bytes.fromhex("5902FF" + dtcs["text"]))]
+        if request[1] == 4:
+            return [(3, b"\x59\x04" + request[2:5] + b"\x2f\x01\x01\xf1\x90\x31")]
+        return [(3, b"\x7f\x19\x31")]
+
+    file = write(tmp_path, BUS + UDS.replace("C0035", "C0000-11"))
+    made = Car(file, [Ecu(0x7E0, 0x7E8, answer)], memory=tmp_path / "memory.sqlite")
+    yield made, dtcs, file
+    made.close()
+
+
+def test_dtcs_are_asked_for_told_stored_and_stand_for_a_fault_of_ours(brake, tmp_path):
+    made, dtcs, file = brake
+    made.run(3000)
+    events = [(e["ecu"], e["dtc"], e["state"]) for e in made.events if e["event"] == "ecu_dtc"]
+    assert events == [("brake", "C0000-11", "came")]
+    assert [e["dtc"] for e in made.events if e["event"] == "dtc"][:1] == ["U1234-00"]
+    assert [data[:2].hex() for *_, data in made.requests][:4] == ["1902", "1904", "1906", "1902"]
+    (known,) = Store(tmp_path / "memory.sqlite", write=False).ecu_dtcs()
+    assert (known.dtc, known.status, known.there, known.came) == ("C0000-11", 0x2F, True, 1)
+    assert known.snapshots == {"1904": "0101F19031"}
+    assert settled(made.state())
+    dtcs["text"] = ""
+    made.run(2000)
+    assert [e["state"] for e in made.events if e["event"] == "ecu_dtc"] == ["came", "went"]
+    assert made.gateway.memory.status_now("brake.any") & 1 == 0
+    made.gateway.stop(made.now)
+    made.gateway.close()
+    made.gateway = Gateway(load_config(file), tmp_path / "memory.sqlite", file=file)
+    (known,) = made.gateway.memory.vehicle.all()
+    assert (known.there, known.came, known.went_ns is not None) == (False, 1, True)
+
+
+def test_a_log_tells_the_same(brake):
+    made, dtcs, file = brake
+    for text in ("400011 2F", "", "400011 2F 400033 08", "400033 09"):
+        dtcs["text"] = text
+        made.run(2500)
+    made.gateway.stop(made.now)
+    again, events = Gateway(load_config(file), file=file), []
+    again.listen(events.append)
+    frames = made.recording()
+    replay(again, np.array_split(frames, 7))
+    kinds = ("dtc", "ecu_dtc")
+    live = [e for e in made.events if e["event"] in kinds]
+    assert [e for e in events if e["event"] in kinds] == live
+    assert len(live) > 6
+    assert again.memory.vehicle.all() == made.gateway.memory.vehicle.all()
+
+
+def test_nothing_is_asked_unless_its_conditions_are_met(tmp_path):
+    dbc = 'VERSION ""\nBU_: A\nBO_ 256 State: 1 A\n SG_ Speed : 0|8@1+ (1,0) [0|255] "km/h" A\n'
+    (tmp_path / "state.dbc").write_text(dbc)
+    when = 'dtcs = { every_s = 1, when = [{ signal = "State.Speed", max = 0 }] }'
+    toml = UDS.replace("dtcs = { every_s = 1 }", when)
+    made = Car(write(tmp_path, BUS + 'database = ["state.dbc"]\n' + toml), [Ecu(0x7E0, 0x7E8, lambda _: [])])
+    assert made.run(3000).requests == []
+    assert made.run(3000, *[(k, 0x100, b"\x20") for k in range(0, 3000, 100)]).requests == []
+    assert len(made.run(3000, *[(k, 0x100, b"\x00") for k in range(0, 3000, 100)]).requests) in (1, 2, 3)
+
+
+def test_our_own_server_as_an_ecu(tmp_path):
+    rig = Rig(write_config(tmp_path, 3, extra="[output.uds]\n[output.obd]\n"))
+    rig.fail(0)
+    rig.fail(1)
+    obd = UDS.replace("every_s = 1", 'every_s = 1, protocol = "obd"')
+    for toml, found in ((UDS, {dtc_text(0), dtc_text(1)}), (obd, {dtc_text(0)[:5]})):
+        made = Car(write(tmp_path, BUS + toml), [Server(rig)])
+        made.now = rig.now
+        made.run(4000)
+        assert {each.dtc for each in made.gateway.memory.vehicle.all()} == found
+        rig.now = made.now
+
+
+def test_names_of_faults_are_theirs_alone(tmp_path):
+    for wrong, text in (
+        (UDS.replace('"brake"', '"obd"'), "this name is taken"),
+        (UDS.replace('of = "C0035"', 'of = "X0035"'), "fault[0].of"),
+    ):
+        with pytest.raises(GatewayError, match="taken|of") as error:
+            load_config(write(tmp_path, BUS + wrong))
+        assert text in str(error.value)
