@@ -25,7 +25,7 @@ from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
 from gateway.monitors.network_codes import NetworkCodes, Pair
-from gateway.servers.access import FREE, GUARDED, SESSIONLESS, AccessParams, Conditions
+from gateway.servers.access import FREE, GUARDED, ROUTE, SESSIONLESS, AccessParams, Conditions
 from gateway.servers.doip.secure import tls_context
 from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.security import Security
@@ -382,7 +382,7 @@ def _find_access(config: Config, names: Names) -> None:
     """Find the signals that rules of access ask for."""
     own = {} if config.output.uds is None else config.output.uds.rules
     rules: dict[str, AccessParams | Conditions | None] = {"access": config.access}
-    rules |= {f"access.{name}": getattr(config.access, name) for name in (*GUARDED, *FREE, *SESSIONLESS)}
+    rules |= {f"access.{name}": getattr(config.access, name) for name in (*GUARDED, *FREE, ROUTE, *SESSIONLESS)}
     rules |= {f"output.uds.{name}": rule for name, rule in own.items()}
     ready = () if config.output.doip is None else config.output.doip.ready
     _each(names.find, ((one.signal, f"output.doip.ready[{k}].signal") for k, one in enumerate(ready)))

@@ -27,7 +27,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.service import as_dict
 from gateway.runtime.account import bus_errors, counters, description, signal_slots
-from gateway.runtime.assemble import Parts, asking_of, identifiers_of, prepare, servers_of
+from gateway.runtime.assemble import Parts, asking_of, connect_routes, identifiers_of, prepare, servers_of
 from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
@@ -152,6 +152,7 @@ class Gateway:
         self._vehicle = Vehicle(config, self.asking, self.memory, self.engine)
         servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
         self.servers = BusServers([*servers, self._vehicle], len(config.buses), lambda: self.controls.send)
+        connect_routes(self.servers, self.asking)
         served = self.servers.heard
         self._heard = None if served is None else served | self.asking.heard
         self._connect()

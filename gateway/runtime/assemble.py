@@ -34,9 +34,11 @@ from gateway.isotp.params import IsoTpParams
 from gateway.monitors.contract import Fault
 from gateway.servers.authority import Authority
 from gateway.servers.bus_server import BusServer
+from gateway.servers.bus_servers import BusServers
 from gateway.servers.diagnostic_server import DiagnosticServer
-from gateway.servers.doip.identity import NODE, Identity
+from gateway.servers.doip.identity import GATEWAY, NODE, Identity
 from gateway.servers.doip.params import ADDRESSES
+from gateway.servers.doip.route import Route
 from gateway.servers.doip.server import DoipServer
 from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.identifiers import Identifiers
@@ -280,7 +282,18 @@ def _doip_server(
         return testers.server(own, name, longest=params.most_bytes - ADDRESSES)
 
     ready = (lambda: control.meets(params.ready)) if params.ready else None
-    return DoipServer(params, new_tester, Identity(params, identifiers.read, ready, NODE), parts.tls)
+    node = GATEWAY if params.route else NODE
+    return DoipServer(params, new_tester, Identity(params, identifiers.read, ready, node), parts.tls)
+
+
+def connect_routes(servers: BusServers, asking: Asking) -> None:
+    """Give the DoIP server the lines to the ECUs of its routes."""
+    for server in servers.all:
+        if isinstance(server, DoipServer):
+            server.routes = {
+                each.address: Route(each.address, asking.line(each.ecu, each.requests_per_s))
+                for each in server.params.route
+            }
 
 
 def _diagnostic_servers(

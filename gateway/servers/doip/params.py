@@ -47,6 +47,14 @@ class TlsParams(StrictModel):
     required: bool = Field(True, description="false: testers may come without TLS, too")
 
 
+class RouteParams(StrictModel):
+    """A route to an ECU."""
+
+    ecu: str = Field(description="name of an [[ecu]]")
+    address: int = Field(ge=0x0001, le=0xDFFF, description="its logical address")
+    requests_per_s: float = Field(50.0, gt=0, le=1000, description="most requests a second, of all testers")
+
+
 class DoipParams(StrictModel):
     """The DoIP server."""
 
@@ -74,6 +82,7 @@ class DoipParams(StrictModel):
     ready: tuple[ConditionSettings, ...] = Field(
         (), description="power mode: ready for diagnostics while all are met; none: power mode is not supported"
     )
+    route: tuple[RouteParams, ...] = Field((), description="ECUs that testers reach by it")
     tls: TlsParams | None = Field(None, description="TLS; none: it is not offered")
 
     @field_validator("bind", "announce")
@@ -88,8 +97,14 @@ class DoipParams(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if any(entry.has(self.address) for entry in self.tester):
-            raise ValueError(f"address 0x{self.address:04X} is one of the testers'")
+        taken = {self.address: "address"}
+        for k, route in enumerate(self.route):
+            owner = taken.setdefault(route.address, f"route[{k}].address")
+            if owner != f"route[{k}].address":
+                raise ValueError(f"route[{k}].address 0x{route.address:04X}: {owner} is this, too")
+        for address, owner in taken.items():
+            if any(entry.has(address) for entry in self.tester):
+                raise ValueError(f"{owner} 0x{address:04X} is one of the testers'")
         if any(entry.certificate for entry in self.tester) and (self.tls is None or self.tls.client_ca is None):
             raise ValueError("a tester needs a certificate: give tls with client_ca")
         if any(condition.rise for condition in self.ready):

@@ -17,6 +17,7 @@ from gateway.servers.doip.codec import CLOSING, Activation, Kind, Message, Nack,
 from gateway.servers.doip.connection import MOST_BYTES, Connection
 from gateway.servers.doip.identity import Identity
 from gateway.servers.doip.params import ADDRESSES, DoipParams
+from gateway.servers.doip.route import Route, is_told
 from gateway.servers.uds.server import UdsServer
 from gateway_fdi.common.log import get_logger
 
@@ -51,6 +52,7 @@ class DoipServer(BusServer):
 
     Attributes:
         connections: those that are open.
+        routes: to ECUs, by their logical addresses.
     """
 
     normal = False
@@ -61,6 +63,7 @@ class DoipServer(BusServer):
     ) -> None:
         self.params, self.identity, self.tls = params, identity, tls
         self._new_tester = new_tester
+        self.routes: dict[int, Route] = {}
         self.connections: list[Connection] = []
         self._own = params.address.to_bytes(2, "big")
         self._counts: Counter[str] = Counter()
@@ -129,6 +132,8 @@ class DoipServer(BusServer):
             return
         one.ends, one.asks, one.more, one.check_ends_ns = True, None, False, None
         one.rivals.clear()
+        for route in self.routes.values():
+            route.line.forget(one)
         if one.server is not None:
             one.server.leave()
             one.server = None
@@ -257,25 +262,66 @@ class DoipServer(BusServer):
             self._refuse(one, body, Nack.INVALID_SOURCE)
             self._end(one)
             return
-        if target not in (self.params.address, self.params.functional):
-            self._refuse(one, body, Nack.UNKNOWN_TARGET)
+        route, functional = self.routes.get(target), target == self.params.functional
+        if route is not None:
+            obstacle = route.obstacle(request)
+        elif target == self.params.address or functional:
+            obstacle = Nack.TOO_LARGE if len(request) > LONGEST_REQUEST else None
+        else:
+            obstacle = Nack.UNKNOWN_TARGET
+        if obstacle is not None:
+            self._refuse(one, body, obstacle)
             return
-        if len(request) > LONGEST_REQUEST:
-            self._refuse(one, body, Nack.TOO_LARGE)
+        assert one.server is not None
+        if route is not None:
+            self._pass_on(one, route, body)
             return
+        self._acknowledge(one, body)
+        for each in self.routes.values() if functional else ():  # judged before our own server changes its session
+            self._pass_on(one, each, body, functional=True)
+        self._answer(one, one.server.answer(request, functional, self._now_ns))
+
+    def _acknowledge(self, one: Connection, body: bytes) -> None:
         self._count("requests")
         one.put(Kind.DIAGNOSTIC_ACK, body[2:4] + body[:2] + b"\x00")
+
+    def _pass_on(self, one: Connection, route: Route, body: bytes, *, functional: bool = False) -> None:
+        """Pass a request on to an ECU, if it may; of a functional one only the answers are told."""
+        request = body[ADDRESSES:]
+        if functional and route.obstacle(request) is not None:
+            self._count("routes_skipped")
+            return
         assert one.server is not None
-        self._answer(one, one.server.answer(request, target == self.params.functional, self._now_ns))
+        refusal = route.refusal(request, one.server, self._now_ns)
+
+        def back(answer: bytes | None) -> None:
+            if answer is None or one.ends:
+                self._count("routes_without_answer" if answer is None else "routes_without_tester")
+            elif is_told(answer, functional):
+                self._answer(one, [answer], route.address)
+
+        taken = bool(refusal) or route.line.ask(request, one, back)
+        if not functional and not taken:
+            self._refuse(one, body, Nack.OUT_OF_MEMORY)
+            return
+        if not functional:
+            self._acknowledge(one, body)
+        if refusal:
+            self._count("routes_refused")
+            back(refusal)
+        else:
+            self._count("routed" if taken else "routes_skipped")
 
     def _refuse(self, one: Connection, body: bytes, code: Nack) -> None:
         self._count("requests_refused")
         one.put(Kind.DIAGNOSTIC_NACK, body[2:4] + body[:2] + bytes([code]))
 
-    def _answer(self, one: Connection, answers: Iterable[bytes]) -> None:
+    def _answer(self, one: Connection, answers: Iterable[bytes], sender: int | None = None) -> None:
+        """Send answers of the gateway, or of another ECU."""
+        own = self._own if sender is None else sender.to_bytes(2, "big")
         for answer in answers:
             assert one.source is not None
-            one.put(Kind.DIAGNOSTIC, self._own + one.source.to_bytes(2, "big") + answer)
+            one.put(Kind.DIAGNOSTIC, own + one.source.to_bytes(2, "big") + answer)
             one.heard_ns = self._now_ns
         if len(one.out) > MOST_BYTES:
             self._count("sent_away")

@@ -85,10 +85,13 @@ class Context:
         """
         _refuse(self.authority.conditions_refusal(self.need))
 
-    def note(self, action: str, request: bytes = b"", outcome: int = DONE, *, protocol: str = "uds") -> None:
-        """Keep and tell what the tester did, or was refused."""
+    def note(
+        self, action: str, request: bytes = b"", outcome: int = DONE, *, protocol: str = "uds", to: str = ""
+    ) -> None:
+        """Keep and tell what the tester did, or was refused; ``to``: the ECU that it was meant for."""
         session, level, role = self.asked_in
-        by = Intervention(0, protocol, self.bus, self.asked_by, action, request, outcome, session, level, role)
+        bus = f"{self.bus} to {to}" if to else self.bus
+        by = Intervention(0, protocol, bus, self.asked_by, action, request, outcome, session, level, role)
         self.control.note(by)
 
     def enter(self, session: int) -> None:

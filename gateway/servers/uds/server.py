@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.faults.interventions import DONE
+from gateway.servers.access import ROUTE
 from gateway.servers.application import Application
 from gateway.servers.authority import WATCH_NS
 from gateway.servers.uds.context import DEFAULT, Context, Later, Service
@@ -109,6 +110,22 @@ class UdsServer(Application):
         if not service.late:
             c.check_security()
         return service.handle(c, request)
+
+    def passes(self, request: bytes, to: str, t_ns: int) -> int:
+        """Judge and note a request to another ECU that does more than read; returns the refusal, 0: none.
+
+        Args:
+            request: its bytes.
+            to: name of the ECU.
+            t_ns: now.
+        """
+        c = self._context
+        c.now_ns = max(c.now_ns, t_ns)
+        self._end_session()
+        c.asked_in, c.asked_by = (c.session, c.security.unlocked, c.authentication.role), c.params.request
+        refusal = c.authority.refusal(ROUTE, c.asker)
+        c.note(ROUTE, request, refusal, to=to)
+        return refusal
 
     def leave(self) -> None:
         """End the session of a tester that has gone."""
