@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gateway.answers.model import Address, AnswerLayout, Layouts, LeftOut, Limits, message_of, request_name, signal_of
+from gateway.answers.model import Address, AnswerLayout, LeftOut, Layouts, Limits, message_of, request_name, signal_of
 from gateway.bus.frames import EXTENDED
 from gateway.signals.bounds import LONGEST
 from gateway_fdi.errors import InputError

@@ -16,7 +16,10 @@ from gateway.monitors.contract import Monitor
 from gateway.monitors.tryout import refuse_failing
 from gateway.runtime.app import Gateway
 from gateway.runtime.mistakes import mistakes
+from gateway.servers.access import ROUTE
 from gateway.servers.access_review import ways_around
+from gateway.servers.doip.reach import reach
+from gateway.servers.doip.reach import ways_around as reach_around
 from gateway_fdi.errors import InputError, InputErrors, each_of
 
 #: Columns that are left for a name after the codes given out for it, of 80.
@@ -54,10 +57,14 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in _trusted_in_vain(monitor)
     ]
     warnings += _ways_around(config)
+    doip, need = config.output.doip, config.needs[ROUTE]
+    reached = [] if doip is None else list(reach(doip, need))
+    warnings += [] if doip is None else list(reach_around(doip, need))
     warnings += secrets_shown(config, path)
     warnings += _of_this_machine(config)
     if json:
-        print_json({"ok": True, "faults": faults, "codes": codes, "taken": notes, "told": told, "warnings": warnings})
+        print_json({"ok": True, "faults": faults, "codes": codes, "taken": notes, "told": told, "doip": reached,
+                    "warnings": warnings})  # fmt: skip
     else:
         print(f"{path}: good. {len(config.bus)} bus(es), {len(config.monitor)} monitor(s), faults:")
         for fault in faults:
@@ -70,6 +77,8 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             print(f"taken: {text}")
         for name, lines in told.items():
             print(f"{name}:", *lines, sep="\n  ")
+        if reached:
+            print("by DoIP:", *reached, sep="\n  ")
         for text in warnings:
             print(f"warning: {text}")
     return 0

@@ -20,6 +20,8 @@ class Line:
     def __init__(self, client: EcuClient, may_ask: Callable[[int], bool], plan: Callable[[], None]) -> None:
         self._client, self._may_ask, self._plan = client, may_ask, plan
         self.name, self.longest = client.params.name, client.longest
+        # Behind one request that is under way, and the least time after it.
+        self.part_ms = round(client.params.p2_ms + client.waiting.apart_ns / 1e6)
 
     @property
     def is_open(self) -> bool:

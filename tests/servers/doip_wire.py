@@ -31,19 +31,20 @@ class Clock:
         return self._rig.now
 
 
-class Wired(Net):
-    """A gateway with its door."""
+class Sockets:
+    """A gateway's door, turned by hand or by a thread; ``rig`` has the gateway and its time."""
 
-    def __init__(self, folder, *, doip="", **more):
-        self.port = free_port()
-        super().__init__(folder, doip=f'port = {self.port}\nbind = ["127.0.0.1"]\n{doip}', **more)
+    def open(self):
         self.params = self.rig.gateway.config.output.doip
         self.door = DoipDoor(self.params, self.rig.gateway, Clock(self.rig))
+
+    def pass_time(self, ms):
+        self.rig.wait(ms, step=ms)
 
     def turn(self, count=4, ms=1):
         """Let the gateway and its door do what is due; ``ms`` of time a turn."""
         for _ in range(count):
-            self.rig.wait(ms, step=ms)
+            self.pass_time(ms)
             self.door.turn(self.rig.now / 1e9)
 
     def connect(self, port=None):
@@ -93,6 +94,15 @@ class Wired(Net):
             stop.set()
             thread.join()
             assert not failed, failed
+
+
+class Wired(Sockets, Net):
+    """A gateway with its door."""
+
+    def __init__(self, folder, *, doip="", **more):
+        self.port = free_port()
+        super().__init__(folder, doip=f'port = {self.port}\nbind = ["127.0.0.1"]\n{doip}', **more)
+        self.open()
 
     def close(self):
         self.door.close()

@@ -11,6 +11,7 @@ from doip_rig import FUNCTIONAL, TESTER, Peer, message
 from rig import Rig, dtc_text, write_config
 from test_access import SECRET
 
+from gateway.cli.check import check
 from gateway.servers.doip.server import DoipServer
 from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services.x19_read_dtc_information import REPORTS
@@ -59,8 +60,8 @@ def echo(request):
 class Net(Car):
     """A gateway with three routed ECUs, and what a tester without sockets needs of it."""
 
-    def __init__(self, folder, *, read="", more="", answers=(echo, echo, echo)):
-        config = write_config(folder, extra=ROUTES.format(read=read) + more)
+    def __init__(self, folder, *, read="", more="", answers=(echo, echo, echo), text=ROUTES):
+        config = write_config(folder, extra=text.format(read=read) + more)
         brakes, body = (Ecu(0x7E1 + k, 0x7E9 + k, answers[k]) for k in range(2))
         doors = Ecu(0x18DA40F1, 0x18DAF140, answers[2])
         super().__init__(config, [brakes, body, doors])
@@ -100,6 +101,12 @@ def test_requests_go_to_their_ecu_and_answers_come_from_its_address(net):
     assert [ecu.heard for ecu in net.ecus] == [[b"\x22\xf1\x90", b"\x10\x01", b"\x3e\x80"]] * 3
     assert net.state()["passed_in_vain"] == 0
     assert net.server.identity.answer(message(0x4001), 0)[8] == 0, "a gateway, not a node"
+
+
+def test_the_times_of_a_session_have_the_routes_part(net):
+    """50 ms and 5 s, behind a request that is waited for 200 ms at most, and 1 ms between two."""
+    net.ecus[0].answer = lambda request: [(1, bytes.fromhex("5001003201f4"))]
+    assert net.ask(net.tester(), BRAKES, "1001") == [0, (BRAKES, f"5001{251:04x}{521:04x}")]
 
 
 def test_a_functional_request_goes_to_all_and_is_acknowledged_once(net):
@@ -350,6 +357,26 @@ def test_all_reports_of_60_dtcs_of_an_ecu_are_those_that_it_has(tmp_path):
     assert seen > 15
     made.close()
     ecu.rig.close()
+
+
+def test_the_check_prints_who_reaches_what_and_ways_around(tmp_path, capsys):
+    """The table of gateway check, and its warnings where it is easier than it looks."""
+    outside = RULE.format().replace("security = 1, ", "") + "[[output.doip.tester]]\naddress = 0x0E05\n"
+    text = ROUTES.format(read="").replace("[output.doip]\n", '[output.doip]\nbind = ["0.0.0.0"]\n')
+    check(write_config(tmp_path, extra=text + outside), schema_wanted=False, json=False)
+    said = capsys.readouterr().out
+    for line in (
+        "  any network: 0.0.0.0, TCP 13400 (UDP 13400: identification, status)",
+        "  testers 0x0E05 reach:",
+        "    0x1001  brakes: 10 01, 19, 22, 3E; all else: in the extended session, M1.Value in ..1",
+        "warning: output.doip.bind: all who reach 0.0.0.0 may come without TLS",
+        "warning: access.route: every tester may write and clear by each route while its conditions",
+    ):
+        assert line in said, line
+    check(write_config(tmp_path, extra=ROUTES.format(read="")), schema_wanted=False, json=False)
+    said = capsys.readouterr().out
+    assert "    0x1003  doors: 10 01, 19, 22, 3E; nothing else" in said
+    assert "warning: output.doip" not in said
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,14 @@ import subprocess
 import sys
 
 import pytest
+import test_doip_routes as routes
 import udsoncan
 from amount import FULL, amount
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from debian import program
 from doip_rig import FUNCTIONAL, GATEWAY, TESTER, message
-from doip_wire import free_port, wired
+from doip_wire import Sockets, free_port, wired
 from doipclient import DoIPClient
 from doipclient.connectors import DoIPClientUDSConnector
 from scapy.contrib.automotive.doip import DoIP
@@ -273,6 +274,41 @@ def test_doipclient_and_udsoncan(tmp_path):
                 assert refused.value.response.code == 0x31
         last = made.rig.gateway.memory.interventions()[-1]
         assert (last.bus, last.address, last.security) == ("doip 127.0.0.1", TESTER, 1)
+
+
+class Routed(Sockets, routes.Net):
+    """Three ECUs behind the gateway: another gateway, and two that answer anything."""
+
+    def __init__(self, folder):
+        self.port = free_port()
+        text = f'[output.doip]\nbind = ["127.0.0.1"]\nport = {self.port}\n'
+        super().__init__(folder, read=routes.READ, text=routes.ROUTES.replace("[output.doip]\n", text))
+        self.ecus[0] = routes.Can(folder / "ecu")
+        self.open()
+
+    def pass_time(self, ms):
+        self.run(ms)
+
+
+def test_doipclient_and_udsoncan_reach_three_ecus_behind_the_gateway(tmp_path):
+    made = Routed(tmp_path)
+    with made.running():
+        for k, address in enumerate((GATEWAY, routes.BRAKES, routes.BODY, routes.DOORS)):
+            one = DoIPClient(
+                "127.0.0.1", address, tcp_port=made.port, client_logical_address=TESTER + k, protocol_version=2
+            )
+            with Client(DoIPClientUDSConnector(one), request_timeout=5) as client:
+                client.tester_present()
+                if address == routes.BRAKES:
+                    assert len(client.get_dtc_by_status_mask(0xFF).service_data.dtcs) == 60
+                if address != GATEWAY:
+                    with pytest.raises(udsoncan.exceptions.NegativeResponseException) as refused:
+                        client.clear_dtc()
+                    assert refused.value.response.code == 0x33
+    assert made.state()["answers"] + made.state()["refused"] > 0, "polled beside it"
+    made.door.close()
+    made.close()
+    made.ecus[0].rig.close()
 
 
 def gallia(folder, *arguments):

@@ -15,10 +15,11 @@ _DEFAULT_SESSION = (0x10, 0x01)
 
 
 class Line(Protocol):
-    """The line to an ECU."""
+    """The line to an ECU; ``part_ms``: how long a request may wait for it [ms]."""
 
     name: str
     longest: int
+    part_ms: int
 
     @property
     def is_open(self) -> bool:
@@ -54,6 +55,14 @@ class Route:
         if len(request) > self.line.longest:
             return Nack.TOO_LARGE
         return None if self.line.is_open else Nack.UNREACHABLE
+
+    def stamped(self, answer: bytes) -> bytes:
+        """Return an answer with the route's part added to the times of its session (0x50: P2 in 1 ms, P2* in 10 ms)."""
+        if answer[0] != 0x50 or len(answer) != 6:
+            return answer
+        p2, star = (int.from_bytes(answer[k : k + 2], "big") for k in (2, 4))
+        p2, star = p2 + self.line.part_ms, star + -(-self.line.part_ms // 10)
+        return answer[:2] + b"".join(min(each, 0xFFFF).to_bytes(2, "big") for each in (p2, star))
 
     def refusal(self, request: bytes, server: UdsServer, t_ns: int) -> bytes:
         """Return the negative response to a request that may not pass, which is noted; b"": it may."""

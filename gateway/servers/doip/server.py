@@ -298,7 +298,7 @@ class DoipServer(BusServer):
             if answer is None or one.ends:
                 self._count("routes_without_answer" if answer is None else "routes_without_tester")
             elif is_told(answer, functional):
-                self._answer(one, [answer], route.address)
+                self._answer(one, [route.stamped(answer)], route.address)
 
         taken = bool(refusal) or route.line.ask(request, one, back)
         if not functional and not taken:
