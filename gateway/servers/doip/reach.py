@@ -1,4 +1,4 @@
-"""Who reaches what by DoIP, and ways by which it is easier than it looks: for the check of a configuration."""
+"""The table of who reaches what by DoIP, and ways by which it is easier than it looks: for `gateway check`."""
 
 from __future__ import annotations
 
