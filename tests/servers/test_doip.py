@@ -6,16 +6,23 @@ import struct
 import pytest
 from amount import amount
 from doip_rig import FUNCTIONAL, GATEWAY, TESTER, Peer, codes, cut, message, net
-from rig import Tester, write_config
-from test_access import LEVEL, STANDS
-from uds_tester import hexed
+from rig import FUNCTIONAL as CAN_FUNCTIONAL
+from rig import MS, Tester, write_config
+from test_access import LEVEL, SECRET, STANDS
+from uds_tester import Asked, hexed
 
 from gateway.config.load import load_config
 from gateway.servers.doip.connection import ENOUGH_BYTES, MOST_BYTES
 from gateway.servers.doip.server import UNACTIVATED
+from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services.x19_read_dtc_information import REPORTS
 from gateway_fdi.errors import InputErrors
 
+#: Requests of which each is good somewhere, or nowhere; 27: a seed and its key.
+REQUESTS = (
+    "1001", "1003", "1003", "1002", "27", "27", "1101", "14ffffff", "1902ff", "190a", "22f190", "220123", "22beef",
+    "280301", "280001", "2e01240a0b", "31010201", "3e00", "3e80", "8501", "8502", "8605", "ba", "04",
+)  # fmt: skip
 VIN, EID = b"1HGCM82633A004352", bytes.fromhex("0123456789AB")
 VEHICLE = VIN + struct.pack(">H", GATEWAY) + EID + bytes.fromhex("BA9876543210") + b"\x00\x00"
 
@@ -294,6 +301,44 @@ def test_a_session_ends_by_s3_and_a_condition_that_is_unmet_ends_what_it_let(tmp
         assert made.rig.gateway.controls.monitoring
         made.wait(5.1)
         assert one("22f186") == "62f18601"
+
+
+def test_the_same_requests_get_the_same_answers_by_can_and_by_doip(tmp_path):
+    """Of two gateways, one asked by CAN and one by IP: session, key, condition and request at random."""
+    seed = random.randrange(1 << 32)
+    print("seed", seed)
+    draw, refused = random.Random(seed), set()
+    (tmp_path / "can").mkdir()
+    with net(tmp_path, uds=LEVEL, more=STANDS) as by_ip, net(tmp_path / "can", uds=LEVEL, more=STANDS) as by_can:
+        one, can = by_ip.tester(), Asked(by_can.rig)
+        for _ in range(amount(3000, 300)):
+            speed = draw.choice((0.0, 50.0))
+            request = draw.choice(REQUESTS)
+            for each in (by_ip, by_can):
+                each.rig.wait((max(by_ip.rig.now, by_can.rig.now) - each.rig.now) / MS + 1, step=5)
+                each.rig.value(1, speed)
+            if request == "27":
+                answers = [unlocked(ask) for ask in (one, can)]
+            elif draw.random() < 0.2:
+                answers = [" ".join(one.uds(request, target=FUNCTIONAL)[2]), can(request, functional=CAN_FUNCTIONAL)]
+            else:
+                answers = [one(request), can(request)]
+            assert answers[0] == answers[1], request
+            refused.add(answers[0][4:6] if answers[0].startswith("7f") else "done")
+        assert {"done", "22", "33", "7f"} <= refused
+        noted = [  # those alike in a row are one; a functional request has another identifier by CAN
+            [(i.action, i.outcome, i.session) for i in each.rig.gateway.memory.interventions() for _ in range(i.count)]
+            for each in (by_ip, by_can)
+        ]
+        assert noted[0][-60:] == noted[1][-60:]
+
+
+def unlocked(ask):
+    """Unlock level 1 if that is possible now; returns what came of it."""
+    seed = ask("2701")
+    if seed.startswith("7f") or not int(seed[4:], 16):
+        return seed
+    return ask("2702" + hmac_sha256(bytes.fromhex(seed[4:]), bytes.fromhex(SECRET), 1).hex())
 
 
 def test_wrong_keys_count_for_all_transports(tmp_path):

@@ -182,9 +182,14 @@ def test_back_pressure_is_a_testers_own(tmp_path):
     codes = [body[4] for _, body in one.take()]
     assert (codes.count(0), codes.count(5)) == (8, 12)
     assert made.ask(two, BRAKES, "22f191", ms=600)[-1] == (BRAKES, "62f191")
+    for _ in range(4):
+        one.send(message(0x8001, struct.pack(">HH", TESTER, BRAKES) + b"\x22\xf1\x90"))
+    made.run(10)
+    assert len(made.gateway.asking.ecus[0].client.waiting.passed) == 3
     one.close()
-    made.run(600)
     assert not made.gateway.asking.ecus[0].client.waiting.passed
+    made.run(600)
+    assert made.server.counters()["doip_routes_without_tester"] == 1
     made.close()
 
 
