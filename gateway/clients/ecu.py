@@ -290,8 +290,9 @@ class EcuClient:
         assert ask is not None
         if isinstance(ask, Passed):
             self._asked, self._deadline_ns = None, NEVER
-            self.counts["passed_in_vain"] += not ask.is_quiet
-            ask.done(None)
+            if not ask.is_quiet:
+                self.counts["passed_in_vain"] += 1
+                ask.done(None)
             return
         self.counts["absent"] += 1
         self.silent += 1
@@ -305,7 +306,7 @@ class EcuClient:
         if isinstance(self._asked, Passed):
             one, self._asked, self._deadline_ns = self._asked, None, NEVER
             self._sender = self._new_sender()
-            one.done(bytes([NEGATIVE, one.request[0], BUSY]))  # whose answer comes now cannot be told
+            one.send_back()  # whose answer comes now cannot be told
         elif self._asked is not None:
             self.counts["yielded"] += 1
             ask, self._asked, self._deadline_ns = self._asked, None, NEVER
@@ -320,6 +321,8 @@ class EcuClient:
         self.counts = dict(old.counts)
         if isinstance(old._asked, Ask):
             self.counts["yielded"] += 1
+        for one in ([old._asked] if isinstance(old._asked, Passed) else []) + list(old.waiting.passed):
+            one.send_back()
         self.silent, self._rests_ns = old.silent, max(old._rests_ns, old._deadline_ns if old.busy else 0)
         before = {ask.request: ask for ask in old.asks}
         for ask in self.asks:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.clients.params import EcuAddress
+from gateway.clients.refusals import BUSY
 from gateway.isotp.params import IsoTpParams
 
 #: Services whose first parameter is a sub-function (ISO 14229-1, Table 2), its highest bit: no answer, if it is good.
@@ -38,6 +39,10 @@ class Passed:
     request: bytes
     owner: object
     done: Done
+
+    def send_back(self) -> None:
+        """Have the tester ask again, later (0x21)."""
+        self.done(bytes([0x7F, self.request[0], BUSY]))
 
     @property
     def is_quiet(self) -> bool:

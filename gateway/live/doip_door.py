@@ -135,8 +135,8 @@ class DoipDoor:
         return self._selector.fileno()
 
     def listening(self) -> bool:
-        """Return whether a short time passes for it: an announcement, or a closed tester's last bytes."""
-        return bool(self._lingering) or self._announced < self._most_announcements
+        """Return that nobody is shown the time."""
+        return False
 
     def on_frames(self, frames: Frames) -> None:
         """Frames are nothing to it."""
@@ -249,9 +249,13 @@ class DoipDoor:
                 self._deaf_until = self._now_s + DEAF_S
                 return
             made.setblocking(False)
-            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if secure and self._server.tls is not None:
-                made = self._server.tls.wrap_socket(made, server_side=True, do_handshake_on_connect=False)
+            try:
+                made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                if secure and self._server.tls is not None:
+                    made = self._server.tls.wrap_socket(made, server_side=True, do_handshake_on_connect=False)
+            except OSError:
+                made.close()  # gone again
+                continue
             connection = self._server.connect(peer[0], self._clock.now(), secure=secure)
             self._peers.append(_Peer(made, connection))
             self._selector.register(made, selectors.EVENT_READ, self._peers[-1])

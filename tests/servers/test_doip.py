@@ -430,6 +430,14 @@ def test_inactivity(doip):
     assert one.closed
 
 
+def test_who_only_asks_to_be_activated_is_closed_in_time(doip):
+    one = doip.peer()
+    for _ in range(5):
+        doip.wait(0.45)
+        one.send(message(0x7777))
+    assert one.closed
+
+
 def test_half_open_connections_give_way_to_new_ones(doip):
     one = doip.tester()
     waiting = [doip.peer() for _ in range(1000)]
@@ -450,6 +458,10 @@ def test_a_slow_reader_is_not_served_and_holds_nobody_up(tmp_path):
         assert not slow.one.hungry
         assert made.rig.gateway.next_ns > made.rig.now, "and the loop does not turn for nothing"
         assert other("3e00") == "7e00"
+        assert made.peer().activate(TESTER) is None
+        made.wait(0.6)
+        assert slow.closed, "it keeps its place from nobody"
+        slow = made.tester(TESTER + 2)
         slow.one.out += bytes(MOST_BYTES)
         slow.one.server.on_changes = lambda changes, t_ns: [b"\xc6"]
         made.server.on_changes([None], made.rig.now)

@@ -12,6 +12,7 @@ from rig import Rig, dtc_text, write_config
 from test_access import SECRET
 
 from gateway.cli.check import check
+from gateway.runtime.app import Gateway
 from gateway.servers.doip.server import DoipServer
 from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services.x19_read_dtc_information import REPORTS
@@ -224,6 +225,24 @@ def test_an_ecu_that_is_silent_or_a_bus_that_is_dead(net):
     assert net.ask(one, BRAKES, "22f190") == [0, (BRAKES, "62f190")]
     net.gateway.controls.set_communication(receive=True, send=False, by="x")
     assert net.ask(one, BRAKES, "22f190") == [6], "nothing may be sent"
+
+
+def test_a_reload_sends_requests_back_that_wait(net):
+    one, two = net.tester(), net.tester(TESTER + 1)
+    net.ecus[0].answer = lambda request: [(50, b"\x62" + request[1:])]
+    for each in (one, two):
+        each.send(message(0x8001, struct.pack(">HH", each.source, BRAKES) + b"\x22\xf1\x90"))
+    net.run(10)
+    old, before = net.gateway, net.server
+    old.finish(net.now)
+    net.gateway = Gateway(old.config, store=old.store)
+    net.gateway.succeed(old)
+    net.server = next(each for each in net.gateway.servers.all if isinstance(each, DoipServer))
+    net.server.adopt(before)
+    for each in (one, two):
+        assert [body[4:].hex() for _, body in each.take()][1:] == ["7f2221"]
+    net.run(100)
+    assert net.ask(two, BRAKES, "22f190", ms=100) == [0, (BRAKES, "62f190")]
 
 
 # Firewall

@@ -162,7 +162,8 @@ class DoipServer(BusServer):
             found = one.splitter.take()
             if found is None:
                 return
-            one.heard_ns = self._now_ns
+            if one.source is not None:  # else it has its time from the start on, whatever it says
+                one.heard_ns = self._now_ns
             if isinstance(found, Refused):
                 self._count("header_refused")
                 one.version = found.version
@@ -204,10 +205,14 @@ class DoipServer(BusServer):
         if code == Activation.DONE:
             if one.source is None:
                 one.source, one.server = source, self._new_tester(one.name, source)
+                one.heard_ns = self._now_ns
                 self._count("activated")
             return
         self._count("activation_denied")
-        log.warning("DoIP: routing is not activated", tester=one.name, source=f"0x{source:04X}", reason=code.name)
+        times = self._counts["doip_activation_denied"]
+        if not times & (times - 1):  # the 1st, 2nd, 4th, ...: nobody fills the log
+            told = {"tester": one.name, "source": f"0x{source:04X}", "reason": code.name, "times": times}
+            log.warning("DoIP: routing is not activated", **told)
         if code != Activation.AUTHENTICATION:  # it may come again with a certificate
             self._end(one)
 
@@ -347,7 +352,7 @@ class DoipServer(BusServer):
                 self._answer(each, each.server.pass_time(t_ns))
             if each.more and not each.stuck:
                 self._go_on(each)
-            if self._due_ns(each) <= t_ns and not each.more:
+            if self._due_ns(each) <= t_ns and (each.stuck or not each.more):
                 self._count("silent")
                 self._end(each)
         return empty(0)
