@@ -27,8 +27,9 @@ from test_authentication import DAY, issue, name
 from test_doip import VIN
 from udsoncan.client import Client
 
+from gateway.live.doip_door import DoipDoor
 from gateway.servers.doip.codec import Activation, HeaderNack, Kind
-from gateway.servers.doip.params import TlsParams
+from gateway.servers.doip.params import DoipParams, TlsParams
 from gateway.servers.doip.secure import tls_context
 from gateway.servers.uds.security import hmac_sha256
 from gateway_fdi.errors import InputError
@@ -123,6 +124,34 @@ def test_a_slow_reader_holds_nobody_up_and_gets_all_when_it_reads(tmp_path):
         whole = 120 * (13 + 12 + 60003)
         told = made.exchange(slow, b"", until=lambda got: len(got) >= whole, turns=5000)
         assert kinds(told) == [0x8002, 0x8001] * 120
+
+
+def test_ipv6_and_a_machine_without_it(tmp_path, monkeypatch):
+    class NoIpv6(socket.socket):
+        def __init__(self, family=socket.AF_INET, *more, **options):
+            super().__init__(family, *more, **options)
+
+        def bind(self, address):
+            if self.family == socket.AF_INET6:
+                raise OSError(99, "Cannot assign requested address")
+            super().bind(address)
+
+    both = {"bind": ("127.0.0.1", "::1"), "port": free_port()}
+    with wired(tmp_path) as made:
+        made.door.close()
+        made.door = DoipDoor(DoipParams(port=both["port"]), made.rig.gateway, made.door._clock)
+        if len(made.door._listening) == 4:
+            one = socket.create_connection(("::1", both["port"]))
+            one.setblocking(False)
+            assert kinds(made.exchange(one, ACTIVATE, until=bool)) == [6]
+            assert made.server.active[0].name == "doip ::1"
+        made.door.close()
+        monkeypatch.setattr("gateway.live.doip_door.socket.socket", NoIpv6)
+        made.door = DoipDoor(DoipParams(port=both["port"]), made.rig.gateway, made.door._clock)
+        assert len(made.door._listening) == 2, "by default without it"
+        made.door.close()
+        with pytest.raises(InputError, match="::1"):
+            DoipDoor(DoipParams(**both), made.rig.gateway, made.door._clock)
 
 
 def test_a_port_that_is_taken_is_named(tmp_path):

@@ -148,7 +148,7 @@ class DoipServer(BusServer):
 
     def receive(self, one: Connection, data: bytes, t_ns: int) -> None:
         """Take bytes of a connection."""
-        self._now_ns = t_ns
+        self._now_ns = max(self._now_ns, t_ns)
         if not one.ends:
             one.splitter.put(data)
             self._go_on(one)
@@ -346,7 +346,7 @@ class DoipServer(BusServer):
 
     def on_time(self, t_ns: int) -> Frames:
         """Go on with messages that wait, send answers that come later, and close what has been silent for too long."""
-        self._now_ns = t_ns
+        self._now_ns = max(self._now_ns, t_ns)  # that of the monitors lags
         for each in list(self.connections):
             if each.server is not None:
                 self._answer(each, each.server.pass_time(t_ns))
