@@ -2,6 +2,7 @@
 
 Both servers sit on the loopback bus, with 4000 frames/s of four brake pedals on it; the gateway monitors all of
 them, the peer only answers. The tester asks one after the other: TesterPresent, DTCs by status mask, an identifier.
+A second gateway asks 20 ECUs for 200 identifiers at the same time, at 10 requests/s; a process answers for them.
 
     python bench/diagnostics.py [--seconds 20] [--rate 4000] [--json]
 """
@@ -28,12 +29,14 @@ import numpy as np
 from gateway.bus.frames import empty, put
 from gateway.bus.uri import open_bus
 from gateway.config.load import load_config
+from gateway.isotp.endpoint import IsoTpEndpoint
+from gateway.isotp.params import IsoTpParams
 from gateway.monitors.registry import MONITORS
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
 
-PEDALS = 4
+PEDALS, ECUS, READS = 4, 20, 10
 REQUESTS = [bytes.fromhex(text) for text in ("023e00", "031902ff", "0322f186")]
 GATEWAY = [sys.executable, "-c", "from gateway.cli import main; main()"]
 
@@ -59,12 +62,39 @@ def write_config(folder: Path) -> Path:
             number += 1
     (folder / "bench.dbc").write_text(dbc)
     (folder / "bench.toml").write_text(toml)
+    layouts = dbc.partition("BO_ ")[0]
+    for did in range(READS):
+        layouts += f'BO_ {0x80220000 + did} D{did}: 20 ECU\n SG_ Value : 0|16@1+ (1,0) [0|0] "" GW\n'
+    (folder / "dids.dbc").write_text(layouts)
+    for k in range(ECUS):
+        reads = ", ".join(f"{{ did = {did}, every_ms = 20_000 }}" for did in range(READS))
+        toml += f'[[ecu]]\nname = "e{k}"\nrequest = {0x600 + k}\nresponse = {0x680 + k}\n'
+        toml += f'signals = ["dids.dbc"]\nread = [{reads}]\n'
+    (folder / "asks.toml").write_text(toml)
     return folder / "bench.toml"
+
+
+def ecus(uri: str, ready) -> None:
+    """Answer for the ECUs: 20 bytes of each identifier, in four frames."""
+    with open_bus(uri, 0) as bus:
+        bus.set_filters([0x600 + k for k in range(ECUS)])
+        ends = [IsoTpEndpoint(IsoTpParams(request=0x600 + k, response=0x680 + k), 0) for k in range(ECUS)]
+        batch = empty(256)
+        ready.set()
+        while True:
+            select.select([bus.fileno()], [], [], 0.5)
+            heard = batch[: bus.receive(batch)]
+            for end in ends:
+                for frame in heard[end.wanted(heard)]:
+                    request = end.receive(frame, int(frame["t_ns"]))
+                    end.send([] if request is None else [b"\x62" + request.data[1:] + bytes(20)])
+                    bus.send(end.take_frames())
 
 
 def faults_of_a_pair() -> list[str]:
     """Return the names of the faults of a redundant pair."""
-    return [fault.name for fault in MONITORS["redundant_pair"].faults]
+    monitor = MONITORS["redundant_pair"]
+    return [fault.name for fault in monitor.faults(monitor.params.model_validate({"preset": "brake"}))]
 
 
 def load_bus(uri: str, rate: int, seconds: float, ready, sent) -> None:
@@ -176,13 +206,21 @@ def main() -> None:
         load_config(config)
         with process("bus", "127.0.0.1:0", ready="serving", cwd=folder) as line:
             uri = re.search(r"loopback:\S+", line)[0]
-            daemon = ("run", config, "--bus", uri, "--memory", folder / "f.sqlite")
-            with process(*daemon, ready="monitoring", cwd=folder):
-                rows.append(("gateway, monitoring", *measure(uri, options.rate, options.seconds)))
-            summary = (folder / "run.out").read_text()
-            decoded = int(re.search(r"(\d+) decoded", summary)[1])
-            if decoded < 0.99 * rows[0][2]:
-                raise SystemExit(f"the gateway decoded {decoded} of {rows[0][2]} frames")
+            ready = multiprocessing.Event()
+            multiprocessing.Process(target=ecus, args=(uri, ready), daemon=True).start()
+            ready.wait()
+            for title, file in (("gateway, monitoring", config), ("that asks 20 ECUs, too", folder / "asks.toml")):
+                daemon = ("run", file, "--bus", uri, "--memory", folder / f"{file.stem}.sqlite")
+                with process(*daemon, ready="monitoring", cwd=folder):
+                    rows.append((title, *measure(uri, options.rate, options.seconds)))
+                summary = (folder / "run.out").read_text()
+                decoded = int(re.search(r"(\d+) decoded", summary)[1])
+                if decoded < 0.99 * rows[-1][2]:
+                    raise SystemExit(f"the gateway decoded {decoded} of {rows[-1][2]} frames")
+            asked = dict(re.findall(r"ecu_(\w+) +(\d+)", summary))
+            ends = sum(int(asked.get(name, 0)) for name in ("answers", "refused", "absent", "yielded"))
+            if int(asked["requests"]) - ends > ECUS:
+                raise SystemExit(f"requests without an end: {asked}")
             ready = multiprocessing.Event()
             server = multiprocessing.Process(target=peer, args=(uri, ready), daemon=True)
             server.start()

@@ -531,11 +531,20 @@ def doctor(
 
 
 @faults_app.command("list")
-def faults_list(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
+def faults_list(
+    memory: MemoryOption = None,
+    config: ConfigArgument = None,
+    json: Json = False,
+    ecu: Annotated[str | None, typer.Option(help="DTCs of another ECU, by its name; all: of all.")] = None,
+) -> None:
     """List the DTCs of a fault memory."""
-    from gateway.cli.faults import list_faults as work
+    from gateway.cli.faults import list_ecu_dtcs, list_faults
 
-    raise typer.Exit(work(config, memory=memory, json=json))
+    raise typer.Exit(
+        list_faults(config, memory=memory, json=json)
+        if ecu is None
+        else list_ecu_dtcs(ecu, config, memory=memory, json=json)
+    )
 
 
 @faults_app.command("show")

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from gateway.bus.frames import ID_MASK
 from gateway.cli.doctor import no_socketcan
 from gateway.cli.present import find_config, print_json
 from gateway.config.load import load_config
@@ -49,6 +50,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         return 2
     faults = [{"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue]
     notes, codes = list(gateway.notes), dict(sorted(gateway.codes.items()))
+    warnings += gateway.unread
     gateway.close()
     warnings += [
         f"{name}: {text}"
@@ -63,8 +65,18 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
     warnings += secrets_shown(config, path)
     warnings += _of_this_machine(config)
     if json:
-        print_json({"ok": True, "faults": faults, "codes": codes, "taken": notes, "told": told, "doip": reached,
-                    "warnings": warnings})  # fmt: skip
+        print_json(
+            {
+                "ok": True,
+                "faults": faults,
+                "codes": codes,
+                "taken": notes,
+                "told": told,
+                "doip": reached,
+                "warnings": warnings,
+                "asked": list(asked_of(config)),
+            }
+        )
     else:
         print(f"{path}: good. {len(config.bus)} bus(es), {len(config.monitor)} monitor(s), faults:")
         for fault in faults:
@@ -75,6 +87,8 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             print(f"  {' '.join(given):<11}  {_shortened(name)}")
         for text in notes:
             print(f"taken: {text}")
+        for text in asked_of(config):
+            print(text)
         for name, lines in told.items():
             print(f"{name}:", *lines, sep="\n  ")
         if reached:
@@ -82,6 +96,19 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in warnings:
             print(f"warning: {text}")
     return 0
+
+
+def asked_of(config: Config) -> Iterator[str]:
+    """Yield which ECUs are asked for what, one line each."""
+    for ecu in config.ecu:
+        bus = config.bus[config.bus_index(ecu.bus)]
+        silent = "; the bus is only listened to: nothing is asked" if bus.listen_only else ""
+        reads = [f"{read.name} every {read.every_ms:g} ms" for read in ecu.read]
+        dtcs = [] if ecu.dtcs is None else [f"DTCs ({ecu.dtcs.protocol}) every {ecu.dtcs.every_s:g} s"]
+        place = ecu.place
+        ids = f"0x{place.request & ID_MASK:X}, 0x{place.response & ID_MASK:X}"
+        asked = ", ".join([*reads, *dtcs]) or "nothing; its answers to others are heard"
+        yield f"asks {ecu.name} ({ids}) on {bus.name}: {asked}{silent}"
 
 
 def as_dict(error: InputError) -> dict[str, Any]:

@@ -127,6 +127,11 @@ class EventPrinter:
         by = f"  by {' and '.join(event['cause'])}" if event["cause"] else ""
         self._lines.print(f"{self._time(event)}  {mark}  {', '.join(event['faults'])}{by}", mark=mark, colour="bold")
 
+    def _on_ecu_dtc(self, event: dict[str, Any]) -> None:
+        mark = f"ECU {event['ecu']}"
+        text = f"{event['dtc']} {event['state']}, status 0x{event['status']:02X}"
+        self._lines.print(f"{self._time(event)}  {mark}  {text}", mark=mark, colour="bold")
+
     def _on_clear(self, event: dict[str, Any]) -> None:
         gone = ", ".join(event["faults"]) or "no entry was there"
         self._lines.print(f"{self._time(event)}  cleared: {gone}")

@@ -68,6 +68,28 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     return 0
 
 
+def list_ecu_dtcs(ecu: str, config: Path | None, *, memory: Path | None, json: bool) -> int:
+    """List the DTCs of another ECU, or of all; returns the exit code."""
+    path = _path(config, memory)
+    known = service.ecu_dtcs(path)
+    found = [each for each in known if ecu in ("all", each["ecu"])]
+    _say_if_behind(path)
+    if json:
+        print_json(found)
+        return 0
+    table = table_of("ECU", "DTC", "status", "state", "came", "first, last", "snapshots")
+    for each in found:
+        table.add_row(
+            each["ecu"], each["dtc"], f"0x{each['status']:02X}", "there" if each["there"] else "went", str(each["came"]),
+            f"{_second(each['first_ns'])}\n{_second(each['last_ns'])}",
+            "\n".join(f"{name}: {data}" for name, data in each["snapshots"].items()),
+        )  # fmt: skip
+    others = ", ".join(sorted({each["ecu"] for each in known}))
+    hint = f"; the ECUs with DTCs are {others}" if others else ""
+    wide_console().print(table if found else f"no DTCs of other ECUs{hint}")
+    return 0
+
+
 def _entries(
     entries: Sequence[Mapping[str, Any]], *, wide: bool, titles: bool = False, below: bool = False, folds: bool = False
 ) -> Table:

@@ -189,11 +189,11 @@ def _injectors(config: Config, parts: Parts, texts: Sequence[str], seed: int) ->
     """
     names = [bus.name for bus in config.bus]
     pgn = [k for k, bus in enumerate(config.bus) if bus.match == "pgn"]
-    asked = [parse_injection(text, names, parts.databases) for text in texts]
-    return [
-        Injector(one, parts.databases, parts.checks, np.random.default_rng([seed, k]), pgn=pgn)
-        for k, one in enumerate(asked)
-    ]
+    # Answers of ECUs are made of frames, and are not in a log.
+    databases = parts.databases[: len(names)]
+    checks = [check for check in parts.checks if check.bus < len(names)]
+    asked = [parse_injection(text, names, databases) for text in texts]
+    return [Injector(one, databases, checks, np.random.default_rng([seed, k]), pgn=pgn) for k, one in enumerate(asked)]
 
 
 class _Faulty:

@@ -11,9 +11,11 @@ import numpy as np
 
 from gateway.answers.weave import NEGATIVE, Weaver
 from gateway.bus.frames import EXTENDED, Frames, empty, has_none_of, joined, payload, put
+from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.dtcs import READ_DTCS, details_of, told_by
 from gateway.clients.ecu import MS, Ask, EcuClient
 from gateway.clients.line import Line
+from gateway.clients.pgn import MARK, ended_by, identifiers_of
 from gateway.clients.refusals import PENDING
 from gateway.common.times import NEVER
 from gateway.faults.vehicle import TOLD, Told
@@ -57,11 +59,13 @@ class Ecu:
 
 
 class Asking:
-    """The clients.
+    """The clients, and those who hear DTCs that are broadcast.
 
     Args:
         ecus: in the order of the configuration.
         rates: requests a second at most, by index of the bus; on others nothing is asked.
+        dm1: hears DTCs that are broadcast; None: nobody does.
+        bus_of: index of the bus of the answers, by index of the bus.
         may_ask: whether a bus may be asked now: it lives, the vehicle is awake, nobody has switched communication off.
 
     Attributes:
@@ -73,7 +77,10 @@ class Asking:
         ecus: Sequence[Ecu],
         rates: Mapping[int, float],
         may_ask: Callable[[int], bool],
+        dm1: Dm1Listener | None = None,
+        bus_of: Mapping[int, int] | None = None,
     ) -> None:
+        self._dm1, self._bus_of = dm1, bus_of or {}
         self.ecus = tuple(ecus)
         self._may_ask = may_ask
         self._apart_ns = {bus: round(1e9 / rate) for bus, rate in rates.items()}
@@ -82,29 +89,42 @@ class Asking:
         self.told: deque[Told] = deque()
         self._heard: dict[tuple[int, int], list[tuple[Ecu, bool]]] = {}
         self._functional: dict[tuple[int, int], list[Ecu]] = {}
+        self._groups: dict[tuple[int, int], EcuClient] = {}
         for ecu in self.ecus:
             client = ecu.client
             self._heard.setdefault((client.bus, client.place.request), []).append((ecu, True))
             self._heard.setdefault((client.bus, client.place.response), []).append((ecu, False))
+            groups = [ask.request for ask in client.asks if ask.request[0] == MARK]
+            for can_id in identifiers_of(groups, client.params.address or 0):
+                self._groups[client.bus, can_id] = client
             for can_id in FUNCTIONAL:
                 self._functional.setdefault((client.bus, can_id), []).append(ecu)
-        places = self._heard.keys() | self._functional.keys()
-        self.heard = frozenset(can_id for _, can_id in places)
-        self._ids = np.asarray(sorted(self.heard), np.uint32)
+        places = self._heard.keys() | self._functional.keys() | self._groups.keys()
+        self._known = frozenset(can_id for _, can_id in places)
+        self._ids = np.asarray(sorted(self._known), np.uint32)
         self._places = places
         self.next_ns = 0 if self._apart_ns else NEVER
 
-    def identifiers_on(self, bus: int) -> list[int]:
-        """Return the identifiers (with EXTENDED) that it listens to on a bus."""
+    @property
+    def heard(self) -> frozenset[int] | None:
+        """The identifiers (with EXTENDED) that it listens to on any bus; None: to all, as DM1 has many."""
+        return self._known if self._dm1 is None else None
+
+    def identifiers_on(self, bus: int) -> list[int] | None:
+        """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
+        if self._dm1 is not None and bus in self._dm1.buses:
+            return None
         return [can_id for index, can_id in self._places if index == bus]
 
     def hear(self, frames: Frames) -> Frames:
         """Take frames in order of time; returns them with those of the answers that they complete."""
-        if has_none_of(frames, self.heard):
+        if self._dm1 is None and has_none_of(frames, self._known):
             return frames
+        mine = np.isin(frames["can_id"], self._ids)
+        told = np.zeros(len(frames), np.bool_) if self._dm1 is None else self._dm1.among(frames)
         parts, start = [], 0
-        for k in np.flatnonzero(np.isin(frames["can_id"], self._ids)):
-            made = self._take(frames[k])
+        for k in np.flatnonzero(mine | told):
+            made = self._take(frames[k]) if mine[k] else self._broadcast(frames[k])
             if len(made):
                 parts += [frames[start : k + 1], made]
                 start = int(k) + 1
@@ -114,6 +134,10 @@ class Asking:
     def _take(self, frame: np.void) -> Frames:
         bus, can_id, t_ns = int(frame["bus"]), int(frame["can_id"]), int(frame["t_ns"])
         data, made = payload(frame), []
+        if (bus, can_id) in self._groups:
+            ended = ended_by(frame)
+            if ended is not None:
+                self._groups[bus, can_id].on_group(ended, t_ns)
         for ecu in self._functional.get((bus, can_id), ()):
             ecu.client.give_way(t_ns)
             ecu.asked = Reassembler().take(data, t_ns) or b""
@@ -151,10 +175,18 @@ class Asking:
             return ecu.weaver.frames(answer, t_ns)
         if ours and told.covers and told.whole and ecu.client.params.dtcs is not None:
             self._read_details(ecu, told)
+        return self._tell(told, t_ns, ecu.weaver.bus)
+
+    def _tell(self, told: Told, t_ns: int, bus: int) -> Frames:
+        """Keep what is told, and return the frame that is its place in time."""
         self.told.append(told)
         made = empty(1)
-        put(made, 0, t_ns, TELLS, answer[:8], bus=ecu.weaver.bus)
+        put(made, 0, t_ns, TELLS, b"", bus=bus)
         return made
+
+    def _broadcast(self, frame: np.void) -> Frames:
+        told = None if self._dm1 is None else self._dm1.take(frame)
+        return empty(0) if told is None else self._tell(told, int(frame["t_ns"]), self._bus_of[int(frame["bus"])])
 
     def _read_details(self, ecu: Ecu, told: Told) -> None:
         """Have the data of DTCs read that came, once each."""
@@ -234,6 +266,8 @@ class Asking:
                 ecu.client.succeed(known.client)
                 ecu.answers, ecu.requests = known.answers, known.requests
                 ecu.weaver.counts.update(known.weaver.counts)
+        if self._dm1 is not None and old._dm1 is not None:
+            self._dm1.succeed(old._dm1, buses)
         for bus, at_ns in old._next_of_bus.items():
             if buses.get(bus) in self._next_of_bus:
                 self._next_of_bus[buses[bus]] = at_ns
@@ -241,7 +275,7 @@ class Asking:
 
     def counters(self) -> dict[str, int]:
         """Return what they counted, of all ECUs together."""
-        found: dict[str, int] = {}
+        found: dict[str, int] = {} if self._dm1 is None else {"dm1_cut": self._dm1.errors}
         for state in self.states():
             for name, count in state.items():
                 if isinstance(count, int):

@@ -11,6 +11,7 @@ from gateway.answers.weave import NEGATIVE, POSITIVE, READ_SERVICES
 from gateway.bus.frames import Frames, empty, put
 from gateway.clients.params import DTC_SERVICES, EcuAddress, EcuParams
 from gateway.clients.passed import Passed, Waiting, transport_of
+from gateway.clients.pgn import MARK, WAIT_MS, Ended, frame_of, pgn_of
 from gateway.clients.refusals import BUSY, FINAL, PENDING
 from gateway.common.times import NEVER
 from gateway.isotp.edges import MOST_SHORT
@@ -59,13 +60,13 @@ class Ask:
 
     @property
     def name(self) -> str:
-        """Its bytes for people."""
-        return self.request.hex().upper()
+        """Its bytes for people, or its parameter group."""
+        return f"PGN {pgn_of(self.request)}" if self.request[0] == MARK else self.request.hex().upper()
 
 
 def allowed(request: bytes) -> bool:
     """Return whether a request only reads: nothing else leaves a client."""
-    return bool(request) and request[0] in (*READ_SERVICES, *DTC_SERVICES)
+    return bool(request) and request[0] in (*READ_SERVICES, *DTC_SERVICES, MARK)
 
 
 @dataclass
@@ -144,9 +145,13 @@ class EcuClient:
         if not allowed(ask.request):
             raise AssertionError(f"{ask.name} would change something")
         ask.due_ns = ask.due_ns or t_ns
-        self._asked, self._deadline_ns, self._pending = ask, t_ns + round(self.params.p2_ms * MS), 0
+        group = ask.request[0] == MARK
+        wait_ms = WAIT_MS if group else self.params.p2_ms
+        self._asked, self._deadline_ns, self._pending = ask, t_ns + round(wait_ms * MS), 0
         self._begun_ns = t_ns
         self.counts["requests"] += 1
+        if group:
+            return frame_of(ask.request, self.params.address or 0, self.bus, t_ns)
         return self._frame(bytes([len(ask.request)]) + ask.request, t_ns)
 
     @property
@@ -220,6 +225,19 @@ class EcuClient:
             return  # of another request, which was given up
         if ask.request[0] == 0x19 and answer[1:2] != ask.request[1:2]:
             return
+        self._answered(ask, t_ns)
+
+    def on_group(self, ended: Ended, t_ns: int) -> None:
+        """Take a frame that may end the request for a parameter group."""
+        ask = self._asked
+        if ask is None or ask.request != ended.request:
+            return
+        if ended.code:
+            self._refused(ask, ended.code, t_ns)
+        else:
+            self._answered(ask, t_ns)
+
+    def _answered(self, ask: Ask, t_ns: int) -> None:
         self.counts["answers"] += 1
         ask.delays = 0
         self._end(ask, t_ns, heard=True)

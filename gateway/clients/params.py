@@ -10,6 +10,7 @@ from pydantic import Field, model_validator
 from gateway.answers.model import TWO_BYTES, Address, request_name
 from gateway.answers.weave import READ_SERVICES
 from gateway.bus.frames import EXTENDED
+from gateway.clients import pgn
 from gateway.engine.checks.communication import Params as CheckParams
 from gateway.faults.settings import ConditionSettings, DtcText
 from gateway.monitors.contract import Debounce, Fault
@@ -23,21 +24,30 @@ DTC_REQUESTS = {"uds": (b"\x19\x02\xaf",), "obd": (b"\x03", b"\x07", b"\x0a")}
 TESTER = 0xF1
 
 
+#: DTC of another ECU, as the vehicle's memory has it; without a failure type it is any.
+_CODE = r"^([PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?|SPN \d+ FMI \d+)$"
+
+
 class ReadParams(StrictModel):
     """A value that is read again and again."""
 
     did: int | None = Field(None, ge=0, le=0xFFFF, description="data identifier (0x22)")
     pid: int | None = Field(None, ge=0, le=0xFF, description="PID of current data (OBD 0x01)")
+    pgn: int | None = Field(
+        None, ge=0, le=0x3FFFF, description="J1939: parameter group; its messages are the bus's own"
+    )
     service: int | None = Field(None, description="0x01, 0x09, 0x21 or 0x22: with identifier, instead of did and pid")
     identifier: int | None = Field(None, ge=0, le=0xFFFF, description="that the service reads")
     every_ms: float = Field(ge=10, le=86_400_000, description="time between two requests [ms]")
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        given = [self.did is not None, self.pid is not None, self.service is not None]
+        given = [each is not None for each in (self.did, self.pid, self.pgn, self.service)]
         if sum(given) != 1 or (self.service is None) != (self.identifier is None):
-            raise ValueError("give did, or pid, or service with identifier")
+            raise ValueError("give did, or pid, or pgn, or service with identifier")
         service, identifier = self.key
+        if self.pgn is not None:
+            return self
         if service not in READ_SERVICES:
             known = ", ".join(f"0x{each:02X}" for each in READ_SERVICES)
             raise ValueError(f"service 0x{service:02X} is not read by schedule; only {known}")
@@ -47,7 +57,9 @@ class ReadParams(StrictModel):
 
     @property
     def key(self) -> tuple[int, int]:
-        """Service and identifier."""
+        """Service and identifier; of a parameter group its number."""
+        if self.pgn is not None:
+            return pgn.MARK, self.pgn
         if self.did is not None:
             return 0x22, self.did
         if self.pid is not None:
@@ -55,8 +67,15 @@ class ReadParams(StrictModel):
         return self.service or 0, self.identifier or 0
 
     @property
+    def name(self) -> str:
+        """The request for people: 22F190, PGN 65260."""
+        return request_name(*self.key) if self.pgn is None else f"PGN {self.pgn}"
+
+    @property
     def request(self) -> bytes:
-        """Bytes of the request."""
+        """Bytes of the request, as the schedule has it."""
+        if self.pgn is not None:
+            return pgn.request_of(self.pgn)
         return bytes.fromhex(request_name(*self.key))
 
 
@@ -73,7 +92,8 @@ class EcuFaultParams(StrictModel):
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="second part of its id")
     of: str = Field(
-        pattern=r"^[PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?$", description='DTC of the ECU: "P0A80-16", "P0A80"'
+        pattern=r"^([PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?|SPN \d+ FMI \d+)$",
+        description='DTC of the ECU: "P0A80-16", "P0A80"',
     )
     dtc: DtcText = Field(description="DTC of ours")
     description: str = Field("another ECU reports a DTC", min_length=1, description="one line for people")
@@ -137,7 +157,9 @@ class EcuParams(StrictModel):
         seen: set[tuple[int, int]] = set()
         for read in self.read:
             if read.key in seen:
-                raise ValueError(f"{request_name(*read.key)} is read twice")
+                raise ValueError(f"{read.name} is read twice")
+            if read.pgn is not None and self.address is None:
+                raise ValueError(f"{read.name}: give the ECU's J1939 address: address")
             seen.add(read.key)
         return self
 

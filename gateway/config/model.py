@@ -51,6 +51,7 @@ class BusConfig(StrictModel):
     )
 
     ask: AskParams = Field(AskParams(), description="how its ECUs are asked ([[ecu]])")
+    dm1: bool = Field(False, description="J1939: DTCs that other ECUs broadcast (DM1) are kept, too")
     listen_only: bool = Field(False, description="nothing is sent on it, and no ECU of it is asked")
 
     @field_validator("uri")
@@ -216,8 +217,8 @@ class Config(StrictModel):
 
     @property
     def answered(self) -> dict[int, list[int]]:
-        """Indices of the ECUs of each bus that has some: a bus of their answers for each, in this order."""
-        found: dict[int, list[int]] = {}
+        """Indices of the ECUs of each bus that has some, or DM1: a bus of their answers for each, in this order."""
+        found: dict[int, list[int]] = {k: [] for k, bus in enumerate(self.bus) if bus.dm1}
         for k, ecu in enumerate(self.ecu):
             names = [bus.name for bus in self.bus]
             if ecu.bus in names or (ecu.bus is None and len(names) == 1):

@@ -171,7 +171,7 @@ def answer_buses(config: Config) -> tuple[AnswerBus, ...]:
                 with wrong, under(f"ecu[{k}].signals[{at}]", str(path)):
                     layouts += read_layouts(path)
             found.append((ecu.name, layouts_for(layouts, ecu.owner)))
-        with wrong, under(f"ecu[{ecus[-1]}]"):
+        with wrong, under(f"ecu[{ecus[-1]}]" if ecus else "ecu"):
             made.append(answer_bus(found))
     wrong.check()
     return tuple(made)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from gateway.faults.records import Record, Recording
 from gateway.faults.remedy import severity_names
 from gateway.faults.status import Status
 from gateway.faults.store import OutdatedError, Store
+from gateway.faults.vehicle import EcuDtc
 from gateway_fdi.errors import GatewayError, InputError
 
 
@@ -163,6 +165,24 @@ def interventions(path: Path) -> list[dict[str, Any]]:
     store = open_reader(path)
     try:
         return [intervention_as_dict(each) for each in store.interventions()]
+    finally:
+        store.close()
+
+
+def ecu_dtc_as_dict(each: EcuDtc) -> dict[str, Any]:
+    """Return a DTC of another ECU in the form of the JSON contract."""
+    return {**asdict(each), "snapshots": dict(each.snapshots)}
+
+
+def ecu_dtcs(path: Path) -> list[dict[str, Any]]:
+    """Return the DTCs of other ECUs.
+
+    Raises:
+        InputError: there is no fault memory at this path.
+    """
+    store = open_reader(path)
+    try:
+        return [ecu_dtc_as_dict(each) for each in store.ecu_dtcs()]
     finally:
         store.close()
 

@@ -1,6 +1,6 @@
 """DTCs of other ECUs, as their answers tell them: when each came and went, its status, its snapshots.
 
-What an answer does not tell is not concluded: a DTC has gone when an answer that would have it has it no more.
+Nothing is concluded that an answer does not tell: a DTC has gone when an answer that would have it has it no more.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ MOST = 2000
 
 
 class Told(NamedTuple):
-    """What an answer says of an ECU's DTCs.
+    """Contents of an answer: an ECU's DTCs.
 
     Attributes:
         ecu: its name.

@@ -151,10 +151,11 @@ class Gateway:
         self.asking = asking_of(config, self._parts, self.controls, self._may_ask)
         self._vehicle = Vehicle(config, self.asking, self.memory, self.engine)
         servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
-        self.servers = BusServers([*servers, self._vehicle], len(config.buses), lambda: self.controls.send)
+        servers += [self._vehicle] if config.answered else []
+        self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
         connect_routes(self.servers, self.asking)
-        served = self.servers.heard
-        self._heard = None if served is None else served | self.asking.heard
+        served, asked = self.servers.heard, self.asking.heard
+        self._heard = None if served is None or asked is None else served | asked
         self._connect()
 
     def _may_ask(self, bus: int) -> bool:
@@ -447,8 +448,13 @@ class Gateway:
 
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
-        decoded, served = self.engine.plan.identifiers(bus), self.servers.identifiers_on(bus)
-        return None if decoded is None or served is None else decoded + served + self.asking.identifiers_on(bus)
+        found: list[int] = []
+        for of in (self.engine.plan.identifiers, self.servers.identifiers_on, self.asking.identifiers_on):
+            more = of(bus)
+            if more is None:
+                return None
+            found += more
+        return found
 
     def serve_requests(self) -> None:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
@@ -500,6 +506,17 @@ class Gateway:
     def notes(self) -> tuple[str, ...]:
         """Choices where the configuration leaves them to the databases, one line each."""
         return self._parts.notes
+
+    @property
+    def unread(self) -> list[str]:
+        """Signals of answers that are not decoded, and reads whose answers have no layout, one line each."""
+        found = [text for bus in self._parts.answers for text in bus.left_out]
+        for ecus, answers in zip(self.config.answered.values(), self._parts.answers, strict=True):
+            for k, lengths in zip(ecus, answers.lengths, strict=True):
+                ecu = self.config.ecu[k]
+                unread = [read.name for read in ecu.read if read.key not in lengths and read.pgn is None]
+                found += [f"ecu[{k}]: no layout of {', '.join(unread)}: answers are only counted"] if unread else []
+        return found
 
     @property
     def signal_slots(self) -> dict[str, int]:

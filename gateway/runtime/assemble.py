@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from gateway.answers.pages import AnswerBus
 from gateway.answers.weave import Weaver
 from gateway.clients.asking import Asking, Ecu
+from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.ecu import MS, Ask, EcuClient, asks_of
 from gateway.clients.params import DTC_REQUESTS, EcuParams
 from gateway.config.model import Config
@@ -369,7 +370,22 @@ def asking_of(config: Config, parts: Parts, control: TesterControl, may_ask: Cal
             client = EcuClient(params, bus, [*asks_of(params), *_asks_of_dtcs(params, control)])
             made.append(Ecu(client, Weaver(pages, lengths, len(config.bus) + at)))
     rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
-    return Asking(made, rates, may_ask)
+    bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}
+    return Asking(made, rates, may_ask, _dm1_of(config), bus_of)
+
+
+def _dm1_of(config: Config) -> Dm1Listener | None:
+    """Build what hears DTCs that are broadcast; None: no bus wants it. An ECU is known by its address."""
+    buses = [k for k, bus in enumerate(config.bus) if bus.dm1]
+    names = {
+        (bus, config.ecu[k].address or 0): config.ecu[k].name
+        for bus, ecus in config.answered.items()
+        for k in ecus
+        if config.ecu[k].address is not None
+    }
+    own = config.output.j1939
+    ours = [] if own is None else [(config.bus_index(own.bus), own.address)]
+    return Dm1Listener(buses, names, {k: config.bus[k].name for k in buses}, ours) if buses else None
 
 
 def _asks_of_dtcs(params: EcuParams, control: TesterControl) -> list[Ask]:

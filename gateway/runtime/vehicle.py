@@ -60,7 +60,7 @@ class Vehicle(BusServer):
     def _test(self, told: Told) -> None:
         """Report the faults that stand for DTCs of which the answer speaks."""
         known = {each.dtc: each for each in self._memory.vehicle.all() if each.ecu == told.ecu}
-        for of, place in self._faults[told.ecu]:
+        for of, place in self._faults.get(told.ecu, ()):
             # A code without a failure type stands for all that begin so.
             mine = [each for each in known.values() if each.dtc == of or each.dtc[:5] == of]
             there = any(each.there for each in mine)
@@ -69,7 +69,8 @@ class Vehicle(BusServer):
 
     def counters(self) -> dict[str, int]:
         """Return how many DTCs there was no room for."""
-        return {"ecu_dtcs_dropped": self._memory.vehicle.dropped} if self._faults else {}
+        dropped = self._memory.vehicle.dropped
+        return {"ecu_dtcs_dropped": dropped} if dropped else {}
 
 
 def ecu_dtc_event(dtc: EcuDtc, state: str, t_ns: int) -> dict[str, Any]:

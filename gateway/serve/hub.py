@@ -30,7 +30,7 @@ MOST_WAITING, MOST_PASSING = 2000, 40
 MANY_EVENTS = 100
 PASSING = {"tick", "buses", "messages"}
 #: Messages of which the latest says all.
-STATES = {"memory", "link", "monitoring"}
+STATES = {"memory", "link", "monitoring", "ecus"}
 #: Least time between two looks into the fault memory's file, and longest [s].
 READ_S, LOOK_S = 0.1, 2.0
 #: Kinds of events that the page lists.
@@ -47,6 +47,7 @@ LISTED = {
     "config",
     "injected",
     "reporter",
+    "ecu_dtc",
 }
 
 #: State of the switches where none has been used.
@@ -132,6 +133,7 @@ class Hub:
         self.buses: list[dict[str, Any]] = []
         self.counters: dict[str, int] = {}
         self.reporters: list[dict[str, Any]] = []
+        self.ecus: list[dict[str, Any]] = []
         self.monitoring: dict[str, Any] = dict(ALL_ON)
         self.messages: list[dict[str, Any]] = []
         self.history = History(0)
@@ -213,6 +215,7 @@ class Hub:
                 "memory": self.memory,
                 "buses": self.buses,
                 "monitoring": self.monitoring,
+                "ecus": self.ecus,
                 "messages": self.messages,
                 "latest": list(self.latest.values()),
                 "events": list(self.events),
@@ -288,6 +291,10 @@ class Hub:
     def _on_buses(self, message: dict[str, Any], _: bytes) -> None:
         self.buses, self.counters = self._loads.shown(message), message["counters"]
         self.reporters = message.get("reporters", [])
+        ecus = message.get("ecus", [])
+        if ecus != self.ecus:
+            self.ecus = ecus
+            self._tell("ecus", ecus)
         self._tell("buses", self.buses)
         self._take_monitoring(message)
 

@@ -71,6 +71,7 @@ class MemoryFile:
             stored = not is_unsaved(self._path)
             entries = service.entries_in(store, records, stored=stored)
             status = {record.id: record.status for record in records}
+            ecu_dtcs = [service.ecu_dtc_as_dict(each) for each in store.ecu_dtcs()]
             cycles = {name: {"number": c.number, "open": c.open} for name, c in store.cycles().items()}
         except (GatewayError, OSError) as error:
             self.close()
@@ -83,6 +84,7 @@ class MemoryFile:
             "cases": [case.as_dict() for case in cases_of(entries)],
             "status": status,
             "cycles": cycles,
+            "ecu_dtcs": ecu_dtcs,
             "stored": stored,
             "readiness": readiness(faults, status),
         }
@@ -100,7 +102,7 @@ class MemoryFile:
 
 
 _NOTHING: dict[str, Any] = {
-    "entries": [], "cases": [], "status": {}, "cycles": {}, "stored": True, "readiness": [],
+    "entries": [], "cases": [], "status": {}, "cycles": {}, "ecu_dtcs": [], "stored": True, "readiness": [],
 }  # fmt: skip
 
 

@@ -51,6 +51,7 @@ class Metrics(Collector):
         yield from self._faults()
         yield from self._buses()
         yield from self._reporters()
+        yield from self._ecus()
         decoded = self._hub.counters
         for name, text in (
             ("frames", "Frames taken in."),
@@ -120,6 +121,23 @@ class Metrics(Collector):
                 there.add_metric([name], float(bool(each["lost"])))
         if self._hub.reporters:
             yield from (reports, losses, there)
+
+    def _ecus(self) -> Iterator[Metric]:
+        requests = CounterMetricFamily("gateway_ecu_requests", "Requests to other ECUs.", labels=["ecu"])
+        ends = CounterMetricFamily(
+            "gateway_ecu_outcomes", "Requests to other ECUs, and their answers, by what became of them.",
+            labels=["ecu", "outcome"],
+        )  # fmt: skip
+        there = GaugeMetricFamily("gateway_ecu_dtc", "Whether a DTC of another ECU is there.", labels=["ecu", "dtc"])
+        for state in self._hub.ecus:
+            requests.add_metric([state["ecu"]], float(state["requests"]))
+            for name, count in state.items():
+                if name != "requests" and isinstance(count, int):
+                    ends.add_metric([state["ecu"], name], float(count))
+        for each in self._hub.memory["ecu_dtcs"]:
+            there.add_metric([each["ecu"], each["dtc"]], float(each["there"]))
+        if self._hub.ecus or self._hub.memory["ecu_dtcs"]:
+            yield from (requests, ends, there)
 
     def _buses(self) -> Iterator[Metric]:
         state = GaugeMetricFamily("gateway_bus_open", "Whether the bus is open.", labels=["bus"])

@@ -6,6 +6,7 @@
 | ``BASE/monitoring`` | yes | ``on``, or ``off`` while it is switched off |
 | ``BASE/causes`` | yes | causes of the faults that are there now: a list, the most important first |
 | ``BASE/dtc/FAULT`` | yes | an entry of the fault memory as JSON; gone when it is cleared |
+| ``BASE/ecu/NAME/dtc/DTC`` | yes | a DTC of another ECU as JSON; gone when it went |
 | ``BASE/signal/NAME`` | no | a chosen signal, at a limited rate |
 
 It only tells: there is no topic by which a broker could ask for anything.
@@ -138,6 +139,9 @@ class Publisher:
             told["failed"] = bool(status & Status.TEST_FAILED)
             told["confirmed"] = bool(status & Status.CONFIRMED_DTC)
             made[f"{self.base}/dtc/{topic_part(entry['fault'])}"] = line(told)
+        for each in self._hub.memory["ecu_dtcs"]:
+            if each["there"]:
+                made[f"{self.base}/ecu/{topic_part(each['ecu'])}/dtc/{topic_part(each['dtc'])}"] = line(each)
         return made
 
     def _tell_states(self) -> None:

@@ -208,8 +208,42 @@ read = [{ service = 0x22, identifier = 2, every_ms = 500 }]
     assert all(found.state(k)["answers"] >= 1 for k in (0, 1))
 
 
+def test_groups_of_j1939_are_requested(tmp_path):
+    toml = """
+[[ecu]]
+name = "engine"
+address = 0x00
+read = [{ pgn = 65253, every_ms = 500 }, { pgn = 65259, every_ms = 500 }, { pgn = 65260, every_ms = 500 }]
+"""
+    dbc = 'VERSION ""\nBU_: A\nBO_ 2566841600 HOURS: 8 A\n SG_ Hours : 0|32@1+ (0.05,0) [0|0] "h" A\n'
+    (tmp_path / "j1939.dbc").write_text(dbc)
+    signal = '[[monitor]]\nname = "h"\ntype = "signal"\nsignal = [{ signal = "HOURS.Hours", plausible = [0, 9e9] }]\n'
+    bus = BUS + 'database = ["j1939.dbc"]\nmatch = "pgn"\n'
+    found = Car(write(tmp_path, bus + toml + signal))
+    asked, seen = [], 0
+    for _ in range(300):
+        found.run(10)
+        for _, can_id, data in found.sent[seen:]:
+            assert can_id == EXTENDED | 0x18EA00F9
+            asked.append(int.from_bytes(data, "little"))
+            if asked[-1] == 65253:
+                found.say(EXTENDED | 0x18FEE500, b"\x64\0\0\0\xff\xff\xff\xff")
+            elif asked[-1] == 65259:  # several packets: a broadcast is announced
+                found.say(EXTENDED | 0x1CECFF00, b"\x20\x0a\x00\x02\xff\xeb\xfe\x00")
+            else:
+                found.say(EXTENDED | 0x18E8FF00, b"\x01\xff\xff\xff\xf9\xec\xfe\x00")
+        seen = len(found.sent)
+    assert asked.count(65260) == 1
+    assert found.state()["not_asked"] == {"PGN 65260": "requestOutOfRange (0x31)"}
+    assert (found.state()["refused"], found.state()["absent"]) == (1, 0)
+    assert found.state()["answers"] == len(asked) - 1 >= 10
+    assert found.value("obd.HOURS.Hours") == 5.0
+    with pytest.raises(GatewayError, match="give the ECU's J1939 address"):
+        load_config(write(tmp_path, BUS + ONE.replace("did = 0xF40D", "pgn = 65253")))
+
+
 def test_a_request_that_would_change_something_cannot_be_sent_or_configured(tmp_path):
-    assert [service for service in range(256) if allowed(bytes([service]))] == [1, 3, 7, 9, 10, 0x19, 0x21, 0x22]
+    assert [service for service in range(256) if allowed(bytes([service]))] == [1, 3, 7, 9, 10, 0x19, 0x21, 0x22, 0xEA]
     params = EcuParams(name="e", request=1, response=2)
     for request in ("1003", "14FFFFFF", "2701", "2E010001", "310101", "1101", "04", "8502", "3E00"):
         with pytest.raises(AssertionError):

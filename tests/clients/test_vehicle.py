@@ -1,5 +1,7 @@
 """DTCs of other ECUs: came, changed, went; what an answer does not say is not concluded; kept over restarts."""
 
+import json
+
 import numpy as np
 import pytest
 from asking_rig import BUS, Car, Ecu, Server, settled, write
@@ -173,3 +175,86 @@ def test_names_of_faults_are_theirs_alone(tmp_path):
         with pytest.raises(GatewayError, match="taken|of") as error:
             load_config(write(tmp_path, BUS + wrong))
         assert text in str(error.value)
+
+
+def test_people_and_programs_see_them(brake, tmp_path, capsys):
+    from typer.testing import CliRunner
+
+    from gateway.cli import app
+
+    made, _, file = brake
+    made.run(2000)
+    made.gateway.stop(made.now)
+    run = CliRunner()
+    memory = ["--memory", str(tmp_path / "memory.sqlite")]
+    shown = run.invoke(app, ["faults", "list", *memory, "--ecu", "brake"]).stdout
+    assert "C0000-11" in shown
+    assert "1904: 0101F19031" in shown
+    assert (
+        "no DTCs of other ECUs; the ECUs with DTCs are brake"
+        in run.invoke(app, ["faults", "list", *memory, "--ecu", "break"]).stdout
+    )
+    (known,) = json.loads(run.invoke(app, ["faults", "list", *memory, "--ecu", "all", "--json"]).stdout)
+    assert (known["ecu"], known["there"]) == ("brake", True)
+    checked = run.invoke(app, ["check", str(file)]).stdout
+    assert "asks brake (0x7E0, 0x7E8) on obd: DTCs (uds) every 1 s" in checked
+    assert "U1234-00  brake.any" in checked
+
+
+def test_metrics_and_the_broker_have_them():
+    from pathlib import Path
+
+    from gateway.serve.hub import Hub
+    from gateway.serve.metrics import Metrics
+    from gateway.serve.mqtt import BrokerSettings, Publisher
+
+    hub = Hub(Path("none"))
+    hub.ecus = [{"ecu": "brake", "requests": 7, "answers": 5, "absent": 2, "not_asked": {}}]
+    one = {"ecu": "brake", "dtc": "C0035-11", "there": True, "status": 8}
+    hub.memory["ecu_dtcs"] = [one, {**one, "dtc": "C0036-11", "there": False}]
+    text = Metrics(hub).text().decode()
+    assert 'gateway_ecu_requests_total{ecu="brake"} 7.0' in text
+    assert 'gateway_ecu_outcomes_total{ecu="brake",outcome="absent"} 2.0' in text
+    assert 'gateway_ecu_dtc{dtc="C0036-11",ecu="brake"} 0.0' in text
+    states = Publisher(hub, BrokerSettings("none"), "car").states()
+    assert [topic for topic in states if "/ecu/" in topic] == ["gateway/car/ecu/brake/dtc/C0035-11"]
+
+
+@pytest.mark.parametrize("listening", [True, False])
+def test_dtcs_that_are_broadcast_are_kept_without_asking(tmp_path, listening):
+    from gateway.j1939.frame import GLOBAL, Pdu
+    from gateway.j1939.transport import Transport
+    from gateway.servers.j1939.messages import dtc_bytes
+
+    dtcs = [dtc_bytes(100, 3, 1), dtc_bytes(0x7FFFE, 31, 1)]
+    engine = Transport(0x00)
+    toml = (
+        BUS
+        + ("dm1 = true\n" if listening else "")
+        + '[[ecu]]\nname = "engine"\naddress = 0\n[clock]\nwatched = false\n'
+    )
+    made = Car(write(tmp_path, toml))
+
+    def say(transport, coded):
+        pdus = transport.send(0xFECA, b"\x04\xff" + (b"".join(coded) or bytes(4)), GLOBAL, made.now)
+        while pdus:
+            for pdu in pdus:
+                made.say(pdu.can_id, pdu.data)
+            made.run(60)
+            pdus = transport.on_time(made.now)
+
+    say(engine, dtcs)
+    say(Transport(0x21), dtcs[:1])
+    say(engine, dtcs[:1])
+    say(Transport(0x21), [])
+    told = [(e["ecu"], e["dtc"], e["state"]) for e in made.events if e["event"] == "ecu_dtc"]
+    wanted = [
+        ("engine", "SPN 100 FMI 3", "came"),
+        ("engine", "SPN 524286 FMI 31", "came"),
+        ("obd:21", "SPN 100 FMI 3", "came"),
+        ("engine", "SPN 524286 FMI 31", "went"),
+        ("obd:21", "SPN 100 FMI 3", "went"),
+    ]
+    assert told == (wanted if listening else [])
+    assert made.sent == []
+    assert Pdu(0xFECA, 0x21, GLOBAL, b"").can_id == 0x98FECA21

@@ -183,6 +183,46 @@ def test_a_rough_bus_gives_what_python_gives(rigs):
     gateway.close()
 
 
+def test_ecus_are_asked_while_it_runs(rigs, tmp_path):
+    """Requests leave in time though no frame comes to Python; answers have one frame, and 23."""
+    from asking_rig import DBC
+
+    (tmp_path / "cells.dbc").write_text(DBC)
+    config = write_config(tmp_path)
+    ecu = 'name = "battery"\nrequest = 0x7E4\nresponse = 0x7EC\nsignals = ["cells.dbc"]\n'
+    config.write_text(
+        config.read_text().replace("[[bus]]", "[[bus]]\nask = { requests_per_s = 200 }", 1)
+        + f"\n[[ecu]]\n{ecu}read = [{{ did = 0x2101, every_ms = 10 }}, {{ did = 0x1111, every_ms = 10 }}]\n"
+        + 'check = [{ message = "Cells", timeout_ms = 5000.0, lost = "U0123", invalid = "U0456" }]\n'
+    )
+    rig, seen, asked = rigs(config), 0, 0
+    for count in range(100_000):
+        rig.send(0, frame(0x300, beat(count)))
+        rig.turn()
+        for raw in rig.sent[0][seen:]:
+            can_id, data = int.from_bytes(raw[:4], "little"), raw[8:16]
+            if can_id == 0x7E4 and data[0] == 0x30:
+                rig.send(0, *(frame(0x7EC, bytes([0x20 | (1 + k) & 15]) + bytes(7)) for k in range(22)))
+            elif can_id == 0x7E4:
+                asked += 1
+                long = data[2:4] == b"\x21\x01"
+                rig.send(0, frame(0x7EC, b"\x10\x99\x62\x21\x01\x0e\x74\0" if long else b"\x04\x62\x11\x11\x07\0\0\0"))
+        seen = len(rig.sent[0])
+        if asked == 30:
+            break
+    (state,) = rig.gateway.asking.states()
+    assert state["requests"] == asked == 30
+    assert 0 <= asked - state["answers"] - state["absent"] <= 1
+    assert state["answers_decoded"] > 10
+    assert state["answers_cut"] == 0
+    assert pumping.WANTED in rig.why
+    gateway, events, sent = reference(config, rig)
+    assert_equal(rig.gateway, gateway)
+    assert [e for e in rig.events if e["event"] != "bus"] == events
+    assert sorted(rig.sent[0]) == sorted(pack(each) for part in sent for each in part)
+    gateway.close()
+
+
 def test_two_buses_in_one_order(rigs, tmp_path):
     config = write_config(tmp_path, buses=(("chassis", "virtual:a"), ("body", "virtual:b")))
     rig, rng, counts = rigs(config, 2), np.random.default_rng(SEED), [0, 0]

@@ -4,12 +4,12 @@ import { get, keepToken, listen, mayChange, post } from "/static/api.js";
 import { byId, clock, say } from "/static/dom.js";
 import { Dtcs } from "/static/dtcs.js";
 import { Residuals } from "/static/residuals.js";
-import { showBuses, showCycle, showInjected, showLog, showMessages, textOf } from "/static/tables.js";
+import { showBuses, showCycle, showInjected, showLog, showMessages, showVehicle, textOf } from "/static/tables.js";
 
 const DRAW_MS = 200;
 const state = {
-  connected: false, reason: "", memory: { entries: [], cases: [], cycles: {}, readiness: [], stored: true, error: "" }, bits: [],
-  on: true, events: [], messages: [], latest: 0, came: 0, paused: false, end: 0, zero: 0, asked: null,
+  connected: false, reason: "", memory: { entries: [], cases: [], cycles: {}, ecu_dtcs: [], readiness: [], stored: true, error: "" }, bits: [],
+  on: true, ecus: [], events: [], messages: [], latest: 0, came: 0, paused: false, end: 0, zero: 0, asked: null,
 };
 const residuals = new Residuals();
 const dtcs = new Dtcs((dtc) => askClear(dtc));
@@ -19,7 +19,7 @@ const dtcs = new Dtcs((dtc) => askClear(dtc));
 const takes = {
   state(told) {
     Object.assign(state, { hello: told.hello, connected: told.connected, reason: told.reason, memory: told.memory,
-      bits: told.bits, events: told.events, messages: told.messages });
+      bits: told.bits, events: told.events, messages: told.messages, ecus: told.ecus });
     say(byId("name"), told.hello.name || "gateway");
     document.title = told.hello.name ? `${told.hello.name} – gateway` : "gateway";
     say(byId("version"), told.hello.version ? `gateway ${told.hello.version}` : "");
@@ -60,6 +60,10 @@ const takes = {
     showMemory();
   },
   buses: (buses) => soon(() => showBuses(buses), "buses"),
+  ecus(ecus) {
+    state.ecus = ecus;
+    soon(showMemory);
+  },
   messages(messages) {
     state.messages = messages;
     if (!state.paused) showMessages(messages, byId("find").value);
@@ -82,6 +86,7 @@ function showMemory() {
   dtcs.counters(residuals);
   residuals.rank(state.memory.cases);
   showCycle(state.memory);
+  showVehicle(state.ecus, state.memory.ecu_dtcs);
   showVerdict();
 }
 

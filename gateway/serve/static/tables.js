@@ -51,6 +51,24 @@ export function showMessages(messages, find) {
   place.replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...titles)), make("tbody", {}, ...rows)));
 }
 
+const table = (titles, rows) => make("table", {}, make("thead", {}, make("tr", {}, ...titles.map((text) => make("th", { scope: "col" }, text)))),
+  make("tbody", {}, ...rows));
+
+// Other ECUs: how they answer, and their trouble codes.
+export function showVehicle(ecus, dtcs) {
+  byId("vehicle-card").hidden = !ecus.length && !dtcs.length;
+  const answers = ecus.map((ecu) => make("tr", {}, make("th", { scope: "row" }, ecu.ecu),
+    ...["requests", "answers", "refused", "absent", "yielded"].map((name) => make("td", { class: "number" }, String(ecu[name]))),
+    make("td", {}, Object.entries(ecu.not_asked).map(([request, why]) => `${request}: ${why}`).join("; "))));
+  byId("ecus").replaceChildren(...(answers.length ? [table(["ECU", "Requests", "Answers", "Refused", "No answer", "Gave way", "Not asked any more"], answers)] : []));
+  const rows = dtcs.map((each) => make("tr", {}, make("th", { scope: "row" }, each.ecu), make("td", { class: "mono" }, each.dtc),
+    make("td", {}, make("span", { class: `pill ${each.there ? "bad" : "good"}` }, each.there ? "there" : "went")),
+    make("td", { class: "mono" }, `0x${each.status.toString(16).toUpperCase().padStart(2, "0")}`), make("td", { class: "number" }, String(each.came)),
+    make("td", {}, clock(each.first_ns / 1e6)), make("td", {}, clock(each.last_ns / 1e6))));
+  byId("vehicle").replaceChildren(rows.length ? table(["ECU", "DTC", "State", "Status", "Came", "First", "Last"], rows)
+    : make("p", { class: "none" }, "No trouble codes of other ECUs."));
+}
+
 export function showCycle(memory) {
   const cycles = Object.entries(memory.cycles).map(([name, c]) => `${name}: number ${c.number}, ${c.open ? "running" : "ended"}`);
   say(byId("cycle-text"), cycles.join("; ") || "unknown");
@@ -70,6 +88,7 @@ export function textOf(event) {
     case "dtc": return `${event.dtc} ${event.status & 1 ? "failed" : "healed"}: ${event.fault}`;
     case "diagnosis": return told(event.groups);
     case "symptoms": return `symptoms ${event.state}: ${event.faults.join(", ")}`;
+    case "ecu_dtc": return `ECU ${event.ecu}: ${event.dtc} ${event.state}`;
     case "clear": return `cleared: ${event.faults.join(", ") || "no entry was there"}`;
     case "cycle": return `operation cycle ${event.cycle} ${event.state} (${event.number})`;
     case "intervention": return `${event.protocol === "local" ? "this machine" : `tester ${event.protocol}`}: ${event.action}${event.outcome === "done" ? "" : ", refused"}`;

@@ -7,7 +7,7 @@ import random
 from pydantic import Field
 
 from gateway.common.times import NEVER
-from gateway.servers.j1939.frame import ADDRESS_CLAIMED, GLOBAL, NULL, Pdu
+from gateway.j1939.frame import ADDRESS_CLAIMED, GLOBAL, NULL, Pdu
 from gateway_fdi.common.tomlfile import StrictModel
 
 #: Time for others to contend after a claim.

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import ERROR, EXTENDED, REMOTE, Frames
-from gateway.servers.j1939.claim import Claim, NameParams
-from gateway.servers.j1939.frame import (
+from gateway.j1939.frame import (
     ACKNOWLEDGMENT,
     ADDRESS_CLAIMED,
     COMMANDED_ADDRESS,
@@ -22,7 +21,8 @@ from gateway.servers.j1939.frame import (
     read_pdu,
     to_frames,
 )
-from gateway.servers.j1939.transport import Message, Transport
+from gateway.j1939.transport import Message, Transport
+from gateway.servers.j1939.claim import Claim, NameParams
 
 #: Kinds of acknowledgment (J1939-21, 5.4.4).
 POSITIVE, NEGATIVE, DENIED = 0, 1, 2

@@ -13,6 +13,7 @@ from gateway.faults.entries import DtcChange
 from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.faults.store import StoreError
+from gateway.j1939.frame import GLOBAL
 from gateway.servers.authority import SESSIONLESS_ASKER, Authority, Refusal
 from gateway.servers.bus_server import BusServer
 from gateway.servers.j1939 import messages as dm
@@ -20,7 +21,6 @@ from gateway.servers.j1939.answers import Answers
 from gateway.servers.j1939.dm1 import Dm1Schedule
 from gateway.servers.j1939.dtcs import CodedDtcs
 from gateway.servers.j1939.endpoint import DENIED, NEGATIVE, POSITIVE, J1939Endpoint, PgnRequest
-from gateway.servers.j1939.frame import GLOBAL
 from gateway.servers.j1939.params import J1939Params
 from gateway.servers.tester_control import TesterControl
 

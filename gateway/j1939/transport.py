@@ -9,7 +9,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from gateway.common.times import NEVER
-from gateway.servers.j1939.frame import GLOBAL, TP_CM, TP_DT, Pdu, pgn_bytes
+from gateway.j1939.frame import GLOBAL, TP_CM, TP_DT, Pdu, pgn_bytes
 
 RTS, CTS, END_OF_MESSAGE, BAM, ABORT = 16, 17, 19, 32, 255
 #: Reasons of an abort.
