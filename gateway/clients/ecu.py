@@ -230,7 +230,7 @@ class EcuClient:
     def on_group(self, ended: Ended, t_ns: int) -> None:
         """Take a frame that may end the request for a parameter group."""
         ask = self._asked
-        if ask is None or ask.request != ended.request:
+        if not isinstance(ask, Ask) or ask.request != ended.request:
             return
         if ended.code:
             self._refused(ask, ended.code, t_ns)

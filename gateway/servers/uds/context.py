@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
+from gateway.isotp.edges import MOST_SHORT
 from gateway.servers.access import SESSIONS, Need
 from gateway.servers.authority import Asker, Authority, Holder, Refusal
 from gateway.servers.identifiers import Identifiers
@@ -46,7 +47,7 @@ class Context:
     bus: str = ""
     trace_did: int | None = None  # data identifier of what testers did
     testers: list[Context] = field(default_factory=list)  # of all addresses, this one too
-    longest: int = 4095  # bytes of a response that the transport carries; of ISO-TP in its usual form
+    longest: int = MOST_SHORT  # bytes of a response that the transport carries
     now_ns: int = 0
     session: int = DEFAULT
     events: EventLogic = field(default_factory=EventLogic)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gateway.faults.memory import FaultMemory
+from gateway.isotp.edges import MOST_SHORT
 from gateway.servers.authority import Authority
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.uds.authentication import Authentication
@@ -38,13 +39,13 @@ class Testers:
         self._security, self._authentication, self._trace_did = security, authentication, trace_did
         self._all: list[Context] = []
 
-    def server(self, params: UdsParams, bus: str, **more: int) -> UdsServer:
+    def server(self, params: UdsParams, bus: str, *, longest: int = MOST_SHORT) -> UdsServer:
         """Return the server of one more tester.
 
         Args:
             params: with its address.
             bus: name of the bus, or of another transport and the peer.
-            more: ``longest`` response, where it is not that of ISO-TP.
+            longest: response [byte].
         """
         made = Context(
             params,
@@ -57,7 +58,7 @@ class Testers:
             bus,
             self._trace_did,
             self._all,
-            **more,
+            longest,
         )
         self._all.append(made)
         return UdsServer(made)
