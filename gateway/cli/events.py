@@ -152,7 +152,7 @@ class EventPrinter:
 
     def _on_intervention(self, event: dict[str, Any]) -> None:
         how = "" if event["outcome"] == "done" else f", refused 0x{event['nrc']:02X}"
-        by = f"{event['protocol']} {event['address']:X}"
+        by = event["protocol"] + (f" {event['address']:X} on {event['bus']}" if event["bus"] else "")
         self._lines.print(f"{self._time(event)}  tester: {event['action']} by {by}{how}")
 
     def _on_config(self, event: dict[str, Any]) -> None:

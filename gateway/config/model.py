@@ -19,6 +19,7 @@ from gateway.faults.settings import ConditionSettings, CycleSettings, FaultOverr
 from gateway.faults.usage import UsageParams
 from gateway.servers.access import AccessParams, Needs, needs_of
 from gateway.servers.diagnostic_address import share_address
+from gateway.servers.doip.params import DoipParams
 from gateway.servers.dtc_frame import DtcFrameParams
 from gateway.servers.identifiers import DidParams
 from gateway.servers.j1939.params import J1939Params
@@ -166,6 +167,7 @@ class OutputConfig(StrictModel):
     uds: UdsParams | None = Field(None, description="UDS server (ISO 14229-1) on ISO-TP")
     obd: ObdParams | None = Field(None, description="OBD server (SAE J1979) on ISO-TP")
     j1939: J1939Params | None = Field(None, description="J1939 diagnostic messages (J1939-73)")
+    doip: DoipParams | None = Field(None, description="diagnostics over IP (ISO 13400-2); its services: those of uds")
 
 
 class Config(StrictModel):

@@ -28,7 +28,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.service import as_dict
 from gateway.runtime.account import bus_errors, counters, description, signal_slots
-from gateway.runtime.assemble import Parts, asking_of, identifiers_of, prepare, servers_of
+from gateway.runtime.assemble import Parts, asking_of, connect_routes, identifiers_of, prepare, servers_of
 from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
@@ -156,6 +156,7 @@ class Gateway:
         servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
         servers += [self._vehicle] if config.answered else []
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
+        connect_routes(self.servers, self.asking)
         served, asked = self.servers.heard, self.asking.heard
         self._heard = None if served is None or asked is None else served | asked
         self._connect()

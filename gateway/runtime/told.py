@@ -97,7 +97,8 @@ def clear_event(t_ns: int, faults: Sequence[str]) -> dict[str, Any]:
 def intervention_event(intervention: Intervention) -> dict[str, Any]:
     """Log what a tester did, or was refused, and return the event of the JSON contract that tells it."""
     told = intervention_as_dict(intervention)
-    _log.warning("a tester intervened", **{name: told[name] for name in ("protocol", "address", "action", "outcome")})
+    shown = ("protocol", "bus", "address", "action", "outcome")
+    _log.warning("a tester intervened", **{name: told[name] for name in shown})
     return {"event": "intervention", **told}
 
 
