@@ -43,6 +43,7 @@ def test_addresses():
     assert loopback_address("127.0.0.2:1") == ("127.0.0.2", 1)
     assert loopback_address("4711") == ("127.0.0.1", 4711)
     assert loopback_address("[::1]:5") == ("::1", 5)
+    assert loopback_address("localhost:5") == ("127.0.0.1", 5)
 
 
 def test_a_python_can_client_joins_the_virtual_bus():
