@@ -19,7 +19,7 @@ SEARCH, BEFORE, BEHIND = 220, 12, 6
 AT_LEAST, AT_MOST = 1.5, 1.2
 #: A step stands out of the noise before it by this factor at least.
 STANDS_OUT = 3.5
-#: How a step begins; UNKNOWN: none stands out, or too little was kept; UNSEEN: while nothing was kept, or it is neither.
+#: How a step begins; UNKNOWN: none stands out, or too little was kept; UNSEEN: while nothing was kept, or neither.
 UNKNOWN, AT_ONCE, DELAYED, UNSEEN = range(4)
 
 

@@ -27,7 +27,8 @@ REPEATS = 1 << 0
 #: parity, so that the gear has not made it; it began far beyond the threshold; one as large went back.
 EXCEEDS, IN_PARITY, SUDDEN, RETURNS = 1 << 1, 1 << 2, 1 << 3, 1 << 4
 #: Likewise: more of the innovation's alarms than of increments, or one shortly before, and not sudden: the filter's
-#: speed is wrong, not the sensor; many increments, until the end; of both signs; their sum is beyond the threshold; their mean square is.
+#: speed is wrong, not the sensor; many increments, until the end; of both signs; their sum is beyond the threshold;
+#: their mean square is.
 NIS_FIRST, FREQUENT, BOTH_SIGNS = 1 << 5, 1 << 6, 1 << 7
 NET_STEP, MEAN_SQUARE = 1 << 8, 1 << 9
 #: The three angles do not fit, by CUSUM; so for long.
