@@ -301,7 +301,7 @@ def fill_struct(row: Any, wire: Any) -> int:
     """Write a frame, in cells, as a struct of the kernel into nine cells; returns its length [byte]."""
     header = row[1]
     flags = np.int64((header >> np.uint64(40)) & np.uint64(0xFF))
-    length = np.int64((header >> np.uint64(48)) & np.uint64(0xFF))
+    length = int(np.int64((header >> np.uint64(48)) & np.uint64(0xFF)))
     word = (header & np.uint64(0xFFFFFFFF)) | (np.uint64(length) << np.uint64(32))
     size = CAN_MTU
     if flags & FD:
@@ -319,11 +319,11 @@ class Packer:
     """Makes ``struct can_frame`` or ``struct canfd_frame`` of frames; for one thread."""
 
     def __init__(self) -> None:
-        self._frame, self._wire = empty(1), np.zeros(CANFD_MTU // 8, np.uint64)
-        self._bytes = memoryview(self._wire).cast("B")
-        self._fill = bound(fill_struct, self._frame.view(np.uint64), self._wire, rest=())
+        self._frame, wire = empty(1), np.zeros(CANFD_MTU // 8, np.uint64)
+        self._bytes = wire.view(np.uint8)
+        self._fill = bound(fill_struct, self._frame.view(np.uint64), wire, rest=())
 
     def __call__(self, frame: np.void) -> bytes:
         """Return one frame as such a struct."""
         self._frame[0] = frame
-        return bytes(self._bytes[: self._fill()])
+        return self._bytes[: int(self._fill())].tobytes()

@@ -85,7 +85,7 @@ class SwitchedOff:
         count = 0
         if self._engine.monitors:
             self._name_slips()
-            count = np.count_nonzero(self._engine.tables.handlers["off"])
+            count = int(np.count_nonzero(self._engine.tables.handlers["off"]))
         if self._place is None or count == self._reported:
             return
         self._reported = count
