@@ -51,6 +51,8 @@ UNITS = {
 _TEXTS = {"noyes": {0: "no", 1: "yes"}, "yesno": {0: "yes", 1: "no"}, "offon": {0: "off", 1: "on"}}
 #: Priority of diagnostic frames with 29 bits, and the tester's address there (ISO 15765-2).
 _PRIORITY, _TESTER = 0x18, 0xF1
+#: Requests to all: any ECU answers them.
+TO_ALL = (0x7DF, EXTENDED | 0x18DB0000 | 0x33 << 8 | _TESTER)
 
 
 class _Place(NamedTuple):
@@ -155,7 +157,7 @@ class _Command(NamedTuple):
     """One command: its request, and its signals as they stand there."""
 
     place: _Place
-    address: Address
+    address: Address | None
     service: int
     identifier: int
     years: Years
@@ -185,7 +187,7 @@ def _command(entry: Any, place: _Place) -> _Command:
         raise place.at("cmd").at(word).wrong("an identifier is missing")
     return _Command(
         place,
-        _address(table, place),
+        None if (address := _address(table, place)).request in TO_ALL else address,
         service,
         identifier,
         Years.of(table.get("filter"), place.at("filter")),
@@ -218,10 +220,13 @@ def _address(table: Mapping[str, Any], place: _Place) -> Address:
 
 def _answered(commands: list[_Command]) -> Iterator[_Command]:
     """Return the commands, one that does not say who answers with the address of those that do for its ECU."""
-    known = {(one.address.request, one.address.extended): one.address for one in commands if one.address.response}
+    addresses = [one.address for one in commands if one.address is not None]
+    known = {(one.request, one.extended): one for one in addresses if one.response is not None}
     for one in commands:
         own = one.address
-        yield one if own.response else one._replace(address=known.get((own.request, own.extended), own))
+        if own is not None and own.response is None:
+            own = known.get((own.request, own.extended), own)
+        yield one._replace(address=own)
 
 
 def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
@@ -344,7 +349,7 @@ def read(path: Path, year: int | None) -> Layouts:
     entries = _list(_document(path).get("commands"), top.at("commands"))
     commands = [_command(entry, top.at(f"commands[{k}]")) for k, entry in enumerate(entries)]
     left: list[LeftOut] = []
-    requests: dict[tuple[Address, int, int], list[_Command]] = {}
+    requests: dict[tuple[Address | None, int, int], list[_Command]] = {}
     for one in _answered(commands):
         if year is None or one.years.match(year):
             requests.setdefault((one.address, one.service, one.identifier), []).append(one)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,8 @@ from gateway_fdi.errors import InputError
 
 #: Time between two requests where a file does not say [ms].
 EVERY_MS = 1000.0
-#: Requests to all -> answers of the engine's ECU.
-FUNCTIONAL = {0x7DF: 0x7E8, EXTENDED | 0x18DB33F1: EXTENDED | 0x18DAF110}
+#: ECU of the engine (ISO 15765-4), which is asked for what a file has to ask of all.
+ENGINE = Address(0x7E0, 0x7E8)
 #: Parts that are left out and named one by one; of more their number is told.
 _NAMED = 8
 
@@ -50,18 +50,11 @@ def import_layouts(
             raise InputError("this file is there: --force overwrites it", file=file)
     given = _given(request, response)
     relative = os.path.relpath(signals, out.parent)
-    asked, assumed = [], []
-    groups: dict[str, list[AnswerLayout]] = {}
-    for own, layouts in _by_address(found.layouts, given, source).items():
-        address = own
-        if own.response is None:
-            address = Address(own.request, _response(own.request), own.extended, own.tester)
-            assumed.append(f"{own.request & ID_MASK:X}: response {(address.response or 0) & ID_MASK:X} is assumed")
-        asked.append(_asked(address, layouts, relative, left))
-        groups[asked[-1].name] = layouts
+    groups, assumed = _by_address(found.layouts, given, source, left)
+    asked = [_asked(address, layouts, relative, left) for address, layouts in groups.items()]
     rate = sum(1000 / read.every_ms for ecu in asked for read in ecu.reads)
     head = f"ECUs of {source.name}. Each line of read asks the car: take out what you do not need."
-    files[out] = tables(asked, bus, head, _limits(groups))
+    files[out] = tables(asked, bus, head, _limits(asked, groups.values()))
     for file, text in files.items():
         try:
             file.write_text(text)
@@ -101,24 +94,36 @@ def _given(request: str | None, response: str | None) -> Address | None:
     return Address(asks | flag, answers | flag)
 
 
-def _response(request: int) -> int:
-    """Return the usual identifier of answers to one of requests, where a file does not say it."""
+def _answering(own: Address) -> Address:
+    """Return an address with the usual identifier of answers, where a file does not say it."""
+    request = own.request
+    if own.response is not None:
+        return own
+    response = request + 8
     if request & EXTENDED and request >> 16 & 0xFF == 0xDA:  # normal fixed addressing: the addresses change places
-        return request & ~0xFFFF | (request & 0xFF) << 8 | request >> 8 & 0xFF
-    return FUNCTIONAL.get(request, request + 8)
+        response = request & ~0xFFFF | (request & 0xFF) << 8 | request >> 8 & 0xFF
+    return Address(request, response, own.extended, own.tester)
 
 
 def _by_address(
-    layouts: Sequence[AnswerLayout], given: Address | None, source: Path
-) -> dict[Address, list[AnswerLayout]]:
-    """Return the layouts of each ECU; those without an address are of the given one."""
-    found: dict[Address, list[AnswerLayout]] = {}
+    layouts: Sequence[AnswerLayout], given: Address | None, source: Path, left: list[LeftOut]
+) -> tuple[dict[Address, list[AnswerLayout]], list[str]]:
+    """Return the layouts of each ECU, and what is assumed of addresses; those of any ECU are of the given one."""
+    found: dict[Address, dict[tuple[int, int], AnswerLayout]] = {}
+    assumed: dict[str, None] = {}
+    if given is None and all(layout.address is None for layout in layouts):
+        raise InputError("the file has no addresses of ECUs: give --request and --response", file=source)
     for layout in layouts:
-        address = layout.address or given
-        if address is None:
-            raise InputError("the file has no addresses of ECUs: give --request and --response", file=source)
-        found.setdefault(address, []).append(layout)
-    return found
+        own = layout.address or given or ENGINE
+        address = _answering(own)
+        if own.response is None:
+            assumed[f"{own.request & ID_MASK:X}: response {(address.response or 0) & ID_MASK:X}"] = None
+        if own is ENGINE:
+            assumed[f"{layout.name}: of all ECUs that of the engine, {ENGINE.request:X}"] = None
+        known = found.setdefault(address, {}).setdefault((layout.service, layout.identifier), layout)
+        if known is not layout:
+            left.append(LeftOut(f"{address.request & ID_MASK:X} {layout.name}", "the file has it twice"))
+    return {address: list(own.values()) for address, own in found.items()}, list(assumed)
 
 
 def _asked(address: Address, layouts: Sequence[AnswerLayout], signals: str, left: list[LeftOut]) -> Asked:
@@ -138,17 +143,17 @@ def _asked(address: Address, layouts: Sequence[AnswerLayout], signals: str, left
     return Asked(name, address, reads, [signals])
 
 
-def _limits(groups: Mapping[str, Sequence[AnswerLayout]]) -> list[tuple[str, float, float]]:
+def _limits(asked: Sequence[Asked], groups: Iterable[Sequence[AnswerLayout]]) -> list[tuple[str, float, float]]:
     """Return the signals that the file gives limits, by their names on the bus of the answers."""
     found = []
-    count = Counter(name for layouts in groups.values() for name in {layout.message.name for layout in layouts})
-    for ecu, layouts in groups.items():
-        for layout in layouts:
-            for signal, limits in layout.limits.items():
-                if limits.low is not None and limits.high is not None and limits.low < limits.high:
-                    name = layout.message.name
-                    shown = f"{ecu}_{name}" if count[name] > 1 else name
-                    found.append((f"{shown}.{signal}", limits.low, limits.high))
+    every = [(ecu.name, layout) for ecu, layouts in zip(asked, groups, strict=True) for layout in layouts]
+    count = Counter(layout.message.name for _, layout in every)
+    for ecu, layout in every:
+        name = layout.message.name
+        shown = f"{ecu}_{name}" if count[name] > 1 else name
+        for signal, limits in layout.limits.items():
+            if limits.low is not None and limits.high is not None and limits.low < limits.high:
+                found.append((f"{shown}.{signal}", limits.low, limits.high))
     return found
 
 

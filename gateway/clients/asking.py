@@ -15,6 +15,7 @@ from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.dtcs import READ_DTCS, details_of, told_by
 from gateway.clients.ecu import MS, Ask, EcuClient
 from gateway.clients.line import Line
+from gateway.clients.params import FUNCTIONAL
 from gateway.clients.pgn import MARK, ended_by, identifiers_of
 from gateway.clients.refusals import PENDING
 from gateway.common.times import NEVER
@@ -22,8 +23,6 @@ from gateway.faults.vehicle import TOLD, Told
 from gateway.isotp.edges import FLOW_CONTROL
 from gateway.isotp.heard import Reassembler
 
-#: Identifiers of functional requests: any tester's are for each ECU of the bus.
-FUNCTIONAL = (0x7DF, EXTENDED | 0x18DB33F1)
 #: Identifier of a frame behind each answer that tells DTCs, on the bus of the answers: it is the place in time of
 #: :attr:`Asking.told`.
 TELLS = EXTENDED | READ_DTCS << 16

@@ -62,9 +62,9 @@ class Questioned(EcuClient):
         super().on_answer(answer, t_ns)
         if ask is not None and not self.busy and ask not in self.asks and ask.request not in self.answers:
             self.answers[ask.request] = answer
-            self._go_on(ask.request, answer)
+            self._ask_next(ask.request, answer)
 
-    def _go_on(self, request: bytes, answer: bytes) -> None:
+    def _ask_next(self, request: bytes, answer: bytes) -> None:
         """Ask for the next mask of PIDs, where this one says that there is one."""
         if len(request) == 2 and request[0] in (0x01, 0x09) and request[1] % _MASK == 0:
             later = request[1] + _MASK

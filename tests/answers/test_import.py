@@ -5,7 +5,7 @@ import json
 import pytest
 from answer_files import odx, signal_set
 
-from gateway.answers.layout import layouts_for, read_layouts
+from gateway.answers.layout import Address, layouts_for, read_layouts
 from gateway.cli.import_layouts import import_layouts
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
@@ -52,12 +52,14 @@ def test_limits_of_the_file_become_a_monitor_where_it_is_wanted(tmp_path, capsys
 def test_identifiers_of_answers_that_a_file_leaves_out_are_assumed_and_told(tmp_path, capsys):
     source, out = tmp_path / "car.json", tmp_path / "ecu.toml"
     signal = {"id": "A", "name": "A", "fmt": {"len": 8, "max": 255, "unit": "scalar"}}
-    headers = {"7B0": 0x7B8, "7DF": 0x7E8, "DA40": 0x18DAF140, "DB33": 0x18DAF110}
+    headers = {"7B0": 0x7B8, "7DF": 0x7E8, "DA40": 0x18DAF140}  # 7DF: to all, so to the engine
     commands = [{"hdr": header, "cmd": {"22": "0101"}, "freq": 1, "signals": [signal]} for header in headers]
     source.write_text(json.dumps({"commands": commands}))
     imported(source, out)
     assert [ecu.place.response & 0x1FFFFFFF for ecu in load_config(out).ecu] == list(headers.values())
-    assert len(json.loads(capsys.readouterr().out)["assumed"]) == 4
+    assert len(json.loads(capsys.readouterr().out)["assumed"]) == 3
+    (to_all,) = [one for one in read_layouts(source) if one.address is None]
+    assert layouts_for([to_all], Address(0x7E0, 0x7E8))
 
 
 def test_a_model_year_has_a_signal_set_of_its_own(tmp_path, capsys):

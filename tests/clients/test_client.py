@@ -267,6 +267,7 @@ def test_a_request_that_would_change_something_cannot_be_sent_or_configured(tmp_
 WRONG = {
     'name = "engine"': ('name = "en gine"', "ecu[0].name"),
     "request = 0x7E0": ("", "give request and response, or address"),
+    "= 0x7E0": ("= 0x7DF", "this request is to all ECUs"),
     "response = 0x7E8": ("response = 0x7E0", "same identifier"),
     "every_ms = 100": ("every_ms = 1", "ecu[0].read[0].every_ms"),
     "did = 0xF40D": ("did = 0x1F40D", "ecu[0].read[0].did"),

@@ -156,6 +156,7 @@ def test_nothing_is_sent_where_nobody_agrees(tmp_path):
     assert not found.ecus
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["mute", "pending", "sequence", "reset", "echo", "refuse", "slow"])
 def test_ecus_with_faults_end_it_too(tmp_path, kind):
     by_ms = 50 if kind == "pending" else 400
