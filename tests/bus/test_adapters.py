@@ -8,13 +8,14 @@ import time
 import can
 import numpy as np
 import pytest
+from can.interfaces.socketcan.socketcan import build_can_frame
 from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.bus.adapter import PythonCanBus
 from gateway.bus.base import Statistics
 from gateway.bus.can_structs import Packer, RawReceiver
-from gateway.bus.frames import BRS, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, empty, payload, put
+from gateway.bus.frames import BRS, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, empty, payload, put, to_message
 from gateway.bus.uri import loopback_address, open_bus
 from gateway_fdi.errors import BusError, InputError
 
@@ -134,8 +135,14 @@ def test_structs_go_into_the_batch_and_come_out_of_it(rows, random):
             put(sent, k, 0, can_id, body, bus=5, flags=FD | flags if fd else 0)
         out = empty(64)
         out["data"] = 0xEE  # what was there before must not shine through
+        pack = Packer()
         for frame in sent:
-            theirs.send(Packer()(frame))
+            theirs.send(pack(frame))
+            beyond = frame.copy()
+            beyond["data"][int(frame["length"]) :] = 0xEE  # is not sent
+            theirs_made = bytearray(build_can_frame(to_message(frame)))
+            theirs_made[7] = 0  # reserved: python-can has the length here once more
+            assert pack(beyond) == pack(frame) == theirs_made
         assert receiver.receive(out, 5) == len(rows)
         got = out[: len(rows)].copy()
         assert all(abs(int(t) - time.time_ns()) < 60 * 10**9 for t in got["t_ns"])
