@@ -270,7 +270,7 @@ def test_another_gateways_socket_is_not_taken(bench, tmp_path):
 class Told:
     """As much of the page's hub as metrics ask for."""
 
-    connected, monitoring, ecus = True, {"on": True}, []
+    connected, monitoring, ecus = True, {"on": True}, ()
     memory = {"entries": [], "cases": [], "status": {}, "stored": True, "ecu_dtcs": []}
     hello, worst, buses, counters, missed, refused = {"faults": []}, {}, [], {}, 0, 0
 
