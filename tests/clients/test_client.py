@@ -295,6 +295,19 @@ def test_mistakes_are_told_with_file_key_and_value(wrong, tmp_path):
     assert str(tmp_path) in str(error.value)
 
 
+def test_check_names_the_mistakes_of_several_tables_at_once(tmp_path):
+    from gateway.runtime.mistakes import mistakes
+
+    first = ONE.replace("read =", 'signals = ["none.dbc"]\nread =')
+    other = ONE.replace("engine", "other").replace("0x7E", "0x7D")
+    other = other.replace("did = 0xF40D", "service = 5, identifier = 0")
+    text = BUS + first + other + '[fault."nobody.x"]\ndtc = "P0001-00"\n'
+    found = [error.key for error in mistakes(write(tmp_path, text))]
+    assert found == ["ecu[0].signals[0]", "ecu[1].read[0]", 'fault."nobody.x"']
+    again = [error.key for error in mistakes(write(tmp_path, text.replace("service = 5, identifier = 0", "did = 7")))]
+    assert again == ["ecu[0].signals[0]", 'fault."nobody.x"']
+
+
 def test_its_own_servers_and_other_ecus_have_other_addresses(tmp_path):
     for more, told in (
         ("[output.uds]\n", "this is the gateway itself"),
