@@ -15,6 +15,7 @@ from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.dtcs import READ_DTCS, details_of, told_by
 from gateway.clients.ecu import MS, Ask, EcuClient
 from gateway.clients.line import Line
+from gateway.clients.params import FUNCTIONAL
 from gateway.clients.pgn import MARK, ended_by, identifiers_of
 from gateway.clients.refusals import PENDING
 from gateway.common.times import NEVER
@@ -22,8 +23,6 @@ from gateway.faults.vehicle import TOLD, Told
 from gateway.isotp.edges import FLOW_CONTROL
 from gateway.isotp.heard import Reassembler
 
-#: Identifiers of functional requests: any tester's are for each ECU of the bus.
-FUNCTIONAL = (0x7DF, EXTENDED | 0x18DB33F1)
 #: Identifier of a frame behind each answer that tells DTCs, on the bus of the answers: it is the place in time of
 #: :attr:`Asking.told`.
 TELLS = EXTENDED | READ_DTCS << 16
@@ -118,13 +117,13 @@ class Asking:
 
     def hear(self, frames: Frames) -> Frames:
         """Take frames in order of time; returns them with those of the answers that they complete."""
-        if self._dm1 is None and has_none_of(frames, self._known):
+        if self._dm1 is None and (not self._known or has_none_of(frames, self._known)):
             return frames
         mine = np.isin(frames["can_id"], self._ids)
         told = np.zeros(len(frames), np.bool_) if self._dm1 is None else self._dm1.among(frames)
         parts, start = [], 0
         for k in np.flatnonzero(mine | told):
-            made = self._take(frames[k]) if mine[k] else self._broadcast(frames[k])
+            made = joined([self._take(frames[k]) if mine[k] else empty(0), self._broadcast(frames[k], told[k])])
             if len(made):
                 parts += [frames[start : k + 1], made]
                 start = int(k) + 1
@@ -161,10 +160,8 @@ class Asking:
         if answer is None:
             if ecu.answers.receiving:
                 began = not before or ecu.answers.errors > errors
-                if began:
-                    self._said.append(ecu.client.on_first_frame(t_ns))
-                else:
-                    ecu.client.on_more(t_ns)
+                said = ecu.client.on_first_frame(t_ns) if began else ecu.client.on_more(t_ns)
+                self._said += [said] if len(said) else []
             return empty(0)
         ours = ecu.client.busy
         ecu.client.on_answer(answer, t_ns)
@@ -174,7 +171,7 @@ class Asking:
         if told is None:
             return ecu.weaver.frames(answer, t_ns)
         if ours and told.covers and told.whole and ecu.client.params.dtcs is not None:
-            self._read_details(ecu, told)
+            self._read_details(ecu, told, t_ns)
         return self._tell(told, t_ns, ecu.weaver.bus)
 
     def _tell(self, told: Told, t_ns: int, bus: int) -> Frames:
@@ -184,17 +181,18 @@ class Asking:
         put(made, 0, t_ns, TELLS, b"", bus=bus)
         return made
 
-    def _broadcast(self, frame: np.void) -> Frames:
-        told = None if self._dm1 is None else self._dm1.take(frame)
+    def _broadcast(self, frame: np.void, wanted: bool) -> Frames:
+        """Take a frame that may be of DM1; returns the place in time of what it completes."""
+        told = None if self._dm1 is None or not wanted else self._dm1.take(frame)
         return empty(0) if told is None else self._tell(told, int(frame["t_ns"]), self._bus_of[int(frame["bus"])])
 
-    def _read_details(self, ecu: Ecu, told: Told) -> None:
+    def _read_details(self, ecu: Ecu, told: Told, t_ns: int) -> None:
         """Have the data of DTCs read that came, once each."""
         there = {dtc for dtc, status in told.found.items() if status & TOLD}
         ecu.detailed &= there
         for dtc in sorted(there - ecu.detailed)[:MOST_DETAILS]:
             ecu.detailed.add(dtc)
-            ecu.client.asks += [Ask(request, NEVER) for request in details_of(dtc)]
+            ecu.client.asks += [Ask(request, NEVER, t_ns) for request in details_of(dtc)]
 
     def poll(self, t_ns: int) -> Frames:
         """Let time pass; returns the frames to send."""
@@ -264,7 +262,7 @@ class Asking:
             known = before.get((ecu.client.bus, ecu.client.place))
             if known is not None:
                 ecu.client.succeed(known.client)
-                ecu.answers, ecu.requests = known.answers, known.requests
+                ecu.answers, ecu.requests, ecu.asked = known.answers, known.requests, known.asked
                 ecu.weaver.counts.update(known.weaver.counts)
         if self._dm1 is not None and old._dm1 is not None:
             self._dm1.succeed(old._dm1, buses)

@@ -203,10 +203,11 @@ class EcuClient:
         self._deadline_ns = t_ns + N_CR_NS
         return self._frame(bytes([0x30, 0, 0]), t_ns)
 
-    def on_more(self, t_ns: int) -> None:
-        """Note that an answer goes on."""
+    def on_more(self, t_ns: int) -> Frames:
+        """Note that an answer goes on; no frame is due for that."""
         if self._asked is not None:
             self._deadline_ns = max(self._deadline_ns, t_ns + N_CR_NS)
+        return empty(0)
 
     def on_answer(self, answer: bytes, t_ns: int) -> None:
         """Take an answer of the ECU, to us or to others."""

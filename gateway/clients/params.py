@@ -20,6 +20,8 @@ from gateway_fdi.common.tomlfile import StrictModel
 DTC_SERVICES = (0x19, 0x03, 0x07, 0x0A)
 #: Requests for the DTCs that fail, did in this cycle or since the clear, are pending, confirmed, or ask for a lamp.
 DTC_REQUESTS = {"uds": (b"\x19\x02\xaf",), "obd": (b"\x03", b"\x07", b"\x0a")}
+#: Identifiers of functional requests, to all ECUs of a bus.
+FUNCTIONAL = (0x7DF, EXTENDED | 0x18DB33F1)
 #: A tester's address in normal fixed addressing, and usual in extended addressing.
 TESTER = 0xF1
 
@@ -152,6 +154,8 @@ class EcuParams(StrictModel):
             raise ValueError("address is of 29-bit identifiers, without target")
         if self.extended is False and max(self.request or 0, self.response or 0) > 0x7FF:
             raise ValueError("identifiers above 0x7FF have 29 bits: extended = true")
+        if self.place.request in FUNCTIONAL:
+            raise ValueError("this request is to all ECUs: give the ECU's own, as 0x7E0 to 0x7E7 of OBD")
         if self.request is not None and self.request == self.response:
             raise ValueError("request and response are the same identifier")
         seen: set[tuple[int, int]] = set()

@@ -380,6 +380,7 @@ class KeptStore(Store):
         for read in (super().load, super().cycles, super().permanent, super().identifiers, super().interventions):
             read()
         super().facts()
+        super().ecu_dtcs()
         broken = self.verify().broken
         if broken:
             raise damage(self.path, broken[0])

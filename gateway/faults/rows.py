@@ -44,6 +44,7 @@ SELECT_RECORDS = f"SELECT {', '.join(COLUMNS)} FROM fault"  # noqa: S608 - our o
 #: Columns of the table of interventions, named as in :class:`Intervention`.
 INTERVENTION = tuple(f.name for f in fields(Intervention))
 SELECT_INTERVENTIONS = f"SELECT {', '.join(INTERVENTION)} FROM intervention"  # noqa: S608 - our own names
+SELECT_ECU_DTCS = "SELECT ecu, dtc, status, there, came, first_ns, last_ns, went_ns, snapshots FROM ecu_dtc"
 SELECT_RECORDINGS = "SELECT fault, t_ns, frames, dropped, log FROM recording"
 
 
@@ -170,11 +171,22 @@ def read_ecu_dtcs(db: sqlite3.Connection) -> list[EcuDtc]:
     Raises:
         ValueError: a row makes no sense.
     """
-    found = db.execute("SELECT * FROM ecu_dtc ORDER BY ecu, dtc")
-    return [
-        EcuDtc(ecu, dtc, status, bool(there), came, first_ns, last_ns, went_ns, json.loads(snapshots))
-        for ecu, dtc, status, there, came, first_ns, last_ns, went_ns, snapshots in found
-    ]
+    return [read_ecu_dtc(*row) for row in db.execute(f"{SELECT_ECU_DTCS} ORDER BY ecu, dtc")]
+
+
+def read_ecu_dtc(*row: Any) -> EcuDtc:
+    """Return a row of the DTCs of other ECUs.
+
+    Raises:
+        ValueError: it makes no sense.
+    """
+    ecu, dtc, status, there, came, first_ns, last_ns, went_ns, content = row
+    snapshots: Any = json.loads(content) if isinstance(content, str) else None
+    numbers = (status, there, came, first_ns, last_ns, 0 if went_ns is None else went_ns)
+    texts = isinstance(ecu, str) and isinstance(dtc, str) and isinstance(snapshots, dict)
+    if not texts or not all(isinstance(each, int) for each in numbers):
+        raise ValueError(row)
+    return EcuDtc(ecu, dtc, status, bool(there), came, first_ns, last_ns, went_ns, snapshots)
 
 
 def _write_buses(db: sqlite3.Connection, states: Sequence[Mapping[str, Any]]) -> None:

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from gateway.faults import rows
 from gateway.faults.interventions import PROTOCOLS, Intervention
 from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
+from gateway.faults.vehicle import EcuDtc
 
 T = TypeVar("T")
 
@@ -47,7 +48,8 @@ class Salvage:
     """Rows that were read.
 
     Attributes:
-        records, cycles, permanent, recordings, identifiers, facts, interventions: as a :class:`Store` gives them.
+        records, cycles, permanent, recordings, identifiers, facts, interventions, ecu_dtcs: as a :class:`Store` gives
+            them.
         recovered: rows read.
         lost: rows, or tables, of which it is known that they could not be read.
     """
@@ -59,6 +61,7 @@ class Salvage:
     identifiers: dict[int, bytes] = field(default_factory=dict)
     facts: dict[str, int] = field(default_factory=dict)
     interventions: list[Intervention] = field(default_factory=list)
+    ecu_dtcs: list[EcuDtc] = field(default_factory=list)
     recovered: int = 0
     lost: int = 0
 
@@ -73,6 +76,7 @@ class Salvage:
             identifiers=self.identifiers,
             facts=self.facts,
             interventions={each.number: each for each in self.interventions},
+            ecu_dtcs={each.key: each for each in self.ecu_dtcs},
         )
 
 
@@ -154,6 +158,8 @@ def _read(db: sqlite3.Connection) -> Salvage:
     found.identifiers = dict(_rows(db, found, identifiers, "identifier", _identifier))
     found.facts = dict(_rows(db, found, "SELECT name, value FROM fact", "fact", _fact))
     found.interventions = list(_rows(db, found, rows.SELECT_INTERVENTIONS, "intervention", _intervention))
+    if "ecu_dtc" in tables:
+        found.ecu_dtcs = list(_rows(db, found, rows.SELECT_ECU_DTCS, "ecu_dtc", rows.read_ecu_dtc))
     return found
 
 

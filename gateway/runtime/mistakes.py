@@ -33,7 +33,7 @@ _ALONE = {"uri": "virtual:check", "bitrate": None, "data_bitrate": None}
 #: Tables that nothing else names.
 _UNNAMED = {"name", "clock", "memory", "access", "usage", "status", "record", "report"}
 _TOKEN = re.compile(r'"([^"]*)"|\[(\d+)\]|([\w-]+)')
-_LISTED = re.compile(r"\b(bus\[\d+\]\.check|monitor|did)\[(\d+)\]")
+_LISTED = re.compile(r"\b(bus\[\d+\]\.check|monitor|did|ecu)\[(\d+)\]")
 _AFTER_ALL = 1 << 30
 
 
@@ -131,7 +131,7 @@ class _Rest:
             yield from self._naming(Path(error.file or ""))
         elif head == "bus":
             yield from self._of_bus(tokens)
-        elif head in ("monitor", "did", "fault", "cycle", "output"):
+        elif head in ("monitor", "did", "ecu", "fault", "cycle", "output"):
             if len(tokens) > 1 and _has(self.data, tokens[:2]):
                 yield tokens[:2]
         elif isinstance(head, str) and head in self.data and self._is_unnamed(head):
@@ -159,7 +159,7 @@ class _Rest:
     def _naming(self, file: Path) -> Iterator[Place]:
         """Yield the tables that name another file."""
         of_lists: list[tuple[Place, Any]] = [
-            ((kind, k), t) for kind in ("bus", "monitor") for k, t in self._tables(kind)
+            ((kind, k), t) for kind in ("bus", "monitor", "ecu") for k, t in self._tables(kind)
         ]
         outputs = self.data.get("output")
         of_outputs: list[tuple[Place, Any]] = [
@@ -176,7 +176,8 @@ class _Rest:
         if len(place) == 2 and place[0] == "bus":
             name, alone = self.data["bus"][place[1]].get("name"), len(self.data["bus"]) == 1
             on_it = {name, None} if alone else {name}
-            yield from (("monitor", k) for k, table in self._tables("monitor") if table.get("bus") in on_it)
+            kinds = ("monitor", "ecu")
+            yield from ((kind, k) for kind in kinds for k, table in self._tables(kind) if table.get("bus") in on_it)
 
     def _remove(self, place: Place) -> None:
         *above, last = place
@@ -211,6 +212,11 @@ class _Gone:
         elif head == "monitor":
             self._owners.add(name)
             self._any_owner = self._any_owner or not isinstance(table.get("name"), str)
+        elif head == "ecu":
+            buses = [str(bus.get("name")) for bus in data.get("bus", ()) if isinstance(bus, dict)]
+            bus = table.get("bus", buses[0] if buses else "") if isinstance(table, dict) else ""
+            self._owners |= {name, f"answers:{bus}"}
+            self._buses.add(f"answers:{bus}")
         elif head == "report":
             self._owners |= {name for name in texts_in(table) if "." not in name}
         elif head in ("did", "cycle"):
@@ -235,7 +241,8 @@ class _Gone:
         if any(re.search(rf"(?<![\w.]){re.escape(bus)}(?![\w-])", value) for bus in self._buses):
             return True
         # A name without a bus is looked for on all of them.
-        return bool(self._buses) and tokens[:1] != ("monitor",) and value.count(".") == 1
+        named = tokens[:1] != ("monitor",) and tokens[2:3] != ("signals",)  # that of an ECU is a file
+        return bool(self._buses) and named and value.count(".") == 1
 
     def _lacks(self, fault: str) -> bool:
         return self._any_owner or any(fault.startswith(f"{owner}.") for owner in self._owners)

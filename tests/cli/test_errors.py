@@ -26,7 +26,7 @@ def gateway(tmp_path, capsys, monkeypatch):
         (BUS.replace("[[bus]]", "[bus]"), "bus: a list of tables: write [[bus]]"),
         (BUS + "[[memory]]\n", "memory: one table: write [memory]"),
         (BUS + "databse = []\n", "bus[0].databse: unknown key; did you mean database or data_bitrate?"),
-        (BUS + "xyz = 1\n", "bus[0].xyz: unknown key; the keys here are bitrate, check, codes, data_bitrate,"),
+        (BUS + "xyz = 1\n", "bus[0].xyz: unknown key; the keys here are ask, bitrate, check, codes, data_bitrate,"),
         (BUS + 'match = "pgm"\n', "did you mean pgn?"),
         ('[[bus]]\nuri = "virtual:b"\n', "bus[0].name: this key is missing: how other parts refer"),
         (

@@ -148,6 +148,7 @@ def test_nothing_is_sent_without_an_ecu_or_where_it_is_only_listened_to(tmp_path
     )
     assert found.sent == []
     assert found.gateway.next_ns > 1 << 62
+    assert found.gateway.asking._said == []
 
 
 def test_a_sleeping_vehicle_is_not_asked(tmp_path):
@@ -173,6 +174,16 @@ def test_a_dead_bus_is_not_asked(tmp_path):
     found.run(2000)
     assert len(found.requests) == asked
     found._feed(condition_frame(found.now, 0, RUNNING))
+    assert len(found.run(500).requests) > asked
+
+
+def test_nobody_is_asked_while_a_tester_has_switched_sending_off(tmp_path):
+    found = car(tmp_path, once(POSITIVE)).run(500)
+    found.gateway.controls.set_communication(receive=True, send=False, by="a tester")
+    asked = len(found.requests)
+    found.run(2000)
+    assert len(found.requests) == asked
+    found.gateway.controls.set_communication(receive=True, send=True, by="a tester")
     assert len(found.run(500).requests) > asked
 
 
@@ -256,6 +267,7 @@ def test_a_request_that_would_change_something_cannot_be_sent_or_configured(tmp_
 WRONG = {
     'name = "engine"': ('name = "en gine"', "ecu[0].name"),
     "request = 0x7E0": ("", "give request and response, or address"),
+    "= 0x7E0": ("= 0x7DF", "this request is to all ECUs"),
     "response = 0x7E8": ("response = 0x7E0", "same identifier"),
     "every_ms = 100": ("every_ms = 1", "ecu[0].read[0].every_ms"),
     "did = 0xF40D": ("did = 0x1F40D", "ecu[0].read[0].did"),
@@ -281,6 +293,19 @@ def test_mistakes_are_told_with_file_key_and_value(wrong, tmp_path):
         prepare(load_config(file), file)
     assert told in str(error.value)
     assert str(tmp_path) in str(error.value)
+
+
+def test_check_names_the_mistakes_of_several_tables_at_once(tmp_path):
+    from gateway.runtime.mistakes import mistakes
+
+    first = ONE.replace("read =", 'signals = ["none.dbc"]\nread =')
+    other = ONE.replace("engine", "other").replace("0x7E", "0x7D")
+    other = other.replace("did = 0xF40D", "service = 5, identifier = 0")
+    text = BUS + first + other + '[fault."nobody.x"]\ndtc = "P0001-00"\n'
+    found = [error.key for error in mistakes(write(tmp_path, text))]
+    assert found == ["ecu[0].signals[0]", "ecu[1].read[0]", 'fault."nobody.x"']
+    again = [error.key for error in mistakes(write(tmp_path, text.replace("service = 5, identifier = 0", "did = 7")))]
+    assert again == ["ecu[0].signals[0]", 'fault."nobody.x"']
 
 
 def test_its_own_servers_and_other_ecus_have_other_addresses(tmp_path):

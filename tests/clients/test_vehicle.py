@@ -1,6 +1,7 @@
 """DTCs of other ECUs: came, changed, went; what an answer does not say is not concluded; kept over restarts."""
 
 import json
+import sqlite3
 
 import numpy as np
 import pytest
@@ -228,11 +229,8 @@ def test_dtcs_that_are_broadcast_are_kept_without_asking(tmp_path, listening):
 
     dtcs = [dtc_bytes(100, 3, 1), dtc_bytes(0x7FFFE, 31, 1)]
     engine = Transport(0x00)
-    toml = (
-        BUS
-        + ("dm1 = true\n" if listening else "")
-        + '[[ecu]]\nname = "engine"\naddress = 0\n[clock]\nwatched = false\n'
-    )
+    toml = BUS + ("dm1 = true\n" if listening else "") + "[clock]\nwatched = false\n"
+    toml += '[[ecu]]\nname = "engine"\naddress = 0\nread = [{ pgn = 65260, every_ms = 86_400_000 }]\n'
     made = Car(write(tmp_path, toml))
 
     def say(transport, coded):
@@ -256,5 +254,21 @@ def test_dtcs_that_are_broadcast_are_kept_without_asking(tmp_path, listening):
         ("obd:21", "SPN 100 FMI 3", "went"),
     ]
     assert told == (wanted if listening else [])
-    assert made.sent == []
+    assert [can_id for _, can_id, _ in made.sent] == [0x98EA00F9]  # what was asked for, and nothing for DM1
     assert Pdu(0xFECA, 0x21, GLOBAL, b"").can_id == 0x98FECA21
+
+
+def test_they_are_recovered_from_a_damaged_file(brake, tmp_path):
+    made, _, file = brake
+    made.run(2000)
+    made.gateway.stop(made.now)
+    known = made.gateway.memory.vehicle.all()
+    made.gateway.close()
+    path = tmp_path / "memory.sqlite"
+    db = sqlite3.connect(path, isolation_level=None)
+    db.execute("UPDATE fault SET status = status + 1")  # not by a gateway
+    db.execute("INSERT INTO ecu_dtc VALUES ('brake', 'x', 1, 1, 1, 1, 1, NULL, 'no JSON')")
+    db.close()
+    made.gateway = Gateway(load_config(file), path, file=file)
+    assert made.gateway.memory.vehicle.all() == known != []
+    assert list(tmp_path.glob("memory.sqlite.damaged-*"))

@@ -150,7 +150,7 @@ def test_a_file_from_before_causes_keeps_its_chain_and_all_it_has(tmp_path):
     assert before
     for wrong in (False, True):
         db = sqlite3.connect(path, isolation_level=None)
-        db.executescript("DROP TABLE cause; PRAGMA user_version = 6;")
+        db.executescript("DROP TABLE ecu_dtc; DROP TABLE cause; PRAGMA user_version = 6;")
         if wrong:
             db.execute("UPDATE fault SET occurrence = occurrence + 1 WHERE occurrence > 0")
         db.close()

@@ -270,11 +270,12 @@ def test_another_gateways_socket_is_not_taken(bench, tmp_path):
 class Told:
     """As much of the page's hub as metrics ask for."""
 
-    connected, monitoring, memory = True, {"on": True}, {"entries": [], "cases": [], "status": {}, "stored": True}
+    connected, monitoring = True, {"on": True}
     hello, worst, buses, counters, missed, refused = {"faults": []}, {}, [], {}, 0, 0
 
     def __init__(self, reporters):
-        self.reporters = reporters
+        self.reporters, self.ecus = reporters, []
+        self.memory = {"entries": [], "cases": [], "status": {}, "stored": True, "ecu_dtcs": []}
 
 
 def test_the_status_socket_and_the_metrics_count_them(bench):

@@ -113,7 +113,11 @@ def digest_of(config: Config, maps: tuple[str, ...]) -> str:
     """
     total = hashlib.sha256(f"{__version__} {maps}".encode())
     total.update(json.dumps(config.model_dump(mode="json"), sort_keys=True).encode())
-    for path in (*(path for bus in config.bus for path in bus.database), *_files_of_monitors(config)):
+    databases = [
+        *(path for bus in config.bus for path in bus.database),
+        *(p for ecu in config.ecu for p in ecu.signals),
+    ]
+    for path in (*databases, *_files_of_monitors(config)):
         try:
             total.update(path.read_bytes())
         except OSError as error:
