@@ -368,6 +368,29 @@ def test_gallia_finds_the_entity_its_addresses_services_and_identifiers(wire, tm
         assert "Timeouts: 0" in text
 
 
+@pytest.mark.long
+@pytest.mark.skipif(not FULL, reason="each scan takes seconds; the others have the same way")
+def test_gallia_scans_an_ecu_behind_the_gateway(tmp_path):
+    """Reading passes as the ECU has it; all else is refused by the gateway, and never seen by the ECU."""
+    made = Routed(tmp_path)
+    target = f"doip://127.0.0.1:{made.port}?protocol_version=3&src_addr={TESTER:#x}&activation_type=0"
+    with made.running():
+        text = gallia(tmp_path, "discover", "doip", "--start", "0xffe", "--stop", "0x1005", "--target", target)
+        found = re.findall(r"target address (0x\w+) is valid", text)
+        assert found == [hex(each) for each in (GATEWAY, routes.BRAKES, routes.BODY, routes.DOORS)]
+        scan = ["--no-dumpcap", "--sessions", "1", "--target"]
+        text = gallia(tmp_path, "scan", "uds", "identifiers", *scan, f"{target}&target_addr={routes.BRAKES:#x}",
+                      "--start", "0xf180", "--end", "0xf18f")  # fmt: skip
+        assert re.findall(r"0x(\w{4}): ReadDataByIdentifierResponse", text) == ["f186"]
+        gallia(tmp_path, "scan", "uds", "services", *scan, f"{target}&target_addr={routes.BRAKES:#x}")
+    heard = [request for _, can_id, request in made.requests if can_id == 0x7E1]
+    assert {request[0] for request in heard} == {0x10, 0x19, 0x22, 0x3E}
+    assert all(request[1] & 0x7F == 1 for request in heard if request[0] == 0x10)
+    made.door.close()
+    made.close()
+    made.ecus[0].rig.close()
+
+
 def spoken(wire):
     """Return a talk that has every message and every code of the server: (by TCP, from the tester, bytes)."""
     talk = []
