@@ -4,7 +4,7 @@ Both get the same frames from a process of their own, as ``struct can_frame``: o
 raw socket, or (``--interface vcan0``) over SocketCAN. 16 messages with alive counter and CRC, each frame checked and
 decoded. Every 20 ms one frame has a wrong CRC: a DTC frame must follow, and the next good frame heals it.
 
-    python bench/live.py [--rates 4000 20000 80000] [--seconds 5] [--interface vcan0] [--parts] [--json]
+    python bench/live.py [--rates 4000 20000 80000] [--seconds 5] [--interface vcan0] [--buses 1 8] [--parts] [--json]
 
 ``--parts`` shows where a verdict's time goes, beside what the disk takes to keep one block that was there before.
 """
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import multiprocessing
 import os
 import platform
@@ -21,7 +22,7 @@ import socket
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -59,21 +60,22 @@ MESSAGE = """BO_ {id} M{k}: 8 Ecu
 """
 
 
-def write_config(folder: Path) -> Path:
-    """Write the configuration of the gateway."""
+def write_config(folder: Path, buses: int = 1) -> Path:
+    """Write the configuration of the gateway; message k is on bus k modulo the buses."""
     dbc = 'VERSION ""\nNS_ :\nBS_:\nBU_: Ecu Gateway\n'
-    toml = 'name = "live"\n'
-    toml += '[[bus]]\nname = "b"\nuri = "virtual:live"\ndatabase = ["live.dbc"]\n'
+    toml, names = 'name = "live"\n', ["b", *(f"b{k}" for k in range(1, buses))]
     faults = ""
-    for k in range(MESSAGES):
-        dbc += MESSAGE.format(id=BASE + k, k=k)
+    for k in sorted(range(MESSAGES), key=lambda k: k % buses):
+        bus, dbc = names[k % buses], dbc + MESSAGE.format(id=BASE + k, k=k)
+        if k < buses:
+            toml += f'[[bus]]\nname = "{bus}"\nuri = "virtual:{bus}"\ndatabase = ["live.dbc"]\n'
         toml += f'[[bus.check]]\nmessage = "M{k}"\ntimeout_ms = 60000.0\n'
         toml += f'counter = {{ signal = "FrameCnt" }}\ncrc = {{ signal = "Crc", data_id = {k} }}\n'
         for j, name in enumerate(("timeout", "counter", "crc", "length", "rule")):
-            faults += f'[fault."b.M{k}.{name}"]\ndtc = "U1{j}{k:02X}-00"\nfreeze_frame = ["M{k}.A"]\n'
-        faults += f'[fault."b.M{k}.crc".debounce]\n'
+            faults += f'[fault."{bus}.M{k}.{name}"]\ndtc = "U1{j}{k:02X}-00"\nfreeze_frame = ["{bus}.M{k}.A"]\n'
+        faults += f'[fault."{bus}.M{k}.crc".debounce]\n'
         faults += "failed_after = 1\npassed_after = 1\njump_down = true\n"
-    toml += faults + "[output.dtc_frame]\nmin_interval_ms = 0\ncycle_ms = 1000.0\n"
+    toml += faults + '[output.dtc_frame]\nbus = "b"\nmin_interval_ms = 0\ncycle_ms = 1000.0\n'
     (folder / "live.dbc").write_text(dbc)
     (folder / "live.toml").write_text(toml)
     return folder / "live.toml"
@@ -192,7 +194,10 @@ def our_side(
     parts: bool = False,
     beside: bool = False,
 ) -> None:
-    """Run the gateway's live loop in this process; ``beside`` it a thread that never lets go of the interpreter."""
+    """Run the gateway's live loop in this process; ``beside`` it a thread that never lets go of the interpreter.
+
+    The opener gets the number of a bus.
+    """
     marks = Marks() if parts else None
     syncs = sync_times(config.parent) if parts else []
     gateway = Gateway(load_config(config), memory)
@@ -200,10 +205,11 @@ def our_side(
     from gateway.live.clock import Clock  # noqa: PLC0415 - storm.py uses this file with earlier gateways
 
     clock = Clock()
-    link = Link("test:live", 0, "b", opener, clock)
-    link.start()
+    links = [Link("test:live", k, bus.name, opener, clock) for k, bus in enumerate(gateway.config.bus)]
+    for link in links:
+        link.start()
     gateway.start(time.time_ns())
-    live = Live(gateway, [link], lambda event: None, clock=clock)
+    live = Live(gateway, links, lambda event: None, clock=clock)
     for _ in range(20):
         live.turn()
     ready.set()
@@ -214,10 +220,12 @@ def our_side(
     for _ in range(5):
         live.turn()
     cpu_us = (time.thread_time_ns() - begun_ns) / 1e3
-    found = {"decoded": gateway.engine.counters()["decoded"], "lost": link.statistics.overflow, "syncs": syncs}
+    found = {"decoded": gateway.engine.counters()["decoded"], "syncs": syncs}
+    found["lost"] = sum(link.statistics.overflow for link in links)
     found["cpu_us"] = cpu_us / max(found["decoded"], 1)
     out.put(found | {"marks": marks.rows if marks else []})
-    link.close()
+    for link in links:
+        link.close()
     gateway.close()
 
 
@@ -278,12 +286,24 @@ def their_side(opener: object, config: Path, memory: object, ready: object, end:
     bus.shutdown()
 
 
-def send_at(sock: socket.socket, rate: float, seconds: float, frames: list[bytes]) -> dict:
-    """Send frames at a rate; returns how many, how many found the queue full, and the times to DTC frames [ms]."""
-    sock.setblocking(False)
+def send_at(
+    sock: socket.socket,
+    rate: float,
+    seconds: float,
+    frames: list[bytes],
+    more: Sequence[socket.socket] = (),
+    every_s: float = EVERY_S,
+) -> dict:
+    """Send frames at a rate; returns how many, how many found the queue full, and the times to DTC frames [ms].
+
+    The message k goes to the socket k of all, modulo their number; DTC frames come from the first.
+    """
+    socks = [sock, *more]
+    for each in socks:
+        each.setblocking(False)
     begun = time.perf_counter()
     sent = full = 0
-    next_wrong, asked, waiting = EVERY_S, 0.0, -1  # message whose DTC is waited for
+    next_wrong, asked, waiting = every_s, 0.0, -1  # message whose DTC is waited for
     times, spans = [], []
     while (now := time.perf_counter() - begun) < seconds:
         due = int(now * rate)
@@ -293,9 +313,9 @@ def send_at(sock: socket.socket, rate: float, seconds: float, frames: list[bytes
             if wrong:
                 datagram = spoilt(datagram)
                 asked, waiting = time.perf_counter(), datagram[0] & 0x0F
-                next_wrong = now + EVERY_S
+                next_wrong = now + every_s
             try:
-                sock.send(datagram)
+                socks[(datagram[0] & 0x0F) % len(socks)].send(datagram)
             except BlockingIOError:
                 full += 1
             except OSError as error:
@@ -345,19 +365,26 @@ def parts_of(found: dict) -> list[dict]:
     ]
 
 
-def measure(side: object, interface: str | None, memory: bool, rate: float, seconds: float) -> dict:
-    """Run one receiver at one rate."""
+def pairs(count: int) -> tuple[list[socket.socket], list[socket.socket]]:
+    """Return both ends of sockets that keep datagrams apart."""
+    made = [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in range(count)]
+    for sock in (each for pair in made for each in pair):
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, 32, BUFFER)  # SO_SNDBUFFORCE
+        except PermissionError:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+    return [ours for ours, _ in made], [theirs for _, theirs in made]
+
+
+def measure(side: object, interface: str | None, memory: bool, rate: float, seconds: float, buses: int = 0) -> dict:
+    """Run one receiver at one rate; with a number of buses, frames without faults on so many of them."""
     context = multiprocessing.get_context("fork")
     with tempfile.TemporaryDirectory() as name:
-        config = write_config(Path(name))
+        config, more = write_config(Path(name), max(buses, 1)), []
         if interface is None:
-            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            for sock in (ours, theirs):
-                try:
-                    sock.setsockopt(socket.SOL_SOCKET, 32, BUFFER)  # SO_SNDBUFFORCE
-                except PermissionError:
-                    sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
-            opener = partial(StructCan, ours) if side is their_side else lambda uri, index: StructBus(ours, index)
+            ours, (theirs, *more) = pairs(max(buses, 1))
+            theirs_opens = partial(StructCan, ours[0])
+            opener = theirs_opens if side is their_side else lambda uri, index: StructBus(ours[index], index)
         else:
             theirs = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
             theirs.bind((interface,))
@@ -372,11 +399,12 @@ def measure(side: object, interface: str | None, memory: bool, rate: float, seco
         child.start()
         if not ready.wait(300):
             raise SystemExit("the receiver did not start")
-        found = send_at(theirs, rate, seconds, datagrams())
+        found = send_at(theirs, rate, seconds, datagrams(), more, math.inf if buses else EVERY_S)
         end.set()
         found |= out.get(timeout=60)
         child.join(20)
-        theirs.close()
+        for sock in (theirs, *more):
+            sock.close()
     wrong = len(found["times"]) + 1
     found["missing"] = max(found["sent"] - found["full"] - found["decoded"] - wrong, 0)
     found["lost_all"] = found["full"] + found["lost"] + found["missing"]
@@ -417,16 +445,34 @@ def show_parts(options: argparse.Namespace) -> None:
         print(json.dumps(tables, indent=2))
 
 
+def show_buses(options: argparse.Namespace) -> None:
+    """Print the CPU of a frame with several buses, at the same rate of all frames together; three rounds in turn."""
+    for rate in options.rates:
+        found: dict[int, list[dict]] = {}
+        for _ in range(3):
+            for buses in options.buses:
+                found.setdefault(buses, []).append(measure(our_side, None, False, rate, options.seconds, buses))
+        for buses, runs in found.items():
+            cpu = sorted(round(run["cpu_us"], 1) for run in runs)
+            print(f"{rate:>7}/s, {buses} buses: {cpu} us of CPU a frame, lost {sum(run['lost_all'] for run in runs)}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rates", type=int, nargs="+", default=[4000, 20_000, 80_000])
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument("--interface", help="SocketCAN interface instead of a unix socket")
+    parser.add_argument(
+        "--buses", type=int, nargs="+", help="only the CPU of a frame, with so many buses in turn, no faults"
+    )
     parser.add_argument("--parts", action="store_true", help="only the parts of a verdict, memory durable")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if options.parts:
         show_parts(options)
+        return
+    if options.buses:
+        show_buses(options)
         return
     sides = [
         ("gateway, memory durable", our_side, True),

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gateway.bus.frames import ERROR, EXTENDED, FD, FRAME, REMOTE, empty
 from gateway.bus.logs import open_writer, read_log
+from gateway.clients.ecu import COUNTED
 from gateway.config.load import load_config
 from gateway.config.schema import schema
 from gateway.faults import service
@@ -64,6 +65,12 @@ def replayed(config, batches):
     return events, summary
 
 
+def heard(summary):
+    """Return the counters of a run, without those of requests: a replay asks nobody."""
+    asked = {f"ecu_{name}" for name in COUNTED}
+    return {name: count for name, count in summary["counters"].items() if name not in asked}
+
+
 #: Replayed frame by frame in CI, one of each kind; the others eleven frames at a time. GATEWAY_TESTS=full: all.
 SINGLY = {
     "crank_missed_tooth", "crank_cam", "crank_fd", "crank_wire_corrupted", "diagnostics", "linear_aircraft_faults",
@@ -84,7 +91,7 @@ def test_every_scenario_meets_its_expectations_and_live_equals_replay(name, tmp_
         for chunk in (1 if FULL or name in SINGLY else 11, 100_000):
             again, repeated = replayed(config, read_log(log, chunk=chunk))
             assert again == events
-            assert repeated["counters"] == summary["counters"]
+            assert heard(repeated) == heard(summary)
             assert repeated["monitors"] == summary["monitors"]
         assert len(events) > 0
 

@@ -255,3 +255,40 @@ def test_the_end_waits_for_the_thread(make, slow):
     assert rig.gateway.stored
     assert set(stored(rig)) == {"b.M0.length"}
     assert [e["fault"] for e in of(rig, "dtc")] == ["b.M0.length"]
+
+
+def test_told_first_a_dtc_does_not_wait_for_the_disk_and_says_when_it_is_stored(make, slow):
+    rig = make(extra=FRAMES + '[output.uds]\n[memory]\ntell = "first"\n')
+    rig.gateway.write_beside()
+    tester = Tester(rig)
+    rig.wait(50)
+    slow.stall()
+    rig.fail(0)
+    assert told(rig)[-1] == ("P1000-11", True)
+    assert [e["stored"] for e in of(rig, "dtc")] == [False]
+    assert len(tester.ask("190208")) == 3 + 4, "testers read what was told"
+    rig.fail(1)
+    assert told(rig)[-1] == ("C1001-11", True), "while a write is under way"
+    assert of(rig, "stored") == []
+    assert not {"b.M0.length", "b.M1.length"} & set(stored(rig))
+    for _ in range(3):  # the write under way, and those of what came meanwhile
+        slow.go_on(rig)
+        rig.wait(50)
+    assert [fault for e in of(rig, "stored") for fault in e["faults"]] == ["b.M0.length", "b.M1.length"]
+    assert set(stored(rig)) == {"b.M0.length", "b.M1.length"}
+    assert len(of(rig, "dtc")) == 2, "each is told once"
+    assert rig.gateway.summary(1.0)["counters"]["memory_not_stored"] == 0
+
+
+def test_told_first_an_outage_counts_what_is_not_stored(make, slow):
+    rig = make(extra=FRAMES + '[memory]\ntell = "first"\n')
+    rig.gateway.write_beside()
+    rig.wait(50)
+    slow.fails = True
+    rig.fail(0)
+    rig.wait(20)
+    slow.go_on(rig)
+    rig.wait(20)
+    assert told(rig)[-2:] == [("P1000-11", True), ("U3000-44", True)]
+    assert of(rig, "stored") == []
+    assert rig.gateway.summary(1.0)["counters"]["memory_not_stored"] >= 1

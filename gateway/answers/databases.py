@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gateway.answers.model import TWO_BYTES, AnswerLayout, Layouts, LeftOut, message_of, signal_of
+from gateway.answers.model import LONGEST_SIGNAL, TWO_BYTES, AnswerLayout, Layouts, LeftOut, message_of, signal_of
 from gateway.signals.database import load_database
 from gateway_fdi.errors import InputError
+
+#: Encoding of data in a CDD -> why it has no layout.
+_WHY = {"?": "the name has several encodings in the file", "asc": "a text", "utf": "a text", "bcd": "digits (BCD)"}
 
 
 def read(path: Path, _year: int | None) -> Layouts:
@@ -39,38 +44,60 @@ def read_cdd(path: Path, _year: int | None) -> Layouts:
     import cantools  # noqa: PLC0415 - its parsers take a while to load
 
     try:
-        loaded: Any = cantools.database.load_file(path, database_format="cdd", strict=False)
+        with warnings.catch_warnings():  # it calls its reader of CDDs deprecated, and has no other
+            warnings.simplefilter("ignore")
+            loaded: Any = cantools.database.load_file(path, database_format="cdd", strict=False)
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
     except Exception as error:  # the parser lets any exception of its own through
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"not a good .cdd file: {text}", file=path) from error
-    layouts, left = [], []
+    layouts, left, signs = [], [], _signs(path)
     for did in loaded.dids:
-        where = f"{did.identifier:04X} {did.name}"
-        left += [
-            LeftOut(f"{where}.{data.name}", f"{data.length} bits: at most 64 are decoded")
-            for data in did.datas
-            if data.length > 64
-        ]
-        signals = [_signal(data) for data in did.datas if 0 < data.length <= 64]
+        where = f"22{did.identifier:04X} {did.name}"
+        signals = []
+        for data in did.datas:
+            why = _WHY.get(signs.get(data.name, ""))
+            if data.length > LONGEST_SIGNAL:
+                why = f"{data.length} bits: at most {LONGEST_SIGNAL} are decoded"
+            if why:
+                left.append(LeftOut(f"{where}.{data.name}", why))
+            else:
+                signals.append(_signal(data, signs))
         if signals:
-            layouts.append(AnswerLayout(0x22, did.identifier, message_of(0x22, did.identifier, signals, name=did.name)))
-        else:
-            left.append(LeftOut(where, "no data of at most 64 bits"))
+            message = message_of(0x22, did.identifier, signals, name=did.name)
+            layouts.append(AnswerLayout(0x22, did.identifier, message))
+        elif not did.datas:
+            left.append(LeftOut(where, "no data"))
     if not layouts:
         raise InputError("the file has no data identifiers with data", file=path)
     return Layouts(tuple(layouts), tuple(left))
 
 
-def _signal(data: Any) -> Any:
+def _signs(path: Path) -> dict[str, str]:
+    """Return the encodings of data by their names, which cantools leaves out; "?" where one name has several."""
+    from xml.etree import ElementTree  # noqa: PLC0415 - beside its parser
+
+    document = ElementTree.parse(path).getroot()  # noqa: S314 - cantools has read it in the same way
+    kinds = {each.get("id"): each.find("CVALUETYPE") for each in document.iterfind(".//DATATYPES/*")}
+    found: dict[str, str] = {}
+    for each in document.iter("DATAOBJ"):
+        kind, name = kinds.get(each.get("dtref")), each.findtext("QUAL")
+        encoding = "" if kind is None else kind.get("enc", "")
+        if name and found.setdefault(name, encoding) != encoding:
+            found[name] = "?"
+    return found
+
+
+def _signal(data: Any, signs: Mapping[str, str]) -> Any:
     conversion = data.conversion
     return signal_of(
         data.name,
         data.start,
         data.length,
         big=data.byte_order == "big_endian",
-        real=conversion.is_float,
+        signed=signs.get(data.name) == "sgn",
+        real=signs.get(data.name) in ("flt", "dbl"),
         scale=conversion.scale,
         offset=conversion.offset,
         texts={number: str(text) for number, text in (conversion.choices or {}).items()},

@@ -17,6 +17,8 @@ _SENSORS = ("11", "12", "13", "14", "21", "22", "23", "24")
 #: Monitors of PIDs 0x01 and 0x41, from bit 8 of the answer on; 1 of readiness or completion: not yet.
 _CONTINUOUS = ("CCM", "FUEL", "MIS")
 _OTHERS = ("EGR", "HTR", "O2S", "ACRF", "AIR", "EVAP", "HCAT", "CAT")
+#: Rows of one bit, from their length on.
+_NO, _DONE = "1 1 0 - =no,yes", "1 1 0 - =yes,no"
 
 _TABLE = """
 01 MIL 0 1 1 0 - =off,on
@@ -42,7 +44,7 @@ _TABLE = """
 10 MAF 0 16 1/100 0 g/s
 11 TP 0 8 100/255 0 %
 12 AIR_STAT 0 8 1 0 - =-,UPS,DNS,-,OFF,-,-,-,DIAG
-1C OBDSUP 0 8 1 0 -
+1C OBDSUP 0 8 1 0 - =-,OBD-II,OBD,OBD-and-OBD-II,OBD-I,NO-OBD,EOBD,EOBD-and-OBD-II,EOBD-and-OBD,EOBD-OBD-OBD-II,JOBD
 1E PTO_STAT 7 1 1 0 - =off,on
 1F RUNTM 0 16 1 0 s
 21 MIL_DIST 0 16 1 0 km
@@ -111,24 +113,17 @@ A6 ODO 0 32 1/10 0 km
 def _rows() -> list[str]:
     """Return the rows of the table, and those that the standard repeats."""
     rows = _TABLE.split("\n")
-    for pid, state, enabled in ((0x01, "RDY", "SUP"), (0x41, "CMPL", "ENA")):
-        yes, no = ("=yes,no", "=no,yes")
-        rows.append(f"{pid:02X} CIM_SUP 12 1 1 0 - {no}")
+    for pid, state, enabled in (("01", "RDY", "SUP"), ("41", "CMPL", "ENA")):
+        rows.append(f"{pid} CIM_SUP 12 1 1 0 - =spark,compression")
         for k, name in enumerate(_CONTINUOUS):
-            rows += [
-                f"{pid:02X} {name}_{state} {9 + k} 1 1 0 - {yes}",
-                f"{pid:02X} {name}_{enabled} {13 + k} 1 1 0 - {no}",
-            ]
+            rows += [f"{pid} {name}_{state} {9 + k} {_DONE}", f"{pid} {name}_{enabled} {13 + k} {_NO}"]
         for k, name in enumerate(_OTHERS):
-            rows += [
-                f"{pid:02X} {name}_{enabled} {16 + k} 1 1 0 - {no}",
-                f"{pid:02X} {name}_{state} {24 + k} 1 1 0 - {yes}",
-            ]
+            rows += [f"{pid} {name}_{enabled} {16 + k} {_NO}", f"{pid} {name}_{state} {24 + k} {_DONE}"]
     for k, name in enumerate(_SENSORS):
         rows += [f"{0x14 + k:02X} O2S{name} 0 8 1/200 0 V", f"{0x14 + k:02X} SHRTFT{name} 8 8 100/128 -100 %"]
         rows += [f"{0x24 + k:02X} LAMBDA{name} 0 16 2/65536 0 -", f"{0x24 + k:02X} O2S{name} 16 16 8/65536 0 V"]
         rows += [f"{0x34 + k:02X} LAMBDA{name} 0 16 2/65536 0 -", f"{0x34 + k:02X} O2S{name} 16 16 1/256 -128 mA"]
-        rows.append(f"13 O2S{name}_EXISTS {7 - k} 1 1 0 - =no,yes")
+        rows.append(f"13 O2S{name}_EXISTS {7 - k} {_NO}")
     return rows
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.answers import databases, obdb
+from gateway.answers import databases, obdb, odx
 from gateway.answers.j1979 import j1979
 from gateway.answers.model import Address, AnswerLayout, Layouts, LeftOut, Limits, layouts_for
 from gateway.signals.database import SUFFIXES
@@ -31,6 +31,7 @@ _READERS: dict[str, Callable[[Path, int | None], Layouts]] = {
     **dict.fromkeys(SUFFIXES, databases.read),
     ".cdd": databases.read_cdd,
     ".json": obdb.read,
+    **dict.fromkeys((".odx", ".odx-d", ".pdx"), odx.read),
 }
 
 
@@ -38,8 +39,8 @@ def read_file(path: Path, year: int | None = None) -> Layouts:
     """Read the layouts of a file, and what it has besides.
 
     Args:
-        path: a database (DBC, KCD, SYM, ARXML: an extended identifier ``service << 16 | identifier`` a message), a CDD, a
-            signal set of OBDb (JSON).
+        path: a database (DBC, KCD, SYM, ARXML: an extended identifier ``service << 16 | identifier`` a message), a CDD,
+            ODX or PDX, a signal set of OBDb (JSON).
         year: model year, where a file distinguishes them; None: all, of two for one request the later.
 
     Raises:

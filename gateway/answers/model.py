@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 #: Services whose identifier has two bytes; those of others have one.
 TWO_BYTES = (0x22, 0x2A, 0x2E, 0x2F, 0x31)
 
+#: Bits of a signal that the decoder reads, at most.
+LONGEST_SIGNAL = 64
+
 
 @dataclass(frozen=True)
 class Address:
@@ -171,7 +174,7 @@ def message_of(service: int, identifier: int, signals: Sequence[Any], *, name: s
     """
     from cantools.database.can import Message  # noqa: PLC0415 - takes a while to load
 
-    ends = [_end(signal) for signal in signals]
+    ends = [bits_needed(signal) for signal in signals]
     return Message(
         frame_id=service << 16 | identifier,
         name=name or f"A_{request_name(service, identifier)}",
@@ -183,7 +186,7 @@ def message_of(service: int, identifier: int, signals: Sequence[Any], *, name: s
     )
 
 
-def _end(signal: Any) -> int:
+def bits_needed(signal: Any) -> int:
     """Return how many bits of a payload a signal needs."""
     start = int(signal.start)
     if signal.byte_order == "big_endian":

@@ -1,8 +1,8 @@
 """Signal sets of the OBDb project (JSON, version 3), as layouts.
 
-A command is a request; ``bix`` is the place of a signal's first bit, the highest bit of the first byte being 0, and a value
-is ``raw * mul / div + add``. ``blsb`` turns the signal's bytes round before its bits are taken, in numbers, not in texts
-(``map``): as the project's own tools do. Definition: OBDb/.schemas, signals.json.
+A command is a request; ``bix`` is the place of a signal's first bit, the highest bit of the first byte being 0, and a
+value is ``raw * mul / div + add``. ``blsb`` turns the signal's bytes round before its bits are taken, in numbers, not
+in texts (``map``): as the project's own tools do. Definition: OBDb/.schemas, signals.json.
 """
 
 from __future__ import annotations
@@ -14,7 +14,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gateway.answers.model import Address, AnswerLayout, LeftOut, Layouts, Limits, message_of, request_name, signal_of
+from gateway.answers.model import (
+    LONGEST_SIGNAL,
+    Address,
+    AnswerLayout,
+    Layouts,
+    LeftOut,
+    Limits,
+    message_of,
+    request_name,
+    signal_of,
+)
 from gateway.bus.frames import EXTENDED
 from gateway.signals.bounds import LONGEST
 from gateway_fdi.errors import InputError
@@ -41,6 +51,8 @@ UNITS = {
 _TEXTS = {"noyes": {0: "no", 1: "yes"}, "yesno": {0: "yes", 1: "no"}, "offon": {0: "off", 1: "on"}}
 #: Priority of diagnostic frames with 29 bits, and the tester's address there (ISO 15765-2).
 _PRIORITY, _TESTER = 0x18, 0xF1
+#: Requests to all: any ECU answers them.
+TO_ALL = (0x7DF, EXTENDED | 0x18DB0000 | 0x33 << 8 | _TESTER)
 
 
 class _Place(NamedTuple):
@@ -119,7 +131,8 @@ class Years:
             None if fields.get(key) is None else _count(fields, key, place, None, 0) for key in ("from", "to")
         )
         years = _list(fields.get("years") or [], place.at("years"))
-        return Years(first, last, frozenset(int(year) for year in years))
+        single = [_count({"years": year}, "years", place, None, 0) for year in years]
+        return Years(first, last, frozenset(single))
 
     def match(self, year: int) -> bool:
         """Return whether a year is among them."""
@@ -144,7 +157,7 @@ class _Command(NamedTuple):
     """One command: its request, and its signals as they stand there."""
 
     place: _Place
-    address: Address
+    address: Address | None
     service: int
     identifier: int
     years: Years
@@ -174,7 +187,7 @@ def _command(entry: Any, place: _Place) -> _Command:
         raise place.at("cmd").at(word).wrong("an identifier is missing")
     return _Command(
         place,
-        _address(table, place),
+        None if (address := _address(table, place)).request in TO_ALL else address,
         service,
         identifier,
         Years.of(table.get("filter"), place.at("filter")),
@@ -184,7 +197,7 @@ def _command(entry: Any, place: _Place) -> _Command:
 
 
 def _address(table: Mapping[str, Any], place: _Place) -> Address:
-    """Return the address of a command: of 11 bits (``7E0``), or the middle two bytes of 29 (``DA10``), or all of them."""
+    """Return the address of a command: 11 bits (``7E0``), the middle two bytes of 29 (``DA10``), or all of them."""
     header = table.get("hdr")
     request = _hex(table, "hdr", place, 0x1FFF_FFFF)
     if request is None or not isinstance(header, str):
@@ -194,25 +207,26 @@ def _address(table: Mapping[str, Any], place: _Place) -> Address:
     if len(header) == 3:
         if request > 0x7FF or (response or 0) > 0x7FF:
             raise place.at("hdr").wrong("an identifier of three digits has at most 7FF", header)
-        return Address(request, response, own, tester if tester is not None else own)
+        return Address(request, response, own, None if own is None else own if tester is None else tester)
     source = _TESTER if tester is None else tester
     if len(header) == 4:
         priority = _hex(table, "pri", place, 0x1F)
         request |= (_PRIORITY if priority is None else priority) << 16
         request = request << 8 | source
-    if response is not None:
-        response = response if response > 0xFFFF else 0x18DA0000 | source << 8 | response & 0xFF
-        response |= EXTENDED
-    return Address(request | EXTENDED, response, own, own)
+    if response is not None and len(table["rax"]) < 8:  # the ECU's address is its last byte
+        response = 0x18DA0000 | source << 8 | response & 0xFF
+    return Address(request | EXTENDED, None if response is None else response | EXTENDED, own, own)
 
 
 def _answered(commands: list[_Command]) -> Iterator[_Command]:
     """Return the commands, one that does not say who answers with the address of those that do for its ECU."""
-    known = {(one.address.request, one.address.extended): one.address for one in commands if one.address.response}
+    addresses = [one.address for one in commands if one.address is not None]
+    known = {(one.request, one.extended): one for one in addresses if one.response is not None}
     for one in commands:
-        if one.address.response is None:
-            one = one._replace(address=known.get((one.address.request, one.address.extended), one.address))
-        yield one
+        own = one.address
+        if own is not None and own.response is None:
+            own = known.get((own.request, own.extended), own)
+        yield one._replace(address=own)
 
 
 def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
@@ -224,8 +238,8 @@ def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
     place = place.at("fmt")
     first, length = _count(fmt, "bix", place, 0, 0), _count(fmt, "len", place, None, 1)
     unit = fmt.get("unit")
-    if unit == "ascii" or length > 64:
-        return LeftOut(name, f"a text, or a number of {length} bits: at most 64 are decoded")
+    if unit == "ascii" or length > LONGEST_SIGNAL:
+        return LeftOut(name, f"a text, or a number of {length} bits: at most {LONGEST_SIGNAL} are decoded")
     texts = _texts(fmt, place)
     big, start = True, 8 * (first // 8) + 7 - first % 8
     if fmt.get("blsb") and length > 8 and "map" not in fmt:
@@ -249,7 +263,7 @@ def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
         offset=0 if texts or offset is None else offset,
         texts=texts,
         unit=UNITS.get(str(unit)),
-        limits=(least or 0, most) if most is not None and most > (least or 0) and not texts else None,
+        limits=(least or 0, most) if most is not None and most > (least or 0) and "map" not in fmt else None,
         comment=str(table.get("name") or ""),
     )
     return signal, Limits(*numbers[:4])
@@ -296,6 +310,31 @@ def _joined(commands: list[_Command], left: list[LeftOut]) -> AnswerLayout | Non
     return AnswerLayout(first.service, first.identifier, message, first.address, limits, first.every_s)
 
 
+def _document(path: Path) -> dict[str, Any]:
+    """Return the file's contents."""
+    try:
+        document = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise InputError(error.strerror or str(error), file=path) from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"no good JSON: {error.msg}", file=path, line=error.lineno) from error
+    except (UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"no good JSON: {error}", file=path) from error
+    return dict(_object(document, _Place(path, "")))
+
+
+def of_year(path: Path, year: int) -> str:
+    """Return the text of a signal set that has the commands of one model year only."""
+    document = _document(path)
+    place = _Place(path, "commands")
+    document["commands"] = [
+        entry
+        for k, entry in enumerate(_list(document.get("commands"), place))
+        if _command(entry, _Place(path, f"commands[{k}]")).years.match(year)
+    ]
+    return json.dumps(document, indent=1) + "\n"
+
+
 def read(path: Path, year: int | None) -> Layouts:
     """Read a signal set.
 
@@ -306,19 +345,11 @@ def read(path: Path, year: int | None) -> Layouts:
     Raises:
         InputError: it cannot be read, is no signal set, or has nothing for the year; names key and value.
     """
-    try:
-        document = json.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(error.strerror or str(error), file=path) from error
-    except json.JSONDecodeError as error:
-        raise InputError(f"no good JSON: {error.msg}", file=path, line=error.lineno) from error
-    except (UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"no good JSON: {error}", file=path) from error
     top = _Place(path, "")
-    entries = _list(_object(document, top).get("commands"), top.at("commands"))
+    entries = _list(_document(path).get("commands"), top.at("commands"))
     commands = [_command(entry, top.at(f"commands[{k}]")) for k, entry in enumerate(entries)]
     left: list[LeftOut] = []
-    requests: dict[tuple[Address, int, int], list[_Command]] = {}
+    requests: dict[tuple[Address | None, int, int], list[_Command]] = {}
     for one in _answered(commands):
         if year is None or one.years.match(year):
             requests.setdefault((one.address, one.service, one.identifier), []).append(one)

@@ -7,9 +7,10 @@ import os
 import socket
 import struct
 from collections.abc import Sequence
+from functools import cached_property
 
 from gateway.bus.base import Bus
-from gateway.bus.can_structs import RawReceiver, pack
+from gateway.bus.can_structs import Packer, RawReceiver
 from gateway.bus.frames import EXTENDED, ID_MASK, REMOTE, Frames
 from gateway_fdi.errors import BusError, UnsupportedError
 
@@ -64,6 +65,10 @@ class SocketCanBus(Bus):
             raise BusError(f"{uri}: {_help(error, interface)}") from error
         self._receiver = RawReceiver(self._socket, self.statistics)
 
+    @cached_property
+    def _pack(self) -> Packer:
+        return Packer()
+
     def _set_up(self, interface: str, fd: bool, rcvbuf: int) -> None:
         sock = self._socket
         sock.setblocking(False)
@@ -108,7 +113,7 @@ class SocketCanBus(Bus):
         """Send frames, in order, as far as the queue takes them."""
         for k, frame in enumerate(frames):
             try:
-                self._socket.send(pack(frame))
+                self._socket.send(self._pack(frame))
             except OSError as error:
                 if error.errno in _BUSY:
                     return k

@@ -1,8 +1,8 @@
 """The ``gateway`` command: one function per sub-command, no logic.
 
-Each function imports its work only when called, so that ``--help`` answers at once. Exit codes:
-0 fine, 1 faults found (``--fail-on-dtc``, ``--check``), 2 bad usage, configuration or input, 70 an error of the
-gateway itself.
+Each function imports its work only when called (:func:`~gateway.cli.commands.does`), so that ``--help`` answers at
+once. Exit codes: 0 fine, 1 faults found (``--fail-on-dtc``, ``--check``), 2 bad usage, configuration or input, 70 an
+error of the gateway itself.
 
 Annotations are values here, no texts (gateway/cli/options.py).
 """
@@ -16,11 +16,12 @@ from typing import Annotated
 import typer
 
 from gateway import __version__
-from gateway.cli.commands import Commands, group
+from gateway.cli.commands import Commands, does, group
 from gateway.cli.failure import DEBUG, ended_by, install_hooks
 from gateway.cli.options import (
     LOG_HELP,
     ConfigArgument,
+    ConfigOption,
     FailOnDtc,
     HtmlOption,
     Json,
@@ -113,6 +114,7 @@ def run(
 
 
 @app.command()
+@does("gateway.cli.serve:serve", config="config_path", name="names", cert="certificate")
 def serve(
     config: ConfigArgument = None,
     status: StatusOption = None,
@@ -144,26 +146,10 @@ def serve(
     The page shows residuals against their thresholds, DTCs with their evidence, buses and messages. Metrics for
     Prometheus are at /metrics. The gateway may be stopped and started again while the page is served.
     """
-    from gateway.cli.serve import serve as work
-
-    raise typer.Exit(
-        work(
-            config,
-            status=status,
-            host=host,
-            port=port,
-            names=name or (),
-            read_token_file=read_token_file,
-            control_token_file=control_token_file,
-            certificate=cert,
-            key=key,
-            open_page=open_page,
-            parent=parent,
-        )
-    )
 
 
 @app.command()
+@does("gateway.cli.watch:watch", config="config_path")
 def watch(
     config: ConfigArgument = None,
     status: StatusOption = None,
@@ -176,20 +162,13 @@ def watch(
 
     The view has the DTCs, the tests closest to their limits, and the buses.
     """
-    from gateway.cli.watch import watch as work
-
-    raise typer.Exit(work(config, status=status, once=once, json=json))
 
 
 @app.command()
+@does("gateway.cli.mqtt:mqtt", config="config_path")
 def mqtt(
     broker: Annotated[str, typer.Argument(help="Broker, as HOST or HOST:PORT.")],
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            "--config", "-c", help="Configuration file; default: gateway.toml in this folder, or else the shipped one."
-        ),
-    ] = None,
+    config: ConfigOption = None,
     status: StatusOption = None,
     base: Annotated[str, typer.Option("--topic", help="First part of all topics.  [default: gateway/NAME]")] = "",
     signals: Annotated[
@@ -211,22 +190,6 @@ def mqtt(
 
     DTCs and the state (online or offline) are retained messages; chosen signals are sent at a limited rate.
     """
-    from gateway.cli.mqtt import mqtt as work
-
-    raise typer.Exit(
-        work(
-            broker,
-            config,
-            status=status,
-            base=base,
-            signals=signals or (),
-            rate=rate,
-            user=user,
-            password_file=password_file,
-            tls=tls,
-            ca=ca,
-        )
-    )
 
 
 @app.command()
@@ -261,6 +224,7 @@ def report(
 
 
 @app.command()
+@does("gateway.cli.bus:bus")
 def bus(
     address: Annotated[str, typer.Argument(help="Loopback address and port to listen on.")] = "127.0.0.1:29536",
     duration: Annotated[float | None, typer.Option(min=0, help="Stop after this time [s].")] = None,
@@ -270,12 +234,47 @@ def bus(
 
     It speaks the socketcand protocol, on this machine only. Every local user can read and write frames.
     """
-    from gateway.cli.bus import bus as work
-
-    raise typer.Exit(work(address, duration=duration, json=json))
 
 
 @app.command()
+@does("gateway.cli.survey:survey", bus="uri")
+def survey(
+    bus: Annotated[str, typer.Argument(help="URI of the bus, e.g. socketcan:can0.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write a configuration that asks them.")] = None,
+    rate: Annotated[float, typer.Option(min=0.1, max=1000, help="Most requests a second.")] = 10.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Ask also where there is traffic on the bus.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
+    json: Json = False,
+) -> None:
+    """Find the ECUs of a bus by asking them: identity, PIDs, DTCs."""
+
+
+@app.command("import")
+@does("gateway.cli.import_layouts:import_layouts")
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Layouts of answers: .dbc, .kcd, .sym, .arxml, .cdd, .odx, .pdx, or a signal set of OBDb (.json)."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Configuration file to write.")] = Path("ecu.toml"),
+    bus: Annotated[str, typer.Option(metavar="NAME[=URI]", help="Bus that the ECUs are on.")] = "can0",
+    request: Annotated[
+        str | None, typer.Option(help="Identifier of requests, e.g. 0x7E0, where the file has none.")
+    ] = None,
+    response: Annotated[str | None, typer.Option(help="Identifier of answers, e.g. 0x7E8.")] = None,
+    year: Annotated[
+        int | None, typer.Option(min=1900, max=2200, help="Model year, where the file has several.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
+    json: Json = False,
+) -> None:
+    """Make a configuration from a file of ECUs' answers."""
+
+
+@app.command()
+@does("gateway.cli.record:record", buses="uris")
 def record(
     buses: Annotated[list[str], typer.Argument(help="URIs, e.g. socketcan:can0 socketcan:can1.")],
     out: Annotated[
@@ -294,20 +293,6 @@ def record(
 
     If a bus goes away, the recording waits until it comes back.
     """
-    from gateway.cli.record import record as work
-
-    raise typer.Exit(
-        work(
-            buses,
-            out=out,
-            ring=ring,
-            keep_mb=keep_mb,
-            segment_mb=segment_mb,
-            form=form,
-            duration=duration,
-            json=json,
-        )
-    )
 
 
 INJECT_HELP = (
@@ -336,14 +321,10 @@ SeriesSignals = Annotated[
 
 
 @app.command()
+@does("gateway.cli.replays:replays", only="monitor", inject="injections", signals="series", signal="chosen")
 def replay(
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help=LOG_HELP)],
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            "--config", "-c", help="Configuration file; default: gateway.toml in this folder, or else the shipped one."
-        ),
-    ] = None,
+    config: ConfigOption = None,
     maps: Maps = None,
     memory: MemoryOfReplay = None,
     allow_empty: Annotated[
@@ -382,33 +363,10 @@ def replay(
     Without --memory, no fault memory is read or written. Exit code 2: a log is damaged, cut off, or has no frame of a
     configured bus; its frames are replayed all the same.
     """
-    from gateway.cli.replays import replays as work
-
-    raise typer.Exit(
-        work(
-            logs,
-            config,
-            jobs=jobs,
-            memory=memory,
-            maps=maps or (),
-            allow_empty=allow_empty,
-            allow_cut=allow_cut,
-            monitor=only,
-            trace=trace,
-            injections=inject or (),
-            seed=seed,
-            html=html,
-            series=signals,
-            plot=plot,
-            chosen=signal or (),
-            json=json,
-            fail_on_dtc=fail_on_dtc,
-            junit=junit,
-        )
-    )
 
 
 @app.command()
+@does("gateway.cli.decode:decode", database="databases")
 def decode(
     logs: Annotated[
         list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns, e.g. 'logs/**/*.mf4'.")
@@ -436,23 +394,10 @@ def decode(
     The files are device/message/YYYY/MM/DD/log.parquet, with the time t in UTC and one column per signal. Exit code 2:
     a log is damaged; its whole frames are decoded all the same.
     """
-    from gateway.cli.decode import decode as work
-
-    raise typer.Exit(
-        work(
-            logs,
-            out,
-            databases=database or (),
-            config=config,
-            maps=maps or (),
-            device=device,
-            numbers=numbers,
-            json=json,
-        )
-    )
 
 
 @app.command("plot")
+@does("gateway.cli.watched:plot_file")
 def plot_command(
     series: Annotated[Path, typer.Argument(help="File written by gateway replay --signals: .parquet or .csv.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write: .svg, .png, .pdf.")],
@@ -465,9 +410,6 @@ def plot_command(
 
     The picture shows values against their limits, with DTCs marked.
     """
-    from gateway.cli.watched import plot_file
-
-    raise typer.Exit(plot_file(series, output, only or ()))
 
 
 @app.command()
@@ -493,6 +435,7 @@ def check(
 
 
 @app.command("new-monitor")
+@does("gateway.cli.new_monitor:new_monitor")
 def new_monitor(
     name: Annotated[str, typer.Argument(help="Name of the monitor, also of its Python module, e.g. coolant.")],
     folder: Annotated[Path | None, typer.Option("--folder", help="Folder to write.  [default: NAME]")] = None,
@@ -501,20 +444,16 @@ def new_monitor(
 
     The folder has a monitor, database, configuration, virtual ECU, scenario and test. It runs as it is.
     """
-    from gateway.cli.new_monitor import new_monitor as work
-
-    raise typer.Exit(work(name, folder))
 
 
 @app.command()
+@does("gateway.cli.warmup:warmup")
 def warmup(json: Json = False) -> None:
     """Compile all kernels into the cache, for a quick start."""
-    from gateway.cli.warmup import warmup as work
-
-    raise typer.Exit(work(json=json))
 
 
 @app.command()
+@does("gateway.cli.doctor:doctor")
 def doctor(
     config: ConfigArgument = None,
     memory: MemoryOption = None,
@@ -525,12 +464,10 @@ def doctor(
     json: Json = False,
 ) -> None:
     """Show what this machine offers and how its gateway is doing."""
-    from gateway.cli.doctor import doctor as work
-
-    raise typer.Exit(work(config, memory=memory, running=running, bench=bench, json=json))
 
 
 @faults_app.command("list")
+@does("gateway.cli.faults:list_faults")
 def faults_list(
     memory: MemoryOption = None,
     config: ConfigArgument = None,
@@ -538,16 +475,10 @@ def faults_list(
     ecu: Annotated[str | None, typer.Option(help="DTCs of another ECU, by its name; all: of all.")] = None,
 ) -> None:
     """List the DTCs of a fault memory."""
-    from gateway.cli.faults import list_ecu_dtcs, list_faults
-
-    raise typer.Exit(
-        list_faults(config, memory=memory, json=json)
-        if ecu is None
-        else list_ecu_dtcs(ecu, config, memory=memory, json=json)
-    )
 
 
 @faults_app.command("show")
+@does("gateway.cli.faults:show_fault")
 def faults_show(
     dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-39.")],
     memory: MemoryOption = None,
@@ -555,12 +486,10 @@ def faults_show(
     json: Json = False,
 ) -> None:
     """Show one DTC: status bits, freeze frames, evidence."""
-    from gateway.cli.faults import show_fault as work
-
-    raise typer.Exit(work(dtc, config, memory=memory, json=json))
 
 
 @faults_app.command("clear")
+@does("gateway.cli.faults:clear_faults")
 def faults_clear(
     dtc: Annotated[str | None, typer.Argument(help="DTC to clear; default: all DTCs.")] = None,
     memory: MemoryOption = None,
@@ -573,40 +502,32 @@ def faults_clear(
 
     A running gateway clears by its rules of access, as for a tester; --force overrides them.
     """
-    from gateway.cli.faults import clear_faults as work
-
-    raise typer.Exit(work(dtc, config, memory=memory, json=json, force=force, why=why))
 
 
 @faults_app.command("verify")
+@does("gateway.cli.faults:verify")
 def faults_verify(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
     """Say whether a fault memory is whole.
 
     Each entry, intervention, clear and number is checked against the chain of what was written. Exit code 1 if one is
     not what was written; the first one is named.
     """
-    from gateway.cli.faults import verify as work
-
-    raise typer.Exit(work(config, memory=memory, json=json))
 
 
 @faults_app.command("near-misses")
+@does("gateway.cli.faults:near_misses")
 def faults_near_misses(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
     """List how often faults came close to failing, and how close."""
-    from gateway.cli.faults import near_misses as work
-
-    raise typer.Exit(work(config, memory=memory, json=json))
 
 
 @faults_app.command("interventions")
+@does("gateway.cli.faults:interventions")
 def faults_interventions(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
     """List changes that testers made, or were refused."""
-    from gateway.cli.faults import interventions as work
-
-    raise typer.Exit(work(config, memory=memory, json=json))
 
 
 @faults_app.command("recordings")
+@does("gateway.cli.faults:recordings")
 def faults_recordings(
     dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-39.")],
     memory: MemoryOption = None,
@@ -615,12 +536,10 @@ def faults_recordings(
     json: Json = False,
 ) -> None:
     """Write the frames around the failures of a DTC as logs."""
-    from gateway.cli.faults import recordings as work
-
-    raise typer.Exit(work(dtc, config, memory=memory, folder=folder, json=json))
 
 
 @faults_app.command("export")
+@does("gateway.cli.export:export", config="config_path")
 def faults_export(
     config: ConfigArgument = None,
     out: Annotated[Path | None, typer.Option(help="File to write; default: standard output.")] = None,
@@ -629,12 +548,10 @@ def faults_export(
 
     It has faults, data identifiers and extended data records, as indented JSON.
     """
-    from gateway.cli.export import export as work
-
-    raise typer.Exit(work(config, out=out))
 
 
 @convert_app.command("log")
+@does("gateway.cli.convert:convert_log")
 def convert_log(
     source: LogArgument,
     log: Annotated[Path, typer.Argument(help="Log to write: .log, .asc, .blf, .mf4, .trc, .csv, .parquet.")],
@@ -644,9 +561,6 @@ def convert_log(
 
     Data-science tools read Parquet.
     """
-    from gateway.cli.convert import convert_log as work
-
-    raise typer.Exit(work(source, log, json=json))
 
 
 def main() -> None:

@@ -17,7 +17,10 @@ from gateway.monitors.contract import Monitor
 from gateway.monitors.tryout import refuse_failing
 from gateway.runtime.app import Gateway
 from gateway.runtime.mistakes import mistakes
+from gateway.servers.access import ROUTE
 from gateway.servers.access_review import ways_around
+from gateway.servers.doip.reach import reach
+from gateway.servers.doip.reach import ways_around as reach_around
 from gateway_fdi.errors import InputError, InputErrors, each_of
 
 #: Columns that are left for a name after the codes given out for it, of 80.
@@ -56,6 +59,9 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in _trusted_in_vain(monitor)
     ]
     warnings += _ways_around(config)
+    doip, need = config.output.doip, config.needs[ROUTE]
+    reached = [] if doip is None else list(reach(doip, need))
+    warnings += [] if doip is None else list(reach_around(doip, need))
     warnings += secrets_shown(config, path)
     warnings += _of_this_machine(config)
     if json:
@@ -66,6 +72,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
                 "codes": codes,
                 "taken": notes,
                 "told": told,
+                "doip": reached,
                 "warnings": warnings,
                 "asked": list(asked_of(config)),
             }
@@ -84,6 +91,8 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             print(text)
         for name, lines in told.items():
             print(f"{name}:", *lines, sep="\n  ")
+        if reached:
+            print("by DoIP:", *reached, sep="\n  ")
         for text in warnings:
             print(f"warning: {text}")
     return 0

@@ -5,7 +5,9 @@ Each is a ``typer.Typer`` or a function. The commands of the bench, the fleet an
 
 import sys
 from collections.abc import Callable
-from typing import Any, ClassVar
+from functools import wraps
+from importlib import import_module
+from typing import Any, ClassVar, get_args
 
 import typer
 from typer.core import TyperGroup
@@ -25,9 +27,9 @@ OTHERS: Registry[typer.Typer | Callable[..., Any]] = Registry("gateway.commands"
 
 #: The order in which ``gateway --help`` lists commands; others follow by name.
 ORDER = (
-    "demo", "run", "serve", "watch", "mqtt", "simulate", "control", "report", "structure", "learn", "calibrate", "bus",
-    "record", "replay", "decode", "plot", "check", "new-monitor", "warmup", "doctor", "faults", "convert", "fleet",
-    "evaluate",
+    "demo", "run", "serve", "watch", "mqtt", "simulate", "control", "report", "structure", "learn", "import", "survey",
+    "calibrate", "bus", "record", "replay", "decode", "plot", "check", "new-monitor", "warmup", "doctor", "faults",
+    "convert", "fleet", "evaluate",
 )  # fmt: skip
 
 
@@ -84,6 +86,31 @@ class Commands(TyperGroup):
                 return None
             raise
         return self.commands[cmd_name]
+
+
+def does(place: str, **renamed: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator: the command calls a function, imported when it is called, and exits with its exit code.
+
+    The function gets all options by their names; a list that was not given is empty.
+
+    Args:
+        place: ``module:function``.
+        renamed: option -> parameter of the function, where they differ.
+    """
+
+    def decorated(command: Callable[..., None]) -> Callable[..., None]:
+        lists = [name for name, form in command.__annotations__.items() if "list[" in str(get_args(form)[:1])]
+
+        @wraps(command)
+        def call(**given: Any) -> None:
+            given |= {name: () for name in lists if given[name] is None}
+            module, _, function = place.partition(":")
+            work = getattr(import_module(module), function)
+            raise typer.Exit(work(**{renamed.get(name, name): value for name, value in given.items()}))
+
+        return call
+
+    return decorated
 
 
 def group(name: str, text: str, renamed: dict[str, str] | None = None) -> typer.Typer:

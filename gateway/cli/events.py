@@ -127,6 +127,9 @@ class EventPrinter:
         by = f"  by {' and '.join(event['cause'])}" if event["cause"] else ""
         self._lines.print(f"{self._time(event)}  {mark}  {', '.join(event['faults'])}{by}", mark=mark, colour="bold")
 
+    def _on_stored(self, event: dict[str, Any]) -> None:
+        self._lines.print(f"{self._time(event)}  stored  {', '.join(event['faults'])}")
+
     def _on_ecu_dtc(self, event: dict[str, Any]) -> None:
         mark = f"ECU {event['ecu']}"
         text = f"{event['dtc']} {event['state']}, status 0x{event['status']:02X}"
@@ -149,7 +152,7 @@ class EventPrinter:
 
     def _on_intervention(self, event: dict[str, Any]) -> None:
         how = "" if event["outcome"] == "done" else f", refused 0x{event['nrc']:02X}"
-        by = f"{event['protocol']} {event['address']:X}"
+        by = event["protocol"] + (f" {event['address']:X} on {event['bus']}" if event["bus"] else "")
         self._lines.print(f"{self._time(event)}  tester: {event['action']} by {by}{how}")
 
     def _on_config(self, event: dict[str, Any]) -> None:

@@ -48,8 +48,10 @@ def _say_if_behind(path: Path) -> None:
         )
 
 
-def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
-    """List the entries; returns the exit code."""
+def list_faults(config: Path | None, *, memory: Path | None, json: bool, ecu: str | None = None) -> int:
+    """List the entries, or the DTCs of another ECU ("all": of all); returns the exit code."""
+    if ecu is not None:
+        return _list_ecu_dtcs(ecu, config, memory=memory, json=json)
     path = _path(config, memory)
     entries = service.list_entries(path)
     _say_if_behind(path)
@@ -68,7 +70,7 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool) -> int:
     return 0
 
 
-def list_ecu_dtcs(ecu: str, config: Path | None, *, memory: Path | None, json: bool) -> int:
+def _list_ecu_dtcs(ecu: str, config: Path | None, *, memory: Path | None, json: bool) -> int:
     """List the DTCs of another ECU, or of all; returns the exit code."""
     path = _path(config, memory)
     known = service.ecu_dtcs(path)
@@ -79,10 +81,9 @@ def list_ecu_dtcs(ecu: str, config: Path | None, *, memory: Path | None, json: b
         return 0
     table = table_of("ECU", "DTC", "status", "state", "came", "first, last", "snapshots")
     for each in found:
-        state = "there" if each["there"] else "went"
         table.add_row(
-            each["ecu"], each["dtc"], f"0x{each['status']:02X}", state, str(each["came"]),
-            f"{_second(each['first_ns'])}\n{_second(each['last_ns'])}",
+            each["ecu"], each["dtc"], f"0x{each['status']:02X}", "there" if each["there"] else "went",
+            str(each["came"]), f"{_second(each['first_ns'])}\n{_second(each['last_ns'])}",
             "\n".join(f"{name}: {data}" for name, data in each["snapshots"].items()),
         )  # fmt: skip
     others = ", ".join(sorted({each["ecu"] for each in known}))

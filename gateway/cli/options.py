@@ -11,10 +11,9 @@ import typer
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, on one line, instead of text.")]
 JsonEvents = Annotated[bool, typer.Option("--json", help="Print JSON Lines, one event per line, instead of text.")]
 FailOnDtc = Annotated[bool, typer.Option("--fail-on-dtc", help="Exit with code 1 if a DTC was set.")]
-ConfigArgument = Annotated[
-    Path | None,
-    typer.Argument(help="Configuration file; default: gateway.toml in this folder, or else the shipped one."),
-]
+_CONFIG_HELP = "Configuration file; default: gateway.toml in this folder, or else the shipped one."
+ConfigArgument = Annotated[Path | None, typer.Argument(help=_CONFIG_HELP)]
+ConfigOption = Annotated[Path | None, typer.Option("--config", "-c", help=_CONFIG_HELP)]
 MemoryOption = Annotated[
     Path | None, typer.Option("--memory", help="SQLite file of the fault memory; default: as configured.")
 ]

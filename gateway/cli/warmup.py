@@ -6,11 +6,11 @@ import socket
 import time
 
 from gateway.bus.base import Statistics
-from gateway.bus.can_structs import RawReceiver
+from gateway.bus.can_structs import Packer, RawReceiver
 from gateway.bus.frames import empty
 from gateway.bus.traffic import Traffic
 from gateway.cli.present import print_json, say
-from gateway.config.load import load_config
+from gateway.config.model import Config
 from gateway.engine.buckets import nearness
 from gateway.live.pump import Pump
 from gateway.monitors.contract import Family
@@ -32,7 +32,9 @@ def warmup(*, json: bool) -> int:
                 _ = monitor.checked_entry if monitor.outside else monitor.entry
         except InputError as error:  # of another package: the others are made ready
             say(f"monitor type {type_}: {error}")
-    gateway = Gateway(load_config(shipped("gateway.toml")))  # without a path its fault memory is no file
+    check = {"message": "GW_EngineSync", "timeout_ms": 500.0, "counter": {"signal": "FrameCnt"}}
+    bus = {"name": "bus", "uri": "virtual:warmup", "database": [shipped("dbc/gateway.dbc")], "check": [check]}
+    gateway = Gateway(Config.model_validate({"bus": [bus]}))  # a configuration that needs no plant, and no file
     gateway.start(0)
     gateway.engine.fault_detection_counters()  # signals that watchers look at
     if gateway.engine.cells is not None:
@@ -43,6 +45,7 @@ def warmup(*, json: bool) -> int:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         RawReceiver(ours, Statistics())
+        Packer()
     seconds = time.monotonic() - begun
     if json:
         print_json({"seconds": seconds, "cache": str(folder())})

@@ -14,11 +14,13 @@ from gateway.bus.frames import EXTENDED, Frames, empty, has_none_of, joined, pay
 from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.dtcs import READ_DTCS, details_of, told_by
 from gateway.clients.ecu import MS, Ask, EcuClient
+from gateway.clients.line import Line
 from gateway.clients.params import FUNCTIONAL
 from gateway.clients.pgn import MARK, ended_by, identifiers_of
 from gateway.clients.refusals import PENDING
 from gateway.common.times import NEVER
 from gateway.faults.vehicle import TOLD, Told
+from gateway.isotp.edges import FLOW_CONTROL
 from gateway.isotp.heard import Reassembler
 
 #: Identifier of a frame behind each answer that tells DTCs, on the bus of the answers: it is the place in time of
@@ -146,6 +148,8 @@ class Asking:
                 ecu.client.give_way(t_ns)
                 ecu.asked = ecu.requests.take(data, t_ns) or ecu.asked
             else:
+                if data and data[0] >> 4 == FLOW_CONTROL:
+                    self._said.append(ecu.client.on_flow_control(frame, t_ns))
                 made.append(self._answer(ecu, data, t_ns))
         return joined(made)
 
@@ -194,10 +198,18 @@ class Asking:
         """Let time pass; returns the frames to send."""
         said, self._said = self._said, []
         for ecu in self.ecus:
-            ecu.client.on_time(t_ns)
+            said.append(ecu.client.on_time(t_ns))
         for bus in self._apart_ns:
             if t_ns >= self._next_of_bus[bus]:
                 said.append(self._ask(bus, t_ns))
+        for ecu in self.ecus:
+            if not ecu.client.passes(t_ns):
+                continue
+            if self._may_ask(ecu.client.bus):
+                said.append(ecu.client.pass_on(t_ns))
+                ecu.asked = ecu.client.request
+            else:
+                ecu.client.waiting.give_up()
         self._plan()
         return joined(said)
 
@@ -215,6 +227,17 @@ class Asking:
                 return made
         return empty(0)
 
+    def line(self, name: str, requests_per_s: float) -> Line:
+        """Return the line to an ECU, for requests of testers.
+
+        Args:
+            name: of the ECU.
+            requests_per_s: most of them, of all testers together.
+        """
+        client = next(ecu.client for ecu in self.ecus if ecu.client.params.name == name)
+        client.waiting.apart_ns = round(1e9 / requests_per_s)
+        return Line(client, self._may_ask, self._plan)
+
     def _plan(self) -> None:
         """Note when there is something to do next."""
         due = [0 if self._said else NEVER]
@@ -223,6 +246,8 @@ class Asking:
             at_ns = client.due_ns
             if client.bus in self._apart_ns or client.busy:
                 due.append(at_ns if client.busy else max(at_ns, self._next_of_bus[client.bus]))
+            if client.waiting.passed and not client.busy:
+                due.append(client.waiting.next_ns)
         self.next_ns = min(due)
 
     def succeed(self, old: Asking, buses: Mapping[int, int]) -> None:

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from gateway.answers.weave import NEGATIVE, POSITIVE, READ_SERVICES
 from gateway.bus.frames import Frames, empty, put
 from gateway.clients.params import DTC_SERVICES, EcuAddress, EcuParams
+from gateway.clients.passed import Passed, Waiting, transport_of
 from gateway.clients.pgn import MARK, WAIT_MS, Ended, frame_of, pgn_of
 from gateway.clients.refusals import BUSY, FINAL, PENDING
 from gateway.common.times import NEVER
+from gateway.isotp.edges import MOST_SHORT
+from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.heard import N_CR_NS
 from gateway_fdi.common.log import get_logger
 
@@ -28,8 +33,9 @@ UNMET_NS = 1_000 * MS
 #: Absences in a row that make an ECU silent: it is asked once in 1 s, 2 s, 4 s ... then.
 SILENT, FIRST_REST_NS, LONGEST_REST_NS = 3, 1_000 * MS, 60_000 * MS
 
-#: Counters of each ECU. ``requests`` is the sum of all that follow but ``pending``, and of the one under way.
-COUNTED = ("requests", "answers", "refused", "absent", "yielded", "pending", "skipped")
+#: Counters of each ECU. ``requests`` is the sum of all up to ``yielded``, and of the one under way.
+#: ``passed`` are those of testers, ``passed_in_vain`` those of them without an answer.
+COUNTED = ("requests", "answers", "refused", "absent", "yielded", "pending", "skipped", "passed", "passed_in_vain")
 
 
 @dataclass
@@ -74,6 +80,7 @@ class EcuClient:
 
     Attributes:
         counts: by COUNTED.
+        waiting: requests of testers.
         silent: absences in a row.
     """
 
@@ -82,7 +89,8 @@ class EcuClient:
     asks: list[Ask]
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTED, 0))
     silent: int = 0
-    _asked: Ask | None = None
+    waiting: Waiting = field(default_factory=Waiting)
+    _asked: Ask | Passed | None = None
     _deadline_ns: int = NEVER
     _rests_ns: int = 0
     _pending: int = 0
@@ -91,6 +99,11 @@ class EcuClient:
 
     def __post_init__(self) -> None:
         self.place: EcuAddress = self.params.place
+        self._sender = self._new_sender()
+
+    def _new_sender(self) -> IsoTpEndpoint | None:
+        transport = transport_of(self.place)
+        return None if transport is None else IsoTpEndpoint(transport, self.bus)
 
     @property
     def busy(self) -> bool:
@@ -101,7 +114,8 @@ class EcuClient:
     def due_ns(self) -> int:
         """When its next request is due, or its answer overdue; NEVER: nothing is."""
         if self._asked is not None:
-            return self._deadline_ns
+            sends_ns = self._sender.next_ns if self._sender is not None and self._sender.sending else NEVER
+            return min(self._deadline_ns, sends_ns)
         return max(min((ask.due_ns for ask in self.asks if not ask.refused), default=NEVER), self._rests_ns)
 
     @property
@@ -140,6 +154,42 @@ class EcuClient:
             return frame_of(ask.request, self.params.address or 0, self.bus, t_ns)
         return self._frame(bytes([len(ask.request)]) + ask.request, t_ns)
 
+    @property
+    def longest(self) -> int:
+        """Bytes of the longest request."""
+        return 6 if self._sender is None else MOST_SHORT
+
+    def passes(self, t_ns: int) -> bool:
+        """Return whether a tester's request may go now."""
+        return bool(self.waiting.passed) and self._asked is None and t_ns >= self.waiting.next_ns
+
+    def pass_on(self, t_ns: int) -> Frames:
+        """Return a tester's request, or its first frame."""
+        one = self.waiting.take(t_ns)
+        self._asked, self._deadline_ns, self._pending = one, t_ns + round(self.params.p2_ms * MS), 0
+        self.counts["passed"] += 1
+        if len(one.request) <= (7 if self.place.target is None else 6):
+            return self._frame(bytes([len(one.request)]) + one.request, t_ns)
+        assert self._sender is not None, "longest is asked before"
+        self._sender.advance(t_ns)
+        self._sender.send([one.request])
+        self._deadline_ns += N_CR_NS
+        return self._sender.take_frames()
+
+    def on_flow_control(self, frame: np.void, t_ns: int) -> Frames:
+        """Take the ECU's flow control of a request of several frames; returns the frames that follow."""
+        if self._sender is None or not self._sender.sending:
+            return empty(0)
+        self._sender.receive(frame, t_ns)
+        return self._go_on(t_ns)
+
+    def _go_on(self, t_ns: int) -> Frames:
+        assert self._sender is not None
+        self._sender.advance(t_ns)
+        self._sender.send([])
+        self._deadline_ns = t_ns + round(self.params.p2_ms * MS) + (N_CR_NS if self._sender.sending else 0)
+        return self._sender.take_frames()
+
     def _frame(self, data: bytes, t_ns: int) -> Frames:
         before = b"" if self.place.target is None else bytes([self.place.target])
         frame = empty(1)
@@ -164,6 +214,9 @@ class EcuClient:
         ask = self._asked
         if ask is None or not answer:
             return
+        if isinstance(ask, Passed):
+            self._pass_back(ask, answer, t_ns)
+            return
         if answer[0] == NEGATIVE:
             if len(answer) > 2 and answer[1] == ask.request[0]:
                 self._refused(ask, answer[2], t_ns)
@@ -178,7 +231,7 @@ class EcuClient:
     def on_group(self, ended: Ended, t_ns: int) -> None:
         """Take a frame that may end the request for a parameter group."""
         ask = self._asked
-        if ask is None or ask.request != ended.request:
+        if not isinstance(ask, Ask) or ask.request != ended.request:
             return
         if ended.code:
             self._refused(ask, ended.code, t_ns)
@@ -189,6 +242,18 @@ class EcuClient:
         self.counts["answers"] += 1
         ask.delays = 0
         self._end(ask, t_ns, heard=True)
+
+    def _pass_back(self, one: Passed, answer: bytes, t_ns: int) -> None:
+        """Give a tester the answer to its request; 0x78 says that another one comes."""
+        if not one.is_answered_by(answer):
+            return
+        if answer[0] == NEGATIVE and answer[2] == PENDING and self._pending < MOST_PENDING:
+            self._pending += 1
+            self.counts["pending"] += 1
+            self._deadline_ns = t_ns + round(self.params.p2_star_ms * MS)
+        else:
+            self._asked, self._deadline_ns, self.silent, self._rests_ns = None, NEVER, 0, 0
+        one.done(answer)
 
     def _refused(self, ask: Ask, code: int, t_ns: int) -> None:
         if code == PENDING:
@@ -207,15 +272,15 @@ class EcuClient:
             return
         if code in FINAL:
             ask.refused = f"{FINAL[code]} (0x{code:02X})"
-            log.warning(
-                "an ECU refuses, and is not asked this again",
-                ecu=self.params.name,
-                request=ask.name,
-                reason=ask.refused,
-            )
+            self._tell(ask)
         else:
             ask.delays = min(ask.delays + 1, 16)
         self._end(ask, t_ns, heard=True)
+
+    def _tell(self, ask: Ask) -> None:
+        """Tell of a request that is not asked again."""
+        name = self.params.name
+        log.warning("an ECU refuses, and is not asked this again", ecu=name, request=ask.name, reason=ask.refused)
 
     def _end(self, ask: Ask, t_ns: int, *, heard: bool) -> None:
         """Put a request back into the schedule."""
@@ -231,14 +296,23 @@ class EcuClient:
         if ask.delays:
             ask.due_ns += min(ask.every_ns << ask.delays, LONGEST_REST_NS)
 
-    def on_time(self, t_ns: int) -> None:
-        """Give up an answer that is overdue."""
+    def on_time(self, t_ns: int) -> Frames:
+        """Give up an answer that is overdue; returns the next frames of a request of several."""
         if self._asked is not None and t_ns >= self._deadline_ns:
             self._absent(t_ns)
+        elif self._sender is not None and self._sender.sending and t_ns >= self._sender.next_ns:
+            return self._go_on(t_ns)
+        return empty(0)
 
     def _absent(self, t_ns: int) -> None:
         ask = self._asked
         assert ask is not None
+        if isinstance(ask, Passed):
+            self._asked, self._deadline_ns = None, NEVER
+            if not ask.is_quiet:
+                self.counts["passed_in_vain"] += 1
+                ask.done(None)
+            return
         self.counts["absent"] += 1
         self.silent += 1
         self._end(ask, t_ns, heard=False)
@@ -248,7 +322,11 @@ class EcuClient:
 
     def give_way(self, t_ns: int) -> None:
         """Rest: another tester asks this ECU, and two at once break each other's answers."""
-        if self._asked is not None:
+        if isinstance(self._asked, Passed):
+            one, self._asked, self._deadline_ns = self._asked, None, NEVER
+            self._sender = self._new_sender()
+            one.send_back()  # whose answer comes now cannot be told
+        elif self._asked is not None:
             self.counts["yielded"] += 1
             ask, self._asked, self._deadline_ns = self._asked, None, NEVER
             ask.due_ns = t_ns
@@ -260,8 +338,10 @@ class EcuClient:
         Its request that is under way is counted as one that gave way: its answer is not waited for any more.
         """
         self.counts = dict(old.counts)
-        if old.busy:
+        if isinstance(old._asked, Ask):
             self.counts["yielded"] += 1
+        for one in ([old._asked] if isinstance(old._asked, Passed) else []) + list(old.waiting.passed):
+            one.send_back()
         self.silent, self._rests_ns = old.silent, max(old._rests_ns, old._deadline_ns if old.busy else 0)
         before = {ask.request: ask for ask in old.asks}
         for ask in self.asks:

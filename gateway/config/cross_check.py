@@ -27,6 +27,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
         _cycles(config),
         _access(config),
         _addresses(config),
+        _doip(config),
         _ecus(config),
         _faults_of_ecus(config),
         _only_listened_to(config),
@@ -140,6 +141,25 @@ def _outputs(config: Config) -> Iterator[InputError]:
             config.diagnostic_address_is_shared()
         except InputError as error:
             yield error
+
+
+def _doip(config: Config) -> Iterator[InputError]:
+    """The DoIP server has the services, sessions and keys of the UDS server."""
+    doip = config.output.doip
+    names = {ecu.name: ecu for ecu in config.ecu}
+    for k, route in enumerate(() if doip is None else doip.route):
+        ecu, key = names.get(route.ecu), f"output.doip.route[{k}].ecu"
+        if ecu is None:
+            there = ", ".join(names) or "none"
+            yield InputError(f"the ECUs are {there}{nearest(route.ecu, names)}", key=key, value=route.ecu)
+            continue
+        bus = _index(config, ecu.bus)
+        if bus is not None and config.bus[bus].listen_only:
+            yield InputError("its bus is only listened to, and takes no requests", key=key, value=route.ecu)
+    if doip is not None and config.output.uds is None:
+        yield InputError(
+            "this needs the table [output.uds]: services, sessions and keys are its own", key="output.doip"
+        )
 
 
 def _addresses(config: Config) -> Iterator[InputError]:

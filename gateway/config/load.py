@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import Field, ValidationError
 
 from gateway.common.plugins import importable
+from gateway.common.uncollected import uncollected
 from gateway.config.cross_check import cross_check
 from gateway.config.model import Config
 from gateway.faults.settings import FaultOverride
@@ -109,6 +110,7 @@ def _overridden(data: dict[str, Any], path: Path) -> Config:
         raise InputError(text, file=path) from error
 
 
+@uncollected()
 def load_config(path: str | Path, without: Collection[tuple[int, str]] = ()) -> Config:
     """Read a configuration; databases are those beside it, else shipped ones.
 
@@ -158,15 +160,18 @@ def config_of(data: dict[str, Any], path: Path) -> Config:
         ecu.model_copy(update={"signals": tuple(beside_or_shipped(folder, file) for file in ecu.signals)})
         for ecu in config.ecu
     )
-    return _with_roots(config.model_copy(update={"bus": buses, "ecu": ecus}), folder)
+    return _with_certificates(config.model_copy(update={"bus": buses, "ecu": ecus}), folder)
 
 
-def _with_roots(config: Config, folder: Path) -> Config:
+def _with_certificates(config: Config, folder: Path) -> Config:
     """Return the configuration with its certificates relative to its folder, too."""
-    uds = config.output.uds
-    if uds is None or uds.authentication is None:
-        return config
-    roots = tuple(folder / file for file in uds.authentication.roots)
-    authentication = uds.authentication.model_copy(update={"roots": roots})
-    output = config.output.model_copy(update={"uds": uds.model_copy(update={"authentication": authentication})})
-    return config.model_copy(update={"output": output})
+    uds, doip = config.output.uds, config.output.doip
+    if uds is not None and uds.authentication is not None:
+        roots = tuple(folder / file for file in uds.authentication.roots)
+        authentication = uds.authentication.model_copy(update={"roots": roots})
+        uds = uds.model_copy(update={"authentication": authentication})
+    if doip is not None and doip.tls is not None:
+        files = {name: getattr(doip.tls, name) for name in ("certificate", "key", "client_ca")}
+        placed = {name: folder / file for name, file in files.items() if file is not None}
+        doip = doip.model_copy(update={"tls": doip.tls.model_copy(update=placed)})
+    return config.model_copy(update={"output": config.output.model_copy(update={"uds": uds, "doip": doip})})

@@ -19,6 +19,7 @@ from gateway.faults.settings import ConditionSettings, CycleSettings, FaultOverr
 from gateway.faults.usage import UsageParams
 from gateway.servers.access import AccessParams, Needs, needs_of
 from gateway.servers.diagnostic_address import share_address
+from gateway.servers.doip.params import DoipParams
 from gateway.servers.dtc_frame import DtcFrameParams
 from gateway.servers.identifiers import DidParams
 from gateway.servers.j1939.params import J1939Params
@@ -114,6 +115,11 @@ class MemoryConfig(StrictModel):
         description="false: no DTC when it cannot be written, or was damaged; log, events and counters"
         " tell it in any case",
     )
+    tell: Literal["stored", "first"] = Field(
+        "stored",
+        description="first: a DTC is told and sent at once, as not stored; an event tells when it is: a power cut"
+        " between the two loses it",
+    )
     symptoms: Literal["keep", "hold"] = Field(
         "keep", description="hold: a fault that only shows a proven cause is stored, but not confirmed"
     )
@@ -161,6 +167,7 @@ class OutputConfig(StrictModel):
     uds: UdsParams | None = Field(None, description="UDS server (ISO 14229-1) on ISO-TP")
     obd: ObdParams | None = Field(None, description="OBD server (SAE J1979) on ISO-TP")
     j1939: J1939Params | None = Field(None, description="J1939 diagnostic messages (J1939-73)")
+    doip: DoipParams | None = Field(None, description="diagnostics over IP (ISO 13400-2); its services: those of uds")
 
 
 class Config(StrictModel):

@@ -25,7 +25,8 @@ from gateway.faults.settings import POWER, FaultOverride
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
 from gateway.monitors.network_codes import NetworkCodes, Pair
-from gateway.servers.access import FREE, GUARDED, SESSIONLESS, AccessParams, Conditions
+from gateway.servers.access import FREE, GUARDED, ROUTE, SESSIONLESS, AccessParams, Conditions
+from gateway.servers.doip.secure import tls_context
 from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
@@ -36,6 +37,8 @@ from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import Gathered, InputError, InputErrors, each_of, named, nearest, under
 
 if TYPE_CHECKING:
+    from ssl import SSLContext
+
     from cantools.database.can import Message
     from cantools.database.can.signal import Signal
 
@@ -63,6 +66,7 @@ class Resolved:
         live: each name that stands for a live value of a monitor -> monitor, value.
         security: of the UDS server; its key functions have been found.
         authentication: of the UDS server; its roots have been read.
+        tls: of the DoIP server; its certificates have been read; None: it has none.
         notes: what was taken where the configuration leaves it to the databases, one line each.
         codes: full name of a message, signal or relation -> the base codes of DTCs given out for it.
     """
@@ -82,6 +86,7 @@ class Resolved:
     live: Mapping[str, tuple[str, str]]
     security: Security
     authentication: Authentication
+    tls: SSLContext | None
     notes: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
 
@@ -97,7 +102,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
     types = [monitor_of(entry) for entry in config.monitor]
     readouts = {entry.name: monitor.readout for entry, (monitor, _) in zip(config.monitor, types, strict=True)}
     names = Names(config, dict(enumerate(databases)), readouts)
-    uds = config.output.uds
+    uds, doip = config.output.uds, config.output.doip
     _find_access(config, names)
     _find_usage(config, names)
     _find_asked(config, names)
@@ -132,6 +137,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
         live=names.live,
         security=Security(() if uds is None else uds.security),
         authentication=Authentication(None if uds is None else uds.authentication),
+        tls=None if doip is None or doip.tls is None else tls_context(doip.tls),
     )
 
 
@@ -376,8 +382,10 @@ def _find_access(config: Config, names: Names) -> None:
     """Find the signals that rules of access ask for."""
     own = {} if config.output.uds is None else config.output.uds.rules
     rules: dict[str, AccessParams | Conditions | None] = {"access": config.access}
-    rules |= {f"access.{name}": getattr(config.access, name) for name in (*GUARDED, *FREE, *SESSIONLESS)}
+    rules |= {f"access.{name}": getattr(config.access, name) for name in (*GUARDED, *FREE, ROUTE, *SESSIONLESS)}
     rules |= {f"output.uds.{name}": rule for name, rule in own.items()}
+    ready = () if config.output.doip is None else config.output.doip.ready
+    _each(names.find, ((one.signal, f"output.doip.ready[{k}].signal") for k, one in enumerate(ready)))
     _each(
         names.find,
         (

@@ -14,7 +14,7 @@ from gateway.engine.buckets import Buckets, take
 from gateway.engine.checks.bus_health import COUNTED, GONE, OFF, SILENT, SPOKEN, WHOLE
 from gateway.engine.checks.communication import PROVEN, RULE, SAMPLES
 from gateway.engine.checks.runs import tell_all_runs
-from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset
+from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset_all
 from gateway.engine.events import Events
 from gateway.engine.instances import FaultSlot
 from gateway.engine.tables import NEVER, Tables
@@ -59,15 +59,17 @@ class Engine:
         # The clock's numbers by their place: a record and its field take ten times as long to reach, for each batch.
         clock: Any = tables.clock
         self._clock = memoryview(clock.view("<i8"))
-        self._now, self._offset, self._due, self._started, self._events, self._to_send, self._fed, self._taken = (
-            clock.dtype.fields[name][1] // 8
-            for name in ("now_ns", "offset_ns", "deadline_ns", "started", "events", "sent", "fed", "taken")
-        )
+        place = {name: field[1] // 8 for name, field in clock.dtype.fields.items()}
+        self._now, self._offset, self._due = place["now_ns"], place["offset_ns"], place["deadline_ns"]
+        self._started, self._events, self._urgent = place["started"], place["events"], place["urgent"]
+        self._to_send, self._fed, self._taken = place["sent"], place["fed"], place["taken"]
         self._outbox = np.asarray(tables.outbox)
         self._ranks = self._outbox["rank"]
         self._run: Callable[..., int] = self._first_run
         self.pause_ns = NEVER
         self.on_pause: Callable[[int], None] = lambda t_ns: None
+        firsts = zip(tables.handlers["fault"].tolist(), tables.handlers["faults"].tolist(), strict=True)
+        self._monitor_of = {first + j: k for k, (first, count) in enumerate(firsts) for j in range(count)}
         self._rules = {int(row["fault"][RULE]): k for k, row in enumerate(tables.checks) if row["fault"][RULE] >= 0}
 
     def state_of(self, monitor: int) -> Any:
@@ -143,21 +145,25 @@ class Engine:
             if self.pause_ns < NEVER:  # asked for by the sink
                 return joined([*sent, self._in_parts(frames[start:], sink, until_ns)])
 
+    def tell(self, sink: Sink) -> Frames:
+        """Give the events that wait where a pump has left to ``sink``; returns what the monitors have sent."""
+        self._drain(sink)
+        return self._sent()
+
     def resume(self, frames: Frames, start: int, sink: Sink) -> Frames:
-        """Go on with a batch that a pump has begun; returns what the monitors send (see :meth:`process`).
+        """Go on with a batch that a pump has begun, after :meth:`tell`; returns what the monitors send.
 
         Args:
             frames: of FRAME, shape (n,).
             start: the first that was not handled.
-            sink: called with the events, first with those that wait.
+            sink: called with further events (see :meth:`process`).
         """
-        self._drain(sink)
-        sent = [self._sent()]
+        sent = []
         if self.pause_ns < NEVER:  # asked for by the sink
             sent.append(self._in_parts(frames[start:], sink, NEVER))
         elif start < len(frames) or self._ranks[self._clock[self._fed] : self._clock[self._to_send]].any():
             sent.append(self.process(frames[start:], sink, NEVER if start < len(frames) else self.now_ns))
-        return joined(sent)
+        return joined(sent) if sent else _NO_FRAMES
 
     @property
     def cells(self) -> Bound | None:
@@ -172,9 +178,9 @@ class Engine:
     @property
     def clock_places(self) -> dict[str, int]:
         """Places in :attr:`clock_cells`, by name."""
-        names = ("now", "deadline", "events", "sent", "fed", "taken")
+        names = ("now", "deadline", "urgent", "sent", "fed", "taken")
         return dict(
-            zip(names, (self._now, self._due, self._events, self._to_send, self._fed, self._taken), strict=True)
+            zip(names, (self._now, self._due, self._urgent, self._to_send, self._fed, self._taken), strict=True)
         )
 
     def _in_parts(self, frames: Frames, sink: Sink, until_ns: int) -> Frames:
@@ -264,10 +270,15 @@ class Engine:
         self._run(_NO_FRAMES, 0, NEVER)
         self._drain(sink)
 
+    def heed_passes(self, heeded: bool) -> None:
+        """Leave the loop at each verdict (True), or not at first passes of faults that are not there (False)."""
+        self.tables.clock[0]["heeds"] = heeded
+
     def _drain(self, sink: Sink) -> None:
         count = self._clock[self._events]
         if count:
             self._clock[self._events] = 0
+            self._clock[self._urgent] = 0
             sink(self.tables.ring[:count])
 
     def _sent(self) -> Frames:
@@ -326,8 +337,8 @@ class Engine:
         """Set debounce counters to zero: all of them, or those of some faults."""
         self.tell_runs()
         self.tables.checks["steady"] = 0
-        for index in range(len(self.faults)) if faults is None else faults:
-            reset(self.tables.debounces[index])
+        wanted = range(len(self.faults)) if faults is None else list(faults)
+        reset_all(self.tables.debounces, np.asarray(wanted, np.int64))
 
     def set_active(self, fault: int, active: bool) -> None:
         """Say whether a fault is taken to be there before its test has said so (testFailed)."""
@@ -355,13 +366,12 @@ class Engine:
 
     def inputs_of(self, fault: int) -> dict[SignalRef, float]:
         """Return what the monitor of a fault sees: the mailbox of its signals."""
-        for h in self.tables.handlers:
-            if h["fault"] <= fault < h["fault"] + h["faults"]:
-                first = int(h["first_slot"])
-                slots = self.tables.slots[first : first + int(h["slots"])]
-                names = self.plan.slot_names
-                return {names[slot]: self.value(slot) for slot in slots if slot < len(names)}
-        return {}
+        monitor = self._monitor_of.get(fault)
+        if monitor is None:
+            return {}
+        h, names = self.tables.handlers[monitor], self.plan.slot_names
+        slots = self.tables.slots[int(h["first_slot"]) :][: int(h["slots"])]
+        return {names[slot]: self.value(slot) for slot in slots if slot < len(names)}
 
     def end_cycles(self) -> None:
         """Take every operation cycle to be over."""
@@ -373,7 +383,7 @@ class Engine:
         """Return the loop's counters by name (frames, decoded, unknown, too_short, ...)."""
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
-        hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "held"}
+        hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "held", "heeds", "urgent"}
         hidden |= {"events", "sent", "fed", "taken", "reported", "gate_changes", "stepping"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 

@@ -292,6 +292,13 @@ def reset(d: Any) -> None:
     d.limit = 0.0
 
 
+@kernel
+def reset_all(debounces: Any, faults: Any) -> None:
+    """Start some of all debounces again; ``faults``: int64, their places, shape (n,)."""
+    for k in range(faults.shape[0]):
+        reset(debounces[faults[k]])
+
+
 def fold(d: np.void) -> tuple[int, int]:
     """Return the near misses and the greatest fault detection counter since the last call."""
     peak = int(d["peak"])

@@ -5,7 +5,8 @@ table; decode; communication check; mailbox; the kernels that the message trigge
 
 The loop is left after any frame (and before any frame, for timers) that qualified a verdict, so that
 Python finds the mailbox as it was at that very event; it is entered again at the next frame. Batch
-boundaries therefore never change a result, and live equals replay.
+boundaries therefore never change a result, and live equals replay. That a test passes for the first time, of a fault
+that is not there, needs no mailbox: these verdicts wait for the end of the pass, unless something fails.
 
 A message that a monitor sends is made here too, and goes to the other monitors like a frame that was
 received at that moment.
@@ -47,7 +48,7 @@ from gateway.engine.events import (
     TOO_SOON,
 )
 from gateway.engine.gate import closed, is_valid
-from gateway.engine.results import announce, not_tested, push, report_result, report_verdict, store_evidence
+from gateway.engine.results import announce, is_new, not_tested, push, report_result, report_verdict, store_evidence
 from gateway.engine.samples import collect, wake_at_tick
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
@@ -227,9 +228,10 @@ def advance_time_debounce(T: Any, due: int, fault: int) -> None:
     d = T.debounces[fault]
     if (d.gated == 1 or T.clock[0].held == 1) and closed(T, due, d):
         d.since_ns = due
+    new = is_new(d)
     kind = qualify_by_time(d, due)
     if kind != 0:
-        place = push(T, due, fault, kind, d.last, d.value, d.limit)
+        place = push(T, due, fault, kind, d.last, d.value, d.limit, new)
         if place >= 0:
             for e in range(d.evidence.shape[0]):
                 T.ring[place].evidence[e] = d.evidence[e]
@@ -433,6 +435,16 @@ def advance_to(T: Any, frame: Any, words: Any) -> None:
 
 
 @kernel
+def is_full(T: Any) -> bool:
+    """Return whether there is little room left for events, which do not wait then, or for frames to send."""
+    clock = T.clock[0]
+    if clock.events >= T.ring.shape[0] // 2:
+        clock.urgent = 1
+        return True
+    return bool(clock.sent >= T.outbox.shape[0] // 2)
+
+
+@kernel
 def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
     """Walk a batch from frame ``start``; returns the first frame not handled yet.
 
@@ -449,7 +461,6 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
         take_reports(T)
         if clock.stop == 1:
             return start
-    room = T.ring.shape[0] // 2
     outbox_room = T.outbox.shape[0] // 2
     i = start
     count = int(frames.shape[0])
@@ -486,6 +497,5 @@ def run(T: Any, frames: Any, cells: Any, start: int, until_ns: int) -> int:
         else:
             return count
         take(T, frame, words, own)
-        full = clock.fed == clock.sent and (clock.events >= room or clock.sent >= outbox_room)
-        if clock.stop == 1 or full:
+        if clock.stop == 1 or (clock.fed == clock.sent and is_full(T)):
             return i

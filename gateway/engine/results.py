@@ -21,8 +21,17 @@ from gateway_fdi.jit import kernel
 
 
 @kernel
-def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, limit: float) -> int:
-    """Append an event to the ring; returns its place, -1 when the ring is full (counted)."""
+def is_new(d: Any) -> bool:
+    """Return whether a fault is not there, and has no verdict: that its test passes is nobody's hurry."""
+    return bool(d.verdict == NOT_TESTED and d.active == 0)
+
+
+@kernel
+def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, limit: float, new: bool) -> int:
+    """Append an event to the ring, ``new``: of a fault as :func:`is_new`; returns its place, -1: it is full (counted).
+
+    Of a car that starts, each test of each message passes for the first time: these are told together.
+    """
     clock = T.clock[0]
     place = clock.events
     if place >= T.ring.shape[0]:
@@ -41,8 +50,10 @@ def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, li
     for k in range(event.evidence.shape[0]):
         event.evidence[k] = 0.0
     clock.events = place + 1
-    if kind != RESULT_CHANGED:
-        clock.stop = 1
+    if not new or result != PASSED or clock.heeds == 1:
+        clock.urgent = 1
+        if kind != RESULT_CHANGED:
+            clock.stop = 1
     return int(place)
 
 
@@ -50,7 +61,7 @@ def push(T: Any, t_ns: int, fault: int, kind: int, result: int, value: float, li
 def announce(T: Any, t_ns: int, kind: int, index: int, bus: int, value: float, limit: float) -> None:
     """Append an event that is no test result, and leave the loop after it."""
     clock = T.clock[0]
-    clock.stop = 1
+    clock.stop = clock.urgent = 1
     if clock.events >= T.ring.shape[0]:
         clock.events_lost += 1
         return
@@ -82,6 +93,7 @@ def report_result(T: Any, t_ns: int, fault: int, failed: bool, value: float, lim
         T.clock[0].gate_changes += 1
     if not failed and is_settled(d):  # as nearly every result of a healthy car
         return -1
+    new = is_new(d)
     if d.timed == 1:
         before_ns = d.deadline_ns
         kind = report_time_based(d, t_ns, result)
@@ -91,7 +103,7 @@ def report_result(T: Any, t_ns: int, fault: int, failed: bool, value: float, lim
         kind = report_counter_based(d, result)
     if kind == 0:
         return -1
-    return push(T, t_ns, fault, kind, result, value, limit)
+    return push(T, t_ns, fault, kind, result, value, limit, new)
 
 
 @kernel
@@ -119,4 +131,4 @@ def not_tested(T: Any, t_ns: int, fault: int) -> None:
     changed = d.last != NOT_TESTED
     hold(d, t_ns)
     if changed:
-        push(T, t_ns, fault, RESULT_CHANGED, NOT_TESTED, 0.0, 0.0)
+        push(T, t_ns, fault, RESULT_CHANGED, NOT_TESTED, 0.0, 0.0, False)

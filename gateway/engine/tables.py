@@ -124,10 +124,12 @@ class ClockPass(Record):
 
     stop: u1 = means("1: the pass ends here")
     held: u1 = means("whether test results do not count at present")
+    heeds: u1 = means("1: the pass ends with each verdict; 0: not with a first pass of a fault that was not there")
     reported: i8 = means("results of the gateway itself that wait")
     gate_changes: i8 = means("what gates ask for, but for signals: cycles that began or ended, failed results of roots")
     stepping: i8 = means("timer of the monitor that is being stepped, and one; 0: none is")
     events: i8 = means("events of this pass")
+    urgent: i8 = means("1: there are other events in this pass than first passes, or there is room for few more")
     sent: i8 = means("frames sent")
     fed: i8 = means("first of these that went through the engine themselves")
     taken: i8 = means("first of these that have left")

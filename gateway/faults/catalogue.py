@@ -90,6 +90,9 @@ _TAKEN = {field.name for field in fields(FaultDefinition)} & FaultOverride.model
 }  # fmt: skip
 
 
+_NOTHING_SET = FaultOverride()
+
+
 def define(
     fault_id: str,
     fault: Fault,
@@ -105,7 +108,7 @@ def define(
         override: as the configuration sets it.
         caused_by: instead of what it sets.
     """
-    settings = override or FaultOverride()
+    settings = override or _NOTHING_SET
     dtc = Dtc.parse(settings.dtc or fault.dtc)
     taken = {name: getattr(settings, name) for name in _TAKEN}
     if caused_by is not None:

@@ -176,6 +176,7 @@ def write(db: sqlite3.Connection, changes: Changes) -> Head:
     gone = rows.write(db, changes)
     touched = [
         *((FAULT, record.id) for record in changes.records),
+        *((FAULT, fault) for fault in changes.statuses),
         *((RECORDINGS, fault) for fault in sorted(recorded)),
         *((CYCLE, name) for name in changes.cycles),
         *((PERMANENT, fault) for fault in sorted(permanent)),

@@ -66,11 +66,16 @@ class EventMemory:
         """Keep a freeze frame of the time before a failure, for the case that it fails."""
         self._prestored[fault] = frame
 
-    def give_up(self, fault: str) -> None:
+    @property
+    def waits(self) -> bool:
+        """Whether there is anything for :meth:`give_up`."""
+        return bool(self._prestored or self._refused)
+
+    def give_up(self, record: Record) -> None:
         """Give up what waits of a fault: it has passed. The frame of one that can still be confirmed is kept."""
-        if not self._held.records[fault].hold:
-            self._prestored.pop(fault, None)
-        self._refused.pop(fault, None)
+        if not record.hold:
+            self._prestored.pop(record.id, None)
+        self._refused.pop(record.id, None)
 
     def test_anew(self, fault: str) -> None:
         """Give up a failure that found no room: the fault is tested again in a new operation cycle."""
@@ -172,16 +177,16 @@ class EventMemory:
     def forget(self, cleared: Iterable[str]) -> None:
         """Give up what waits of cleared faults; their entries leave room for others."""
         for fault in cleared:
-            self.give_up(fault)
+            self.give_up(self._held.records[fault])
             self.room = True
 
-    def admit_refused(self, counts: Callable[[FaultDefinition], bool]) -> list[tuple[FaultDefinition, Record, Status]]:
+    def admit_refused(self, counts: Callable[[str], bool]) -> list[tuple[FaultDefinition, Record, Status]]:
         """Enter failures that a full memory refused, or whose entries gave way, if there is room for them now.
 
         The most important come first, of these the oldest; a fault whose operation cycle is over is not entered.
 
         Args:
-            counts: returns whether the results of a fault count now.
+            counts: returns whether results count in an operation cycle.
 
         Returns:
             each with its record, and the status byte before.
@@ -194,7 +199,7 @@ class EventMemory:
         for definition, failure in sorted(waiting, key=lambda w: (w[0].priority, w[1].t_ns)):
             if not self._has_room():
                 break
-            if not counts(definition):
+            if not counts(definition.cycle):
                 continue
             record = self._held.records[definition.id]
             old = STATUS[record.status]

@@ -25,7 +25,7 @@ Snapshot = Callable[[FaultDefinition], Observed]
 
 def finite(values: Mapping[str, float]) -> dict[str, float | None]:
     """Return values for the store, which has None for what is not a number."""
-    return {name: float(value) if math.isfinite(value) else None for name, value in values.items()}
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Failure:
 def failure_of(definition: FaultDefinition, event: Any, snapshot: Snapshot) -> Failure:
     """Return what an event (of EVENT, a qualified failure) tells; ``snapshot`` is called when it is wanted."""
     names = ("value", "threshold", *definition.evidence)
-    values = (event["value"], event["threshold"], *event["evidence"])
+    values = (float(event["value"]), float(event["threshold"]), *event["evidence"].tolist())
     evidence = finite(dict(zip(names, values, strict=False)))
     return Failure(int(event["t_ns"]), evidence, lambda: snapshot(definition))
 

@@ -17,6 +17,7 @@ from gateway.faults.interventions import DONE, Intervention, Interventions
 from gateway.faults.outage import Outage
 from gateway.faults.permanent import PermanentDtcs
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
+from gateway.faults.status import PASSED
 from gateway.faults.store import Store, StoreError
 from gateway.faults.vehicle import EcuDtc, Told, VehicleMemory
 
@@ -66,6 +67,7 @@ class Ledger:
     Args:
         store: where they are kept.
         recordings: recordings kept of each fault.
+        ahead: whether others see what is not written yet.
 
     Attributes:
         records: by fault id.
@@ -76,8 +78,8 @@ class Ledger:
         commits: how many transactions were written.
     """
 
-    def __init__(self, store: Store, recordings: int = 1) -> None:
-        self.store = store
+    def __init__(self, store: Store, recordings: int = 1, *, ahead: bool = False) -> None:
+        self.store, self._ahead = store, ahead
         self.records: dict[str, Record] = {record.id: record for record in store.load()}
         self.cycles: dict[str, Cycle] = store.cycles()
         self.identifiers: dict[int, bytes] = store.identifiers()
@@ -89,6 +91,7 @@ class Ledger:
         self._permanent = PermanentDtcs(store.permanent())
         self._pending = Changes(kept_recordings=recordings)
         self._dirty: set[str] = set()
+        self._new: set[str] = set()  # records that the store does not have
         self._more = False  # whether anything waits beside records
         self._buses: Sequence[Mapping[str, Any]] | None = None
         self._described: Mapping[str, Description] = {}
@@ -110,6 +113,7 @@ class Ledger:
         self._facts, self._permanent = old._facts, old._permanent
         self.interventions, self.vehicle = old.interventions, old.vehicle
         self._dirty |= old._dirty
+        self._new = self._new - old.records.keys() | old._new
         kept = self._pending.kept_recordings
         self._pending, self._more = old._pending, old._more
         self._pending.kept_recordings = kept
@@ -122,11 +126,25 @@ class Ledger:
         """Add the record of a fault that the store does not know; it is written when it changes."""
         self.records[record.id] = record
         self._stored[record.id] = record.copy()
+        self._new.add(record.id)
         self._note_failed([record])
 
     def touch(self, fault: str) -> None:
         """Note that a record has changed."""
         self._dirty.add(fault)
+
+    def complete(self, records: Iterable[Record]) -> None:
+        """Have the tests of records be complete; of a record that the store has, nothing else is written."""
+        new, statuses = self._new, self._pending.statuses
+        for record in records:
+            status = record.status & PASSED
+            if status == record.status:
+                continue
+            record.status = status
+            if new and record.id in new:
+                self._dirty.add(record.id)
+            else:
+                statuses[record.id] = status
 
     def note_cycle(self, name: str, cycle: Cycle) -> None:
         """Note the state of an operation cycle."""
@@ -228,12 +246,16 @@ class Ledger:
 
     @property
     def shown(self) -> dict[str, Record]:
-        """Records as last written; while nothing can be written, as they are."""
-        return self.records if self.outage.reason else self._stored
+        """Records as last written; while nothing can be written, or where others see them first, as they are."""
+        return self.records if self._shows_all else self._stored
+
+    @property
+    def _shows_all(self) -> bool:
+        return bool(self._ahead or self.outage.reason)
 
     def shown_failed(self) -> list[Record]:
         """Return those of :attr:`shown` that have failed since they were cleared; in no order."""
-        return self.failed() if self.outage.reason else _with_entry(self._stored, self._failed)
+        return self.failed() if self._shows_all else _with_entry(self._stored, self._failed)
 
     def failed(self) -> list[Record]:
         """Return the records that have failed since they were cleared, as they are; in no order."""
@@ -250,20 +272,20 @@ class Ledger:
     @property
     def shown_permanent(self) -> list[Permanent]:
         """The permanent DTCs as last written, or as they are; the oldest first."""
-        return self._permanent.all() if self.outage.reason else self._stored_permanent
+        return self._permanent.all() if self._shows_all else self._stored_permanent
 
     # Writing
 
     @property
     def unsaved(self) -> int:
         """Changes that are not written: records, and one for all else; 0: none."""
-        under_way = 0 if self._write is None else max(len(self._write.changes.records), 1)
-        return len(self._dirty) + self._more + under_way
+        under_way = 0 if self._write is None else max(self._write.changes.faults, 1)
+        return len(self._dirty) + len(self._pending.statuses) + self._more + under_way
 
     @property
     def clean(self) -> bool:
         """Whether nothing is unsaved: asked for each batch."""
-        return not (self._dirty or self._more or self._write)
+        return not (self._dirty or self._more or self._write or self._pending.statuses)
 
     def commit(self, t_ns: int, *, final: bool = False) -> bool:
         """Write all changes; returns whether all is durable now.
@@ -296,7 +318,7 @@ class Ledger:
             StoreError: they could not be written; nothing of them was.
         """
         self.join()
-        self._pending.records = [self.records[name].copy() for name in sorted(self._dirty)]
+        self._pending.records = self._changed()
         try:
             self.store.save(self._pending, self._whole if alone else None)
         except StoreError as error:
@@ -304,6 +326,12 @@ class Ledger:
             raise
         if alone:
             self.written()
+
+    def _changed(self) -> list[Record]:
+        """Return copies of the records that have changed; of these nothing else waits."""
+        for name in self._dirty.intersection(self._pending.statuses):
+            del self._pending.statuses[name]
+        return [self.records[name].copy() for name in sorted(self._dirty)]
 
     def written(self) -> None:
         """Note that all changes are written."""
@@ -314,6 +342,10 @@ class Ledger:
     def _show(self, changes: Changes, permanent: list[Permanent]) -> None:
         self.commits += 1
         self._stored.update({record.id: record for record in changes.records})
+        if self._new:
+            self._new.difference_update(record.id for record in changes.records)
+        for fault, status in changes.statuses.items():
+            self._stored[fault].status = status
         self._note_failed(changes.records)
         self._stored_permanent = permanent
 
@@ -335,7 +367,7 @@ class Ledger:
         copied = self._copy_of_all() if anew or self.outage.reason else None
         whole = None if copied is None else lambda: copied
         changes = self._pending
-        changes.records = [self.records[name].copy() for name in sorted(self._dirty)]
+        changes.records = self._changed()
         self._start_anew()
         self._write = _Write(writer.submit(self.store.save, changes, whole), t_ns, changes, self._permanent.all())
 
@@ -367,7 +399,7 @@ class Ledger:
         except StoreError as error:
             self.outage.failed(write.t_ns, error.reason)
             self._pending = _joined(write.changes, self._pending)
-            self._dirty |= {record.id for record in write.changes.records}
+            self._dirty |= {record.id for record in write.changes.records} | write.changes.statuses.keys()
             self._more = True
         else:
             self.outage.ended()
@@ -383,7 +415,7 @@ class Ledger:
     def _whole(self) -> Changes:
         """Return all there is, for a file that has none of it."""
         whole = copy(self._pending)
-        whole.records = list(self.records.values())
+        whole.records, whole.statuses = list(self.records.values()), {}
         whole.cycles = self.cycles
         whole.permanent = self._permanent.all()
         whole.identifiers = {

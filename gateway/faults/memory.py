@@ -1,8 +1,9 @@
 """The fault memory: qualified verdicts become status bytes, entries, freeze frames, permanent DTCs.
 
 Changes take effect in two steps: :meth:`FaultMemory.apply` and its like change the memory,
-:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told: readers get the memory as it was
-last written. While the file cannot be written there is a third state, told as such: known here, not stored.
+:meth:`FaultMemory.commit` makes that durable. Only then may anyone outside be told, unless the configuration wants it
+first: readers get the memory as it was last written. While the file cannot be written there is a third state, told as
+such: known here, not stored.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ class FaultMemory(Readable):
         recordings: recordings kept of each fault.
         statistics: of the faults' debounce.
         usage: signals of the vehicle's use; None: there are none.
+        ahead: whether others see what is not written yet.
 
     Attributes:
         performance: how often monitors have run.
@@ -69,10 +71,11 @@ class FaultMemory(Readable):
         recordings: int = 1,
         statistics: Statistics | None = None,
         usage: UsageParams | None = None,
+        ahead: bool = False,
     ) -> None:
         self.catalogue = catalogue
         self._statistics = statistics
-        self._held = Ledger(store, recordings)
+        self._held = Ledger(store, recordings, ahead=ahead)
         self._records = self._held.records
         self._definitions: dict[str, FaultDefinition] = {}
         self._now_ns = 0
@@ -147,12 +150,12 @@ class FaultMemory(Readable):
         if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
             return []
         definition = self.catalogue[int(event["fault"])]
-        if not self._cycles.counts(definition):
+        if not self._cycles.counts(definition.cycle):
             return []
         record = self._records[definition.id]
         old = STATUS[record.status]
         if kind != FDC_REACHED:
-            self.performance.completed(definition)
+            self.performance.completed(definition.id)
         if kind == FDC_REACHED:
             content = finite(snapshot(definition).frame)
             self._entries.prestore(definition.id, FreezeFrame(0, int(event["t_ns"]), content))
@@ -160,8 +163,27 @@ class FaultMemory(Readable):
             self._entries.fail(definition, record, failure_of(definition, event, snapshot))
         else:
             record.status = int(transition.on_passed(old))
-            self._entries.give_up(definition.id)
+            self._entries.give_up(record)
         return self._changed(definition, record, old, int(event["fdc"]), int(event["t_ns"]))
+
+    def complete(self, places: Sequence[int]) -> bool:
+        """Take tests that have passed of faults that are not there, by their places: they are complete, no more.
+
+        Returns:
+            whether it was so; else nothing was taken, and each is to be told by :meth:`apply`.
+        """
+        found = [self.catalogue[place] for place in places]
+        records = [self._records[definition.id] for definition in found]
+        if any(record.status & _TEST_FAILED for record in records):
+            return False
+        counts = {cycle for cycle in {definition.cycle for definition in found} if self._cycles.counts(cycle)}
+        self._held.complete([r for r, definition in zip(records, found, strict=True) if definition.cycle in counts])
+        if self.performance.offered or self._entries.waits:
+            for definition, record in zip(found, records, strict=True):
+                if definition.cycle in counts:
+                    self.performance.completed(definition.id)
+                    self._entries.give_up(record)
+        return True
 
     def _changed(
         self, definition: FaultDefinition, record: Record, old: Status, fdc: int, t_ns: int

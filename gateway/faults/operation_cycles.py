@@ -83,10 +83,9 @@ class OperationCycles:
         """Return whether a cycle has begun, and is not over."""
         return name in self._held.cycles and self._held.cycles[name].open
 
-    def counts(self, definition: FaultDefinition) -> bool:
-        """Return whether a result of a fault counts: its operation cycle has begun, and is not over.
+    def counts(self, name: str) -> bool:
+        """Return whether results count in an operation cycle: it has begun, and is not over.
 
         The power cycle is there from the start, also where nothing begins it.
         """
-        name = definition.cycle
         return self.is_open(name) or (name == POWER and not self.number(POWER))

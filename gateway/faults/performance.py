@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from gateway.faults.catalogue import Catalogue, FaultDefinition
+from gateway.faults.catalogue import Catalogue
 from gateway.faults.ledger import Ledger
 from gateway.faults.operation_cycles import OperationCycles
 
@@ -67,10 +67,10 @@ class Performance:
         if cycle == self._cycle:
             self._roll(IGNITION)
 
-    def completed(self, definition: FaultDefinition) -> None:
+    def completed(self, fault: str) -> None:
         """Count a test that came to a result."""
-        if definition.id in self._tracked and self._is_first(f"numerator_cycle.{definition.id}"):
-            self._count(definition.id, Ratio(1, 0))
+        if fault in self._tracked and self._is_first(f"numerator_cycle.{fault}"):
+            self._count(fault, Ratio(1, 0))
 
     def conditions_met(self) -> None:
         """Count that the vehicle was operated as the general denominator asks."""

@@ -125,6 +125,7 @@ class Changes:
 
     Attributes:
         records: faults that changed.
+        statuses: faults of which only the status byte has changed: their status bytes.
         cycles: operation cycles that changed, by name.
         answered: requests of other processes, with their answers.
         permanent: permanent DTCs, all of them; None: not changed.
@@ -141,6 +142,7 @@ class Changes:
     """
 
     records: Sequence[Record] = ()
+    statuses: dict[str, int] = field(default_factory=dict)
     cycles: Mapping[str, Cycle] = field(default_factory=dict)
     answered: Mapping[int, int] = field(default_factory=dict)
     permanent: Sequence[Permanent] | None = None
@@ -154,3 +156,8 @@ class Changes:
     kept_interventions: Sequence[int] = ()
     cleared: Sequence[int] = ()
     ecu_dtcs: Mapping[tuple[str, str], EcuDtc | None] = field(default_factory=dict)
+
+    @property
+    def faults(self) -> int:
+        """How many faults have changed."""
+        return len(self.records) + len(self.statuses)

@@ -24,6 +24,7 @@ _SAVE_RECORD = (
     f"INSERT INTO fault ({', '.join(COLUMNS)}) VALUES ({_MARKS})"  # noqa: S608 - our own names
     f" ON CONFLICT (id) DO UPDATE SET {_UPDATE}"
 )
+_SAVE_STATUS = "UPDATE fault SET status = ? WHERE id = ?"
 _VALUES = attrgetter(*COLUMNS)
 _JSON_AT = tuple(COLUMNS.index(name) for name in JSON)
 # Unchanged rows touch no page: each costs a write of 4096 bytes.
@@ -92,8 +93,9 @@ def write(db: sqlite3.Connection, changes: Changes) -> list[int]:
     Raises:
         sqlite3.Error: they could not be written.
     """
-    for record in changes.records:
-        _write_record(db, record)
+    _write_records(db, changes.records)
+    if changes.statuses:
+        db.executemany(_SAVE_STATUS, ((status, fault) for fault, status in changes.statuses.items()))
     if changes.facts:
         db.executemany(_SAVE_FACT, changes.facts.items())
     if any((changes.cycles, changes.recordings, changes.identifiers, changes.described, changes.answered)):
@@ -200,21 +202,27 @@ def _write_buses(db: sqlite3.Connection, states: Sequence[Mapping[str, Any]]) ->
         )
 
 
-def _write_record(db: sqlite3.Connection, r: Record) -> None:
+def _write_records(db: sqlite3.Connection, records: Sequence[Record]) -> None:
+    db.executemany(_SAVE_RECORD, map(_values_of, records))
+    bare = [r.id for r in records if not r.freeze_frames]
+    alone = [r.id for r in records if r.cause is None and not r.hold]
+    gone = [r.id for r in records if r.occurrence == 0]
+    for name, faults in (("freeze_frame", bare), ("cause", alone), ("recording", gone)):
+        if faults:
+            db.execute(f"DELETE FROM {name} WHERE fault IN (SELECT value FROM json_each(?))", (json.dumps(faults),))  # noqa: S608 - our own names
+    for r in records:
+        frames = r.freeze_frames
+        if frames:
+            db.execute(f"{_OTHER_FRAMES} ({', '.join('?' * len(frames))})", (r.id, *frames))
+            made = [(r.id, frame.number, frame.t_ns, json.dumps(frame.content)) for frame in frames.values()]
+            db.executemany(_SAVE_FRAME, made)
+        if r.cause is not None or r.hold:
+            content = json.dumps(None if r.cause is None else r.cause.as_dict())
+            db.execute(_SAVE_CAUSE, (r.id, r.hold, content))
+
+
+def _values_of(r: Record) -> list[Any]:
     values = list(_VALUES(r))
     for place in _JSON_AT:
-        values[place] = json.dumps(values[place])
-    db.execute(_SAVE_RECORD, values)
-    frames = r.freeze_frames
-    db.execute(f"{_OTHER_FRAMES} ({', '.join('?' * len(frames))})", (r.id, *frames))
-    db.executemany(
-        _SAVE_FRAME,
-        [(r.id, frame.number, frame.t_ns, json.dumps(frame.content)) for frame in frames.values()],
-    )
-    if r.cause is None and not r.hold:
-        db.execute("DELETE FROM cause WHERE fault = ?", (r.id,))
-    else:
-        content = json.dumps(None if r.cause is None else r.cause.as_dict())
-        db.execute(_SAVE_CAUSE, (r.id, r.hold, content))
-    if r.occurrence == 0:
-        db.execute("DELETE FROM recording WHERE fault = ?", (r.id,))
+        values[place] = json.dumps(values[place]) if values[place] else "{}"
+    return values

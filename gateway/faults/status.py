@@ -40,7 +40,8 @@ _FAILED_BITS = int(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE | Status.P
 _PENDING, _CONFIRMED, _LIT = int(Status.PENDING_DTC), int(Status.CONFIRMED_DTC), int(Status.WARNING_INDICATOR)
 _FAILED_THIS_CYCLE = int(Status.TEST_FAILED_THIS_CYCLE)
 _COMPLETE = 0xFF & ~int(NOT_COMPLETED)
-_PASSED = _COMPLETE & ~int(Status.TEST_FAILED)
+#: Bits that a qualified pass leaves as they are: the test is complete and does not fail now.
+PASSED = _COMPLETE & ~int(Status.TEST_FAILED)
 
 
 class Rules(NamedTuple):
@@ -69,7 +70,7 @@ class Cycles:
 
 def on_passed(status: Status) -> Status:
     """Return the status after a qualified pass: the test is complete and does not fail now."""
-    return STATUS[int(status) & _PASSED]
+    return STATUS[int(status) & PASSED]
 
 
 def on_failed(status: Status, cycles: Cycles, rules: Rules, *, wait: bool = False) -> tuple[Status, Cycles]:

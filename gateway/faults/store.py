@@ -97,6 +97,7 @@ class Store:
         self._was_kept = False
         self._head = chain.NO_HEAD  # the last link that this one wrote
         self._logged = write_ahead.MANY  # pages of the log since it was tended, as estimated: a new one is due
+        self._unwritten = Changes()  # of a store without a file: rows are made of them when they are read
         self._db = sqlite3.connect(":memory:")  # until the file is open
         self._connect()
 
@@ -229,6 +230,7 @@ class Store:
         if nested:
             yield
             return
+        self._write_rows()
         try:
             self._db.execute("BEGIN IMMEDIATE")
             yield
@@ -251,6 +253,7 @@ class Store:
             InputError: it cannot be read.
         """
         nested = self._db.in_transaction
+        self._write_rows()
         try:
             if not nested:
                 self._db.execute("BEGIN")
@@ -344,12 +347,32 @@ class Store:
         Raises:
             StoreError: they could not be written; nothing of them was.
         """
+        if self.path is None and self._keeps_unwritten(changes):
+            return
         with self.transaction():
             if self.path is None:
                 rows.write(self._db, changes)
             else:
                 self._head = chain.write(self._db, changes)
-        self._logged += 3 + 2 * len(changes.records) + sum(len(r.log) for r in changes.recordings) // write_ahead.PAGE
+        self._logged += 3 + 2 * changes.faults + sum(len(r.log) for r in changes.recordings) // write_ahead.PAGE
+
+    def _keeps_unwritten(self, changes: Changes) -> bool:
+        """Keep changes of verdicts as they are; False: there are others, or an entry has gone."""
+        asked = Changes(changes.records, changes.statuses, facts=changes.facts, kept_recordings=changes.kept_recordings)
+        if changes != asked or not all(record.occurrence for record in changes.records):
+            return False
+        known = {record.id: record for record in self._unwritten.records}
+        known.update({record.id: record for record in changes.records})
+        self._unwritten.records = list(known.values())
+        self._unwritten.statuses |= changes.statuses
+        self._unwritten.facts = {**self._unwritten.facts, **changes.facts}
+        return True
+
+    def _write_rows(self) -> None:
+        """Make rows of what a store without a file has kept as it is."""
+        unwritten, self._unwritten = self._unwritten, Changes()
+        if unwritten != self._unwritten:
+            rows.write(self._db, unwritten)
 
     def buses(self) -> list[dict[str, Any]]:
         """Return what the daemon said last of its buses."""

@@ -10,7 +10,8 @@ from gateway.bus.ring import Ring
 from gateway.config.load import load_config
 from gateway.config.model import Config, StatusConfig
 from gateway.faults.kept import KeptStore
-from gateway.live.doors import Doors
+from gateway.live.doip_door import DoipDoor
+from gateway.live.doors import Doors, TableDoor
 from gateway.live.link import Link
 from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
 from gateway.live.machine import Machine
@@ -73,7 +74,7 @@ class Daemon:
         self._listener, self._given_taps = tell, list(taps)
         self.status: StatusSocket | None = None
         self._doors = Doors()
-        self._reports: ReportSocket | None = None
+        self._asked: dict[str, TableDoor] = {}
         self._notifier = notifier or Notifier({})
         self._watchdog = Watchdog(lambda: self.gateway.engine, lambda: self.gateway.store.path, asked=asked)
         config = self._load()
@@ -100,7 +101,7 @@ class Daemon:
             self.status = self._new_status(config, status, gateway, links)
             if self.status is not None:
                 self._doors.add(self.status)
-            self._replace_reports(self._new_reports(config, gateway))
+            self._replace_doors(self._new_doors(config, gateway))
             gateway.start(self._clock.now())
             self._live = Live(
                 gateway,
@@ -114,9 +115,7 @@ class Daemon:
                 door=self._doors,
             )
         except BaseException:
-            for door in (self.status, self._reports):
-                if door is not None:
-                    door.close()
+            self._close_doors()
             self._doors.close()
             for link in links:
                 link.close()
@@ -137,22 +136,42 @@ class Daemon:
         place = path or settings.socket
         return StatusSocket(place, gateway, self._bus_states, readers=settings.readers)
 
-    def _new_reports(self, config: Config, gateway: Gateway) -> ReportSocket | None:
-        """Return the report socket of a configuration: the one that there is, if it fits."""
-        before = self._reports
-        if config.report is None or (before is not None and before.fits(config.report)):
-            return None if config.report is None else before
-        return ReportSocket(config.report, gateway)
+    def _new_doors(self, config: Config, gateway: Gateway) -> dict[str, TableDoor]:
+        """Return the doors that tables of a configuration ask for: those that there are, where they fit."""
+        makers: dict[str, tuple[Any, Callable[[Any], TableDoor]]] = {
+            "report": (config.report, lambda params: ReportSocket(params, gateway)),
+            "doip": (config.output.doip, lambda params: DoipDoor(params, gateway, self._clock)),
+        }
+        made: dict[str, TableDoor] = {}
+        try:
+            for name, (params, make) in makers.items():
+                before = self._asked.get(name)
+                if params is not None:
+                    made[name] = before if before is not None and before.fits(params) else make(params)
+        except BaseException:
+            self._close_new(made)
+            raise
+        return made
 
-    def _replace_reports(self, new: ReportSocket | None) -> None:
-        if new is self._reports:
-            return
-        if self._reports is not None:
-            self._doors.remove(self._reports)
-            self._reports.close()
-        if new is not None:
-            self._doors.add(new)
-        self._reports = new
+    def _close_new(self, made: dict[str, TableDoor]) -> None:
+        for name, door in made.items():
+            if door is not self._asked.get(name):
+                door.close()
+
+    def _replace_doors(self, new: dict[str, TableDoor]) -> None:
+        for name, door in self._asked.items():
+            if door is not new.get(name):
+                self._doors.remove(door)
+                door.close()
+        for name, door in new.items():
+            if door is not self._asked.get(name):
+                self._doors.add(door)
+        self._asked = new
+
+    def _close_doors(self) -> None:
+        for door in (self.status, *self._asked.values()):
+            if door is not None:
+                door.close()
 
     def _bus_states(self) -> list[dict[str, Any]]:
         return self._live.bus_states()
@@ -184,9 +203,7 @@ class Daemon:
     def close(self) -> None:
         """Close buses, recording, status socket and fault memory."""
         self._watchdog.end()
-        for door in (self.status, self._reports):
-            if door is not None:
-                door.close()
+        self._close_doors()
         self._doors.close()
         self._live.close()
         for link in self._live.links:
@@ -276,7 +293,7 @@ class Daemon:
         kept = {link.uri: link for link in self._live.links}
         links: list[Link] = []
         opened: list[Link] = []
-        ring, reports = self._ring, self._reports
+        ring, doors = self._ring, self._asked
         channels = [bus.channel for bus in new.config.bus]
         same = [bus.channel for bus in old.config.bus] == channels
         try:
@@ -289,7 +306,7 @@ class Daemon:
                     opened.append(link)
                     link.start()
                 links.append(link)
-            reports = self._new_reports(new.config, old)
+            doors = self._new_doors(new.config, old)
             self._live.drain()
             self._live.finish()
             began_s = self._machine.monotonic()
@@ -300,8 +317,7 @@ class Daemon:
             old.go_on()
             for link in opened:
                 link.close()
-            if reports is not None and reports is not self._reports:
-                reports.close()
+            self._close_new(doors)
             raise
         gateway.succeed(old)
         self.gateway = gateway
@@ -314,9 +330,10 @@ class Daemon:
             self._ring = ring
         if self.status is not None:
             self.status.replace(gateway)
-        self._replace_reports(reports)
-        if self._reports is not None and new.config.report is not None:
-            self._reports.replace(gateway, new.config.report)
+        self._replace_doors(doors)
+        for name, params in (("report", new.config.report), ("doip", new.config.output.doip)):
+            if params is not None:
+                self._asked[name].replace(gateway, params)
         self._live.replace(gateway, links, self._taps())
         for link in kept.values():
             link.close()

@@ -1,11 +1,26 @@
-"""Several doors as one: status socket and report socket, for a loop that waits for one descriptor."""
+"""Several doors as one: status socket, report socket, DoIP, for a loop that waits for one descriptor."""
 
 from __future__ import annotations
 
 import selectors
+from typing import Any, Protocol
 
 from gateway.bus.frames import Frames
 from gateway.live.loop import Door
+from gateway.runtime.app import Gateway
+
+
+class TableDoor(Door, Protocol):
+    """A door that a table of the configuration asks for; it stays over a reload, where it fits."""
+
+    def fits(self, params: Any) -> bool:
+        """Return whether it can be that of another configuration."""
+
+    def replace(self, gateway: Gateway, params: Any) -> None:
+        """Belong to another gateway from now on."""
+
+    def close(self) -> None:
+        """Close it."""
 
 
 class Doors:

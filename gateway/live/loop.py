@@ -36,7 +36,7 @@ REPORT_S = 1.0
 #: How often the state of the buses is kept for other processes.
 KEEP_S = 10.0
 #: How long a thread of Python that computes may have the interpreter, while a verdict waits for it [s].
-SWITCH_S = 0.0002
+SWITCH_S = 0.00005
 #: Batches taken from a bus before the others, and the rest of the work, have their turn.
 TURN = 16
 #: The same, when there is no next turn: more than any queue holds.
@@ -84,6 +84,9 @@ class Fed(Protocol):
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed."""
+
+    def tell(self) -> Frames:
+        """Take what the engine has to tell where a pump has left; returns the frames to send."""
 
     def resume(self, frames: Frames, start: int) -> Frames:
         """Go on with a batch that a pump has begun; returns the frames to send."""
@@ -280,6 +283,7 @@ class Live:
         if len(left.taken):
             self._take_down(left.taken)
             self._gateway.took(left.taken)
+            self._send(self._gateway.tell())
         if left.raw:
             parts = [link.take(*each) for link, each in zip(self._links, left.raw, strict=True)]
             frames = self._with_steps(parts[0][0]) if len(parts) == 1 else self._joined(parts, left.read_ns)

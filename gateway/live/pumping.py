@@ -15,8 +15,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.can_structs import CAN_MTU, CANFD_BRS, CANFD_ESI, CANFD_FDF, CANFD_MTU, settle
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN
+from gateway.bus.can_structs import fill_struct, settle
+from gateway.bus.frames import ERROR, EXTENDED, OWN
 from gateway.live.merge import LONGEST_NS, SETTLE_NS
 from gateway_fdi.jit import Record, i4, i8, i8s, kernel, means
 from gateway_fdi.jit.system import call_bound, clock_gettime, poll, recvmmsg, send
@@ -34,22 +34,19 @@ WANTED = 6  # one is for a server
 AHEAD = 7  # a time comes among them before which all must be done: a diagnosis, a look of the usage meter
 FULL = 8  # no room to take them down
 #: The engine has begun with the batch:
-EVENTS = 9  # it has something to tell
+EVENTS = 9  # it has something to tell that does not wait for the next reason, as first passes do
 SENDING = 10  # a monitor sends, and a queue is full, or somebody takes down what is sent
 SERVER = 11  # the time of a server, or of a recording, has come
 FAILED = 12  # the loop of the engine has failed
-
-#: Names of the reasons, in their order.
-REASONS = (
-    "time", "door", "bus", "interrupted", "raw", "clock step", "request", "ahead", "full", "events", "sending",
-    "server", "failed",
-)  # fmt: skip
 
 _POLLIN = 1
 _DONTWAIT = 0x40
 _NOSIGNAL = 0x4000
 _REALTIME, _MONOTONIC = 0, 1
 _SECOND = 1_000_000_000
+#: Frames that come faster than this free those that are held back: no timer of the system's is set for these, which can
+#: cost as much as two frames.
+_DENSE_NS = 1_000_000
 
 
 class Side(Record):
@@ -91,7 +88,7 @@ class State(Record):
     never: i8 = means("the time that never comes", "ns")
     now_at: i8 = means("cell of the clock: its time")
     deadline_at: i8 = means("cell of the clock: before it no timer is due")
-    events_at: i8 = means("cell of the clock: events of the pass")
+    urgent_at: i8 = means("cell of the clock: whether there are events that do not wait")
     sent_at: i8 = means("cell of the clock: frames sent")
     fed_at: i8 = means("cell of the clock: first of these that went through the engine")
     taken_at: i8 = means("cell of the clock: first of these that have left")
@@ -100,10 +97,10 @@ class State(Record):
     count: i8 = means("its frames")
     start: i8 = means("first of these that the engine has not handled")
     took: i8 = means("frames taken down since the pump was entered")
-    fed: i8 = means("frames fed since then")
     knocked: i8 = means("1: the other descriptor is readable")
     held: i8 = means("frames held back: an earlier one of another bus may still come")
     read_ns: i8 = means("when the sockets were looked at last", "ns")
+    gap_ns: i8 = means("time between the last two looks", "ns")
     passes: i8 = means("passes since the pump was entered")
     clock: Annotated[i8s, 2] = means("struct timespec")
 
@@ -163,7 +160,7 @@ def _wait(P: Any, s: Any, now_ns: int) -> int:
     if deadline_ns < s.never - s.grace_ns:
         until = min(until, deadline_ns + s.grace_ns)
     if s.held > 0:
-        until = min(until, now_ns + 500_000)
+        until = min(until, now_ns + (LONGEST_NS if s.gap_ns < _DENSE_NS else 500_000))
     wait_ms = 0
     if s.waits == 1 and until > now_ns:
         wait_ms = (until - now_ns + 999_999) // 1_000_000
@@ -280,18 +277,8 @@ def _transmit(P: Any, s: Any) -> bool:
         return False
     while clock[s.taken_at] < last:
         row = P.outbox[clock[s.taken_at]]
-        header = row[1]
-        side = P.sides[np.int64((header >> np.uint64(32)) & np.uint64(0xFF))]
-        flags = np.int64((header >> np.uint64(40)) & np.uint64(0xFF))
-        word = (header & np.uint64(0xFFFFFFFF)) | (((header >> np.uint64(48)) & np.uint64(0xFF)) << np.uint64(32))
-        size = CAN_MTU
-        if flags & FD:
-            size = CANFD_MTU
-            bits = CANFD_FDF | (CANFD_BRS if flags & BRS else 0) | (CANFD_ESI if flags & ESI else 0)
-            word |= np.uint64(bits) << np.uint64(40)
-        P.wire[0] = word
-        for j in range(1, size // 8):
-            P.wire[j] = row[j + 1]
+        side = P.sides[np.int64((row[1] >> np.uint64(32)) & np.uint64(0xFF))]
+        size = fill_struct(row, P.wire)
         if send(side.fd, P.wire.ctypes.data, size, _DONTWAIT | _NOSIGNAL) != size:
             return False
         side.sent += 1
@@ -317,7 +304,7 @@ def _run(P: Any, s: Any) -> int:
         if call_bound(s.entry, s.arguments_at, s.results_at) != 0:
             return FAILED
         s.start = P.results[0]
-        if clock[s.events_at] > 0:
+        if clock[s.urgent_at] != 0:
             return EVENTS
         if clock[s.sent_at] > clock[s.taken_at] and not _transmit(P, s):
             return SENDING
@@ -334,7 +321,6 @@ def _feed(P: Any, s: Any, cells: Any) -> int:
         for j in range(10):
             P.taken[s.took + k, j] = cells[k, j]
     s.took += s.count
-    s.fed += s.count
     return _run(P, s)
 
 
@@ -346,7 +332,7 @@ def pump(P: Any) -> int:
         P: a :class:`Pumped`.
     """
     s = P.state[0]
-    s.took = s.fed = s.passes = s.count = s.start = s.knocked = 0
+    s.took = s.passes = s.count = s.start = s.knocked = 0
     buses = P.sides.shape[0]
     for b in range(buses):
         side = P.sides[b]
@@ -362,7 +348,7 @@ def pump(P: Any) -> int:
             return why
         s.passes += 1
         wall_ns = _read_clock(_REALTIME, s)
-        s.read_ns = wall_ns - s.offset_ns
+        s.gap_ns, s.read_ns = wall_ns - s.offset_ns - s.read_ns, wall_ns - s.offset_ns
         total = 0
         for b in range(buses):
             why = max(why, _receive(P, b, wall_ns, P.polls[b] >> 48 != 0))

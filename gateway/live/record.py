@@ -59,6 +59,10 @@ class Nobody:
     def took(self, frames: Frames) -> None:
         """Be asked for nothing: no pump feeds it."""
 
+    def tell(self) -> Frames:
+        """There is none."""
+        return empty(0)
+
     def resume(self, frames: Frames, start: int) -> Frames:
         """Be asked for nothing: no pump feeds it."""
         return empty(0)

@@ -288,8 +288,9 @@ class Debounce:
 
     def changed(self, settings: Mapping[str, Any]) -> Debounce:
         """Return it with other settings; those of a counter end a debounce by time."""
-        by_counter = bool(settings) and "failed_ms" not in settings
-        timeless = {"failed_ms": None, "passed_ms": None} if by_counter else {}
+        if not settings:
+            return self
+        timeless = {} if "failed_ms" in settings else {"failed_ms": None, "passed_ms": None}
         return replace(self, **{**timeless, **settings})
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import FRAME, Frames, empty, joined
+from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
 from gateway.engine.core import Engine
@@ -27,7 +28,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.service import as_dict
 from gateway.runtime.account import bus_errors, counters, description, signal_slots
-from gateway.runtime.assemble import Parts, asking_of, identifiers_of, prepare, servers_of
+from gateway.runtime.assemble import Parts, asking_of, connect_routes, identifiers_of, prepare, servers_of
 from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
@@ -108,6 +109,7 @@ class Gateway:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
     """
 
+    @uncollected()
     def __init__(
         self,
         config: Config,
@@ -133,6 +135,7 @@ class Gateway:
             recordings=1 if recording is None else recording.most_per_fault,
             statistics=self.engine.fold_statistics,
             usage=config.usage,
+            ahead=config.memory.tell == "first",
         )
         self.controls = Controls(
             self.engine,
@@ -153,6 +156,7 @@ class Gateway:
         servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
         servers += [self._vehicle] if config.answered else []
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
+        connect_routes(self.servers, self.asking)
         served, asked = self.servers.heard, self.asking.heard
         self._heard = None if served is None or asked is None else served | asked
         self._connect()
@@ -169,7 +173,8 @@ class Gateway:
     def _connect(self) -> None:
         """Make the links between the parts: frames in, verdicts, events and frames out."""
         self._off = SwitchedOff(self.engine)
-        self._outbox = Outbox(self.memory, self.store, self.engine, self._off.report, self.servers.on_changes)
+        first, send = self.config.memory.tell == "first", self.servers.on_changes
+        self._outbox = Outbox(self.memory, self.store, self.engine, self._off.report, send, first=first)
         self._upkeep = self._outbox.upkeep
         names = [bus.name for bus in self.config.buses]
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
@@ -280,6 +285,7 @@ class Gateway:
         """Add a listener; it is called with each event of the JSON contract, in order."""
         self._outbox.listen(listener)
 
+    @uncollected()
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
         self.engine.warm()
@@ -374,10 +380,14 @@ class Gateway:
         return Quiet(self.engine, before_ns, due_ns, self.next_ns, self._heard, self.controls.send)
 
     def took(self, frames: Frames) -> None:
-        """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`resume`."""
+        """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`tell`."""
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
         self._reception.hear(int(frames["t_ns"].max()))
+
+    def tell(self) -> Frames:
+        """Take the events of the engine where a pump has left; returns the frames to send, before it goes on."""
+        return self._emit(self._reception.tell())
 
     def resume(self, frames: Frames, start: int) -> Frames:
         """Go on with a batch that a pump has begun, and that was taken down; returns the frames to send.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gateway.answers.pages import AnswerBus
 from gateway.answers.weave import Weaver
@@ -12,6 +13,7 @@ from gateway.clients.asking import Asking, Ecu
 from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.ecu import MS, Ask, EcuClient, asks_of
 from gateway.clients.params import DTC_REQUESTS, EcuParams
+from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
@@ -34,7 +36,12 @@ from gateway.isotp.params import IsoTpParams
 from gateway.monitors.contract import Fault
 from gateway.servers.authority import Authority
 from gateway.servers.bus_server import BusServer
+from gateway.servers.bus_servers import BusServers
 from gateway.servers.diagnostic_server import DiagnosticServer
+from gateway.servers.doip.identity import GATEWAY, NODE, Identity
+from gateway.servers.doip.params import ADDRESSES
+from gateway.servers.doip.route import Route
+from gateway.servers.doip.server import DoipServer
 from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.j1939.endpoint import J1939Endpoint
@@ -42,14 +49,16 @@ from gateway.servers.j1939.server import J1939Server
 from gateway.servers.obd.server import ObdServer
 from gateway.servers.tester_control import TesterControl
 from gateway.servers.uds.authentication import Authentication
-from gateway.servers.uds.context import Context
 from gateway.servers.uds.intervention_memory import NUMBERS
-from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 from gateway.servers.uds.server import UdsServer
+from gateway.servers.uds.testers import Testers
 from gateway.signals.database import Database
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors, named
+
+if TYPE_CHECKING:
+    from ssl import SSLContext
 
 #: Faults of the gateway itself.
 _OWN = (*memory_health.FAULTS, *monitoring_health.FAULTS, *monitor_health.FAULTS, *reporter_health.FAULTS)
@@ -70,6 +79,7 @@ class Parts:
         answers: buses of ECUs' answers.
         security: of the UDS server; its key functions have been found.
         authentication: of the UDS server; its roots have been read.
+        tls: of the DoIP server; its certificates have been read; None: it has none.
         checks: of messages, in the engine's order.
         notes: choices where the configuration leaves it to the databases.
         codes: base codes of DTCs given out, by message, signal or relation.
@@ -88,6 +98,7 @@ class Parts:
     answers: tuple[AnswerBus, ...]
     security: Security
     authentication: Authentication
+    tls: SSLContext | None
     checks: tuple[CheckInstance, ...]
     notes: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
@@ -96,6 +107,7 @@ class Parts:
     behind: tuple[Tests, ...]
 
 
+@uncollected()
 def prepare(config: Config, file: Path | None = None, *, extra: Collection[str] = ()) -> Parts:
     """Build what needs no fault memory; may be done in a thread beside a running gateway.
 
@@ -108,12 +120,11 @@ def prepare(config: Config, file: Path | None = None, *, extra: Collection[str] 
         InputError, InputErrors: a database, message, signal or fault that is wrong.
     """
     try:
-        parts = assemble(resolve(config, extra=extra))
+        return assemble(resolve(config, extra=extra))
     except InputError as error:
         raise error.within(file) from error
     except InputErrors as errors:
         raise InputErrors([error.within(file) for error in errors.errors]) from errors
-    return parts
 
 
 def assemble(resolved: Resolved) -> Parts:
@@ -140,6 +151,7 @@ def assemble(resolved: Resolved) -> Parts:
         resolved.answers,
         resolved.security,
         resolved.authentication,
+        resolved.tls,
         resolved.checks,
         resolved.notes,
         resolved.codes,
@@ -259,26 +271,35 @@ def _bus_name(config: Config, name: str | None) -> str:
     return config.bus[config.bus_index(name)].name
 
 
-def _uds_servers(
-    config: Config, parts: Parts, memory: FaultMemory, authority: Authority, identifiers: Identifiers
-) -> list[tuple[UdsParams, UdsServer]]:
-    """Build a UDS server for each of its addresses: a tester each, with a session of his own."""
-    if config.output.uds is None:
-        return []
-    parts.security.keep_in(memory.attempts, memory.keep_attempts)
-    testers: list[Context] = []
-    trace = config.access.trace_did
-    for params in config.output.uds.each_address:
-        bus = _bus_name(config, params.bus)
-        security = parts.security.beside() if testers else parts.security
-        who = parts.authentication.beside()
-        control = authority.control
-        testers.append(Context(params, memory, identifiers, control, security, who, authority, bus, trace, testers))
-    return [(context.params, UdsServer(context)) for context in testers]
+def _doip_server(
+    config: Config, parts: Parts, testers: Testers, identifiers: Identifiers, control: TesterControl
+) -> DoipServer:
+    """Build the DoIP entity."""
+    params, uds = config.output.doip, config.output.uds
+    assert params is not None
+    assert uds is not None
+
+    def new_tester(name: str, source: int) -> UdsServer:
+        own = uds.model_copy(update={"bus": None, "request": source, "functional": source})
+        return testers.server(own, name, longest=params.most_bytes - ADDRESSES)
+
+    ready = (lambda: control.meets(params.ready)) if params.ready else None
+    node = GATEWAY if params.route else NODE
+    return DoipServer(params, new_tester, Identity(params, identifiers.read, ready, node), parts.tls)
+
+
+def connect_routes(servers: BusServers, asking: Asking) -> None:
+    """Give the DoIP server the lines to the ECUs of its routes."""
+    for server in servers.all:
+        if isinstance(server, DoipServer):
+            server.routes = {
+                each.address: Route(each.address, asking.line(each.ecu, each.requests_per_s))
+                for each in server.params.route
+            }
 
 
 def _diagnostic_servers(
-    config: Config, parts: Parts, memory: FaultMemory, authority: Authority, identifiers: Identifiers
+    config: Config, testers: Testers, memory: FaultMemory, authority: Authority, identifiers: Identifiers
 ) -> list[BusServer]:
     """Build what is on ISO-TP: UDS with OBD on its first address if they share it, each further address, OBD alone."""
     asked = config.output.obd
@@ -292,8 +313,8 @@ def _diagnostic_servers(
         made.append(DiagnosticServer(IsoTpEndpoint(params, config.bus_index(params.bus)), uds, obd))
 
     shared = config.diagnostic_address_is_shared()
-    for k, (params, uds) in enumerate(_uds_servers(config, parts, memory, authority, identifiers)):
-        server(params, uds, obd if shared and not k else None)
+    for k, params in enumerate(() if config.output.uds is None else config.output.uds.each_address):
+        server(params, testers.server(params, _bus_name(config, params.bus)), obd if shared and not k else None)
     if asked is not None and not shared:
         server(asked, None, obd)
     return made
@@ -319,7 +340,11 @@ def servers_of(
                 control.fault_detection_counter,
             )
         )
-    made += _diagnostic_servers(config, parts, memory, authority, identifiers)
+    trace = config.access.trace_did
+    testers = Testers(memory, identifiers, authority, parts.security, parts.authentication, trace)
+    made += _diagnostic_servers(config, testers, memory, authority, identifiers)
+    if asked.doip is not None:
+        made.append(_doip_server(config, parts, testers, identifiers, control))
     if asked.j1939 is not None:
         index = config.bus_index(asked.j1939.bus)
         endpoint = J1939Endpoint(

@@ -50,6 +50,8 @@ _MOST_OFFSETS = 8
 _TOLD, _EQUAL = 5, 0.9
 #: Components that concern nothing else: their own fault says all that they explain.
 _ALONE = ("gateway", "reported")
+#: First passes from this number on are taken all at once.
+_MANY = 4
 
 
 class Causes:
@@ -95,6 +97,8 @@ class Causes:
         )
         self._of = {name: tests for tests in self._behind for name in tests.seen}
         self._place = {k: place for place, k in enumerate(self._tests)}
+        self._of_fault = np.full(len(engine.faults), -1, np.int64)
+        self._of_fault[self._tests] = range(len(self._tests))
         self._index = np.array(self._tests, np.int64)
         silent = np.asarray(engine.tables.health["fault"])[:, SILENT].tolist()
         self._silent = {fault: bus for bus, fault in enumerate(silent) if fault >= 0}
@@ -107,7 +111,10 @@ class Causes:
     def take(self, events: Events) -> None:
         """Take events of the engine; they are judged a moment later, with those that come meanwhile."""
         kinds, offset_ns = events["kind"], self._note_offset()
-        for event in events[(kinds == QUALIFIED_FAILED) | (kinds == QUALIFIED_PASSED)]:
+        verdicts = events[(kinds == QUALIFIED_FAILED) | (kinds == QUALIFIED_PASSED)]
+        if self._take_first_passes(verdicts, offset_ns):
+            return
+        for event in verdicts:
             fault, failed = int(event["fault"]), event["kind"] == QUALIFIED_FAILED
             t_ns = int(event["t_ns"]) - offset_ns
             while (due := self._engine.pause_ns) < t_ns:  # of timers in a silence
@@ -118,6 +125,24 @@ class Causes:
             if self._failing or self._told:
                 self._engine.pause_ns = min(due, t_ns + PACE_NS)
                 self._looks = 0
+        self._heed()
+
+    def _take_first_passes(self, verdicts: Events, offset_ns: int) -> bool:
+        """Take first passes where nothing has failed, all at once; returns False, and takes none, if there are others.
+
+        Of a car with thousands of messages there are tens of thousands in its first seconds.
+        """
+        if len(verdicts) < _MANY or self._failing or self._told or self.pending:
+            return False
+        places = self._of_fault[verdicts["fault"]]
+        known = places >= 0
+        if (verdicts["kind"] != QUALIFIED_PASSED).any():
+            return False
+        return self._diagnoser.pass_first(places[known], verdicts["t_ns"][known] - offset_ns)
+
+    def _heed(self) -> None:
+        """Have the engine leave its loop at first passes, too, while there is something that they may tell apart."""
+        self._engine.heed_passes(bool(self._failing or self._told))
 
     def look(self, t_ns: int) -> None:
         """Look what explains the faults now, and tell it unless it is as it was.
@@ -130,6 +155,7 @@ class Causes:
         if event is not None:
             self.tell(event)
         self._engine.pause_ns = min(self._engine.pause_ns, self.after_look(t_ns))
+        self._heed()
 
     def look_soon(self) -> None:
         """Look at the causes a moment later, if there are any."""
@@ -146,6 +172,7 @@ class Causes:
         self._diagnoser.succeed(old._diagnoser)
         self._told, self._looks, self._failing = old._told, old._looks, old._failing
         self._engine.pause_ns, self._offsets = old._engine.pause_ns, old._offsets
+        self._heed()
 
     def _conclude(self, t_ns: int) -> dict[str, Any] | None:
         self._renew(t_ns)

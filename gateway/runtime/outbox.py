@@ -7,7 +7,8 @@ A change of a DTC takes four steps, and no step is done before the one above it:
 3. It is *told*: its event goes to the listeners, with ``stored``. This is false where the file cannot be written.
 4. It is *sent*: the servers make frames of it (the DTC frame, DM1).
 
-So a DTC that the next start does not find is never told, unless it is told as not stored.
+So a DTC that the next start does not find is never told, unless it is told as not stored. Where the configuration wants
+all told first, steps 3 and 4 come before 2, with ``stored`` false, and an event tells when it is stored.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from gateway.engine.core import Engine, Sink
 from gateway.faults.entries import DtcChange
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
-from gateway.runtime.upkeep import Noted, Upkeep
+from gateway.runtime.upkeep import NOTHING, Noted, Upkeep
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
@@ -35,6 +36,7 @@ class Outbox:
         engine: debounces the gateway's own faults.
         report: has faults reported that are to be in the next commit.
         send: makes frames of changes that were told, at a time of the engine.
+        first: whether changes are told and sent before they are stored.
 
     Attributes:
         upkeep: writes the fault memory.
@@ -47,8 +49,11 @@ class Outbox:
         engine: Engine,
         report: Callable[[Sink], None],
         send: Callable[[Sequence[DtcChange], int], list[Frames]],
+        *,
+        first: bool = False,
     ) -> None:
-        self._report, self._send = report, send
+        self._report, self._send, self._first, self._engine = report, send, first, engine
+        self._ahead = NOTHING  # of what is noted, the first ones, that have been told before they are stored
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
         self._untold: list[dict[str, Any]] = []
@@ -59,7 +64,7 @@ class Outbox:
         """Go on where that of an earlier configuration stops: events that wait there are told here."""
         self.upkeep.succeed(old.upkeep)
         self._listeners = old._listeners
-        self._changes, self._untold = old._changes, old._untold
+        self._changes, self._untold, self._ahead = old._changes, old._untold, old._ahead
 
     def listen(self, listener: Listener) -> None:
         """Add a listener; it is called with each event of the JSON contract, in order."""
@@ -69,6 +74,11 @@ class Outbox:
     def empty(self) -> bool:
         """Whether nothing is noted, and nothing is to be sent."""
         return not (self._changes or self._untold or self._early)
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether there is anybody who listens."""
+        return bool(self._listeners)
 
     def note(self, *events: dict[str, Any]) -> None:
         """Keep events to be told in their order, when all that happened before them is stored."""
@@ -110,6 +120,9 @@ class Outbox:
         if not (final or self._changes or self._untold) and self.upkeep.idle:
             return []  # as for nearly every batch
         self._report(sink)
+        early = self._tell_early() if self._first else []
+        if early and not (asked or final):
+            return early  # on their way, before anything is waited for
         waiting, self._changes = self._changes, []
         noted = Noted(len(waiting), len(self._untold))
         may = self.upkeep.settle(now, noted, sink, asked=asked, final=final)
@@ -122,9 +135,25 @@ class Outbox:
             events = len(self._untold)
         told, self._untold = self._untold[:events], self._untold[events:]
         stored = self.upkeep.stored
-        for event in told:
+        ahead, self._ahead = self._ahead, self._ahead - Noted(may.changes, events)
+        for event in told[ahead.events :]:
             if event["event"] == "dtc":
                 event["stored"] = stored
                 self.upkeep.not_stored += not stored
             self.tell(event)
-        return own + waiting[: may.changes]
+        known = [event["fault"] for event in told[: ahead.events] if event["event"] == "dtc"]
+        self.upkeep.not_stored += 0 if stored else len(known)
+        if known and stored:
+            t_ns = self._engine.wall_ns(now)
+            self.tell({"event": "stored", "t_ns": t_ns, "faults": list(dict.fromkeys(known))})
+        return early + own + waiting[ahead.changes : may.changes]
+
+    def _tell_early(self) -> list[DtcChange]:
+        """Tell what is noted as not stored; returns the changes to send."""
+        for event in self._untold[self._ahead.events :]:
+            if event["event"] == "dtc":
+                event["stored"] = False
+            self.tell(event)
+        early = self._changes[self._ahead.changes :]
+        self._ahead = Noted(len(self._changes), len(self._untold))
+        return early

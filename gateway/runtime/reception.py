@@ -55,6 +55,10 @@ class Reception:
                 sent += [self._process_piece(piece), self._look(look_ns)]
         return joined(sent)
 
+    def tell(self) -> Frames:
+        """Take the events that wait where a pump has left; returns what the monitors have sent."""
+        return self._engine.tell(self._sink)
+
     def resume(self, frames: Frames, start: int) -> Frames:
         """Go on with a batch that a pump has begun; returns what the monitors send."""
         return self._engine.resume(frames, start, self._sink)

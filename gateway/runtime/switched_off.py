@@ -82,8 +82,10 @@ class SwitchedOff:
 
     def report(self, sink: Sink) -> None:
         """Report the gateway's own fault, and name slips, if that is news."""
-        self._name_slips()
-        count = int((self._engine.tables.handlers["off"] != 0).sum())
+        count = 0
+        if self._engine.monitors:
+            self._name_slips()
+            count = int(np.count_nonzero(self._engine.tables.handlers["off"]))
         if self._place is None or count == self._reported:
             return
         self._reported = count

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import numpy as np
-
+from gateway.engine.events import Events
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
 from gateway.faults.explained import Cause
@@ -19,24 +18,28 @@ _RESULTS = {PASSED: "passed", FAILED: "failed"}
 _log = get_logger(__name__)
 
 
-def monitor_event(event: np.void, catalogue: Catalogue, bus: str) -> dict[str, Any]:
-    """Tell a verdict that changed no DTC, or a value that is watched.
+def monitor_events(events: Events, catalogue: Catalogue, bus_name: Callable[[int], str]) -> list[dict[str, Any]]:
+    """Tell verdicts that changed no DTC, or values that are watched.
 
     Args:
-        event: of EVENT.
+        events: shape (n,) of EVENT.
         catalogue: the faults.
-        bus: name of the bus, "": the gateway itself.
+        bus_name: name of a bus, "": the gateway itself.
     """
-    return {
-        "event": "monitor",
-        "t_ns": int(event["t_ns"]),
-        "bus": bus,
-        "fault": catalogue[int(event["fault"])].id,
-        "result": _RESULTS.get(int(event["result"]), "not tested"),
-        "fdc": int(event["fdc"]),
-        "value": float(event["value"]),
-        "threshold": float(event["threshold"]),
-    }
+    names = ("t_ns", "bus", "fault", "result", "fdc", "value", "threshold")
+    return [
+        {
+            "event": "monitor",
+            "t_ns": t_ns,
+            "bus": bus_name(bus),
+            "fault": catalogue[fault].id,
+            "result": _RESULTS.get(result, "not tested"),
+            "fdc": fdc,
+            "value": value,
+            "threshold": threshold,
+        }
+        for t_ns, bus, fault, result, fdc, value, threshold in zip(*(events[n].tolist() for n in names), strict=True)
+    ]
 
 
 def dtc_event(change: DtcChange, bus: str) -> dict[str, Any]:
@@ -94,7 +97,8 @@ def clear_event(t_ns: int, faults: Sequence[str]) -> dict[str, Any]:
 def intervention_event(intervention: Intervention) -> dict[str, Any]:
     """Log what a tester did, or was refused, and return the event of the JSON contract that tells it."""
     told = intervention_as_dict(intervention)
-    _log.warning("a tester intervened", **{name: told[name] for name in ("protocol", "address", "action", "outcome")})
+    shown = ("protocol", "bus", "address", "action", "outcome")
+    _log.warning("a tester intervened", **{name: told[name] for name in shown})
     return {"event": "intervention", **told}
 
 

@@ -40,7 +40,7 @@ class Noted:
         return Noted(self.changes + more.changes, self.events + more.events)
 
     def __sub__(self, told: Noted) -> Noted:
-        return Noted(self.changes - told.changes, self.events - told.events)
+        return Noted(max(self.changes - told.changes, 0), max(self.events - told.events, 0))
 
 
 NOTHING = Noted(0, 0)

@@ -15,6 +15,7 @@ from gateway.engine.events import (
     NO_BUS,
     QUALIFIED_FAILED,
     QUALIFIED_PASSED,
+    RESULT_CHANGED,
     Events,
 )
 from gateway.faults.catalogue import FaultDefinition
@@ -29,9 +30,11 @@ from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
 from gateway.runtime.outbox import Outbox
 from gateway.runtime.switched_off import SwitchedOff
-from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_event
+from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_events
 
 _TEST_FAILED = int(Status.TEST_FAILED)
+#: Kinds of which there may be thousands at once, at a start.
+_OFTEN = (RESULT_CHANGED, QUALIFIED_PASSED)
 
 
 class Verdicts:
@@ -76,26 +79,45 @@ class Verdicts:
     def take(self, events: Events) -> None:
         """Take events of the engine, in order; it is the sink of :class:`gateway.engine.core.Engine`."""
         self.count += len(events)
-        for event in events:
-            kind = int(event["kind"])
-            if kind in (CYCLE_BEGAN, CYCLE_ENDED):
-                self._on_cycle(event, began=kind == CYCLE_BEGAN)
-                continue
-            if kind == CLOCK_STEPPED:
-                self._on_step(event)
-                continue
-            if kind == MONITOR_OFF:
-                self._outbox.note(self._off.on_event(event, self._bus_name(int(event["bus"]))))
-                continue
-            if kind == QUALIFIED_FAILED:
-                self._doubts.seek(int(event["fault"]), int(event["t_ns"]))
-                fault = self._catalogue[int(event["fault"])].id
-                self._on_failure(fault, int(event["t_ns"]) - self._engine.offset_ns)
-            changes = self._memory.apply(event, self._observe)
-            told = self.note_changes(changes)
-            if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
-                self._outbox.note(monitor_event(event, self._catalogue, self._bus_name(int(event["bus"]))))
+        kinds, at = events["kind"].tolist(), 0
+        while at < len(kinds):
+            end = at
+            while end < len(kinds) and kinds[end] in _OFTEN:
+                end += 1
+            if end == at or not self._take_passes(events[at:end]):
+                end = max(end, at + 1)
+                for event, kind in zip(events[at:end], kinds[at:end], strict=True):
+                    self._take_one(event, kind)
+            at = end
         self._causes.take(events)
+
+    def _take_passes(self, events: Events) -> bool:
+        """Take passes of faults that are not there, and results that are no verdicts; False: a fault was there."""
+        verdicts = events["kind"] == QUALIFIED_PASSED
+        if not self._memory.complete(events["fault"][verdicts].tolist()):
+            return False
+        if self._outbox.is_heard:
+            self._outbox.note(*monitor_events(events, self._catalogue, self._bus_name))
+        return True
+
+    def _take_one(self, event: np.void, kind: int) -> None:
+        if kind in (CYCLE_BEGAN, CYCLE_ENDED):
+            self._on_cycle(event, began=kind == CYCLE_BEGAN)
+            return
+        if kind == CLOCK_STEPPED:
+            self._on_step(event)
+            return
+        if kind == MONITOR_OFF:
+            self._outbox.note(self._off.on_event(event, self._bus_name(int(event["bus"]))))
+            return
+        if kind == QUALIFIED_FAILED:
+            self._doubts.seek(int(event["fault"]), int(event["t_ns"]))
+            fault = self._catalogue[int(event["fault"])].id
+            self._on_failure(fault, int(event["t_ns"]) - self._engine.offset_ns)
+        changes = self._memory.apply(event, self._observe)
+        told = self.note_changes(changes)
+        if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
+            self._outbox.note(*monitor_events(np.asarray([event]), self._catalogue, self._bus_name))
 
     def look_again(self) -> None:
         """Have it looked at what explains the faults: verdicts have been taken back, of which no event tells."""

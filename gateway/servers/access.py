@@ -39,6 +39,8 @@ FREE = {
     "authenticate": 0x29,
     "events": 0x86,
 }
+#: Passing on of what does more than read, to ECUs behind a DoIP route.
+ROUTE = "route"
 #: Clearing by protocols that know no sessions.
 SESSIONLESS = {"obd_clear": "OBD mode 04", "j1939_clear": "DM3 and DM11"}
 
@@ -104,6 +106,9 @@ class AccessParams(StrictModel):
     routine: Access | None = Field(None, description="routines (0x31)")
     dtc_setting: Access | None = Field(None, description="switching the setting of DTCs off (0x85)")
     events: Access | None = Field(None, description="responses on events (0x86)")
+    route: Access | None = Field(
+        None, description="requests by a DoIP route beside reading (10 01, 19, 22, 3E); none: they are refused"
+    )
     obd_clear: SessionlessAccess | None = Field(None, description="clearing by OBD (mode 04)")
     j1939_clear: SessionlessAccess | None = Field(None, description="clearing by J1939 (DM3, DM11)")
 
@@ -163,9 +168,9 @@ def needs_of(
             any_role = frozenset(() if least else roles)
             found[name] = Need(_EXTENDED, least, when, roles=any_role) if guarded else Need()
             continue
-        sessions = frozenset(SESSIONS[session] for session in rule.sessions)
-        conditions = when if rule.when is None else rule.when
-        found[name] = Need(sessions, rule.security, conditions, roles=frozenset(rule.roles))
+        found[name] = _need_of(rule, when)
+    route = params.route
+    found[ROUTE] = Need(allowed=False) if route is None else _need_of(route, params.when)
     clear = found["clear"]
     for name in SESSIONLESS:
         other: SessionlessAccess = getattr(params, name) or SessionlessAccess()
@@ -177,6 +182,11 @@ def needs_of(
             allowed=not clear.is_locked if allowed is None else allowed,
         )
     return found
+
+
+def _need_of(rule: Access, when: tuple[ConditionSettings, ...]) -> Need:
+    sessions = frozenset(SESSIONS[session] for session in rule.sessions)
+    return Need(sessions, rule.security, when if rule.when is None else rule.when, roles=frozenset(rule.roles))
 
 
 def signals_of(needs: Needs) -> set[str]:

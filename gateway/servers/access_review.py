@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 
-from gateway.servers.access import FREE, GUARDED, SESSIONLESS, SESSIONS, Access, AccessParams, Needs
+from gateway.servers.access import FREE, GUARDED, ROUTE, SESSIONLESS, SESSIONS, Access, AccessParams, Needs
 from gateway_fdi.errors import InputError, nearest
 
 
@@ -19,7 +19,7 @@ def wrong_rules(
         roles: that there are.
         uds: names of the rules that the UDS server's own table gives.
     """
-    for name in (*GUARDED, *FREE):
+    for name in (*GUARDED, *FREE, ROUTE):
         rule: Access | None = getattr(params, name)
         if rule is None:
             continue

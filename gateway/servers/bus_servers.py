@@ -146,6 +146,10 @@ class BusServers:
                 counters[name] = counters.get(name, 0) + count
         return counters
 
+    def wake(self, server: BusServer) -> None:
+        """Look again when a server is due: something came to it by no bus."""
+        self._set_due(self.all.index(server))
+
     def _set_due(self, k: int) -> None:
         self._due[k] = self.all[k].next_ns
         self._next_due = min(self._due)

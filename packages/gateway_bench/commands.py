@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from gateway.cli.commands import does
 from gateway.cli.options import HtmlOption, JsonEvents, PortOption, ScenarioArgument, Seed
 
 
@@ -31,6 +32,7 @@ def demo(
     raise typer.Exit(work(scenario, speed=speed, seed=seed, page=shown, open_page=open_page, json=json))
 
 
+@does("gateway_bench.cli.simulate:simulate", scenario="scenario_name")
 def simulate(
     scenario: ScenarioArgument,
     bus: Annotated[
@@ -57,23 +59,6 @@ def simulate(
     json: JsonEvents = False,
 ) -> None:
     """Drive a bus with virtual ECUs and faults, in real time."""
-    from gateway_bench.cli.simulate import simulate as work
-
-    raise typer.Exit(
-        work(
-            scenario,
-            bus=bus,
-            check=check,
-            wait=wait,
-            record=record,
-            seed=seed,
-            html=html,
-            json=json,
-            junit=junit,
-            control=control,
-            priority=priority,
-        )
-    )
 
 
 def control(

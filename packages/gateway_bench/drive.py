@@ -84,7 +84,8 @@ def drive(
             batch = wires.carry(frames)
             if on_frames is not None:
                 on_frames(batch)
-            for sent in (driven.feed(batch), driven.advance(until)):
+            # Clients ask by the clock of the frames' stamps, which here is the scenario's.
+            for sent in (driven.feed(batch), driven.advance(until), gateway.asking.poll(until)):
                 player.hear(sent)
                 for report in wires.reports(sent):
                     if judge is not None and report.dtc is not None:

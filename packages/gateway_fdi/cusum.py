@@ -63,17 +63,13 @@ def observe(s: State, residual: float) -> None:
 
 
 @kernel
-def update(s: State, c: Const, residual: float) -> None:
-    """Take a residual."""
+def update(s: State, c: Const, residual: float) -> float:
+    """Take a residual; returns T_norm: above 1 the test has fired."""
     observe(s, residual)
     s.value = grown(s.value, abs(residual) - c.nu, c.most)
-    s.peak = max(s.peak, s.value / c.threshold)
-
-
-@kernel
-def normalised(s: State, c: Const) -> float:
-    """Return T_norm: above 1 the test has fired."""
-    return float(s.value / c.threshold)
+    norm = s.value / c.threshold
+    s.peak = max(s.peak, norm)
+    return float(norm)
 
 
 def nus(residuals: Sequence[str], sums: f8s) -> dict[str, float]:

@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
-from gateway.cli.options import Json, JsonEvents, Maps
+from gateway.cli.commands import does
+from gateway.cli.options import ConfigOption, Json, JsonEvents, Maps
 
 
+@does("gateway_fleet.cli.learn:learn_car", bus="buses")
 def learn(
     files: Annotated[
         list[Path],
@@ -32,22 +34,6 @@ def learn(
     json: Json = False,
 ) -> None:
     """Learn a configuration from a database and healthy logs."""
-    from gateway_fleet.cli.learn import learn_car as work
-
-    raise typer.Exit(
-        work(
-            files,
-            out=out,
-            buses=bus or (),
-            hold_out=hold_out,
-            maps=maps or (),
-            pgn=pgn,
-            seed=seed,
-            update=update,
-            force=force,
-            json=json,
-        )
-    )
 
 
 def calibrate(
@@ -110,17 +96,13 @@ def calibrate(
     )
 
 
+@does("gateway_fleet.cli.fleet:fleet_run")
 def fleet_run(
     logs: Annotated[
         list[str], typer.Argument(metavar="LOG...", help="Logs, folders of logs, or patterns, e.g. 'logs/**'.")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")],
-    config: Annotated[
-        Path | None,
-        typer.Option(
-            "--config", "-c", help="Configuration file; default: gateway.toml in this folder, or else the shipped one."
-        ),
-    ] = None,
+    config: ConfigOption = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
@@ -156,25 +138,9 @@ def fleet_run(
     The results are Parquet tables of logs, DTCs, tests, events and errors. If called again, it runs only new logs. Exit
     code 2: a log could not be run; all others were.
     """
-    from gateway_fleet.cli.fleet import fleet_run as work
-
-    raise typer.Exit(
-        work(
-            logs,
-            config,
-            out,
-            scheduler=scheduler,
-            workers=workers,
-            memory=memory,
-            maps=maps or (),
-            device=device,
-            retry=retry,
-            dashboard=dashboard,
-            json=json,
-        )
-    )
 
 
+@does("gateway_fleet.cli.fleet:fleet_diff")
 def fleet_diff(
     first: Annotated[Path, typer.Argument(help="Folder with the results of one configuration or version.")],
     second: Annotated[Path, typer.Argument(help="Folder with the results of the other one.")],
@@ -184,9 +150,6 @@ def fleet_diff(
 
     It shows the first event that differs in each log. Exit code 1: at least one log differs.
     """
-    from gateway_fleet.cli.fleet import fleet_diff as work
-
-    raise typer.Exit(work(first, second, json=json))
 
 
 def evaluate_learn(

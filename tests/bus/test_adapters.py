@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from gateway.bus.adapter import PythonCanBus
 from gateway.bus.base import Statistics
-from gateway.bus.can_structs import RawReceiver, pack
+from gateway.bus.can_structs import Packer, RawReceiver
 from gateway.bus.frames import BRS, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, empty, payload, put
 from gateway.bus.uri import loopback_address, open_bus
 from gateway_fdi.errors import BusError, InputError
@@ -43,6 +43,7 @@ def test_addresses():
     assert loopback_address("127.0.0.2:1") == ("127.0.0.2", 1)
     assert loopback_address("4711") == ("127.0.0.1", 4711)
     assert loopback_address("[::1]:5") == ("::1", 5)
+    assert loopback_address("localhost:5") == ("127.0.0.1", 5)
 
 
 def test_a_python_can_client_joins_the_virtual_bus():
@@ -134,7 +135,7 @@ def test_structs_go_into_the_batch_and_come_out_of_it(rows, random):
         out = empty(64)
         out["data"] = 0xEE  # what was there before must not shine through
         for frame in sent:
-            theirs.send(pack(frame))
+            theirs.send(Packer()(frame))
         assert receiver.receive(out, 5) == len(rows)
         got = out[: len(rows)].copy()
         assert all(abs(int(t) - time.time_ns()) < 60 * 10**9 for t in got["t_ns"])

@@ -102,7 +102,7 @@ def test_the_noise_is_learned_and_what_was_too_low_is_told(healthy):
     path, logs = healthy
     config = load_config(path)
     found = learn(config, logs, file=path)
-    assert [row.name for row in found.rows] == [*(name for name, _, _ in QUANTITIES), "T7"]
+    assert [row.name for row in found.rows] == [*QUANTITIES, "T7"]
     for row in found.rows:
         if row.residual:
             # T5 has what is learned of resistance and torque constant from so noisy a speed in it, too.

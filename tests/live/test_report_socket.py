@@ -217,7 +217,7 @@ def test_connections_beyond_the_most_are_refused_and_counted(tmp_path):
 
     bench.play(script())
     assert [client.answers() for client in clients] == [[], [], ["ended"], ["ended"]]
-    assert bench.daemon._reports.refused == 2
+    assert bench.daemon._asked["report"].refused == 2
     bench.daemon.close()
 
 

@@ -128,6 +128,7 @@ def test_a_sender_that_begins_anew_is_followed():
     assert (np.diff(found)[-80:] == 1).all()
 
 
+@pytest.mark.costly
 def test_another_period_than_was_told_makes_no_gaps():
     """A sender's clock is 0.1 % off: each thousandth sample would be one too many."""
     for period in (0.999 * PERIOD, 1.001 * PERIOD):

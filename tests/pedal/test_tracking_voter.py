@@ -303,6 +303,18 @@ def test_an_offset_is_not_followed_while_the_other_channel_has_impulses():
     assert np.abs(result["value"] - 2.0).max() < 0.02
 
 
+def test_one_that_rests_is_not_frozen_by_a_noise_that_begins_on_the_other():
+    """The first readings of a noise of 50 mV that lie on a line by chance, 10 bits (pedal's study, seed 5390001)."""
+    step = 5 / 1024
+    s, c = voter(noise=0.0003, step=step)
+    down = np.repeat(np.linspace(0.77, 0.70, 40)[:, None], 2, axis=1)
+    noise = [0.703, 0.723, 0.762, 0.806, 0.689, 0.713, 0.752, 0.708, 0.728, 0.664, 0.664, 0.679, 0.737, 0.698]
+    rest = np.full((8 + len(noise), 2), 0.698)
+    rest[8:, 0] = noise
+    found = run(s, c, digitised(np.vstack([down, rest]), step))
+    assert not found["isolated"].any()
+
+
 def test_two_channels_that_stand_still_are_not_frozen_by_a_third_that_moves():
     y = np.full((200, 3), 3.0)
     y[100:110, 2] += 0.03 * np.arange(1, 11)

@@ -8,6 +8,7 @@ import json
 import socket
 import threading
 
+from doip_rig import Peer
 from rig import Rig, write_config
 from test_access import STANDS, by_j1939, by_mode_04
 from uds_tester import EXTRA, Asked
@@ -18,6 +19,7 @@ from gateway.serve.app import Page
 from gateway.serve.guard import Guard, Rights
 from gateway.serve.hub import Hub
 from gateway.serve.wire import Splitter
+from gateway.servers.doip.server import DoipServer
 from gateway_fdi.errors import GatewayError
 
 TOKEN = "control"
@@ -66,7 +68,7 @@ class Doors:
     """A gateway whose vehicle stands or moves (message M1), with a fault of M0 that a tester confirms."""
 
     def __init__(self, folder, *, uds="", more="", watched=False):
-        text = EXTRA.format(uds=uds) + "[output.obd]\n[output.j1939]\n" + STANDS + more
+        text = EXTRA.format(uds=uds) + "[output.obd]\n[output.j1939]\n[output.doip]\n" + STANDS + more
         self.memory = folder / "m.sqlite"
         self.memory.unlink(missing_ok=True)
         self.config = write_config(folder, extra=text)
@@ -90,6 +92,11 @@ class Doors:
         self.rig.close()
 
     @property
+    def server(self):
+        """The DoIP server."""
+        return next(each for each in self.gateway.servers.all if isinstance(each, DoipServer))
+
+    @property
     def gateway(self):
         return self.rig.gateway
 
@@ -110,6 +117,14 @@ class Doors:
     def by_uds(self, request):
         assert self.tester("1003").startswith("5003")
         answer = self.tester(request.replace(" ", "")).split(" ")[-1]
+        return answer[4:6].upper() if answer.startswith("7f") else "done"
+
+    def by_doip(self, request):
+        tester = Peer(self)
+        assert tester.activate() == 0x10
+        assert tester("1003").startswith("5003")
+        answer = tester(request)
+        tester.close()
         return answer[4:6].upper() if answer.startswith("7f") else "done"
 
     def by_obd(self):

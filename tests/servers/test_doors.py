@@ -31,10 +31,17 @@ _LOCAL = {
     "reception off": ("settings", {"receive": False}),
     "sending off": ("settings", {"send": False}),
 }
+#: Switching off: what it changes, and its action.
+_OFF = {
+    "DTC setting off": ("results", "dtc_setting"),
+    "reception off": ("receive", "communication"),
+    "sending off": ("send", "communication"),
+}
 #: Door and intervention -> does it; those that cannot be forced take no keys.
 ROWS = {
     **{
-        ("UDS", f"{what} ({request})"): lambda d, r=request: d.by_uds(r)
+        (door, f"{what} ({request})"): lambda d, by=by, r=request: by(d, r)
+        for door, by in (("UDS", Doors.by_uds), ("DoIP", Doors.by_doip))
         for what, request in {
             "clear": "14 FF FF FF", "reset": "11 01", "DTC setting off": "85 02", "reception off": "28 02 01",
             "sending off": "28 01 01",
@@ -63,12 +70,12 @@ def cell(folder, row, speed, *, force=False, **options):
             assert (doors.rig.status(0) == 0x50) == done
         elif what in ("operation cycle", "reset"):
             assert (doors.gateway.memory.cycle_number() == 2) == done
-        elif what == "DTC setting off":
-            assert controls.results != done
-        elif what == "reception off":
-            assert controls.receive != done
-        elif what == "sending off":
-            assert controls.send != done
+        elif row[0] == "DoIP":  # it ended when the tester left
+            assert [each.action for each in doors.gateway.memory.interventions() if not each.outcome] == (
+                [_OFF[what][1], f"{_OFF[what][1]}_ended"] if done else []
+            )
+        elif what in _OFF:
+            assert getattr(controls, _OFF[what][0]) != done
         return found
 
 
@@ -328,6 +335,23 @@ def test_a_reload_switches_it_on_and_notes_that_it_did(tmp_path, file):
     assert not int(rig.gateway.memory.status(STANDING)) & 1
     assert [(i.action, i.role) for i in rig.gateway.memory.interventions()] == [("dtc_setting_ended", "reader 1")]
     rig.close()
+
+
+def test_a_reload_changes_nothing_that_a_rule_guards(doors):
+    """SIGHUP: while the vehicle moves as while it stands no DTC goes, no cycle begins, and nothing is switched off."""
+    for speed in (50.0, 0.0):
+        doors.rig.fail(0)
+        doors.drive(speed)
+        old = doors.gateway
+        before = [(entry.fault, int(old.memory.status(entry.fault))) for entry in old.memory.entries()]
+        old.finish(doors.rig.now)
+        doors.rig.gateway = Gateway(old.config, store=old.store)
+        doors.rig.gateway.succeed(old)
+        memory = doors.gateway.memory
+        assert before == [(entry.fault, int(memory.status(entry.fault))) for entry in memory.entries()]
+        assert doors.gateway.controls.monitoring
+        assert memory.cycle_number() == 1
+        assert memory.interventions() == []
 
 
 def test_sending_that_is_off_blinds_nobody(doors):

@@ -55,6 +55,7 @@ USES = {
     "inject/ecus.py": ("linear",),
     "jit/test_shipped.py": (*PLANTS, _BENCH),
     "live/test_causes_everywhere.py": ("linear",),
+    "live/test_pump.py": ("crank",),
     "live/test_several_buses.py": ("pedal",),
     "monitors/test_invalid_values.py": ("crank", "pedal", "steering", "linear", "truck"),
     "monitors/test_wrong_parameters.py": PLANTS,

@@ -83,11 +83,11 @@ def play(config, scenarios, folder):
     """Play scenarios to a daemon, one after the other, as ``gateway simulate --check`` does.
 
     Returns:
-        its events, and for each scenario whether it went well. None: on a busy machine a plant stands still, which is
-        none that a monitor knows, or frames miss the few seconds of a fault: it does not count. A DTC that nobody
-        expects is wrong in any case.
+        its events, for each scenario whether it went well, and those that stood still. None: on a busy machine a plant
+        stands still, which is none that a monitor knows, or frames miss the few seconds of a fault: it does not count.
+        A DTC that nobody expects is wrong in any case.
     """
-    verdicts = {}
+    verdicts, still = {}, set()
     with (
         daemon(patient(config, folder), cwd=folder) as running,
         pytest.MonkeyPatch.context() as patch,
@@ -105,14 +105,15 @@ def play(config, scenarios, folder):
             )  # fmt: skip
             print(f"{scenario.stem}: {time.monotonic() - begun:.1f} s", *said, sep="; ")
             verdicts[scenario] = None if code else True
+            if any("stood still" in line for line in said):
+                still.add(scenario)
             more = unexpected(scenario, running.events()[known:])
             if load_scenario(scenario).unexpected == "fail" and more:
                 print(f"{scenario.stem}: not expected: {', '.join(sorted(more))}")
-                stood = any("stood still" in line for line in said)
-                verdicts[scenario] = None if stood else False
+                verdicts[scenario] = None if scenario in still else False
     assert running.code == 0
     assert not [line for line in running.log if "Traceback" in line]
-    return running.events(), verdicts
+    return running.events(), verdicts, still
 
 
 def run_all(config, scenarios, folder):
@@ -120,7 +121,7 @@ def run_all(config, scenarios, folder):
     left = list(scenarios)
     for attempt in range(ATTEMPTS):
         (folder / str(attempt)).mkdir()
-        _, verdicts = play(config, left, folder / str(attempt))
+        _, verdicts, _ = play(config, left, folder / str(attempt))
         assert not [path.stem for path, good in verdicts.items() if good is False]
         left = [path for path, good in verdicts.items() if good is None]
         if not left:

@@ -275,14 +275,20 @@ def signals_of(check: CheckInstance, database: Database) -> list[SignalRef]:
     Raises:
         InputError: the message is not there; its protection does not fit it.
     """
-    message, asked = _message(check, database), _protection(check, database)
+    message = _message(check, database)
+    with under(_key(check)):
+        return _deciding(check, message, protection_for(message, check.params))
+
+
+def _deciding(check: CheckInstance, message: Message, asked: Protection) -> list[SignalRef]:
+    multiplexed = [signal for signal in message.signals if signal.multiplexer_ids]
+    if not multiplexed:
+        return []
     fields = [] if asked.checksum is None else [asked.field]
     fields += [] if asked.counter is None else [asked.counter.field]
     taken = sum(mask_of(field) for field in fields)
     return [
-        SignalRef(check.bus, message.name, signal.name)
-        for signal in message.signals
-        if signal.multiplexer_ids and mask_of(field_of(signal)) & taken
+        SignalRef(check.bus, message.name, signal.name) for signal in multiplexed if mask_of(field_of(signal)) & taken
     ]
 
 
@@ -293,11 +299,6 @@ def _key(check: CheckInstance) -> str:
 def _message(check: CheckInstance, database: Database) -> Message:
     with under(f"{_key(check)}.message", check.params.message):
         return database.message(check.params.message)
-
-
-def _protection(check: CheckInstance, database: Database) -> Protection:
-    with under(_key(check)):
-        return protection_for(_message(check, database), check.params)
 
 
 def fill(
@@ -311,7 +312,9 @@ def fill(
     wake_ms: float = 0.0,
 ) -> list[FaultSlot]:
     """Fill one row of checks, ``wake_ms`` is that of its bus; returns the faults it can report, in order."""
-    p, message, asked = check.params, _message(check, database), _protection(check, database)
+    p, message = check.params, _message(check, database)
+    with under(_key(check)):
+        asked = protection_for(message, p)
     summed = asked.checksum is not None
     wanted = (
         p.timeout_ms is not None,
@@ -336,7 +339,7 @@ def fill(
     row["deadline_ns"] = NEVER
     row["rule"] = protection.digest(asked, message.frame_id)
     row["presence"] = -1
-    for ref in signals_of(check, database):
+    for ref in _deciding(check, message, asked):
         row["presence"] = plan.position(*ref)
     protection.fill(row["protection"], asked, crcs)
     return slots

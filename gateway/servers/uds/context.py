@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
+from gateway.isotp.edges import MOST_SHORT
 from gateway.servers.access import SESSIONS, Need
 from gateway.servers.authority import Asker, Authority, Holder, Refusal
 from gateway.servers.identifiers import Identifiers
@@ -46,6 +47,7 @@ class Context:
     bus: str = ""
     trace_did: int | None = None  # data identifier of what testers did
     testers: list[Context] = field(default_factory=list)  # of all addresses, this one too
+    longest: int = MOST_SHORT  # bytes of a response that the transport carries
     now_ns: int = 0
     session: int = DEFAULT
     events: EventLogic = field(default_factory=EventLogic)
@@ -84,10 +86,13 @@ class Context:
         """
         _refuse(self.authority.conditions_refusal(self.need))
 
-    def note(self, action: str, request: bytes = b"", outcome: int = DONE, *, protocol: str = "uds") -> None:
-        """Keep and tell what the tester did, or was refused."""
+    def note(
+        self, action: str, request: bytes = b"", outcome: int = DONE, *, protocol: str = "uds", to: str = ""
+    ) -> None:
+        """Keep and tell what the tester did, or was refused; ``to``: the ECU that it was meant for."""
         session, level, role = self.asked_in
-        by = Intervention(0, protocol, self.bus, self.asked_by, action, request, outcome, session, level, role)
+        bus = f"{self.bus} to {to}" if to else self.bus
+        by = Intervention(0, protocol, bus, self.asked_by, action, request, outcome, session, level, role)
         self.control.note(by)
 
     def enter(self, session: int) -> None:
@@ -99,6 +104,12 @@ class Context:
             self.holder.end()
             self.events.started = False
             self.routines_done.clear()
+
+    def leave(self) -> None:
+        """End all that is the tester's: it has gone, and its address with it."""
+        self.enter(DEFAULT)
+        self.authority.leave(self.holder)
+        self.testers.remove(self)
 
 
 def _refuse(refusal: Refusal) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.faults.interventions import DONE
+from gateway.servers.access import ROUTE
 from gateway.servers.application import Application
 from gateway.servers.authority import WATCH_NS
 from gateway.servers.uds.context import DEFAULT, Context, Later, Service
@@ -14,8 +15,6 @@ from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, NegativeError, Nrc, 
 from gateway.servers.uds.services import SERVICES
 from gateway.servers.uds.services.x86_response_on_event import responses_to
 
-#: The longest response that ISO-TP carries in its usual form.
-LONGEST = 4095
 #: Refusals that say that a tester may not, or not now; others are of requests that make no sense.
 TRACED = frozenset(
     {
@@ -112,6 +111,27 @@ class UdsServer(Application):
             c.check_security()
         return service.handle(c, request)
 
+    def passes(self, request: bytes, to: str, t_ns: int) -> int:
+        """Judge and note a request to another ECU that does more than read; returns the refusal, 0: none.
+
+        Args:
+            request: its bytes.
+            to: name of the ECU.
+            t_ns: now.
+        """
+        c = self._context
+        c.now_ns = max(c.now_ns, t_ns)
+        self._end_session()
+        c.asked_in, c.asked_by = (c.session, c.security.unlocked, c.authentication.role), c.params.request
+        refusal = c.authority.refusal(ROUTE, c.asker)
+        c.note(ROUTE, request, refusal, to=to)
+        return refusal
+
+    def leave(self) -> None:
+        """End the session of a tester that has gone."""
+        self._later = None
+        self._context.leave()
+
     def _note(self, service: Service, request: bytes, outcome: int) -> None:
         """Keep what a request did, or was refused, if it would change anything."""
         c = self._context
@@ -121,7 +141,7 @@ class UdsServer(Application):
                 c.note("lockout", request[:2], outcome)
 
     def _positive(self, sid: int, content: bytes) -> bytes:
-        if 1 + len(content) > LONGEST:
+        if 1 + len(content) > self._context.longest:
             return _negative(sid, Nrc.RESPONSE_TOO_LONG)
         return bytes([sid + 0x40]) + content
 

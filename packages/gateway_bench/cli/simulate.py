@@ -101,6 +101,8 @@ def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, sh
             shown.on_frames(frames)
 
     def on_step(t_ns: int) -> None:
+        if story is not None:
+            story.on_time(t_ns)
         if shown is not None:
             shown.on_step(t_ns)
         if speed:

@@ -62,7 +62,13 @@ class Story(EventPrinter):
 
     def on_frames(self, frames: Frames) -> None:
         """Tell what was injected before the gateway can have seen it."""
-        for fact in self._truth.until(int(frames["t_ns"][-1])) if len(frames) else ():
+        if len(frames):
+            self.on_time(int(frames["t_ns"][-1]))
+        self._frames += len(frames)
+
+    def on_time(self, t_ns: int) -> None:
+        """Tell what was injected until a time [ns]."""
+        for fact in self._truth.until(t_ns):
             if not self._injected and not self._set:
                 text = f"healthy so far: {self._frames} frames, no DTC"
                 self._lines.print(f"{fact.t_ns / 1e9:10.4f} s  {text}", mark="healthy", colour="green")
@@ -70,7 +76,6 @@ class Story(EventPrinter):
             self._last = fact
             text = injected(fact, self._scenario)
             self._lines.print(f"{fact.t_ns / 1e9:10.4f} s  INJECTED: {text}", mark="INJECTED", colour="bold yellow")
-        self._frames += len(frames)
 
     def on_report(self, report: DtcReport) -> None:
         """Show a DTC frame that tells a change; the whole list is repeated every second."""

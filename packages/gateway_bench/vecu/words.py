@@ -43,6 +43,14 @@ WORDS = {
     "silent": "no frames come",
     "babbling": "ECU sends without a pause",
     "bus_off": "controller is off the bus",
+    "slow": "answers come late",
+    "pending": "says that it needs longer, and gives no answer",
+    "sequence": "frames of answers are numbered wrong",
+    "reset": "ECU resets in the middle of answers",
+    "mute": "ECU gives no answer",
+    "echo": "answers are those of other requests",
+    "refuse": "ECU refuses requests",
+    "reading": "answers have another value",
     "battery_short": "battery cells are in short circuit",
     "inverter_voltage": "voltage of the inverter is wrong",
     "machine_efficiency": "efficiency of the electric machine is wrong",
@@ -54,7 +62,7 @@ WORDS = {
 _UNIT = re.compile(r"\[([^][ ']+(?: [^][ ']+)?)\]$")
 
 #: Fields of a fault that say what it is a fault of.
-_SUBJECTS = ("signal", "message", "input", "name", "place", "channel")
+_SUBJECTS = ("signal", "message", "input", "name", "place", "channel", "request")
 
 
 def injected(fact: Truth, scenario: Scenario) -> str:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway_fdi.diagnosis.answer import Group
 from gateway_fdi.diagnosis.cluster import Cluster
@@ -62,6 +63,20 @@ class Diagnoser:
         if changed:
             self._touched.add(place)
         return changed
+
+    def pass_first(self, places: NDArray[np.int64], t_ns: NDArray[np.int64]) -> bool:
+        """Take first passes of tests, in order of time; returns False, and takes none, if any was tested before.
+
+        Args:
+            places: of the tests, shape (n,), each once.
+            t_ns: when, shape (n,) [ns].
+        """
+        passed = set(places.tolist())
+        if self.state.verdict[places].any() or len(passed) < len(places):
+            return False
+        self.state.pass_first(places, t_ns)
+        self._touched |= passed
+        return True
 
     def size(self, test: str, sized: Sized | None) -> None:
         """Take what a test says of sizes at its operating point, None: nothing.

@@ -86,6 +86,11 @@ class State:
         self.gain[links], self.weaker[links] = gains, weaker
         return not same
 
+    def pass_first(self, tests: NDArray[np.int64], t_ns: NDArray[np.int64]) -> None:
+        """Take first passes of tests that have no verdict, by their places, as :meth:`update` does one by one."""
+        self.residual[tests], self.passed_from[tests], self.healed[tests] = math.nan, NEVER, -NEVER
+        self.verdict[tests], self.since[tests], self.until[tests] = PASSED, t_ns, t_ns
+
     def update(self, test: int, verdict: int, t_ns: int, residual: float) -> bool:
         """Take a verdict; returns whether anything is another than before.
 

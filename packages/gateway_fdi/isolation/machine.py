@@ -82,6 +82,8 @@ def stand(s: State, c: Const, past_ns: int, use_ns: int) -> bool:
     rest_ns = NEVER
     s.joined_ns = min(s.joined_ns + use_ns, NEVER // 2)
     s.waited_ns = min(s.waited_ns + past_ns, NEVER // 2)
+    if empty(s.up) and empty(s.fired):
+        return False  # nearly always
     hold_ns = c.heal_ns if 0 <= s.found < c.groups else c.hold_ns
     for k in range(c.tests):
         if has(s.up, k):
@@ -158,8 +160,12 @@ def decide(s: State, c: Const, level: f8s, said: int, contradicts: bool) -> None
         s.found = NOTHING
     if empty(s.up):
         return  # all of them are down, at least for now
-    if said != OPEN and s.joined_ns >= c.confirm_ns and not _on_its_way(s, c, level, False):
+    ready = s.joined_ns >= c.confirm_ns and not _on_its_way(s, c, level, False)
+    awaits = _awaits(s, c, level, said)
+    if said == OPEN and not awaits:
+        said = table.at_last(s, c)
+    if said != OPEN and ready:
         s.found = said
         copy(s.basis, s.fired)
-    elif not _awaits(s, c, level, said):
+    elif not awaits:
         s.found = c.groups

@@ -31,6 +31,7 @@ class Const(Record, lengths=LENGTHS):
     groups: i8 = means("number of ambiguity groups")
     may: Annotated[i8s, "faults", "words"] = means("tests that each fault may make fire, a mask")
     must: Annotated[i8s, "faults", "words"] = means("tests that it is not told without, a mask")
+    sure: Annotated[i8s, "faults", "words"] = means("those of them that see it however the plant is used, a mask")
     group: Annotated[i8s, "groups", "words"] = means("faults that are told as one, a mask")
 
 
@@ -50,6 +51,7 @@ def prepare(
     tests: int,
     size: int,
     must: Sequence[Iterable[int]] | None = None,
+    sure: Sequence[Iterable[int]] | None = None,
 ) -> None:
     """Fill the table.
 
@@ -60,10 +62,12 @@ def prepare(
         tests: number of tests.
         size: of the masks: the larger of the numbers of tests and faults, or more.
         must: of each fault the tests that it is not told without; None: no test.
+        sure: those of them that see it however the plant is used (:func:`at_last`); None: all.
     """
     c.tests, c.faults, c.groups = tests, len(may), len(groups)
     c.may[: len(may)] = pack(may, size)
-    c.must[: len(may)] = pack([()] * len(may) if must is None else must, size)
+    must = [()] * len(may) if must is None else must
+    c.must[: len(may)], c.sure[: len(may)] = pack(must, size), pack(must if sure is None else sure, size)
     c.group[: len(groups)] = pack(groups, size)
 
 
@@ -85,20 +89,34 @@ def explain(s: State, c: Const) -> None:
 
 
 @kernel
-def answer(s: State, c: Const) -> int:
-    """Return the group of the faults that explain what has fired and are complete; NOTHING or OPEN without one."""
-    explain(s, c)
-    if empty(s.fired):
-        return NOTHING
+def _group(s: State, c: Const, needed: Masks) -> int:
+    """Return the group of the faults that explain what has fired, with all tests that they need, or OPEN."""
     clear(s.chosen)
     for k in range(c.faults):
-        if has(s.explained, k) and within(c.must[k], s.fired):
+        if has(s.explained, k) and within(needed[k], s.fired):
             include(s.chosen, k)
     if not empty(s.chosen):
         for k in range(c.groups):
             if within(s.chosen, c.group[k]) and within(c.group[k], s.chosen):
                 return k
     return OPEN
+
+
+@kernel
+def answer(s: State, c: Const) -> int:
+    """Return the group of the faults that explain what has fired and are complete; NOTHING or OPEN without one."""
+    explain(s, c)
+    return NOTHING if empty(s.fired) else _group(s, c, c.must)
+
+
+@kernel
+def at_last(s: State, c: Const) -> int:
+    """Return what is told when no further test is expected, a group or OPEN; after :func:`answer`.
+
+    A test that may not see a fault, as the plant has been used, is no evidence against it; one that sees it all the
+    time is, and has stayed silent for all of the wait.
+    """
+    return _group(s, c, c.sure)
 
 
 @kernel

@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
+from gateway.cli.commands import does
 from gateway.cli.options import Json
 
 
+@does("gateway_plants.crank.convert:convert_teeth")
 def convert_teeth(
     capture: Annotated[
         Path, typer.Argument(help="CSV file of a logic analyser, with the columns time [s], level[, ...].")
@@ -22,11 +24,9 @@ def convert_teeth(
 
     The frames are those of dbc/crank.dbc.
     """
-    from gateway_plants.crank.convert import convert_teeth as work
-
-    raise typer.Exit(work(capture, log, channel=channel, edge=edge, frame=frame, json=json))
 
 
+@does("gateway_plants.crank.study.command:crank", seeds="runs")
 def evaluate_crank(
     seeds: Annotated[int, typer.Option(min=0, help="Number of faults per wheel, kind, speed and ramp; 0: none.")] = 20,
     pulses: Annotated[
@@ -46,6 +46,3 @@ def evaluate_crank(
 
     It compares our two methods with those of open engine controllers.
     """
-    from gateway_plants.crank.study.command import crank as work
-
-    raise typer.Exit(work(runs=seeds, pulses=pulses, outside=outside, pairs=pairs, seed=seed, json=json, plot=plot))

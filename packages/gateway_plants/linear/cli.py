@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
+from gateway.cli.commands import does
 from gateway.cli.options import Json
 
 
+@does("gateway_plants.linear.study.command:linear")
 def evaluate_linear(
     cases: Annotated[int, typer.Option(min=0, help="Number of random cases; 0: none.")] = 600,
     hours: Annotated[float, typer.Option(min=0, help="Length of healthy flight, for each noise [h].")] = 20.0,
@@ -24,6 +26,3 @@ def evaluate_linear(
 
     It shows the figures of the paper, random faults of actuators and sensors, and false alarms.
     """
-    from gateway_plants.linear.study.command import linear as work
-
-    raise typer.Exit(work(cases=cases, hours=hours, seed=seed, json=json, plot=plot))

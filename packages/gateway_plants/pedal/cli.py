@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
+from gateway.cli.commands import does
 from gateway.cli.options import Json
 
 
+@does("gateway_plants.pedal.study.command:pedal", seeds="runs")
 def evaluate_pedal(
     seeds: Annotated[int, typer.Option(min=0, help="Number of runs per case; 0: none.")] = 300,
     seed: Annotated[
@@ -26,6 +28,3 @@ def evaluate_pedal(
     It compares our voter with average, median, predictive and Kalman hybrid voters; and it shows how faults are named
     where frames are lost, late or swapped.
     """
-    from gateway_plants.pedal.study.command import pedal as work
-
-    raise typer.Exit(work(runs=seeds, seed=seed, roads=roads, hours=hours, json=json, plot=plot))

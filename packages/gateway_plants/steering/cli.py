@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
+from gateway.cli.commands import does
 from gateway.cli.options import Json
 
 
+@does("gateway_plants.steering.study.command:steering")
 def evaluate_steering(
     runs: Annotated[int, typer.Option(min=0, help="Number of runs per fault; 0: none.")] = 40,
     healthy: Annotated[int, typer.Option(min=0, help="Number of healthy runs, each of 24 s.")] = 120,
@@ -27,6 +29,3 @@ def evaluate_steering(
 
     It shows estimators, faults found and named, and the operations of Table 1 of the paper.
     """
-    from gateway_plants.steering.study.command import steering as work
-
-    raise typer.Exit(work(runs=runs, healthy=healthy, seed=seed, rules=rules, json=json, plot=plot))

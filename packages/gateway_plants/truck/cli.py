@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
+from gateway.cli.commands import does
 from gateway.cli.options import Json
 
 
+@does("gateway_plants.truck.study.command:truck")
 def evaluate_truck(
     seeds: Annotated[int, typer.Option(min=1, help="Number of noise seeds per case.")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="First seed; nothing was chosen with seeds from 30000 up.")] = 30_000,
@@ -20,6 +22,3 @@ def evaluate_truck(
 
     It shows which system of tests isolates which fault, on trucks as modelled and on others.
     """
-    from gateway_plants.truck.study.command import truck as work
-
-    raise typer.Exit(work(seeds=seeds, seed=seed, json=json, plot=plot))

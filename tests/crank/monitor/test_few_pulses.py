@@ -197,6 +197,7 @@ def test_one_pulse_missed_or_added_is_named_where_physics_decides(text):
         assert [FAULTS[j].name for j in found.fault] == ["added_pulse"], k
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize(
     ("told", "real", "cam", "gap"), [("6", "36-1", (), 2), ("36", "60-2", (), 3), ("24", "36", HALF_MOON, 1)]
 )

@@ -32,9 +32,9 @@ MAY = ({0, 1, 65}, {1, 2}, {2, 3}, {2, 3}, {0})
 GROUPS = ((0,), (1,), (2, 3), (4,), (0, 4))
 
 
-def rig(*, must=None, may=MAY, groups=GROUPS, confirm_s=1, hold_s=2, pending_s=5):
+def rig(*, must=None, sure=None, may=MAY, groups=GROUPS, confirm_s=1, hold_s=2, pending_s=5):
     s, c = zeros(1, State)[0], zeros(1, Const)[0]
-    table.prepare(c, may, groups, tests=TESTS, size=TESTS, must=must)
+    table.prepare(c, may, groups, tests=TESTS, size=TESTS, must=must, sure=sure)
     machine.prepare(s, c, confirm_ns=confirm_s * S, hold_ns=hold_s * S, pending_ns=pending_s * S)
     return s, c
 
@@ -73,6 +73,22 @@ def test_the_table_says_what_sets_say(may, fired, data):
     alone = {k for k in explain if must[k] <= fired}
     expected = [k for k, group in enumerate(groups) if group == alone]
     assert said == (expected[0] if expected else table.OPEN if fired else table.NOTHING)
+
+
+def test_a_test_that_may_not_see_a_fault_is_no_evidence_against_it_when_the_wait_is_over():
+    """f0 needs tests 0 and 1, f1 needs 1 and 2; f1 shows in 2 only now and then, f0 in 0 always."""
+    may = ({0, 1}, {1, 2})
+    s, c = rig(may=may, must=may, sure=({0, 1}, {1}), groups=((0,), (1,)))
+    assert step(s, c, {1}, 6) == [table.NOTHING] * 5 + [1]
+    assert step(s, c, {1, 2}, 2) == [1, 1]
+    for up, told in (({2}, 2), ({0}, 2), ({0, 1}, 0)):
+        s, c = rig(may=may, must=may, sure=({0, 1}, {1}), groups=((0,), (1,)))
+        assert step(s, c, up, 6)[-1] == told
+    s, c = rig(may=may, must=may, sure=({0, 1}, {1}), groups=((0,), (1,)))
+    c.near, c.latest_ns = 0.5, 5 * S
+    level = np.zeros(TESTS)
+    level[0] = 0.6  # f0's own test is on its way: nobody is named
+    assert step(s, c, {1}, 6, level=level)[-1] == 2
 
 
 def test_faults_are_ranked_by_how_near_their_tests_are():

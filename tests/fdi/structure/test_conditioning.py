@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from gateway_fdi.structure.file import load_model
-from gateway_fdi.structure.generator.conditioning import begins, forgets, gains_at_rest
+from gateway_fdi.structure.generator.conditioning import begins, forgets, gains_at_rest, noise_gains
 from gateway_fdi.structure.generator.initial import find_initial
 from gateway_fdi.structure.generator.realisation import realise
 from gateway_fdi.structure.model import Quantity
@@ -102,3 +102,39 @@ def test_what_is_left_at_rest_is_no_rounding(tmp_path):
     model = load_model(tmp_path / "shaft.toml")
     found = gains_at_rest(realise(model, frozenset({"e1", "e2", "e3", "e4"}), "e4", start={"twist": 0.0, "b": 0.0}))
     assert found == {"f_u": 0.0, "f_y": pytest.approx(95.0)}
+
+
+#: y1 = 2 x, y2 = 3 x, y3 = 5 x'.
+RATES = """
+[unknown]
+x = {}
+v = {}
+[known]
+y1 = {}
+y2 = {}
+y3 = {}
+[equation.e1]
+relation = "y1 = 2 * x"
+unique = ["x"]
+[equation.e2]
+relation = "y2 = 3 * x"
+[equation.e3]
+relation = "der(x) = v"
+unique = ["v", "der(x)"]
+[equation.e4]
+relation = "y3 = 5 * v"
+"""
+
+
+def test_noise_reaches_a_residual_by_values_and_by_rates(tmp_path):
+    """y2 - 1.5 y1, and y3 - 2.5 y1'; the residual's own sign and scale are taken out."""
+    (tmp_path / "rates.toml").write_text(RATES)
+    model = load_model(tmp_path / "rates.toml")
+    static = {z: found for z, *found in noise_gains(realise(model, frozenset(["e1", "e2"]), "e2"))}
+    assert set(static) == {"y1", "y2"}
+    assert static["y1"] == pytest.approx([-1.5 * static["y2"][0], 0.0], abs=1e-6)
+    assert static["y2"][1] == 0.0
+    rates = realise(model, frozenset(["e1", "e3", "e4"]), "e4", differentiate=True)
+    moving = {z: found for z, *found in noise_gains(rates)}
+    assert set(moving) == {"y1", "y3"}
+    assert moving["y1"] == pytest.approx([0.0, -2.5 * moving["y3"][0]], abs=1e-6)

@@ -80,6 +80,7 @@ def fault(kind, channel=(1,), **options):
     return SensorFault(kind=kind, channel=channel, from_s=BEGIN, to_s=END, **options)
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("preset", ["brake", "brake_3", "accelerator"])
 def test_a_healthy_pedal_has_no_fault(preset):
     seen, engine = found(drive(preset=preset, seconds=amount(20.0, 20.0, 0.5)), preset)
@@ -118,6 +119,7 @@ def test_a_pedal_with_other_noise_than_its_data_sheet_s_is_not_accused(noise, po
         assert seen.failed() == []
 
 
+@pytest.mark.costly
 @pytest.mark.parametrize("noise", [0.0003, 0.002])
 def test_a_frozen_channel_is_found_by_the_movement_of_the_other_whatever_the_noise(noise):
     sensors = (

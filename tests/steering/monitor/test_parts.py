@@ -41,6 +41,7 @@ def test_a_current_sensor_shows_at_once_and_a_voltage_does_not(seed, direction):
     for shape, first, later in (
         (onset.AT_ONCE, 1.04, 0.48),
         (onset.DELAYED, rng.uniform(0, 1), 1.0),
+        (onset.UNSEEN, 1.35, 1.0),  # what may be either is neither (study, seeds 100020 and 100021)
     ):
         s = zeros(1, onset.State)
         begin = onset.RING + 30 + int(rng.integers(0, 150))

@@ -37,6 +37,14 @@ def estimators(tmp_path_factory):
     return {(r.period_ms, r.voltages, r.estimator): r for r in rows}
 
 
+@pytest.mark.parametrize("seed", [100_001, 100_020, 100_021, 910_019])
+def test_a_current_s_offset_is_never_another_part_s(seed):
+    """A voltage was named (its step stood hardly out, or began between the two), and the motor's angle (910019)."""
+    print("seed", seed)
+    (score,), _ = monte_carlo([("current offset 8 A", UNKNOWN, 1e-3, seed, 1)])
+    assert (score.detected, score.wrong) == (1.0, 0)
+
+
 @pytest.mark.parametrize(
     ("name", "within"),
     [

@@ -442,6 +442,7 @@ def test_a_message_that_stays_away_takes_its_own_tests_along_only(tmp_path, keys
     assert 550 < summary["samples_taken"] <= 600
 
 
+@pytest.mark.costly
 def test_by_counter_a_value_that_moves_has_no_error_though_frames_are_late_overtaken_and_lost(tmp_path):
     """Up to 8 ms late, of one period: by the clock the held values are of other times, by counter they are of one."""
     rng = np.random.default_rng(4)

@@ -12,10 +12,10 @@ from gateway_fdi.structure.file import load_model
 from gateway_plants.truck.ecu import plant as truck_plant
 from gateway_plants.truck.ecu.drive import drive
 from gateway_plants.truck.ecu.params import TruckFault
-from gateway_plants.truck.monitor.params import Params
 from gateway_plants.truck.study.conditions import CONDITIONS, compare
 from gateway_plants.truck.study.figures import CHARGE, NOISE
-from gateway_plants.truck.study.follow import follow, inputs
+from gateway_plants.truck.study.follow import inputs
+from gateway_plants.truck.study.paper import RESIDUALS, Paper, follow
 from gateway_plants.truck.study.table import TRUCK
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="hundreds of thousands of sets")
@@ -57,13 +57,14 @@ def test_the_internal_form_of_the_voltage_sensors_fault():
     """The window of 110 s that begins at 203 s, most of it in gear 12: within 5 % of the
     largest residual; as printed far from it."""
     truck = TRUCK.model_copy(update={"noise_factor": 0.0})
-    trace = follow(inputs(truck, SENSOR, 1), Params(), keep=True).trace
+    trace = follow(inputs(truck, SENSOR, 1), Paper(), keep=True).trace
     samples = drive(truck, (SENSOR,), 400.0).samples
     edges = np.flatnonzero(np.diff(trace.settled[:40_000].astype(int))) + 1
     first, last = next((a, b) for a, b in pairwise(edges) if trace.settled[a] and trace.t[b] - trace.t[a] > 80.0)
     assert 200.0 < trace.t[first] < 210.0
     assert np.median(samples["gear"][first:last]) == 12
-    residual = trace.residual[first:last, 3] - trace.residual[first, 3]
+    four = trace.residual[:, RESIDUALS.index("T4_ICDS")]
+    residual = four[first:last] - four[first]
     largest = np.abs(residual).max()
     assert largest > 1.0
     wrong = np.abs(internal(samples[first:last], 20.0, printed=False) - residual).max()

@@ -42,7 +42,7 @@ def test_each_wrong_name_is_told_at_once_and_tables_that_are_too_long(tmp_path):
 def test_the_shipped_configuration_follows_warmth_and_age():
     table = read_toml(shipped("configs/truck.toml"))["monitor"][0]
     told = Params.model_validate({key: value for key, value in table.items() if key in Params.model_fields})
-    assert told.followed is not None
+    assert told.follow
     assert told.observer == Params().observer
 
 
@@ -72,3 +72,9 @@ def test_each_wrong_accuracy_is_told_at_once_with_its_key(tmp_path):
         )
     }  # fmt: skip
     assert 'its unit is "V"' in str(told.value)
+
+
+@pytest.mark.parametrize("key", ["system", "signed_charge"])
+def test_a_key_of_the_papers_systems_says_where_they_are(key):
+    with pytest.raises(ValueError, match=f"{key}.*the paper's systems.*gateway evaluate truck"):
+        Params.model_validate({key: "RDS"})

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 
 from gateway_fdi.common.resources import shipped
-from gateway_fdi.isolation import table
+from gateway_fdi.isolation import machine, table
 from gateway_fdi.jit import zeros
 from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.generator.code import write
 from gateway_fdi.structure.generator.realisation import realise
-from gateway_plants.truck.monitor import blanking, dynamic, excitation, gate, isolation
+from gateway_plants.truck.monitor import blanking, gate, isolation
 from gateway_plants.truck.monitor import generated as folder
 from gateway_plants.truck.monitor.generated import GENERATED
+from gateway_plants.truck.study import dynamic, excitation
+from gateway_plants.truck.study.paper import TESTS
 
 
 def test_the_generated_modules_are_what_the_model_gives():
@@ -29,18 +31,33 @@ def test_the_generated_modules_are_what_the_model_gives():
 MODEL = load_model(shipped("models/truck.toml"))
 
 
-def isolated(system):
-    """State and constants of the isolation."""
+def isolated(system="RDS"):
+    """State and constants of the isolation, of a system of the paper's or of the monitor."""
     s, c = zeros(1, isolation.State)[0], zeros(1, isolation.Const)[0]
-    isolation.prepare(s, c, MODEL, system, 0.5)
+    isolation.prepare_table(s, c, MODEL, TESTS.get(system, isolation.TESTS), 0.5)
     return s, c
+
+
+@pytest.mark.parametrize(
+    ("system", "test", "named"), [("RDS", "T5", 3), ("RDS", "T2", 5), ("RDS", "T1", 5), ("ICDS", "T3_ICDS", 5)]
+)
+def test_a_test_that_fires_alone_names_the_resistance_if_it_is_t5(system, test, named):
+    """T2 sees a resistance above 100 A only; T1 would have told of an inverter."""
+    s, c = isolated(system)
+    s.up[0], level = 1 << isolation.TESTS[system].index(test), np.zeros(isolation.MOST_TESTS)
+    told = []
+    for _ in range(200):
+        machine.stand(s, c, 1_000_000_000, 1_000_000_000)
+        machine.decide(s, c, level, table.answer(s, c), machine.contradicted(s))
+        told.append(int(s.found))
+    assert told == [table.NOTHING] * 60 + [named] * 140
 
 
 def test_signatures_are_those_of_the_structure():
     for system in ("ICDS", "MCDS"):
         assert isolated(system)[1]["may"][:, 0].tolist() == [0b1010, 0b0101, 0b1100, 0b0110, 0b1001]
     robust = [0b01010, 0b00101, 0b10000, 0b00110, 0b01001]
-    assert isolated("RDS")[1]["may"][:, 0].tolist() == robust
+    assert isolated()[1]["may"][:, 0].tolist() == robust
 
 
 def test_candidates_explain_all_that_has_fired():

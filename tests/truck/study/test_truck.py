@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truck_runs import NAMES, TRUCK, configured, driven, run
+from truck_runs import NAMES, TRUCK, driven, run
 from typer.testing import CliRunner
 
 from gateway.cli import app
@@ -17,7 +17,7 @@ from gateway_plants.truck.ecu.params import TruckFault
 from gateway_plants.truck.monitor.faults import faults_of
 from gateway_plants.truck.monitor.isolation import TESTS
 from gateway_plants.truck.monitor.params import Params
-from gateway_plants.truck.study import command, table
+from gateway_plants.truck.study import command, paper, table
 from gateway_plants.truck.study.follow import DURATION, calibrated, follow, inputs
 from gateway_plants.truck.study.table import FAULTS, SYSTEMS, Case, judge
 
@@ -27,16 +27,15 @@ pytestmark = [
 ]
 
 
-@pytest.mark.parametrize("system", SYSTEMS)
-def test_the_drive_is_the_one_that_the_engine_sees(system):
+def test_the_drive_is_the_one_that_the_engine_sees():
     """Peaks to the last bit, and the second in which each DTC came, through frames, database and engine."""
     seed = 30_500
     fault = TruckFault(kind="machine_resistance", from_s=400.0)
-    found = follow(inputs(TRUCK, fault, seed), Params(system=system))
-    peak, sets, events = run(driven("machine_resistance", 400.0), seed, configured(system=system))
+    found = follow(inputs(TRUCK, fault, seed), Params())
+    peak, sets, events = run(driven("machine_resistance", 400.0), seed)
     assert sets == round(DURATION * 100)
     assert dict(zip(NAMES, map(float, found.peak), strict=True)) == peak
-    for place, known in enumerate(faults_of(TESTS[system])):
+    for place, known in enumerate(faults_of(TESTS)):
         times = [t for t, code, now in events if now and code == known.dtc]
         if times:
             assert times[0] == pytest.approx(found.first[place], abs=0.002)
@@ -45,7 +44,7 @@ def test_the_drive_is_the_one_that_the_engine_sees(system):
 
 
 def test_faults_are_in_the_monitors_order():
-    assert [fault.name for fault in faults_of(TESTS["RDS"])][:-1] == list(FAULTS)
+    assert [fault.name for fault in faults_of(TESTS)][:-1] == list(FAULTS)
 
 
 def test_thresholds_can_be_learned_anew():
@@ -62,11 +61,13 @@ def test_thresholds_can_be_learned_anew():
 
 def test_calibration_here_is_that_of_the_command():
     """nu and J of the shipped parameters come back from healthy drives."""
-    found = calibrated(Params(), [inputs(TRUCK, None, seed) for seed in (1000, 1005)])
+    drives = [inputs(TRUCK, None, seed) for seed in (1000, 1005)]
+    found = calibrated(Params(), drives)
     for residual, value in found.nu.model_dump().items():
         assert value == pytest.approx(getattr(Params().nu, residual), rel=0.02)
     assert found.thresholds.T7 == Params().thresholds.T7
     assert 50.0 <= found.thresholds.T2 <= Params().thresholds.T2
+    assert paper.calibrated(paper.Paper(), drives).nu == pytest.approx(paper.Paper().nu, rel=0.02)
 
 
 def test_the_command(tmp_path, monkeypatch):

@@ -20,8 +20,9 @@ from gateway.signals.protection.auto import automatic
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
 from gateway_bench.vecu.conditions import Condition
-from gateway_bench.vecu.contract import EcuFault, Run, Running, VirtualEcu
+from gateway_bench.vecu.contract import Run, Running, VirtualEcu
 from gateway_bench.vecu.databases import database_of
+from gateway_bench.vecu.responder.faults import Drawn, ResponderFault
 from gateway_bench.vecu.responder.params import Reply, ResponderParams
 from gateway_bench.vecu.responder.uds import UdsResponder
 from gateway_bench.vecu.restbus.selection import usual
@@ -134,7 +135,7 @@ class _Responder:
 
     step_ns = STEP_NS
 
-    def __init__(self, params: ResponderParams, run: Run) -> None:
+    def __init__(self, params: ResponderParams, faults: Sequence[ResponderFault], run: Run) -> None:
         database = database_of(run.databases)
         self._repliers = []
         for k, reply in enumerate(params.reply):
@@ -148,7 +149,7 @@ class _Responder:
         if params.uds is not None:
             for name, text in params.uds.identifiers.items():
                 self._identify(name, text, run.bus, database)
-            self._uds = UdsResponder(params.uds, run.bus, self._read)
+            self._uds = UdsResponder(params.uds, run, self._read, Drawn(faults, run.rng))
 
     def _identify(self, name: str, text: str, bus: int, database: Database) -> None:
         """Note what an identifier has: bytes, a signal that is on the bus, or a text.
@@ -213,8 +214,16 @@ class _Responder:
         """Nothing is open."""
 
 
-def _begin(params: ResponderParams, _faults: Sequence[EcuFault], run: Run) -> Running:
-    return _Responder(params, run)
+def _begin(params: ResponderParams, faults: Sequence[ResponderFault], run: Run) -> Running:
+    return _Responder(params, faults, run)
+
+
+def _fits(params: ResponderParams, fault: ResponderFault) -> None:
+    """Refuse a fault of answers of an ECU that knows no requests."""
+    if params.uds is None:
+        raise ValueError(f"ECU {params.name!r} has no [ecu.uds], so it has no {fault.kind}")
+    if fault.request is not None and fault.request not in params.uds.values:
+        raise ValueError(f"ECU {params.name!r} has no value {fault.request!r}; it has {', '.join(params.uds.values)}")
 
 
 def _sends(params: ResponderParams, databases: Sequence[Path]) -> dict[str, Protection]:
@@ -228,8 +237,9 @@ ECU = VirtualEcu(
     type="responder",
     api=2,
     params=ResponderParams,
-    fault=None,
+    fault=ResponderFault,
     begin=_begin,
+    fits=_fits,
     sends=_sends,
     step_ns=STEP_NS,
 )

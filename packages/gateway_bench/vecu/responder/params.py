@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from gateway.signals.protection.params import ProtectionParams
 from gateway_bench.vecu.contract import EcuParams
+from gateway_bench.vecu.responder.memory import StoredDtc
+from gateway_bench.vecu.restbus.courses import Points, rising
 from gateway_fdi.common.tomlfile import StrictModel
 
 _PAIRS = re.compile(r"(?:[0-9A-Fa-f]{2}\s*)+")
@@ -39,6 +42,28 @@ Hex = Annotated[str, AfterValidator(_hex)]
 Request = Annotated[str, AfterValidator(_request)]
 
 
+class UdsValue(StrictModel):
+    """A number that an ECU answers, and its course."""
+
+    points: Points = Field(description="[[time s, number], ...], as the answer has it, linear between them")
+    size: int = Field(1, ge=1, le=8, description="its bytes, most significant first")
+
+    @model_validator(mode="after")
+    def _rising(self) -> Self:
+        rising("points", self.points)
+        return self
+
+    def at(self, t_ns: int) -> bytes:
+        """Return its bytes at a time [ns]."""
+        times, numbers = zip(*self.points, strict=True)
+        number = round(float(np.interp(t_ns / 1e9, times, numbers)))
+        return self.raw(number)
+
+    def raw(self, number: int) -> bytes:
+        """Return the bytes of a number, the nearest that they can carry."""
+        return min(max(number, 0), (1 << 8 * self.size) - 1).to_bytes(self.size, "big")
+
+
 class UdsStub(StrictModel):
     """A UDS server that knows the answers to some requests."""
 
@@ -52,6 +77,10 @@ class UdsStub(StrictModel):
     identifiers: dict[str, str] = Field(
         default_factory=dict, description='"F190" -> text, "0x.." bytes in hex, or "Message.Signal": read by 0x22'
     )
+    values: dict[Hex, UdsValue] = Field(
+        default_factory=dict, description='"01 05", "22 F4 05" -> number that goes on with time'
+    )
+    dtc: tuple[StoredDtc, ...] = Field((), description="its fault memory: 0x19, 0x14, and modes 03, 04, 07, 0A of OBD")
     delay_ms: float = Field(5.0, ge=0, le=60_000, allow_inf_nan=False, description="until it answers [ms]")
 
     @model_validator(mode="after")
@@ -89,7 +118,7 @@ class ResponderParams(EcuParams):
     @property
     def summary(self) -> str:
         """Its kind, for people."""
-        known = 0 if self.uds is None else len(self.uds.answers) + len(self.uds.identifiers)
+        known = 0 if self.uds is None else len({*self.uds.answers, *self.uds.identifiers, *self.uds.values})
         return f"answers {known} UDS requests, {len(self.reply)} messages"
 
     @model_validator(mode="after")

@@ -10,13 +10,14 @@ from __future__ import annotations
 import copy
 import itertools
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from gateway_fdi.common.resources import shipped
+from gateway_fdi.common.resources import all_shipped, shipped
 from gateway_fdi.structure.decomposition import overdetermined
 from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.incidence import counted
@@ -222,10 +223,16 @@ def _restbus() -> Iterator[Fault]:
 
 
 def faults() -> list[Fault]:
-    """Return all faults of all plants."""
-    found = [fault for plant in _SENSORS for fault in _structural(plant)]
-    found += [fault for plant in _LINEAR for fault in _linear(plant)]
-    return [*found, *_steering(), *_truck(), *_pedal(), *_signals(), *_restbus()]
+    """Return all faults of all plants that are there."""
+    of_plants: dict[str, Iterable[Callable[[], Iterable[Fault]]]] = {
+        "structural": (partial(_structural, plant) for plant in _SENSORS),
+        "linear": (partial(_linear, plant) for plant in _LINEAR),
+        "steering": (_steering,),
+        "truck": (_truck,),
+        "pedal": (_pedal,),
+    }
+    there = [made for plant, made in of_plants.items() if all_shipped(f"scenarios/{plant}", ".toml")]
+    return [*(fault for made in there for each in made for fault in each()), *_signals(), *_restbus()]
 
 
 def alike(one: Fault, other: Fault) -> frozenset[Truth]:

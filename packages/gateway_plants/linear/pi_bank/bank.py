@@ -59,38 +59,48 @@ def prepare(c: Const, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:
 
 
 @kernel
-def innovate(s: State, c: Const, k: int, y: f8s) -> None:
-    """Compute what observer k leaves of a sample of the outputs."""
+def left(z: f8s, e: f8s, c: Const, k: int, y: f8s) -> None:
+    """Compute what an observer with the state ``z``, which does not take sensor k - 1, leaves of the outputs."""
     for j in range(c.p):
         if j == k - 1:
-            s.e[k, j] = 0.0
+            e[j] = 0.0
             continue
         rest = y[j]
         for i in range(c.n):
-            rest -= c.c[j, i] * s.z[k, i]
-        s.e[k, j] = rest
+            rest -= c.c[j, i] * z[i]
+        e[j] = rest
+
+
+@kernel
+def onwards(z: f8s, e: f8s, gain: f8s, c: Const, u: f8s, work: f8s) -> None:
+    """Step an observer with this gain to the next sample, the commands ``u`` held till then."""
+    size = c.n + c.m
+    for i in range(size):
+        value = 0.0
+        if i < c.n:
+            for j in range(size):
+                value += c.phi[i, j] * z[j]
+            for j in range(c.m):
+                value += c.gamma[i, j] * u[j]
+        else:
+            value = z[i]
+        for j in range(c.p):
+            value += gain[i, j] * e[j]
+        work[i] = value
+    for i in range(size):
+        z[i] = work[i]
+
+
+@kernel
+def innovate(s: State, c: Const, k: int, y: f8s) -> None:
+    """Compute what observer k leaves of a sample of the outputs."""
+    left(s.z[k], s.e[k], c, k, y)
 
 
 @kernel
 def advance(s: State, c: Const, k: int, u: f8s) -> None:
     """Step observer k to the next sample, the commands ``u`` held till then."""
-    size = c.n + c.m
-    for i in range(c.n):
-        value = 0.0
-        for j in range(size):
-            value += c.phi[i, j] * s.z[k, j]
-        for j in range(c.m):
-            value += c.gamma[i, j] * u[j]
-        for j in range(c.p):
-            value += c.gain[k, i, j] * s.e[k, j]
-        s.work[i] = value
-    for i in range(c.n, size):
-        value = s.z[k, i]
-        for j in range(c.p):
-            value += c.gain[k, i, j] * s.e[k, j]
-        s.work[i] = value
-    for i in range(size):
-        s.z[k, i] = s.work[i]
+    onwards(s.z[k], s.e[k], c.gain[k], c, u, s.work)
 
 
 @kernel

@@ -13,6 +13,11 @@ rate), and only later what follows from it. So actuators are believed only once 
 (:data:`CLEARER`): with all sensors a first one's, beside a sensor that is at fault, or about to be named, a second
 one's. If that does not come, two sensors may be at fault, and it is not isolated.
 
+No jump explains an actuator that drifts, is stuck or has lost effect, and by chance one observer is disturbed less than
+the others. So a sensor is named only once no course of the actuators explains the samples, and an actuator only where
+no course of the others does, and each observer finds its fault (:mod:`free`). What actuators explain and no jump does
+is judged meanwhile (``drifting``); what nobody is named for within :data:`LONG` samples is not isolated.
+
 In between nothing is judged: verdicts stand. It is (15) with what actuators explain taken off, so that neither a large
 fault of an actuator trips the sensors' flags, nor the settling behind a sensor's fault the actuators'. An actuator is
 at fault when the corrected omega lies beyond its threshold and beyond its own uncertainty; while no sensor is, all
@@ -31,7 +36,7 @@ from gateway_fdi.isolation import followed
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.quantiles import chi2_above, normal_above
 from gateway_plants.linear.mathematics.plant import LinearPlant
-from gateway_plants.linear.pi_bank import bank, jump, start
+from gateway_plants.linear.pi_bank import bank, free, jump, start
 from gateway_plants.linear.pi_bank.bank import BANK, MOST_INPUTS, MOST_OUTPUTS
 from gateway_plants.linear.pi_bank.design import Noise, Observer, augmented
 
@@ -43,6 +48,10 @@ BLIND = 4
 PATIENCE = 25
 #: Of an estimate, in its standard deviations: what is surely gone; what surely contradicts.
 GONE, AGAINST = 2.0, 2.0
+#: Likewise: what each observer has to find of an actuator's fault before it is named.
+AFFIRMED = 3.0
+#: Samples until what no part is named for is not isolated.
+LONG = 100
 #: Of a sensor's offset, likewise: below it, it is none.
 NOTHING = 3.0
 #: Energy that a fault has to take from an observer's innovations, once there is an alarm [standard deviations squared].
@@ -58,6 +67,7 @@ class Const(Record):
 
     bank: bank.Const = means("the bank")
     jump: jump.Const = means("faults that begin at once")
+    free: free.Const = means("actuators that do anything")
     start: start.Const = means("first samples")
     actuator: Annotated[f8s, MOST_INPUTS] = means("thresholds of the actuators' faults, in the command's unit")
     sensor: Annotated[f8s, MOST_OUTPUTS] = means("thresholds of the sensors' faults, in the reading's unit")
@@ -74,16 +84,19 @@ class State(Record):
 
     bank: bank.State = means("the bank")
     jump: jump.State = means("faults that begin at once")
+    free: free.State = means("actuators that do anything")
     start: start.State = means("first samples")
     started: i8 = means("1: the first samples are over")
     active: i8 = means("the observer in use")
     latched: i8 = means("the sensor at fault; NONE: none")
     suspect: followed.State = means("whether its offset is beyond its threshold")
     undecided: i8 = means("samples since an alarm", "samples")
+    drifting: i8 = means("1: no jump explains it, but actuators do that do anything")
     unexplained: i8 = means("1: what happened is not isolated")
     tested: i8 = means("1: the last sample was judged")
     actuator: Annotated[i8s, MOST_INPUTS] = means("1: the actuator is at fault")
     count: Annotated[i8s, MOST_INPUTS] = means("samples that the actuator's fault is beyond its threshold", "samples")
+    open_question: Annotated[i8s, MOST_INPUTS] = means("samples that it is, and may be another part's", "samples")
     fault: Annotated[f8s, MOST_INPUTS] = means("size of each actuator's fault")
     limit: Annotated[f8s, MOST_INPUTS] = means("what that size is tested against")
     offset: Annotated[f8s, MOST_OUTPUTS] = means("size of each sensor's offset")
@@ -137,6 +150,7 @@ def prepare(
     n, m, p = plant.states, plant.inputs, plant.outputs
     bank.prepare(c.bank, plant, observers)
     jump.prepare(c.jump, s.jump, plant, observers, PRIOR * actuator)
+    free.prepare(c.free, plant, noise, observers, actuator)
     # What y can be says how large states are at most: not known, as far as the sensors tell.
     unknown = np.concatenate([np.full(n, 1e3 * noise.outputs.max()), PRIOR * actuator])
     start.prepare(
@@ -166,14 +180,14 @@ def restart(s: State, c: Const) -> None:
     start.anew(s.start, c.start)
     jump.forget(s.jump)
     s.started, s.active, s.latched = 0, 0, NONE
-    s.undecided = s.unexplained = s.tested = s.agreed = s.blind = 0
+    s.undecided = s.drifting = s.unexplained = s.tested = s.agreed = s.blind = 0
     followed.begin(s.suspect)
     for k in range(BANK):
         s.jump.open[k] = 0
         for i in range(bank.MOST):
             s.bank.z[k, i] = 0.0
     for i in range(MOST_INPUTS):
-        s.actuator[i] = s.count[i] = 0
+        s.actuator[i] = s.count[i] = s.open_question[i] = 0
 
 
 @kernel
@@ -210,6 +224,7 @@ def _latch_sensor(s: State, c: Const, y: f8s, who: int) -> None:
     s.latched, s.active = who - 1, who
     followed.begin(s.suspect)
     _open_faults(s, c, y, False)
+    free.begin(s.free, c.bank, s.bank.z[who], s.actuator)  # what has been told so far has had the sensor's fault in it
 
 
 @kernel
@@ -251,6 +266,7 @@ def _sensor_would_do(s: State, c: Const, k: int) -> bool:
 def _isolate(s: State, c: Const, y: f8s) -> None:
     """Decide between actuators and a sensor if the explanations allow it."""
     s.undecided += 1
+    s.drifting = 0
     observers_explaining, last = _search_explanations(s, c)
     if s.latched != NONE:
         if observers_explaining == 1 and not _sensor_would_do(s, c, s.active):
@@ -259,6 +275,8 @@ def _isolate(s: State, c: Const, y: f8s) -> None:
             s.unexplained = 1
     elif s.explains[0] == 1 and observers_explaining == c.bank.p and s.undecided >= 2 and not _sensor_would_do(s, c, 0):
         _open_faults(s, c, y, True)
+    elif not free.refuted(s.free, c.free, 0, 0):
+        s.drifting = 1 if s.undecided > PATIENCE else 0
     elif s.explains[0] == 0 and observers_explaining == 1 and not _sensor_would_do(s, c, last):
         _latch_sensor(s, c, y, last)
     elif s.undecided > PATIENCE:
@@ -278,9 +296,18 @@ def _contradicted(s: State, c: Const, i: int) -> bool:
     way = 1.0 if s.fault[i] > 0.0 else -1.0
     for k in range(1, o.p + 1):
         own = way * jump.corrected(s.jump, o, k, s.bank.z, o.n + i)
-        if own + AGAINST * s.jump.sigma[k, i] < c.actuator[i]:
+        if own + AGAINST * s.jump.sigma[k, i] < c.actuator[i] or own < AFFIRMED * s.jump.sigma[k, i]:
             return True
     return False
+
+
+@kernel
+def _asked_for(s: State, c: Const, i: int) -> bool:
+    """Tell whether nothing but actuator i can be at fault: no sensor, no course of the other actuators."""
+    if s.latched == NONE and (_contradicted(s, c, i) or free.refuted(s.free, c.free, 0, 0)):
+        return False
+    way = 1.0 if s.fault[i] > 0.0 else -1.0
+    return free.asked_for(s.free, c.free, c.bank, s.active, i, way, c.actuator[i], c.sure)
 
 
 @kernel
@@ -292,13 +319,18 @@ def _set_flags(s: State, c: Const, y: f8s) -> None:
         std = s.jump.sigma[k, i]
         limit = max(c.actuator[i], c.sure * std)
         s.fault[i], s.limit[i] = value, limit
-        beyond = abs(value) >= limit and not (s.latched == NONE and _contradicted(s, c, i))
-        s.count[i] = s.count[i] + 1 if beyond else 0
+        beyond = abs(value) >= limit
+        sure = beyond and _asked_for(s, c, i)
+        s.count[i] = s.count[i] + 1 if sure else 0
+        s.open_question[i] = s.open_question[i] + 1 if beyond and not sure and s.actuator[i] == 0 else 0
         quiet = s.jump.open[k] == 0 and abs(value) < 0.5 * limit
         if s.count[i] >= c.persistence:
             s.actuator[i] = 1
         elif quiet or abs(value) + GONE * std < c.actuator[i]:
             s.actuator[i] = 0
+    for i in range(o.m):
+        if s.open_question[i] > LONG:
+            s.unexplained = 1
     for j in range(o.p):
         s.offset[j] = 0.0
     if s.latched == NONE:
@@ -314,6 +346,7 @@ def _set_flags(s: State, c: Const, y: f8s) -> None:
     if followed.follow(s.suspect, abs(s.offset[j]) >= c.sensor[j], gone, PATIENCE, c.hold) != followed.STANDS:
         _adopt(s, o, k, y)
         s.latched, s.active = NONE, 0
+        free.begin(s.free, c.bank, s.bank.z[0], s.actuator)
         followed.begin(s.suspect)
 
 
@@ -373,7 +406,7 @@ def unknown_command(s: State, c: Const) -> None:
     for k in range(o.p + 1):
         jump.pulse(s.jump, c.jump, o, k, s.bank.z, s.blind == BLIND)
     jump.forget(s.jump)
-    s.undecided, s.blind, s.tested = 0, BLIND, 0
+    s.undecided, s.drifting, s.blind, s.tested = 0, 0, BLIND, 0
 
 
 @kernel
@@ -381,6 +414,7 @@ def _estimate_command(s: State, c: Const, y: f8s, u: f8s) -> None:
     """Take a sample to estimate what a command was that nobody knows."""
     o = c.bank
     s.blind -= 1
+    free.step(s.free, c.free, o, s.active, y, u)
     for k in range(o.p + 1):
         if s.latched == NONE or k == s.active:
             bank.innovate(s.bank, o, k, y)
@@ -392,6 +426,30 @@ def _estimate_command(s: State, c: Const, y: f8s, u: f8s) -> None:
 
 
 @kernel
+def _watch(s: State, c: Const, y: f8s) -> None:
+    """Take the innovations of a sample; isolates what has changed."""
+    o, x = c.bank, s.jump
+    x.at = (x.at + 1) % jump.WINDOW
+    x.kept = min(x.kept + 1, jump.WINDOW)
+    for k in range(o.p + 1):
+        if s.latched == NONE or k == s.active:
+            bank.innovate(s.bank, o, k, y)
+            jump.keep(x, o, k, s.bank.e)
+    alarm = jump.likelihood_ratio(x, c.jump, o, s.active) > c.window_alarm
+    alarm = jump.energy(x, c.jump, o, s.active, x.at) > c.sample_alarm[s.active] or alarm
+    if s.drifting == 1 and not alarm:
+        s.drifting = s.undecided = 0
+    if s.undecided > 0 or alarm:
+        _isolate(s, c, y)
+    if s.drifting == 1 and s.undecided > LONG:
+        named = 0
+        for i in range(o.m):
+            named += s.actuator[i]
+        if named == 0:
+            s.unexplained = 1
+
+
+@kernel
 def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     """Take one sample of outputs ``y`` with the commands ``u`` that are held from it on; sets flags and sizes."""
     o = c.bank
@@ -399,6 +457,7 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     if s.started == 0:
         if start.step(s.start, c.start, o, s.bank.z, y, u):
             s.started = 1
+            free.begin(s.free, c.bank, s.bank.z[0], s.actuator)
             s.unexplained = 0 if _agree(s, c, True) else 1
         return
     if s.unexplained == 1:
@@ -407,25 +466,17 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     if s.blind > 0:
         _estimate_command(s, c, y, u)
         return
+    free.step(s.free, c.free, o, s.active, y, u)
     x = s.jump
-    x.at = (x.at + 1) % jump.WINDOW
-    x.kept = min(x.kept + 1, jump.WINDOW)
-    for k in range(o.p + 1):
-        if s.latched == NONE or k == s.active:
-            bank.innovate(s.bank, o, k, y)
-            jump.keep(x, o, k, s.bank.e)
-    window_alarm = jump.likelihood_ratio(x, c.jump, o, s.active) > c.window_alarm
-    sample_alarm = jump.energy(x, c.jump, o, s.active, x.at) > c.sample_alarm[s.active]
-    if s.undecided > 0 or window_alarm or sample_alarm:
-        _isolate(s, c, y)
+    _watch(s, c, y)
     if s.unexplained == 1:
         for k in range(o.p + 1):
             x.open[k] = 0
-        s.latched, s.active, s.undecided, s.agreed = NONE, 0, 0, 0
+        s.latched, s.active, s.undecided, s.drifting, s.agreed = NONE, 0, 0, 0, 0
     for k in range(o.p + 1):
         if s.latched == NONE or k == s.active:
             jump.learn(x, c.jump, o, k, s.bank.e)
-    if s.undecided == 0 and s.unexplained == 0:
+    if (s.undecided == 0 or s.drifting == 1) and s.unexplained == 0:
         s.tested = 1
         _set_flags(s, c, y)
     for k in range(o.p + 1):
@@ -449,5 +500,6 @@ def missing(s: State, c: Const, u: f8s) -> None:
         else:
             jump.merge(s.jump, o, k, s.bank.z)
         bank.missing(s.bank, o, k, u)
+    free.missing(s.free, c.free, o, s.active, u)
     jump.forget(s.jump)
-    s.undecided = 0
+    s.undecided = s.drifting = 0

@@ -15,11 +15,11 @@ from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
 RING = 256
 #: Of the last ones so many are searched for the onset; before it, and behind it, so many are averaged.
 SEARCH, BEFORE, BEHIND = 220, 12, 6
-#: First sample of a current sensor's error over the following ones lies above, a voltage's below.
-FIRST = 1.5
+#: First sample over the following ones: a current sensor's error lies above the one, a voltage's below the other.
+AT_LEAST, AT_MOST = 1.5, 1.2
 #: A step stands out of the noise before it by this factor at least.
-STANDS_OUT = 2.0
-#: How a step begins; UNKNOWN: none stands out, or too little was kept; UNSEEN: while nothing was kept.
+STANDS_OUT = 3.5
+#: How a step begins; UNKNOWN: none stands out, or too little was kept; UNSEEN: while nothing was kept, or neither.
 UNKNOWN, AT_ONCE, DELAYED, UNSEEN = range(4)
 
 
@@ -93,6 +93,6 @@ def shape(s: State) -> int:
             unseen = s.behind[(s.at - 1 - back) % RING]
     if best < STANDS_OUT:
         return UNKNOWN
-    if unseen == 1:
-        return UNSEEN
-    return AT_ONCE if ratio > FIRST else DELAYED
+    if ratio > AT_LEAST and unseen == 0:
+        return AT_ONCE
+    return DELAYED if ratio < AT_MOST and unseen == 0 else UNSEEN

@@ -26,8 +26,9 @@ REPEATS = 1 << 0
 #: At the end of a window behind a jump, and only then: increments beyond the threshold; the largest one stands in the
 #: parity, so that the gear has not made it; it began far beyond the threshold; one as large went back.
 EXCEEDS, IN_PARITY, SUDDEN, RETURNS = 1 << 1, 1 << 2, 1 << 3, 1 << 4
-#: Likewise: more of the innovation's alarms than of increments, and not sudden: the filter's speed is wrong, not the
-#: sensor; many increments, until the end; of both signs; their sum is beyond the threshold; their mean square is.
+#: Likewise: more of the innovation's alarms than of increments, or one shortly before, and not sudden: the filter's
+#: speed is wrong, not the sensor; many increments, until the end; of both signs; their sum is beyond the threshold;
+#: their mean square is.
 NIS_FIRST, FREQUENT, BOTH_SIGNS = 1 << 5, 1 << 6, 1 << 7
 NET_STEP, MEAN_SQUARE = 1 << 8, 1 << 9
 #: The three angles do not fit, by CUSUM; so for long.
@@ -77,6 +78,7 @@ class State(Record):
     unseen: i8 = means("1: nobody has seen how the present misfit of currents and voltages began")
     last_u: f8 = means("last phase current", "A")
     last_v: f8 = means("likewise", "A")
+    surprised: i8 = means("frames for which an alarm of the innovation outside a window counts", "frames")
     jump: jumps.State = means("window behind a jump")
     onset: onset.State = means("how the voltage residual steps")
     trend: trend.State = means("how the error of the motor's angle grows")
@@ -161,7 +163,7 @@ def _judge_jump(s: State, c: Const, parity: float) -> int:
             on |= IN_PARITY
     if j.sudden == 1:
         on |= SUDDEN
-    elif 2 * j.nis_alarms > j.exceedances:
+    elif 2 * j.nis_alarms > j.exceedances or s.surprised > 0:
         on |= NIS_FIRST
     if not j.opposite < 0.6 * abs(j.largest):
         on |= RETURNS
@@ -181,6 +183,8 @@ def _jump(s: State, c: Const, increment: float, parity: float) -> int:
     """Follow a window behind a jump; returns its symptoms at its end, none before and without."""
     exceeds = s.alarm[JUMP] == 1
     if s.jump.left == 0:
+        before = s.alarm[SURPRISE] == 1 and not exceeds
+        s.surprised = c.window if before else max(s.surprised - 1, 0)
         if not exceeds and s.alarm[RESTLESS] == 0:
             return 0
         far = abs(increment) > jumps.SUDDEN * c.rules[JUMP].threshold

@@ -71,8 +71,7 @@ def _judge(s: State, c: Const, k: int) -> None:
     """Take a residual into its test."""
     residual = s.residual[k]
     if c.jumps == 0:
-        cusum.update(s.cusum[k], c.cusum[k], residual)
-        s.norm[k] = cusum.normalised(s.cusum[k], c.cusum[k])
+        s.norm[k] = cusum.update(s.cusum[k], c.cusum[k], residual)
         return
     cusum.observe(s.cusum[k], residual)
     s.newest[0] = residual / c.sigma[k]
@@ -109,8 +108,8 @@ def _measure(s: State, c: Const) -> None:
     """Estimate the sizes of the faults that have a meter, as long as a test has fired; NaN where nothing says it."""
     if c.meters == 0:
         return
-    keep = exp(-s.dt / c.memory_s)
     nothing = empty(s.fired)
+    keep = 0.0 if nothing else exp(-s.dt / c.memory_s)
     settled = s.at_ns - s.since_ns >= c.settle_ns
     for k in range(c.meters):
         gain, residual = s.gain[k], s.measured[k]

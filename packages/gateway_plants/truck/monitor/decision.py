@@ -10,25 +10,11 @@ from gateway_fdi.jit import Record, f8, f8s, kernel, means
 from gateway_plants.truck.monitor import isolation, observer
 from gateway_plants.truck.monitor.faults import UNISOLATED
 from gateway_plants.truck.monitor.params import Params
-from gateway_plants.truck.monitor.records import (
-    MIXED,
-    ROBUST,
-    T1,
-    T2,
-    T3_ABSOLUTE,
-    T3_MIXED,
-    T3_SIGNED,
-    T4_ABSOLUTE,
-    T4_MIXED,
-    T4_SIGNED,
-    T5,
-    T6,
-    Const,
-    State,
-)
+from gateway_plants.truck.monitor.records import T1, T2, T5, T6, Const, State
 
 #: Sets between two reports of the same.
 REPEAT = 100
+TESTS = len(isolation.TESTS)
 #: Largest T_norm that the message can carry.
 _SHOWN = 5.1
 
@@ -36,30 +22,23 @@ _SHOWN = 5.1
 class Outputs(Record):
     """What it sends."""
 
-    level: Annotated[f8s, isolation.MOST_TESTS] = means("T_norm of the tests")
+    level: Annotated[f8s, TESTS] = means("T_norm of the tests")
     fired: f8 = means("tests that have fired, as bits")
     diagnosis: f8 = means("number of the fault, from 1; 0: none")
-    valid: f8 = means("1: the model of T3, T4 and T7 holds")
+    valid: f8 = means("1: the model of T7 holds")
 
 
 def emits(_: Params) -> Emission:
     """Return the message."""
-    tests = tuple(f"Tn_{k + 1}" for k in range(isolation.MOST_TESTS))
+    tests = tuple(f"Tn_{k + 1}" for k in range(TESTS))
     return Emission("FDI_STATUS", {"level": tests, "fired": "Fired", "diagnosis": "Diagnosis", "valid": "Valid"})
 
 
 @kernel
-def _weigh(s: State, c: Const) -> int:
+def _weigh(s: State) -> int:
     """Put T_norm of the tests that decide in their places; returns those that have fired, as bits."""
-    s.level[0], s.level[1] = s.norm[T1], s.norm[T2]
-    if c.system == ROBUST:
-        s.level[2], s.level[3], s.level[4] = s.norm[T5], s.norm[T6], s.observer.norm
-    elif c.system == MIXED:
-        s.level[2], s.level[3] = s.norm[T3_MIXED], s.norm[T4_MIXED]
-    else:
-        # Remark 4: two conditions, either of which suffices.
-        s.level[2] = max(s.norm[T3_SIGNED], s.norm[T3_ABSOLUTE])
-        s.level[3] = max(s.norm[T4_SIGNED], s.norm[T4_ABSOLUTE])
+    s.level[0], s.level[1], s.level[2], s.level[3] = s.norm[T1], s.norm[T2], s.norm[T5], s.norm[T6]
+    s.level[4] = s.observer.norm
     fired = 0
     for place in range(len(s.level)):
         if s.level[place] > 1.0:
@@ -77,7 +56,7 @@ def decide(s: State, c: Const, dt: float, out: Out[Evidence, Outputs]) -> None:
         dt: since the set before [s].
         out: results.
     """
-    x, fired = s.isolation, _weigh(s, c)
+    x, fired = s.isolation, _weigh(s)
     changed = fired != s.fired
     s.fired, x.up[0] = fired, fired
     machine.stand(x, c.isolation, int(dt * 1e9), int(s.use * 1e9))
@@ -98,11 +77,11 @@ def decide(s: State, c: Const, dt: float, out: Out[Evidence, Outputs]) -> None:
         failed = k == x.found
         e = report(out, k, failed, largest, 1.0)
         if failed:
-            for j in range(c.tests):
+            for j in range(TESTS):
                 e.value[j] = s.level[j]
-            e.value[c.tests] = fired
-            e.value[c.tests + 1] = table.ranked(x, c.isolation, s.level, 10.0, UNISOLATED)
-            e.value[c.tests + 2] = s.observer.error[observer.MOTOR]
+            e.value[TESTS] = fired
+            e.value[TESTS + 1] = table.ranked(x, c.isolation, s.level, 10.0, UNISOLATED)
+            e.value[TESTS + 2] = s.observer.error[observer.MOTOR]
 
 
 @kernel

@@ -29,11 +29,10 @@ _ROWS = (
 
 
 def faults_of(tests: tuple[str, ...]) -> tuple[Fault, ...]:
-    """Return what a system of these tests can report, with its evidence."""
-    names = [test.partition("_")[0] for test in tests]
-    places = ", ".join(f"{name} is {1 << k}" for k, name in enumerate(names))
+    """Return what these tests can report, with its evidence."""
+    places = ", ".join(f"{name} is {1 << k}" for k, name in enumerate(tests))
     evidence = (
-        *(f"T_norm of {name}" for name in names),
+        *(f"T_norm of {name}" for name in tests),
         f"tests that have fired ({places})",
         "faults that explain them, likeliest first (1 battery, 2 inverter, 3 efficiency, 4 resistance, 5 sensor)",
         "error of the machine's torque as motor, T7's estimate",

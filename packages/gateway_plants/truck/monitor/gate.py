@@ -1,4 +1,4 @@
-"""When the model of T3 and T4 holds, told from the bus: the clutch holds, and the engine is above idle.
+"""When the model of T3, T4 and T7 holds, told from the bus: the clutch holds, and the engine is above idle.
 
 Paper 004, VI-B: the clutch's model is known only while it is engaged. Slip and engine speed are low-pass filtered; the
 slip's filter begins anew with each gear. What has held for 0.3 s holds. A clutch that creeps has little slip, too, but

@@ -2,8 +2,8 @@
 
 Source: paper 004. Corrections: docs/structure.md, and the modules of this folder. A set is complete when frames of its
 counter have come of all four messages (:class:`gateway.monitors.contract.Sampled`); time is the counter's steps, not
-the frames' arrival. A set that is missing is stepped over; after a gap of more than :data:`LONGEST` sets the dynamic
-tests begin again.
+the frames' arrival. A set that is missing is stepped over; after a gap of more than :data:`LONGEST` sets T7 begins
+again.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gateway_fdi.jit import kernel
 from gateway_fdi.structure.file import load_model
 from gateway_plants.truck.monitor import alignment, blanking, decision, gate, isolation, motion, observer, static
 from gateway_plants.truck.monitor.faults import BLAMES, behind, faults_of
-from gateway_plants.truck.monitor.generated import t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t6, t7
+from gateway_plants.truck.monitor.generated import t2, t6, t7
 from gateway_plants.truck.monitor.messages import Inputs, connect, sampling
 from gateway_plants.truck.monitor.params import QUANTITIES, Params
 from gateway_plants.truck.monitor.records import RESIDUAL_NAMES, Const, State, peaks, prepare, sums
@@ -39,12 +39,24 @@ LONGEST = 5
 SENT = 10
 
 
-def _faults(p: Params) -> tuple[Fault, ...]:
-    return faults_of(isolation.TESTS[p.system])
+def _faults(_: Params) -> tuple[Fault, ...]:
+    return faults_of(isolation.TESTS)
 
 
-def _behind(p: Params) -> dict[str, list[Blame]]:
-    return behind(isolation.seen_by(load_model(shipped("models/truck.toml")), p.system))
+def _behind(_: Params) -> dict[str, list[Blame]]:
+    return behind(isolation.seen_by(load_model(shipped("models/truck.toml")), isolation.TESTS))
+
+
+@kernel
+def begin(s: State, c: Const, u: Inputs) -> None:
+    """Begin with the first set."""
+    t2.reset(s.t2, c.t2)
+    t2.start(s.t2, c.t2, u)
+    t6.reset(s.t6, c.t6)
+    t6.start(s.t6, c.t6, u)
+    t7.reset(s.t7, c.t7)
+    s.t2.SoC, s.t6.SoC = u.charge, u.charge
+    s.blanking.gear = int(u.gear)
 
 
 @kernel
@@ -54,21 +66,11 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, decision.Outputs]) ->
         return
     steps = int(u.gap) if s.sets > 0 else 0
     if s.sets == 0:
-        t2.reset(s.t2, c.t2)
-        t2.start(s.t2, c.t2, u)
-        t6.reset(s.t6, c.t6)
-        t6.start(s.t6, c.t6, u)
-        t7.reset(s.t7, c.t7)
-        t3_icds.reset(s.t3, c.t3)
-        t4_icds.reset(s.t4, c.t4)
-        t3_mcds.reset(s.t3m, c.t3m)
-        t4_mcds.reset(s.t4m, c.t4m)
-        s.t2.SoC, s.t6.SoC = u.charge, u.charge
-        s.blanking.gear = int(u.gear)
+        begin(s, c, u)
     elif steps > LONGEST:
         gate.restart(s.gate)
         blanking.forget(s.blanking, c.blank)
-        s.three.on, s.four.on, s.watched, steps = 0, 0, 0, 0
+        s.watched, steps = 0, 0
     s.sets += 1
     dt = steps * c.period
     alignment.align(s.alignment, u, steps, c.most_lag, c.voltage_noise)
@@ -97,15 +99,15 @@ MONITOR = Monitor(
         Behind(_behind, lambda _, s: isolation.levels(s)),
         Blames(lambda _: BLAMES),
         CusumCalibration(
-            quantities=(*((name, residual) for name, residual, _ in QUANTITIES), ("T7", "")),
+            quantities=(*((name, name) for name in QUANTITIES), ("T7", "")),
             floors={"T7": observer.FLOOR},
             sums=sums,
             peaks=peaks,
         ),
         Quantities(
-            lambda p: (
+            lambda _: (
                 *(Quantity(f"residual of {name}") for name in RESIDUAL_NAMES),
-                *(Quantity(f"T over J of {name}", limit=1.0) for name in isolation.TESTS[p.system]),
+                *(Quantity(f"T over J of {name}", limit=1.0) for name in isolation.TESTS),
             ),
             lambda s: (*s["residual"], *s["level"]),
         ),

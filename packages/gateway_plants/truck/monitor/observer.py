@@ -1,7 +1,7 @@
 """T7: an observer of the vehicle's motion that also estimates what a road, a load, an engine and brakes make wrong.
 
-T3 and T4 of ICDS take their model's torque as true: an engine 2 % too strong or a slope of 0.3 % that nobody measures
-moves them like a fault. Here these are states beside the wheels' speed, and so are the errors of the machine's torque
+The paper's T3 and T4 take their model's torque as true: an engine 2 % too strong or an unknown slope of 0.3 % moves
+them like a fault. Here these are states beside the wheels' speed, and so are the errors of the machine's torque
 as motor and as generator. With p the errors and h what each does to the wheels' acceleration (:func:`_sensitivities`),
 
     d omega_w / dt = T_net / J + h' p                 (e30 of paper 004, corrected)

@@ -14,30 +14,18 @@ from gateway_fdi.slow import filter as slow
 from gateway_fdi.slow import lag
 from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.generator.records import fill
-from gateway_plants.truck.monitor import alignment, blanking, dynamic, excitation, gate, isolation, observer
-from gateway_plants.truck.monitor.generated import t1, t2, t3_icds, t3_mcds, t4_icds, t4_mcds, t5, t6, t7
+from gateway_fdi.structure.model import Model
+from gateway_plants.truck.monitor import alignment, blanking, gate, isolation, observer
+from gateway_plants.truck.monitor.generated import t1, t2, t5, t6, t7
 from gateway_plants.truck.monitor.messages import Inputs
 from gateway_plants.truck.monitor.params import QUANTITIES, Params
 
 #: Places of the test quantities.
-(
-    T1,
-    T2,
-    T3_FIXED,
-    T3_SIGNED,
-    T3_ABSOLUTE,
-    T4_FIXED,
-    T4_SIGNED,
-    T4_ABSOLUTE,
-    T3_MIXED,
-    T4_MIXED,
-    T5,
-    T6,
-) = range(len(QUANTITIES))
+T1, T2, T5, T6 = range(len(QUANTITIES))
 
-#: Places of the residuals: of T1 to T4, of T3 and T4 with mixed causality, of T5 to T7.
-R1, R2, R3, R4, R3_MIXED, R4_MIXED, R5, R6, R7 = range(9)
-RESIDUAL_NAMES = ("T1", "T2", "T3", "T4", "T3 (mixed)", "T4 (mixed)", "T5", "T6", "T7")
+#: Places of the residuals.
+R1, R2, R5, R6, R7 = range(5)
+RESIDUAL_NAMES = ("T1", "T2", "T5", "T6", "T7")
 RESIDUALS = len(RESIDUAL_NAMES)
 
 #: Errors that are followed, by their place: of winding, magnets, open circuit voltage, cells; gain and bias of the
@@ -46,21 +34,14 @@ WINDING, MAGNETS, OPEN, CELLS, U_GAIN, U_BIAS, I_GAIN, I_BIAS, B_GAIN, B_BIAS = 
 #: Groups that are refused together; what is in none has its own number.
 MACHINE, BATTERY = slow.MOST, slow.MOST + 1
 
-#: Systems by their place.
-SYSTEMS = tuple(isolation.TESTS)
-ROBUST, MIXED = SYSTEMS.index("RDS"), SYSTEMS.index("MCDS")
-
 
 class Const(Record):
     """Constants."""
 
     period: f8 = means("period of the sets", "s")
-    system: i8 = means("which tests decide, a place in SYSTEMS")
-    tests: i8 = means("tests of that system")
     blank: i8 = means("sets before and behind a gear change that do not count")
-    least_volts: f8 = means("voltage of the machine from which on T1 and T4 are tested", "V")
+    least_volts: f8 = means("voltage of the machine from which on T1 is tested", "V")
     least_amps: f8 = means("current of the machine from which on T2, T5 and T6 are tested", "A")
-    excitation: excitation.Const = means("when T3 and T4 are updated")
     cusum: Annotated[list[cusum.Const], len(QUANTITIES)] = means("CUSUM of each quantity")
     isolation: isolation.Const = means("from tests to faults")
     observer: observer.Const = means("constants of the observer T7")
@@ -72,10 +53,6 @@ class Const(Record):
     power_noise: f8 = means("what e11 leaves", "W")
     t1: t1.Const = means("constants of T1")
     t2: t2.Const = means("constants of T2")
-    t3: t3_icds.Const = means("constants of T3, integral causality")
-    t4: t4_icds.Const = means("constants of T4, integral causality")
-    t3m: t3_mcds.Const = means("constants of T3, mixed causality")
-    t4m: t4_mcds.Const = means("constants of T4, mixed causality")
     t5: t5.Const = means("constants of T5")
     t6: t6.Const = means("constants of T6")
     t7: t7.Const = means("constants of T7")
@@ -85,7 +62,7 @@ class State(Record):
     """State."""
 
     sets: i8 = means("sets taken")
-    valid: i8 = means("1: the model of T3, T4 and T7 holds")
+    valid: i8 = means("1: the model of T7 holds")
     fired: i8 = means("tests above their threshold, as bits")
     explained: i8 = means("faults that explain what has fired, as bits")
     reported: i8 = means("sets since the tests were reported")
@@ -96,14 +73,12 @@ class State(Record):
     open_volts: f8 = means("relative error of U_oc that is followed")
     cells: f8 = means("relative error of R_b that is followed")
     lag_ms: f8 = means("by which the electric sensors are late", "ms")
-    level: Annotated[f8s, isolation.MOST_TESTS] = means("T_norm of the tests that decide")
+    level: Annotated[f8s, len(isolation.TESTS)] = means("T_norm of the tests that decide")
     blanking: blanking.State = means("residuals that wait for a gear change")
     observer: observer.State = means("state of the observer T7")
     residual: Annotated[f8s, RESIDUALS] = means("by the places above")
     norm: Annotated[f8s, len(QUANTITIES)] = means("T_norm of each quantity")
     gate: gate.State = means("when the model holds")
-    three: dynamic.State = means("what T3 with integral and with mixed causality have in common")
-    four: dynamic.State = means("what T4 with integral and with mixed causality have in common")
     cusum: Annotated[list[cusum.State], len(QUANTITIES)] = means("CUSUM of each quantity")
     alignment: alignment.State = means("signals of a set at one time")
     corrected: Inputs = means("the set without what is found of the sensors' errors")
@@ -127,10 +102,6 @@ class State(Record):
     isolation: isolation.State = means("from tests to faults")
     t1: t1.State = means("state of T1")
     t2: t2.State = means("state of T2")
-    t3: t3_icds.State = means("state of T3, integral causality")
-    t4: t4_icds.State = means("state of T4, integral causality")
-    t3m: t3_mcds.State = means("state of T3, mixed causality")
-    t4m: t4_mcds.State = means("state of T4, mixed causality")
     t5: t5.State = means("state of T5")
     t6: t6.State = means("state of T6")
     t7: t7.State = means("state of T7")
@@ -160,32 +131,26 @@ def prepare(p: Params, s: State, c: Const) -> None:
     ]
     if wrong:
         raise InputErrors(wrong) if len(wrong) > 1 else wrong[0]
-    c.period, c.system = 1e-3 * p.period_ms, SYSTEMS.index(p.system)
-    c.tests = len(isolation.TESTS[p.system])
+    c.period = 1e-3 * p.period_ms
     c.blank = min(round(p.blank_ms / p.period_ms), blanking.MOST - 1)
     c.least_volts, c.least_amps = p.least_volts, p.least_amps
-    e = c.excitation
-    e.after, e.signed, e.absolute = p.after_s, p.signed_charge, p.absolute_charge
-    efficiency = model.quantities["eta_em_0"].value
-    assert efficiency is not None
-    e.efficiency = p.parameters.get("eta_em_0", efficiency)
-    for k, (name, residual, _) in enumerate(QUANTITIES):
-        nu = getattr(p.nu, residual)
+    for k, name in enumerate(QUANTITIES):
+        nu = getattr(p.nu, name)
         cusum.prepare(c.cusum[k], nu, nu * getattr(p.thresholds, name), p.limit)
-    isolation.prepare(s.isolation, c.isolation, model, p.system, p.settle_s)
-    values = dict(p.parameters)
-    if "f_3" in p.tables:
-        values.setdefault("n_g", p.tables["f_3"].x[-1])
-    for field in ("t1", "t2", "t3", "t4", "t3m", "t4m", "t5", "t6", "t7"):
-        fill(getattr(c, field), model, values=values, filter_bandwidth=p.filter_bandwidth)
-        _set_tables(p, getattr(c, field))
+    isolation.prepare(s.isolation, c.isolation, model, p.settle_s)
+    for field in ("t1", "t2", "t5", "t6", "t7"):
+        fill_generator(p, getattr(c, field), model)
     _prepare_following(p, s, c)
     _prepare_observer(p, s.observer, c.observer, p.least_amps * c.t7.k_i)
     s.named = -1
 
 
-def _set_tables(p: Params, c: Any) -> None:
-    """Put the tables of the configuration into the constants of a residual generator."""
+def fill_generator(p: Params, c: Any, model: Model, filter_bandwidth: float = 0.5) -> None:
+    """Fill the constants of a residual generator, with the parameters and tables of the configuration."""
+    values = dict(p.parameters)
+    if "f_3" in p.tables:
+        values.setdefault("n_g", p.tables["f_3"].x[-1])
+    fill(c, model, values=values, filter_bandwidth=filter_bandwidth)
     for name, table in p.tables.items():
         if f"{name}_x" not in c.dtype.names:
             continue
@@ -200,9 +165,9 @@ def _prepare_following(p: Params, s: State, c: Const) -> None:
     for mine, told in copies:
         for name in told.dtype.names:
             mine[name] = told[name]
-    followed = p.followed
-    c.follows = followed is not None
-    if followed is None:
+    followed = p.follow
+    c.follows = followed is not False
+    if followed is False:
         return
     e = c.ageing
     e.count = B_BIAS + 1

@@ -25,8 +25,7 @@ def take_beyond(s: State, c: Const, place: int, residual: float, doubt: float, w
 def take(s: State, c: Const, place: int, residual: float, wanted: bool) -> None:
     """Update a test quantity, if it is to be updated and the residual is a number."""
     if wanted and residual == residual:  # noqa: PLR0124 - not NaN
-        cusum.update(s.cusum[place], c.cusum[place], residual)
-        s.norm[place] = cusum.normalised(s.cusum[place], c.cusum[place])
+        s.norm[place] = cusum.update(s.cusum[place], c.cusum[place], residual)
 
 
 @kernel

@@ -12,8 +12,17 @@ from gateway_fdi import cusum
 from gateway_fdi.jit import kernel, zeros
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams
 from gateway_plants.truck.monitor.params import Params
-from gateway_plants.truck.monitor.records import T4_ABSOLUTE, T4_FIXED, T4_SIGNED
-from gateway_plants.truck.study.follow import Trace, calibrated, follow, inputs
+from gateway_plants.truck.study.follow import inputs
+from gateway_plants.truck.study.paper import (
+    RESIDUALS,
+    T4_ABSOLUTE,
+    T4_FIXED,
+    T4_SIGNED,
+    Paper,
+    Trace,
+    calibrated,
+    follow,
+)
 
 Array = NDArray[np.float64]
 
@@ -21,7 +30,7 @@ CONDITIONS = ("(39)", "(41)", "(45)", "always")
 #: Where residuals are noisy enough for the conditions to matter: noise, and J_1 [As] that stands out of it.
 NOISE, CHARGE = 5.0, 6000.0
 #: Place of T4 of ICDS among the residuals.
-_T4 = 3
+_T4 = RESIDUALS.index("T4_ICDS")
 #: T is not limited here, as in the paper.
 _UNLIMITED = 1e12
 
@@ -74,13 +83,6 @@ def _always(trace: Trace, nu: float) -> Array:
     return out
 
 
-def _traced(u: NDArray[np.void], params: Params) -> Trace:
-    trace = follow(u, params, keep=True).trace
-    if trace is None:
-        raise AssertionError("a trace was asked for")
-    return trace
-
-
 def compare(
     truck: TruckParams, fault: TruckFault, *, seed: int, healthy: int, first_charge: float = 4000.0
 ) -> Compared:
@@ -93,12 +95,12 @@ def compare(
         healthy: seed of the healthy drive that gives nu and J.
         first_charge: J_1 of (41) [As].
     """
-    params = Params(system="ICDS", limit=_UNLIMITED, signed_charge=first_charge)
+    params = Paper(monitor=Params(follow=False, limit=_UNLIMITED), signed_charge=first_charge)
     quiet = inputs(truck, None, healthy)
     params = calibrated(params, [quiet], floor=1.0)
-    nu = params.nu.T4_ICDS
-    still = _traced(quiet, params)
+    nu = params.nu[_T4]
+    still = follow(quiet, params, keep=True).trace
     most = max(float(_always(still, nu).max()), nu) / cusum.MARGIN
-    trace = _traced(inputs(truck, fault, seed), params)
+    trace = follow(inputs(truck, fault, seed), params, keep=True).trace
     conditioned = trace.norm[:, [T4_FIXED, T4_SIGNED, T4_ABSOLUTE]]
     return Compared(trace, np.column_stack([conditioned, _always(trace, nu) / most]))

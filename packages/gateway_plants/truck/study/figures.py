@@ -13,9 +13,10 @@ from gateway.cli.drawing import save
 from gateway_plants.truck.ecu.params import TruckFault
 from gateway_plants.truck.monitor.observer import ENGINE, GENERATOR, MASS, MOTOR, SLOPE
 from gateway_plants.truck.monitor.params import Params
-from gateway_plants.truck.monitor.records import T4_ABSOLUTE, T4_MIXED, T4_SIGNED
+from gateway_plants.truck.study import paper
 from gateway_plants.truck.study.conditions import CHARGE, CONDITIONS, NOISE, Compared, compare
-from gateway_plants.truck.study.follow import RESIDUALS, Trace, calibrated, follow, inputs
+from gateway_plants.truck.study.follow import Trace, follow, inputs
+from gateway_plants.truck.study.paper import RESIDUALS, T4_ABSOLUTE, T4_MIXED, T4_SIGNED, Paper
 from gateway_plants.truck.study.table import TRUCK
 
 #: Parts of the cycle that the figures show [s].
@@ -27,18 +28,18 @@ _SENSOR = TruckFault(kind="machine_voltage_sensor", from_s=0.0)
 _THIN = 20
 
 
-def _shade(axis: Any, trace: Trace) -> None:
+def _shade(axis: Any, trace: Trace | paper.Trace) -> None:
     """Shade where the model holds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], trace.valid, [False]]).astype(int)))
     for first, last in edges.reshape(-1, 2):
         axis.axvspan(trace.t[first], trace.t[last - 1], color="0.9", lw=0)
 
 
-def _between(trace: Trace, span: tuple[float, float]) -> NDArray[np.int64]:
+def _between(trace: paper.Trace, span: tuple[float, float]) -> NDArray[np.int64]:
     return np.flatnonzero((trace.t >= span[0]) & (trace.t < span[1]))
 
 
-def _blanked(trace: Trace, name: str) -> Any:
+def _blanked(trace: paper.Trace, name: str) -> Any:
     """Return a residual, not a number where the model does not hold."""
     return np.where(trace.valid, trace.residual[:, RESIDUALS.index(name)], np.nan)
 
@@ -78,9 +79,8 @@ def _two_windows(path: Path, compared: Compared, title: str, shown: tuple[str, .
 
 
 def _fig7(path: Path, seed: int) -> Path:
-    healthy, faulty = (follow(inputs(TRUCK, fault, seed), Params(), keep=True).trace for fault in (None, _EFFICIENCY))
-    assert healthy is not None
-    assert faulty is not None
+    drives = (inputs(TRUCK, fault, seed) for fault in (None, _EFFICIENCY))
+    healthy, faulty = (paper.follow(u, Paper(), keep=True).trace for u in drives)
     figure, axes = plt.subplots(2, 1, figsize=(9, 6), sharex=True)
     at = _between(healthy, _LONG_WINDOW)
     for axis, name in zip(axes, ("T3_ICDS", "T3_MCDS"), strict=True):
@@ -98,10 +98,10 @@ def _fig7(path: Path, seed: int) -> Path:
 
 def _fig8(path: Path, seed: int) -> Path:
     truck = TRUCK
-    params = calibrated(Params(limit=1e12), [inputs(truck, None, seed + 1)], floor=1.0)
+    unlimited = Paper(monitor=Params(follow=False, limit=1e12))
+    params = paper.calibrated(unlimited, [inputs(truck, None, seed + 1)], floor=1.0)
     fault = TruckFault(kind="battery_short", from_s=400.0)
-    trace = follow(inputs(truck, fault, seed), params, keep=True).trace
-    assert trace is not None
+    trace = paper.follow(inputs(truck, fault, seed), params, keep=True).trace
     figure, axis = plt.subplots(figsize=(9, 4))
     both = np.maximum(trace.norm[::_THIN, T4_SIGNED], trace.norm[::_THIN, T4_ABSOLUTE])
     axis.plot(trace.t[::_THIN], both, label="T4 in ICDS: the larger of (41) and (45)", color="C0")

@@ -18,17 +18,16 @@ from gateway_plants.truck.ecu.control import PERIOD
 from gateway_plants.truck.ecu.drive import Drive, drive
 from gateway_plants.truck.ecu.ecu import DATABASE, signals_of
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams
-from gateway_plants.truck.monitor import MONITOR, dynamic, monitor, observer
+from gateway_plants.truck.monitor import MONITOR, monitor, observer
 from gateway_plants.truck.monitor.messages import MESSAGES
 from gateway_plants.truck.monitor.observer import ERRORS
 from gateway_plants.truck.monitor.params import QUANTITIES, Params, Thresholds
+from gateway_plants.truck.monitor.records import RESIDUALS
 
 Array = NDArray[np.float64]
 
 #: FTP75 without its soak [s].
 DURATION = 1874.0
-#: Residuals of the monitor by their place.
-RESIDUALS = ("T1", "T2", "T3_ICDS", "T4_ICDS", "T3_MCDS", "T4_MCDS", "T5", "T6", "T7")
 
 
 @lru_cache(maxsize=4)
@@ -80,26 +79,22 @@ class Trace:
     Attributes:
         t: time [s], shape (n,).
         valid: the model holds, shape (n,).
-        settled: T4 runs, and its speed at the start has been corrected, shape (n,).
-        residual: shape (n, 9), in the order of RESIDUALS; T3, T4 and T7 keep their last value while they do not run.
+        residual: shape (n, 5), of T1, T2, T5 to T7, which keeps its last value while it does not run.
         norm: T_norm, shape (n, quantities).
         wald: T7 over its threshold, shape (n,).
         error: what T7's observer estimates, shape (n, 7).
-        current: of the machine as T4 computes it [A], shape (n,).
     """
 
     t: Array
     valid: NDArray[np.bool_]
-    settled: NDArray[np.bool_]
     residual: Array
     norm: Array
     wald: Array
     error: Array
-    current: Array
 
 
 @kernel
-def _walk(s: Any, c: Any, u: Any, out: Any, first: Any, flags: Any, rows: Any) -> None:
+def _walk(s: Any, c: Any, u: Any, out: Any, first: Any, valid: Any, rows: Any) -> None:
     """Step the monitor through all sets; ``rows`` of no length: nothing is kept."""
     for k in range(u.shape[0]):
         out.n = 0
@@ -110,8 +105,7 @@ def _walk(s: Any, c: Any, u: Any, out: Any, first: Any, flags: Any, rows: Any) -
                 first[r.fault] = k
         if rows.shape[0] == 0:
             continue
-        flags[k, 0] = s.valid == 1
-        flags[k, 1] = s.four.on == 1 and dynamic.settled(s.four)
+        valid[k] = s.valid == 1
         at = 0
         for j in range(len(s.residual)):
             rows[k, at + j] = s.residual[j]
@@ -122,7 +116,6 @@ def _walk(s: Any, c: Any, u: Any, out: Any, first: Any, flags: Any, rows: Any) -
         rows[k, at] = s.observer.norm
         for j in range(ERRORS):
             rows[k, at + 1 + j] = s.observer.error[j]
-        rows[k, at + 1 + ERRORS] = s.t4.shown_I_em
 
 
 def _run(u: NDArray[np.void], params: Params, keep: bool) -> tuple[Any, Array, Any, Any]:
@@ -130,28 +123,26 @@ def _run(u: NDArray[np.void], params: Params, keep: bool) -> tuple[Any, Array, A
     MONITOR.prepare(params, s[0], c[0])
     first = np.full(len(MONITOR.faults(params)), -1, np.int64)
     length = len(u) if keep else 0
-    flags = np.zeros((length, 2), np.bool_)
-    rows = np.empty((length, len(RESIDUALS) + len(QUANTITIES) + ERRORS + 2))
-    _walk(s[0], c[0], u, out[0], first, flags, rows)
-    return s[0], np.where(first < 0, np.inf, first * PERIOD), flags, rows
+    valid = np.zeros(length, np.bool_)
+    rows = np.empty((length, RESIDUALS + len(QUANTITIES) + ERRORS + 1))
+    _walk(s[0], c[0], u, out[0], first, valid, rows)
+    return s[0], np.where(first < 0, np.inf, first * PERIOD), valid, rows
 
 
 def follow(u: NDArray[np.void], params: Params, *, keep: bool = False) -> Followed:
     """Put a drive through the monitor; ``keep`` its trace."""
-    s, first, flags, rows = _run(u, params, keep)
+    s, first, valid, rows = _run(u, params, keep)
     peak = np.append(s["cusum"]["peak"], s["observer"]["peak"])
     if not keep:
         return Followed(first, peak, None)
-    a, b = len(RESIDUALS), len(RESIDUALS) + len(QUANTITIES)
+    a, b = RESIDUALS, RESIDUALS + len(QUANTITIES)
     trace = Trace(
         t=np.asarray(np.arange(len(u)) * PERIOD, np.float64),
-        valid=flags[:, 0],
-        settled=flags[:, 1],
+        valid=valid,
         residual=rows[:, :a],
         norm=rows[:, a:b],
         wald=rows[:, b],
-        error=rows[:, b + 1 : b + 1 + ERRORS],
-        current=rows[:, -1],
+        error=rows[:, b + 1 :],
     )
     return Followed(first, peak, trace)
 
@@ -162,8 +153,7 @@ def calibrated(
     """Return parameters with nu and J from healthy drives, as ``gateway calibrate`` finds them."""
     states = [_run(u, params, keep=False)[0]["cusum"].copy() for u in healthy]
     sums = np.sum([[s[key] for key in ("samples", "total", "squares")] for s in states], axis=0)
-    nu = nus([residual for _, residual, _ in QUANTITIES], sums)
-    names = [*(name for name, _, _ in QUANTITIES), "T7"]
+    nu, names = nus(QUANTITIES, sums), [*QUANTITIES, "T7"]
     never = Thresholds(**dict.fromkeys(names, 1e9))
     opened = params.model_copy(update={"nu": params.nu.model_copy(update=nu), "thresholds": never})
     peaks = np.max([follow(u, opened).peak for u in healthy], axis=0) * 1e9

@@ -14,11 +14,12 @@ import numpy as np
 from gateway_bench import study_pool as pool
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams
 from gateway_plants.truck.monitor.faults import UNISOLATED
-from gateway_plants.truck.monitor.isolation import TESTS
 from gateway_plants.truck.monitor.params import Params
+from gateway_plants.truck.study import paper
 from gateway_plants.truck.study.follow import calibrated, follow, inputs
 
-SYSTEMS = tuple(TESTS)
+#: The paper's systems, and the monitor's.
+SYSTEMS = (*paper.TESTS, "RDS")
 #: Faults in the monitor's order.
 FAULTS = (
     "battery_short",
@@ -101,26 +102,27 @@ class Row:
     late_s: float
 
 
-def _params(case: Case, system: str) -> Params:
-    params = Params(system=system)
+def _params(case: Case) -> tuple[Params, paper.Paper]:
+    own, papers = Params(), paper.Paper()
     if not case.healthy:
-        return params
+        return own, papers
     drives = [inputs(case.truck, None, seed) for seed in case.healthy]
-    return calibrated(params, drives)
+    return calibrated(own, drives), paper.calibrated(papers, drives)
 
 
 def judge(case: Case) -> list[Row]:
     """Put a case through all systems."""
     fault = TruckFault(kind=case.fault, from_s=case.onset) if case.fault else None
-    chosen = {system: _params(case, system) for system in SYSTEMS}
+    params, papers = _params(case)
     own = -1 if case.fault is None else FAULTS.index(case.fault)
     right = dict.fromkeys(SYSTEMS, 0)
     wrong = dict.fromkeys(SYSTEMS, 0)
     delays: dict[str, list[float]] = {system: [] for system in SYSTEMS}
     for seed in case.seeds:
         u = inputs(case.truck, fault, seed)
+        told = paper.follow(u, papers).first | {"RDS": follow(u, params).first}
         for system in SYSTEMS:
-            first = follow(u, chosen[system]).first
+            first = told[system]
             others = [t for k, t in enumerate(first) if k not in (own, UNISOLATED)]
             mistaken = bool(min(others) < inf)
             wrong[system] += mistaken

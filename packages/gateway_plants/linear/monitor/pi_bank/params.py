@@ -49,6 +49,11 @@ class Params(UncertainPlantParams):
         else:
             check(self.plant, self.sensor_names, self.states)
             _ = self.observers
+            try:
+                _ = self.windows
+            except np.linalg.LinAlgError as error:
+                text = "with these matrices and noises the tests of two parts cannot be computed"
+                raise ValueError(f"{text}: {error}") from error
         return self
 
     @property

@@ -79,7 +79,9 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
         return bool(silent)
     # One that has jumped as no foot moves, or jumps often, has to go on for longer, but beside one at a rail.
     torn = abs(h.torn[mover]) > s.scale.agree or h.rough[mover] > SMOOTH
-    if torn and h.line[mover] < WILD and c.floor < y[i] < c.ceiling:
+    # So has one that has just left: a noise that begins may put a few samples on a line.
+    short = (torn and h.line[mover] < WILD) or h.away[i * MOST_CHANNELS + mover] < WILD
+    if short and c.floor < y[i] < c.ceiling:
         return bool(silent)
     # One that lags comes after a channel that has stopped, and ends beside it, however far its way was; from a frozen
     # one it goes away by all of that. Between the two is the half.

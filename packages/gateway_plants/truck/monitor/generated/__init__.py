@@ -7,10 +7,6 @@
 GENERATED = {
     "t1": ("T1", ()),
     "t2": ("T2", ()),
-    "t3_icds": ("T3_ICDS", ("I_em", "u_gb")),
-    "t4_icds": ("T4_ICDS", ("I_em", "u_gb")),
-    "t3_mcds": ("T3_MCDS", ()),
-    "t4_mcds": ("T4_MCDS", ()),
     "t5": ("T5", ()),
     "t6": ("T6", ()),
     "t7": ("T7", ("T_em", "T_c", "eta_gb", "u_gb", "J_tot", "m_v")),

@@ -8,7 +8,7 @@ thousand the CUSUM would grow without a fault.
 from __future__ import annotations
 
 from gateway_fdi.jit import Record, f8, i8, kernel, means
-from gateway_plants.truck.monitor import excitation
+from gateway_plants.truck.study import excitation
 
 #: Time over which the speed at the start is corrected [s].
 CORRECTED = 1.0

@@ -1,0 +1,45 @@
+"""The line to one ECU, as those see it that pass requests of testers on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from gateway.clients.ecu import EcuClient
+from gateway.clients.passed import Done, Passed
+
+
+class Line:
+    """One line.
+
+    Args:
+        client: of the ECU.
+        may_ask: whether a bus may be asked now.
+        plan: has the clients look again at what is due.
+    """
+
+    def __init__(self, client: EcuClient, may_ask: Callable[[int], bool], plan: Callable[[], None]) -> None:
+        self._client, self._may_ask, self._plan = client, may_ask, plan
+        self.name, self.longest = client.params.name, client.longest
+        # Behind one request that is under way, and the least time after it.
+        self.part_ms = round(client.params.p2_ms + client.waiting.apart_ns / 1e6)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the ECU can be reached now: its bus lives, and may be asked."""
+        return self._may_ask(self._client.bus)
+
+    def ask(self, request: bytes, owner: object, done: Done) -> bool:
+        """Have a request sent; returns whether there is room for it.
+
+        Args:
+            request: at most ``longest`` bytes.
+            owner: the tester.
+            done: takes each answer; None: none comes any more.
+        """
+        taken = self._client.waiting.put(Passed(request, owner, done))
+        self._plan()
+        return taken
+
+    def forget(self, owner: object) -> None:
+        """Take out what a tester that has gone had asked."""
+        self._client.waiting.forget(owner)

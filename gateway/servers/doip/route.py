@@ -1,0 +1,75 @@
+"""Routes to ECUs behind the gateway, and what they let pass: reading; more by ``[access] route``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from gateway.servers.doip.codec import Nack
+from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL
+from gateway.servers.uds.server import UdsServer
+
+#: Services that pass: DTCs, data, tester present; of the sessions the default one.
+READING = frozenset({0x19, 0x22, 0x3E})
+_DEFAULT_SESSION = (0x10, 0x01)
+
+
+class Line(Protocol):
+    """The line to an ECU; ``part_ms``: how long a request may wait for it [ms]."""
+
+    name: str
+    longest: int
+    part_ms: int
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the ECU can be reached now."""
+
+    def ask(self, request: bytes, owner: object, done: Callable[[bytes | None], None]) -> bool:
+        """Have a request sent; returns whether there is room for it. ``done`` takes each answer; None: none comes."""
+
+    def forget(self, owner: object) -> None:
+        """Take out what a tester that has gone had asked."""
+
+
+def only_reads(request: bytes) -> bool:
+    """Return whether a request passes without a rule."""
+    if request[0] == _DEFAULT_SESSION[0]:
+        return len(request) == 2 and request[1] & 0x7F == _DEFAULT_SESSION[1]
+    return request[0] in READING
+
+
+class Route:
+    """A route.
+
+    Args:
+        address: logical address of the ECU.
+        line: to it.
+    """
+
+    def __init__(self, address: int, line: Line) -> None:
+        self.address, self.line = address, line
+
+    def obstacle(self, request: bytes) -> Nack | None:
+        """Return why a request cannot be taken; None: it can, if there is room."""
+        if len(request) > self.line.longest:
+            return Nack.TOO_LARGE
+        return None if self.line.is_open else Nack.UNREACHABLE
+
+    def stamped(self, answer: bytes) -> bytes:
+        """Return an answer with the route's part added to the times of its session (0x50: P2 in 1 ms, P2* in 10 ms)."""
+        if answer[0] != 0x50 or len(answer) != 6:
+            return answer
+        p2, star = (int.from_bytes(answer[k : k + 2], "big") for k in (2, 4))
+        p2, star = p2 + self.line.part_ms, star + -(-self.line.part_ms // 10)
+        return answer[:2] + b"".join(min(each, 0xFFFF).to_bytes(2, "big") for each in (p2, star))
+
+    def refusal(self, request: bytes, server: UdsServer, t_ns: int) -> bytes:
+        """Return the negative response to a request that may not pass, which is noted; b"": it may."""
+        code = 0 if only_reads(request) else server.passes(request, self.line.name, t_ns)
+        return bytes([0x7F, request[0], code]) if code else b""
+
+
+def is_told(answer: bytes, functional: bool) -> bool:
+    """Return whether a tester is told an answer: refusals of those that were not meant are not, when all were asked."""
+    return not (functional and answer[0] == 0x7F and len(answer) > 2 and answer[2] in SILENT_WHEN_FUNCTIONAL)
