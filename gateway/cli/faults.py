@@ -81,10 +81,9 @@ def _list_ecu_dtcs(ecu: str, config: Path | None, *, memory: Path | None, json: 
         return 0
     table = table_of("ECU", "DTC", "status", "state", "came", "first, last", "snapshots")
     for each in found:
-        state = "there" if each["there"] else "went"
         table.add_row(
-            each["ecu"], each["dtc"], f"0x{each['status']:02X}", state, str(each["came"]),
-            f"{_second(each['first_ns'])}\n{_second(each['last_ns'])}",
+            each["ecu"], each["dtc"], f"0x{each['status']:02X}", "there" if each["there"] else "went",
+            str(each["came"]), f"{_second(each['first_ns'])}\n{_second(each['last_ns'])}",
             "\n".join(f"{name}: {data}" for name, data in each["snapshots"].items()),
         )  # fmt: skip
     others = ", ".join(sorted({each["ecu"] for each in known}))
