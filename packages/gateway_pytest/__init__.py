@@ -1,12 +1,18 @@
 """The door of the pytest plugin: pytest opens it in every project in whose environment the gateway is installed.
 
 It imports nothing of the gateway, and does nothing, unless the project asks: by ``gateway_scenarios`` or
-``gateway_config`` in its pytest settings. It stands beside the package, not in it: to import that is not nothing.
+``gateway_config`` in its pytest settings, or by ``gateway_conformance`` among pytest's arguments. It stands beside the
+package, not in it: to import that is not nothing.
 """
 
 from __future__ import annotations
 
+import re
+
 import pytest
+
+#: The suite as an argument: the package, a module or a path of it.
+_SUITE = re.compile(r"^(?:[^-].*/)?gateway_conformance(?:$|[/.:])")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -23,6 +29,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="Real buses in real time, as socketcan:vcan0; {worker} in it becomes the worker's name (xdist).",
     )
     group.addoption("--gateway-seed", type=int, metavar="N", help="Seed of all scenarios and virtual ECUs.")
+
+
+def pytest_load_initial_conftests(early_config: pytest.Config, parser: pytest.Parser, args: list[str]) -> None:
+    """Bring in the conformance suite where it is what runs: no other project has its options, as ``--target``."""
+    if any(_SUITE.search(argument) for argument in args):
+        from gateway_conformance import plugin  # noqa: PLC0415 - only where it is asked for
+
+        plugin.add_options(parser)
+        early_config.pluginmanager.register(plugin, "gateway_conformance.plugin")
 
 
 def pytest_configure(config: pytest.Config) -> None:

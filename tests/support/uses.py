@@ -19,6 +19,7 @@ BELOW = {
     "gateway_fdi": (),
     "gateway": ("gateway_fdi",),
     _BENCH: ("gateway", "gateway_fdi", "gateway_pytest"),
+    "gateway_conformance": ("gateway", "gateway_fdi", "gateway_pytest"),
     "gateway_plants": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
     "gateway_fleet": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
 }
