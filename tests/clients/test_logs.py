@@ -1,0 +1,87 @@
+"""Answers in logs that no gateway is fed: gateway decode and gateway learn."""
+
+import json
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from asking_rig import BUS, Car, Ecu, write
+from command import command
+
+from gateway.bus.frames import OWN
+from gateway.bus.logs import open_writer
+
+SEED = 3
+#: As gateway import writes it; nothing is asked by whoever only reads logs.
+ECU = """
+[[ecu]]
+name = "battery"
+bus = "obd"
+request = 0x7E4
+response = 0x7EC
+signals = ["cells.dbc"]
+read = [
+    { did = 0x2101, every_ms = 100 },
+    { did = 0x1091, every_ms = 100 },    # speed
+]
+"""
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """A file of an ECU, a log of its answers as another tester asked for them, and what it said."""
+    file, rng, said = write(tmp_path, BUS + "[bus.ask]\nrequests_per_s = 100\n" + ECU), np.random.default_rng(SEED), []
+    print("seed", SEED)
+
+    def answer(request):
+        if request == b"\x22\x21\x01":
+            data = bytearray(150)
+            data[0:2] = int(rng.integers(3000, 4200)).to_bytes(2, "big")
+            data[55:63] = int(rng.integers(1 << 50)).to_bytes(8, "little")
+            data[148:150] = int(rng.integers(3000, 4200)).to_bytes(2, "big")
+        else:
+            data = int(rng.integers(0, 30_000)).to_bytes(2, "big")
+        said.append((request[1:], bytes(data)))
+        return [(3, b"\x62" + request[1:] + data)]
+
+    made = Car(file, [Ecu(0x7E4, 0x7EC, answer)])
+    made.run(20_000)
+    made.close()
+    frames = made.recording()
+    frames["flags"] &= ~np.uint8(OWN)
+    with open_writer(tmp_path / "drive.log") as log:
+        log.write(frames)
+    return file, tmp_path / "drive.log", said
+
+
+def column(folder, message, name):
+    return [
+        value
+        for file in sorted(folder.rglob(f"{message}/**/*.parquet"))
+        for value in pq.read_table(file)[name].to_pylist()
+    ]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("way", ["--config", "--ecu"])
+def test_answers_in_a_log_are_decoded(recorded, way, tmp_path, capsys, monkeypatch):
+    file, log, said = recorded
+    (tmp_path / "other.dbc").write_text('VERSION ""\nBU_: A\nBO_ 291 Other: 2 A\n')
+    more = ["--database", tmp_path / "other.dbc"] if way == "--ecu" else []
+    ended = command(capsys, monkeypatch, "decode", log, "--out", tmp_path / "lake", way, file, *more, "--json")
+    assert ended.code == 0, ended.err
+    told = json.loads(ended.out)
+    lake = tmp_path / "lake"
+    cells = [data for did, data in said if did == b"\x21\x01"]
+    assert len(cells) > 100
+    decoded = column(lake, "Cells", "First")
+    assert decoded == pytest.approx([int.from_bytes(data[:2], "big") * 0.001 for data in cells[: len(decoded)]])
+    assert len(cells) - len(decoded) in (0, 1)  # one may be under way at the end
+    edges = [int.from_bytes(data[55:63], "little") for data in cells]
+    assert column(lake, "Cells_2", "Edge") == edges[: len(decoded)]
+    assert len(column(lake, "Cells_3", "Last")) == len(decoded)
+    speeds = column(lake, "Speed", "Speed")
+    assert told["answers"] == 3 * len(decoded) + len(speeds)
+    assert any(
+        note.startswith(f"ECU battery: {len(decoded) + len(speeds)} answers decoded, 0 ") for note in told["notes"]
+    )
