@@ -5,11 +5,12 @@ import json
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from asking_rig import BUS, Car, Ecu, write
+from asking_rig import BUS, DBC, Car, Ecu, write
 from command import command
 
 from gateway.bus.frames import OWN
 from gateway.bus.logs import open_writer
+from gateway.config.load import load_config
 
 SEED = 3
 #: As gateway import writes it; nothing is asked by whoever only reads logs.
@@ -30,7 +31,11 @@ read = [
 @pytest.fixture
 def recorded(tmp_path):
     """A file of an ECU, a log of its answers as another tester asked for them, and what it said."""
-    file, rng, said = write(tmp_path, BUS + "[bus.ask]\nrequests_per_s = 100\n" + ECU), np.random.default_rng(SEED), []
+    file, rng, said = (
+        write(tmp_path, BUS + "[bus.ask]\nrequests_per_s = 100\n" + ECU, DBC.replace("[0|65]", "[0|5]")),
+        np.random.default_rng(SEED),
+        [],
+    )
     print("seed", SEED)
 
     def answer(request):
@@ -85,3 +90,40 @@ def test_answers_in_a_log_are_decoded(recorded, way, tmp_path, capsys, monkeypat
     assert any(
         note.startswith(f"ECU battery: {len(decoded) + len(speeds)} answers decoded, 0 ") for note in told["notes"]
     )
+
+
+@pytest.mark.long
+def test_answers_in_a_log_are_learned_from(recorded, tmp_path, capsys, monkeypatch):
+    file, log, _ = recorded
+    out = tmp_path / "car.toml"
+    ended = command(capsys, monkeypatch, "learn", log, "--ecu", file, "-o", out, "--json")
+    assert ended.code == 0, ended.err
+    config = load_config(out)
+    (battery,) = config.ecu
+    assert battery.place == load_config(file).ecu[0].place
+    assert battery.read == load_config(file).ecu[0].read
+    assert config.bus[0].ask.requests_per_s == 100
+    assert {check.message for check in battery.check} == {"Cells", "Cells_2", "Cells_3", "Speed"}
+    assert not [check for check in battery.check if check.timeout_ms is not None]
+    (signals,) = [entry for entry in config.monitor if entry.type == "signal"]
+    asked = {entry["signal"]: set(entry) for entry in signals.model_extra["signal"]}
+    assert "plausible" in asked["Cells.First"]
+    assert not [keys for keys in asked.values() if keys & {"gradient", "stuck"}]
+    assert not [entry for entry in config.monitor if entry.type == "rule"]
+    again = tmp_path / "again.toml"
+    told = file.read_text() + 'check = [{ message = "Cells", timeout_ms = 900.0 }]\n'
+    (tmp_path / "told.toml").write_text(told)
+    ended = command(capsys, monkeypatch, "learn", log, "--ecu", tmp_path / "told.toml", "-o", again, "--json")
+    assert ended.code == 0, ended.err
+    for update in (False, True):
+        if update:
+            text = again.read_text()
+            ended = command(capsys, monkeypatch, "learn", log, "--update", "-o", again, "--json")
+            assert ended.code == 0, ended.err
+            assert again.read_text().count("message =") == text.count("message =")
+            assert again.read_text().count("signal =") == text.count("signal =")
+        timeouts = {check.message: check.timeout_ms for check in load_config(again).ecu[0].check}
+        assert timeouts == {"Cells": 900.0, "Cells_2": None, "Cells_3": None, "Speed": None}
+    ended = command(capsys, monkeypatch, "replay", log, "-c", out, "--json", "--memory", tmp_path / "m.sqlite")
+    assert ended.code == 0, ended.err
+    assert not [line for line in ended.out.splitlines() if json.loads(line)["event"] == "dtc"]
