@@ -127,3 +127,30 @@ def test_answers_in_a_log_are_learned_from(recorded, tmp_path, capsys, monkeypat
     ended = command(capsys, monkeypatch, "replay", log, "-c", out, "--json", "--memory", tmp_path / "m.sqlite")
     assert ended.code == 0, ended.err
     assert not [line for line in ended.out.splitlines() if json.loads(line)["event"] == "dtc"]
+
+
+@pytest.mark.long
+def test_faults_are_put_into_answers(recorded, tmp_path, capsys, monkeypatch):
+    file, log, _ = recorded
+    out = tmp_path / "judged.toml"
+    monitor = '[[monitor]]\nname = "cells"\ntype = "signal"\nbus = "answers:obd"\n'
+    monitor += 'signal = [{ signal = "Cells.First", plausible = [2.9, 4.3] }]\n'
+    checked = 'check = [{ message = "Speed", timeout_ms = 1000.0, length = false }]\n'
+    out.write_text(file.read_text() + checked + monitor)
+
+    def faults(*inject):
+        arguments = [part for text in inject for part in ("--inject", text)]
+        ended = command(capsys, monkeypatch, "replay", log, "-c", out, "--json", *arguments)
+        assert ended.code == 0, ended.err
+        events = [json.loads(line) for line in ended.out.splitlines()]
+        begun = next(event["t_ns"] for event in events if "t_ns" in event)
+        notes = next(event["notes"] for event in events if event["event"] == "log")
+        set_ = {e["fault"]: (e["t_ns"] - begun) / 1e9 for e in events if e["event"] == "dtc" and e["status"] & 1}
+        return set_, notes
+
+    assert faults()[0] == {}
+    set_, notes = faults("offset answers:obd.Cells.First=2 @5")
+    assert list(set_) == ["cells.First.high"]
+    assert set_["cells.First.high"] > 5
+    assert any("--inject" in note and not note.endswith(" 0 frames") for note in notes)
+    assert list(faults("drop Speed @8..12")[0]) == ["answers:obd.Speed.timeout"]
