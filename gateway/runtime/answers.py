@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from gateway.answers.pages import AnswerBus
 from gateway.answers.weave import Weaver
-from gateway.bus.frames import Frames
+from gateway.bus.frames import Frames, chosen
 from gateway.clients.asking import TELLS, Asking, Ecu
 from gateway.clients.ecu import Ask, EcuClient
 from gateway.clients.params import EcuParams
@@ -51,7 +51,7 @@ class Answers:
         if made is frames:
             return frames
         self._asking.told.clear()  # DTCs are of the vehicle's memory, which a log has none of
-        made = made[(made["bus"] < self._first) | (made["can_id"] != TELLS)]
+        made = chosen(made, (made["bus"] < self._first) | (made["can_id"] != TELLS))
         self.woven += len(made) - len(frames)
         return made
 

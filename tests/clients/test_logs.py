@@ -41,9 +41,10 @@ def recorded(tmp_path):
     def answer(request):
         if request == b"\x22\x21\x01":
             data = bytearray(150)
-            data[0:2] = int(rng.integers(3000, 4200)).to_bytes(2, "big")
+            cell = round(3600 + 400 * np.sin(len(said) / 40) + rng.uniform(-9, 9))  # as a cell is: slow
+            data[0:2] = cell.to_bytes(2, "big")
             data[55:63] = int(rng.integers(1 << 50)).to_bytes(8, "little")
-            data[148:150] = int(rng.integers(3000, 4200)).to_bytes(2, "big")
+            data[148:150] = (cell + int(rng.integers(-2, 3))).to_bytes(2, "big")
         else:
             data = int(rng.integers(0, 30_000)).to_bytes(2, "big")
         said.append((request[1:], bytes(data)))

@@ -58,7 +58,7 @@ def learn_car(
     else:
         asked_buses = _buses(databases, buses, logs)
     if pgn:
-        asked_buses = [bus if bus.ecus else replace(bus, match="pgn") for bus in asked_buses]
+        asked_buses = [bus if bus.of_answers else replace(bus, match="pgn") for bus in asked_buses]
     asked = Asked(
         name=re.sub(r"[^A-Za-z0-9_-]", "_", out.stem),
         buses=tuple(_relative(bus, out) for bus in asked_buses),
@@ -127,7 +127,7 @@ def _with_databases(
         InputError: databases of no bus, or of one that the file does not have.
     """
     made = list(asked)
-    names = [bus.name for bus in asked if not bus.ecus]
+    names = [bus.name for bus in asked if not bus.of_answers]
     if databases and len(names) > 1:
         raise InputError("of several buses: name the bus, --bus NAME=DATABASE", file=file, key="bus")
     more = {names[0]: BusAsked(names[0], "", tuple(str(path) for path in databases))} if databases and not named else {}

@@ -67,7 +67,7 @@ def answers_asked(file: Path, out: Path, *, update: bool = False) -> list[BusAsk
     ):
         found = []
         for at, k in enumerate(ecus):
-            table = dict(text["ecu"][k])  # type: ignore[index, arg-type]
+            table = dict(text["ecu"][k])
             checks = {str(each["message"]): dict(each) for each in _plain(table.pop("check", []))}
             if update:
                 checks = {name: keys for name, keys in checks.items() if set(keys) - _LEARNED}
@@ -77,8 +77,7 @@ def answers_asked(file: Path, out: Path, *, update: bool = False) -> list[BusAsk
             ids = {page.can_id & ~EXTENDED for pages in answers.pages[at].values() for page in pages}
             names = frozenset(message.name for message in answers.database if message.frame_id in ids)
             found.append(EcuAsked(config.ecu[k], table, checks, names))
-        if found:
-            made.append(BusAsked(bus.name, bus.uri, (), ecus=tuple(found)))
+        made.append(BusAsked(bus.name, bus.uri, (), ecus=tuple(found)))
     return made
 
 
@@ -127,8 +126,9 @@ def answer_notes(observation: Observation, buses: Sequence[BusAsked]) -> list[st
         came = sorted(name for at, name in observation.seen if at == index)
         absent = sum(at == index for at, _ in observation.absent)
         if bus.ecus:
+            names = f" ({', '.join(came)})" if came else ""
             notes.append(
-                f"{bus.name}: of {len(came) + absent} answers that have a layout {len(came)} came: {', '.join(came)};"
-                " when they come is up to who asks: no timeout, gradient, standstill or relation is learned of them"
+                f"{bus.name}: of {len(came) + absent} answers that have a layout {len(came)} came{names}; when they come"
+                " is up to who asks: no timeout, gradient, standstill or relation is learned of them"
             )
     return notes

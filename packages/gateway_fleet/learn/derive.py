@@ -44,9 +44,9 @@ def derive(
     found: dict[tuple[int, str], ProtectionFound] = {}
     seconds = earlier_s + sum(log.seconds for log in observation.logs)
     taken: dict[int, set[str]] = {}
-    buses = [bus.name for bus in asked if not bus.ecus]
+    buses = [bus.name for bus in asked if not bus.of_answers]
     everything = observation
-    heard = {key: seen for key, seen in observation.seen.items() if not asked[key[0]].ecus}
+    heard = {key: seen for key, seen in observation.seen.items() if not asked[key[0]].of_answers}
     observation = replace(observation, seen=heard)
     for key, seen in observation.seen.items():
         bus, name = key
@@ -71,7 +71,7 @@ def derive(
     learned.notes[:0] = strangers(observation, buses)
     learned.notes += limits.notes_of(observation, buses, learned)
     for (index, _), seen in everything.seen.items():
-        if asked[index].ecus:
+        if asked[index].of_answers:
             answer_lines(learned, asked[index], seen, seconds, taken.setdefault(index, set()))
     learned.notes += answer_notes(everything, asked)
     return learned

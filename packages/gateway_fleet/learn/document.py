@@ -41,7 +41,7 @@ class BusAsked:
         match: as in the configuration.
         files: the databases' files as given, relative to where the command runs; empty: as ``databases``.
         keys: others of the user's file of ECUs.
-        ecus: those whose answers come on it; it is the bus of answers, which nothing opens.
+        ecus: of a bus of answers, which nothing opens: those whose answers come on it.
     """
 
     name: str
@@ -51,6 +51,11 @@ class BusAsked:
     files: tuple[str, ...] = ()
     keys: Mapping[str, Any] = field(default_factory=dict)
     ecus: tuple[EcuAsked, ...] = ()
+
+    @property
+    def of_answers(self) -> bool:
+        """Whether it is a bus ``answers:<bus>``."""
+        return self.name.startswith("answers:")
 
 
 _CAUSES = """
@@ -108,7 +113,7 @@ def document(name: str, buses: Sequence[BusAsked], learned: Learned, logs: Seque
     text = _HEAD.format(title=title, logs="; ".join(logs), name=inline(name))
     for bus in buses:
         text += "".join(_ecu(ecu, bus.name, learned) for ecu in bus.ecus)
-        if bus.ecus:
+        if bus.of_answers:
             continue
         more = "".join(f"\n{key} = {inline(value)}" for key, value in bus.keys.items())
         text += _BUS.format(

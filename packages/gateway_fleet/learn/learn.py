@@ -127,10 +127,11 @@ def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Databa
                 name=bus.name,
                 uri=bus.uri,
                 match=bus.match,
+                dm1=bool(bus.keys.get("dm1")),
                 database=tuple(Path(file) for file in bus.files or bus.databases),
             )
             for bus in asked.buses
-            if not bus.ecus
+            if not bus.of_answers
         ),
         ecu=tuple(ecu.params for bus in asked.buses for ecu in bus.ecus),
     )
@@ -148,7 +149,7 @@ def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Databa
 
 def own_database(asked: Asked, bus: BusAsked) -> Path | None:
     """Return the file of identifiers that no other database has; None: the updated file names none, or answers."""
-    if bus.ecus:
+    if bus.of_answers:
         return None
     path = database_path(asked.out, bus.name)
     given = (Path(file) for file in bus.files or bus.databases)
