@@ -13,6 +13,8 @@ from gateway.bus.logs import open_writer
 from gateway.config.load import load_config
 
 SEED = 3
+#: An answer that does not come: DID 0x1092.
+NEVER = 'BO_ 2149716114 Never: 2 A\n SG_ Never : 7|16@0+ (1,0) [0|9] "" A\n'
 #: As gateway import writes it; nothing is asked by whoever only reads logs.
 ECU = """
 [[ecu]]
@@ -32,7 +34,7 @@ read = [
 def recorded(tmp_path):
     """A file of an ECU, a log of its answers as another tester asked for them, and what it said."""
     file, rng, said = (
-        write(tmp_path, BUS + "[bus.ask]\nrequests_per_s = 100\n" + ECU, DBC.replace("[0|65]", "[0|5]")),
+        write(tmp_path, BUS + "[bus.ask]\nrequests_per_s = 100\n" + ECU, DBC.replace("[0|65]", "[0|5]") + NEVER),
         np.random.default_rng(SEED),
         [],
     )
@@ -112,7 +114,9 @@ def test_answers_in_a_log_are_learned_from(recorded, tmp_path, capsys, monkeypat
     assert not [keys for keys in asked.values() if keys & {"gradient", "stuck"}]
     assert not [entry for entry in config.monitor if entry.type == "rule"]
     again = tmp_path / "again.toml"
-    told = file.read_text() + 'check = [{ message = "Cells", timeout_ms = 900.0 }]\n'
+    told = (
+        file.read_text() + 'check = [{ message = "Cells", timeout_ms = 900.0 }, { message = "Never", value = false }]\n'
+    )
     (tmp_path / "told.toml").write_text(told)
     ended = command(capsys, monkeypatch, "learn", log, "--ecu", tmp_path / "told.toml", "-o", again, "--json")
     assert ended.code == 0, ended.err
@@ -124,7 +128,7 @@ def test_answers_in_a_log_are_learned_from(recorded, tmp_path, capsys, monkeypat
             assert again.read_text().count("message =") == text.count("message =")
             assert again.read_text().count("signal =") == text.count("signal =")
         timeouts = {check.message: check.timeout_ms for check in load_config(again).ecu[0].check}
-        assert timeouts == {"Cells": 900.0, "Cells_2": None, "Cells_3": None, "Speed": None}
+        assert timeouts == {"Cells": 900.0, "Cells_2": None, "Cells_3": None, "Never": None, "Speed": None}
     ended = command(capsys, monkeypatch, "replay", log, "-c", out, "--json", "--memory", tmp_path / "m.sqlite")
     assert ended.code == 0, ended.err
     assert not [line for line in ended.out.splitlines() if json.loads(line)["event"] == "dtc"]

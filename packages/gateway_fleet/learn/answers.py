@@ -119,6 +119,14 @@ def answer_lines(learned: Learned, bus: BusAsked, seen: Seen, seconds: float, ta
             learned.add(replace(line, keys=keys))
 
 
+def absent_lines(learned: Learned, bus: BusAsked) -> None:
+    """Add the checks that the file of the ECUs asks for of answers that did not come."""
+    for ecu in bus.ecus:
+        for name, keys in ecu.checks.items():
+            if (bus.name, CHECK, name) not in learned.lines:
+                learned.add(Line(bus.name, CHECK, name, keys, "no answer in the logs; as the file of the ECUs asks"))
+
+
 def answer_notes(observation: Observation, buses: Sequence[BusAsked]) -> list[str]:
     """Return which answers came, and what is not asked of them; one line a bus."""
     notes = []
@@ -128,7 +136,7 @@ def answer_notes(observation: Observation, buses: Sequence[BusAsked]) -> list[st
         if bus.ecus:
             names = f" ({', '.join(came)})" if came else ""
             notes.append(
-                f"{bus.name}: of {len(came) + absent} answers that have a layout {len(came)} came{names}; when they come"
-                " is up to who asks: no timeout, gradient, standstill or relation is learned of them"
+                f"{bus.name}: of {len(came) + absent} answers that have a layout {len(came)} came{names};"
+                " when they come is up to who asks: no timeout, gradient, standstill or relation is learned of them"
             )
     return notes

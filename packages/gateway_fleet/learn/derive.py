@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.signals.database import Database
 from gateway_fleet.learn import limits
-from gateway_fleet.learn.answers import answer_lines, answer_notes
+from gateway_fleet.learn.answers import absent_lines, answer_lines, answer_notes
 from gateway_fleet.learn.belonging import strangers
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.gaps import cycle_ns
@@ -73,6 +73,8 @@ def derive(
     for (index, _), seen in everything.seen.items():
         if asked[index].of_answers:
             answer_lines(learned, asked[index], seen, seconds, taken.setdefault(index, set()))
+    for bus_asked in asked:
+        absent_lines(learned, bus_asked)
     learned.notes += answer_notes(everything, asked)
     return learned
 
