@@ -10,6 +10,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from gateway.answers.pages import AnswerBus
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import contents
 from gateway.bus.ring import read_recording
@@ -18,6 +19,7 @@ from gateway.config.channels import channels_of
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams, Refinement, SensorCalibration
+from gateway.runtime.answers import Answers
 from gateway.runtime.app import Gateway
 from gateway_fdi.errors import InputError, InputErrors
 
@@ -100,6 +102,15 @@ def read_even(config: Config, path: Path, maps: Sequence[str] = ()) -> Iterator[
     found = contents(reader, buses, channels)
     if found.wrong:
         raise NothingToLearnError(found.wrong, found.state)
+
+
+def read_answered(
+    config: Config, answers: Sequence[AnswerBus], path: Path, maps: Sequence[str]
+) -> Iterator[tuple[Frames, float]]:
+    """Yield a healthy log as :func:`read_even` does, with the frames of answers."""
+    heard = Answers(config, answers)
+    for frames, done in read_even(config, path, maps):
+        yield heard.add(frames), done
 
 
 def batches(config: Config, path: Path, progress: Progress, maps: Sequence[str] = ()) -> Iterator[Frames]:

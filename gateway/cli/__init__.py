@@ -22,6 +22,7 @@ from gateway.cli.options import (
     LOG_HELP,
     ConfigArgument,
     ConfigOption,
+    EcuOption,
     FailOnDtc,
     HtmlOption,
     Json,
@@ -382,6 +383,7 @@ def decode(
         Path | None,
         typer.Option("--config", "-c", help="Take buses and databases from this configuration, instead of --database."),
     ] = None,
+    ecu: EcuOption = None,
     maps: Maps = None,
     device: Annotated[
         str | None, typer.Option("--device", help="Name of the device (car) of the logs.  [default: folder of the log]")

@@ -14,8 +14,10 @@ from gateway.cli.present import find_config, print_json, say
 from gateway.common.extras import need
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
+from gateway.config.model import BusConfig, Config
+from gateway.config.resolve import answer_buses, load_databases
 from gateway.decode.lake import Lake, Written
-from gateway.signals.database import load_database
+from gateway.runtime.answers import Answers
 from gateway_fdi.errors import InputError, InputErrors
 
 #: Stamps before this are no wall time: 1980-01-01 [ns].
@@ -30,6 +32,7 @@ class _Decoded:
     wall: bool
     wrong: InputError | None
     seconds: float
+    answers: Answers
 
     def event(self) -> dict[str, Any]:
         """Return it in the form of the JSON contract."""
@@ -37,7 +40,8 @@ class _Decoded:
             "event": "decoded",
             "log": str(self.recording.path),
             "device": self.recording.device,
-            "frames": self.written.frames,
+            "frames": self.frames,
+            "answers": self.answers.woven,
             "rows": self.written.rows,
             "files": [str(path) for path in self.written.files],
             "foreign": self.written.foreign,
@@ -45,6 +49,11 @@ class _Decoded:
             "notes": self.notes(),
             "reasons": [str(error) for error in self.problems],
         }
+
+    @property
+    def frames(self) -> int:
+        """Frames of the log."""
+        return self.written.frames - self.answers.woven
 
     @property
     def problems(self) -> list[InputError]:
@@ -55,7 +64,8 @@ class _Decoded:
         """Return what people should know, one line each."""
         notes = [f"{count} frames of {name} left out: {why}" for (name, why), count in self.written.left_out.items()]
         if self.written.foreign:
-            notes.append(f"{self.written.foreign} of {self.written.frames} frames are of no message of the database")
+            notes.append(f"{self.written.foreign} of {self.frames} frames are of no message of the database")
+        notes += self.answers.notes()
         if not self.wall and self.written.rows:
             notes.append("the log has no wall time: its rows are in 1970")
         if self.reader.passed_over:
@@ -69,6 +79,7 @@ def decode(
     *,
     databases: Sequence[Path],
     config: Path | None,
+    ecu: Path | None,
     maps: Sequence[str],
     device: str | None,
     numbers: bool,
@@ -85,25 +96,25 @@ def decode(
         raise InputError("either databases or a configuration", key="--database", value=str(databases[0]))
     recordings = find(logs, device)
     channels: dict[str, int] | None = None
-    if databases:
-        lake = Lake(out, [load_database(databases)], numbers=numbers)
-        if maps:
-            raise InputError("goes with --config", key="--map", value=maps[0])
-    else:
-        loaded = load_config(find_config(config))
+    if databases and maps:
+        raise InputError("goes with --config or --ecu", key="--map", value=maps[0])
+    loaded = _configured(databases, config, ecu)
+    if not databases:
         channels = channels_of(loaded, maps)
-        pgn = [k for k, bus in enumerate(loaded.bus) if bus.match == "pgn"]
-        lake = Lake(out, [load_database(bus.database) for bus in loaded.bus], pgn=pgn, numbers=numbers)
+    pgn = [k for k, bus in enumerate(loaded.bus) if bus.match == "pgn"]
+    answers = answer_buses(loaded)
+    known = [*load_databases(loaded), *(bus.database for bus in answers)]
+    lake = Lake(out, known, pgn=pgn, numbers=numbers)
     wrong: list[InputError] = []
     for recording in recordings:
-        done = _decoded(lake, recording, channels)
+        done = _decoded(lake, recording, channels, Answers(loaded, answers))
         wrong += done.problems
         if json:
             print_json(done.event())
             continue
-        rate = done.written.frames / done.seconds if done.seconds else 0.0
+        rate = done.frames / done.seconds if done.seconds else 0.0
         print(
-            f"{recording.path}: {done.written.frames} frames, {done.written.rows} rows in"
+            f"{recording.path}: {done.frames} frames, {done.written.rows} rows in"
             f" {len(done.written.files)} files, {rate:,.0f} frames/s"
         )
         for note in done.notes():
@@ -113,7 +124,28 @@ def decode(
     return 0
 
 
-def _decoded(lake: Lake, recording: Recording, channels: dict[str, int] | None) -> _Decoded:
+def _configured(databases: Sequence[Path], config: Path | None, ecu: Path | None) -> Config:
+    """Return buses with their databases and ECUs: of a configuration, a file of ECUs, or databases for all frames.
+
+    Raises:
+        InputError, InputErrors: a file that is wrong; databases beside a file of several buses.
+    """
+    if ecu is not None and config is not None:
+        raise InputError(
+            "either a configuration, which has its own [[ecu]], or a file of them", key="--ecu", value=str(ecu)
+        )
+    if not databases:
+        return load_config(find_config(config if ecu is None else ecu))
+    if ecu is None:
+        return Config(bus=(BusConfig(name="all", uri="virtual:all", database=tuple(databases)),))
+    asked = load_config(ecu)
+    if len(asked.bus) > 1:
+        raise InputError("of several buses: name the databases in it, as database of each [[bus]]", file=ecu, key="bus")
+    bus = asked.bus[0].model_copy(update={"database": (*asked.bus[0].database, *databases)})
+    return asked.model_copy(update={"bus": (bus,)})
+
+
+def _decoded(lake: Lake, recording: Recording, channels: dict[str, int] | None, answers: Answers) -> _Decoded:
     begun = time.monotonic()
     reader = read_recording(recording.path, channels)
     tables = lake.begin(recording.device, f"{recording.name}-{recording.digest()}")
@@ -124,11 +156,11 @@ def _decoded(lake: Lake, recording: Recording, channels: dict[str, int] | None) 
             for frames in reader:
                 origin_ns = reader.origin_ns
                 wall = wall and (not len(frames) or int(frames["t_ns"][0]) + origin_ns >= _WALL_NS)
-                tables.add(frames, origin_ns)
+                tables.add(answers.add(frames), origin_ns)
         except InputError as error:
             wrong = error
         written = tables.finish()
     except BaseException:
         tables.abandon()
         raise
-    return _Decoded(recording, reader, written, wall, wrong, time.monotonic() - begun)
+    return _Decoded(recording, reader, written, wall, wrong, time.monotonic() - begun, answers)

@@ -25,6 +25,12 @@ Maps = Annotated[
         help="Read this channel of the log as this bus of the configuration; may be repeated.",
     ),
 ]
+EcuOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--ecu", help="File of [[bus]] and [[ecu]], as gateway import and survey write: answers are read, too."
+    ),
+]
 StatusOption = Annotated[
     Path | None,
     typer.Option("--status", help="Status socket; default: as configured in [status], or next to the fault memory."),

@@ -82,7 +82,7 @@ def replay(
         report = None if html is None else RunReport(html, gateway, path)
         collector = gateway if report is None else report.collector
         with watched.of(gateway, parts, collector) as consumer, steps_watched(gateway.engine):
-            fed = _Faulty(consumer, injectors) if injectors else consumer
+            fed = _Faulty(consumer, injectors, gateway) if injectors else consumer
             damage = _feed(fed, reader, printer, log.name, traced)
         seconds = time.monotonic() - begun
         found = _found(reader, config, maps, damage, allow_empty=allow_empty, allow_cut=allow_cut)
@@ -187,27 +187,41 @@ def _injectors(config: Config, parts: Parts, texts: Sequence[str], seed: int) ->
     Raises:
         InputError: a fault that is none.
     """
-    names = [bus.name for bus in config.bus]
+    names = [bus.name for bus in config.buses]
     pgn = [k for k, bus in enumerate(config.bus) if bus.match == "pgn"]
-    # Answers of ECUs are made of frames, and are not in a log.
-    databases = parts.databases[: len(names)]
-    checks = [check for check in parts.checks if check.bus < len(names)]
-    asked = [parse_injection(text, names, databases) for text in texts]
-    return [Injector(one, databases, checks, np.random.default_rng([seed, k]), pgn=pgn) for k, one in enumerate(asked)]
+    asked = [parse_injection(text, names, parts.databases) for text in texts]
+    return [
+        Injector(one, parts.databases, parts.checks, np.random.default_rng([seed, k]), pgn=pgn)
+        for k, one in enumerate(asked)
+    ]
 
 
 class _Faulty:
-    """A gateway that is fed frames with faults in them."""
+    """A gateway that is fed frames with faults in them.
 
-    def __init__(self, gateway: FrameConsumer, injectors: Sequence[Injector]) -> None:
-        self._gateway, self._injectors = gateway, injectors
-        self.start, self.stop, self.without_own = gateway.start, gateway.stop, gateway.without_own
+    Args:
+        consumer: to be fed.
+        injectors: put the faults in.
+        gateway: that is fed in the end. No log has the answers of ECUs; it makes them of frames, so their faults are
+            put in behind that.
+    """
+
+    def __init__(self, consumer: FrameConsumer, injectors: Sequence[Injector], gateway: Gateway) -> None:
+        self._gateway, self._injectors = consumer, injectors
+        self._of_answers = [each for each in injectors if each.bus >= len(gateway.config.bus)]
+        gateway.asking.alter = self._altered if self._of_answers else None
+        self.start, self.stop, self.without_own = consumer.start, consumer.stop, consumer.without_own
 
     def feed(self, frames: Frames) -> Frames:
         """Feed the frames with all faults."""
-        for injector in self._injectors:
+        for injector in self._injectors:  # those of answers find none, and note when the log begins
             frames = injector.apply(frames)
         return self._gateway.feed(frames)
+
+    def _altered(self, frames: Frames) -> Frames:
+        for injector in self._of_answers:
+            frames = injector.apply(frames)
+        return frames
 
 
 def _watches(config: Config) -> bool:

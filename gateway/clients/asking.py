@@ -69,6 +69,7 @@ class Asking:
 
     Attributes:
         told: what answers say of DTCs, in the order of the frames TELLS.
+        alter: changes frames with answers among them, as a fault of an ECU would; None: nobody does.
     """
 
     def __init__(
@@ -86,6 +87,7 @@ class Asking:
         self._next_of_bus = dict.fromkeys(rates, 0)
         self._said: list[Frames] = []
         self.told: deque[Told] = deque()
+        self.alter: Callable[[Frames], Frames] | None = None
         self._heard: dict[tuple[int, int], list[tuple[Ecu, bool]]] = {}
         self._functional: dict[tuple[int, int], list[Ecu]] = {}
         self._groups: dict[tuple[int, int], EcuClient] = {}
@@ -128,7 +130,10 @@ class Asking:
                 parts += [frames[start : k + 1], made]
                 start = int(k) + 1
         self._plan()
-        return joined([*parts, frames[start:]]) if parts else frames
+        if not parts:
+            return frames
+        made = joined([*parts, frames[start:]])
+        return made if self.alter is None else self.alter(made)
 
     def _take(self, frame: np.void) -> Frames:
         bus, can_id, t_ns = int(frame["bus"]), int(frame["can_id"]), int(frame["t_ns"])

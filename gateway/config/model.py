@@ -233,12 +233,12 @@ class Config(StrictModel):
     @property
     def buses(self) -> tuple[BusConfig, ...]:
         """The buses, then those of the answers of ECUs on them: ``answers:<bus>``, which nothing opens."""
-        return (*self.bus, *(self._answers_of(self.bus[k].name, ecus) for k, ecus in self.answered.items()))
+        return (*self.bus, *(self._answers_of(self.bus[k], ecus) for k, ecus in self.answered.items()))
 
-    def _answers_of(self, bus: str, ecus: list[int]) -> BusConfig:
+    def _answers_of(self, bus: BusConfig, ecus: list[int]) -> BusConfig:
         checks = tuple(check for k in ecus for check in self.ecu[k].check)
-        name, health = f"answers:{bus}", bus_health.Params(watched=False)
-        made = BusConfig(name="answers", uri="virtual:answers", check=checks, health=health)
+        name, health = f"answers:{bus.name}", bus_health.Params(watched=False)
+        made = BusConfig(name="answers", uri="virtual:answers", check=checks, health=health, codes=bus.codes)
         return made.model_copy(update={"name": name, "uri": name})
 
     def key_of_check(self, bus: int, check: int) -> str:

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.answers.pages import AnswerBus
-from gateway.answers.weave import Weaver
-from gateway.clients.asking import Asking, Ecu
+from gateway.clients.asking import Asking
 from gateway.clients.dm1 import Dm1Listener
-from gateway.clients.ecu import MS, Ask, EcuClient, asks_of
+from gateway.clients.ecu import MS, Ask, asks_of
 from gateway.clients.params import DTC_REQUESTS, EcuParams
 from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
@@ -34,6 +33,7 @@ from gateway.faults.settings import FaultOverride
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.params import IsoTpParams
 from gateway.monitors.contract import Fault
+from gateway.runtime.answers import ecus_of
 from gateway.servers.authority import Authority
 from gateway.servers.bus_server import BusServer
 from gateway.servers.bus_servers import BusServers
@@ -363,13 +363,7 @@ def asking_of(config: Config, parts: Parts, control: TesterControl, may_ask: Cal
         control: judges conditions.
         may_ask: whether a bus may be asked now, by its index.
     """
-    made: list[Ecu] = []
-    for at, (bus, ecus) in enumerate(config.answered.items()):
-        answers = parts.answers[at]
-        for k, pages, lengths in zip(ecus, answers.pages, answers.lengths, strict=True):
-            params = config.ecu[k]
-            client = EcuClient(params, bus, [*asks_of(params), *_asks_of_dtcs(params, control)])
-            made.append(Ecu(client, Weaver(pages, lengths, len(config.bus) + at)))
+    made = ecus_of(config, parts.answers, lambda params: [*asks_of(params), *_asks_of_dtcs(params, control)])
     rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
     bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}
     return Asking(made, rates, may_ask, _dm1_of(config), bus_of)

@@ -134,6 +134,7 @@ class Injector:
         pgn: buses whose extended identifiers match by PGN.
 
     Attributes:
+        bus: index of the bus.
         count: frames that it has changed or taken out.
     """
 
@@ -147,7 +148,7 @@ class Injector:
         pgn: Collection[int] = (),
     ) -> None:
         self._asked, self._rng, self._start_ns = asked, rng, start_ns
-        self.count = 0
+        self.bus, self.count = asked.bus, 0
         mine = [check for check in checks if (check.bus, check.params.message) == (asked.bus, asked.message)]
         database = databases[asked.bus]
         protection = protection_for(database.message(asked.message), mine[0].params) if mine else Protection()

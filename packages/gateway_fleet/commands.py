@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from gateway.cli.commands import does
-from gateway.cli.options import ConfigOption, Json, JsonEvents, Maps
+from gateway.cli.options import ConfigOption, EcuOption, Json, JsonEvents, Maps
 
 
 @does("gateway_fleet.cli.learn:learn_car", bus="buses")
@@ -20,6 +20,7 @@ def learn(
         list[str] | None,
         typer.Option(metavar="NAME[=FILE[,FILE]]", help="Name of a bus and its databases; may be repeated."),
     ] = None,
+    ecu: EcuOption = None,
     hold_out: Annotated[
         float,
         typer.Option(min=0.0, max=0.9, help="Share of each log that is not learned from, but used to test the result."),

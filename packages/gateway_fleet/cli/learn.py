@@ -14,9 +14,9 @@ from typing import Any
 
 from gateway.bus.ring import read_recording
 from gateway.cli.present import print_json
-from gateway.config.load import load_config
 from gateway.signals.database import SUFFIXES
 from gateway_fdi.errors import InputError
+from gateway_fleet.learn.answers import answers_asked
 from gateway_fleet.learn.document import BusAsked, relative
 from gateway_fleet.learn.learn import Asked, Progress, Result, learn, write
 from gateway_fleet.learn.report import data, markdown, summary
@@ -33,6 +33,7 @@ def learn_car(
     *,
     out: Path,
     buses: Sequence[str],
+    ecu: Path | None,
     hold_out: float,
     maps: Sequence[str],
     pgn: bool,
@@ -48,9 +49,16 @@ def learn_car(
         raise InputError("name a log of a healthy drive, too, e.g. gateway learn car.dbc drive.log", key="LOG")
     if out.exists() and not (update or force):
         raise InputError("this file is there: --update adds the logs to it, --force overwrites it", file=out)
-    asked_buses = _of_file(out) if update else _buses(databases, buses, logs)
+    if update and ecu is not None:
+        raise InputError("the ECUs of a file that is updated are its own", key="--ecu", value=str(ecu))
+    if update:
+        asked_buses = answers_asked(out, out, update=True)
+    elif ecu is not None:
+        asked_buses = _with_databases(answers_asked(ecu, out), databases, buses, ecu)
+    else:
+        asked_buses = _buses(databases, buses, logs)
     if pgn:
-        asked_buses = [replace(bus, match="pgn") for bus in asked_buses]
+        asked_buses = [bus if bus.of_answers else replace(bus, match="pgn") for bus in asked_buses]
     asked = Asked(
         name=re.sub(r"[^A-Za-z0-9_-]", "_", out.stem),
         buses=tuple(_relative(bus, out) for bus in asked_buses),
@@ -110,15 +118,31 @@ def _channels(logs: Sequence[Path]) -> list[str]:
     return sorted(seen)
 
 
-def _of_file(out: Path) -> list[BusAsked]:
-    """Return the buses of a configuration that is there."""
-    config = load_config(out)
-    return [BusAsked(bus.name, bus.uri, tuple(str(path) for path in bus.database), bus.match) for bus in config.bus]
+def _with_databases(
+    asked: Sequence[BusAsked], databases: Sequence[Path], named: Sequence[str], file: Path
+) -> list[BusAsked]:
+    """Return the buses of a file of ECUs with databases beside its own.
+
+    Raises:
+        InputError: databases of no bus, or of one that the file does not have.
+    """
+    made = list(asked)
+    names = [bus.name for bus in asked if not bus.of_answers]
+    if databases and len(names) > 1:
+        raise InputError("of several buses: name the bus, --bus NAME=DATABASE", file=file, key="bus")
+    more = {names[0]: BusAsked(names[0], "", tuple(str(path) for path in databases))} if databases and not named else {}
+    more |= {bus.name: bus for bus in _buses(databases, named, ())} if named else {}
+    for name, bus in more.items():
+        if name not in names:
+            raise InputError(f"the buses of {file} are {', '.join(names)}", key="--bus", value=name)
+        k = names.index(name)
+        made[k] = replace(made[k], databases=(*made[k].databases, *bus.databases))
+    return made
 
 
 def _relative(bus: BusAsked, out: Path) -> BusAsked:
-    return BusAsked(
-        bus.name, bus.uri, tuple(relative(Path(path), out.parent) for path in bus.databases), bus.match, bus.databases
+    return replace(
+        bus, databases=tuple(relative(Path(path), out.parent) for path in bus.databases), files=bus.databases
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 
 from gateway.signals.database import Database
 from gateway_fleet.learn import limits
+from gateway_fleet.learn.answers import absent_lines, answer_lines, answer_notes
 from gateway_fleet.learn.belonging import strangers
+from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.gaps import cycle_ns
 from gateway_fleet.learn.grip import grip_lines
 from gateway_fleet.learn.lines import Learned
@@ -27,20 +30,24 @@ VARY, TOGETHER = 0.2, 0.2
 
 
 def derive(
-    observation: Observation, databases: Sequence[Database], buses: Sequence[str], earlier_s: float = 0.0
+    observation: Observation, databases: Sequence[Database], asked: Sequence[BusAsked], earlier_s: float = 0.0
 ) -> Learned:
     """Return the lines that a configuration gets, and the notes beside them.
 
     Args:
         observation: of the logs.
         databases: of the buses.
-        buses: their names.
+        asked: the buses; those of answers last.
         earlier_s: length of earlier logs whose statistics were added [s].
     """
     learned = Learned()
     found: dict[tuple[int, str], ProtectionFound] = {}
     seconds = earlier_s + sum(log.seconds for log in observation.logs)
     taken: dict[int, set[str]] = {}
+    buses = [bus.name for bus in asked if not bus.of_answers]
+    everything = observation
+    heard = {key: seen for key, seen in observation.seen.items() if not asked[key[0]].of_answers}
+    observation = replace(observation, seen=heard)
     for key, seen in observation.seen.items():
         bus, name = key
         file = Path() if seen.unknown else databases[bus].file_of(name)
@@ -63,6 +70,12 @@ def derive(
     limits.add(learned, grip_lines(observation, buses, speeds))
     learned.notes[:0] = strangers(observation, buses)
     learned.notes += limits.notes_of(observation, buses, learned)
+    for (index, _), seen in everything.seen.items():
+        if asked[index].of_answers:
+            answer_lines(learned, asked[index], seen, seconds, taken.setdefault(index, set()))
+    for bus_asked in asked:
+        absent_lines(learned, bus_asked)
+    learned.notes += answer_notes(everything, asked)
     return learned
 
 

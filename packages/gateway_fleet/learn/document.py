@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+from gateway.clients.params import EcuParams
 from gateway_fleet.learn.lines import CAUSE, CHECK, RULE, SIGNAL, Learned, Line, inline
+
+
+@dataclass(frozen=True)
+class EcuAsked:
+    """An ECU as the user's file has it.
+
+    Attributes:
+        params: of it.
+        keys: of its table but its checks; files relative to the configuration.
+        checks: of its answers, by message.
+        messages: names of its answers.
+    """
+
+    params: EcuParams
+    keys: Mapping[str, Any]
+    checks: Mapping[str, Mapping[str, Any]]
+    messages: frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -22,6 +40,8 @@ class BusAsked:
         databases: files, relative to the configuration.
         match: as in the configuration.
         files: the databases' files as given, relative to where the command runs; empty: as ``databases``.
+        keys: others of the user's file of ECUs.
+        ecus: of a bus of answers, which nothing opens: those whose answers come on it.
     """
 
     name: str
@@ -29,6 +49,13 @@ class BusAsked:
     databases: tuple[str, ...]
     match: Literal["id", "pgn"] = "id"
     files: tuple[str, ...] = ()
+    keys: Mapping[str, Any] = field(default_factory=dict)
+    ecus: tuple[EcuAsked, ...] = ()
+
+    @property
+    def of_answers(self) -> bool:
+        """Whether it is a bus ``answers:<bus>``."""
+        return self.name.startswith("answers:")
 
 
 _CAUSES = """
@@ -85,11 +112,15 @@ def document(name: str, buses: Sequence[BusAsked], learned: Learned, logs: Seque
     title = f"{name}: {sum(len(learned.of(bus.name, CHECK)) for bus in buses)} messages"
     text = _HEAD.format(title=title, logs="; ".join(logs), name=inline(name))
     for bus in buses:
+        text += "".join(_ecu(ecu, bus.name, learned) for ecu in bus.ecus)
+        if bus.of_answers:
+            continue
+        more = "".join(f"\n{key} = {inline(value)}" for key, value in bus.keys.items())
         text += _BUS.format(
             name=inline(bus.name),
             uri=inline(bus.uri),
             database=inline(list(bus.databases)),
-            match="" if bus.match == "id" else f"\nmatch = {inline(bus.match)}",
+            match=("" if bus.match == "id" else f"\nmatch = {inline(bus.match)}") + more,
             lines=_lines(learned, bus.name, CHECK),
         )
     for bus in buses:
@@ -101,6 +132,18 @@ def document(name: str, buses: Sequence[BusAsked], learned: Learned, logs: Seque
     if learned.notes:
         text += "\n# Not in it:\n" + "".join(f"# {line}\n" for note in learned.notes for line in _folded(note))
     return text
+
+
+def _ecu(ecu: EcuAsked, bus: str, learned: Learned) -> str:
+    """Return the text of an ECU, with the checks of its answers."""
+    text = "\n[[ecu]]\n"
+    for key, value in ecu.keys.items():
+        if key == "read":
+            text += "read = [\n" + "".join(f"    {inline(each)},\n" for each in value) + "]\n"
+        else:
+            text += f"{key} = {inline(value)}\n"
+    lines = [line.text() for line in learned.of(bus, CHECK) if line.name in ecu.messages]
+    return text + "".join(["check = [\n", *(f"{line}\n" for line in lines), "]\n"])
 
 
 _WHAT = {SIGNAL: "Signals: ranges, steepness, invalid codes.", RULE: "Signals that follow each other."}
@@ -146,7 +189,7 @@ def causes(buses: Sequence[BusAsked], learned: Learned) -> list[Line]:
 def monitor_name(bus: str, table: str, buses: Sequence[BusAsked]) -> str:
     """Return what the monitor of a bus's signals or relations is called."""
     name = {SIGNAL: "signals", RULE: "relations"}[table]
-    return name if len(buses) == 1 else f"{bus}_{name}"
+    return name if len(buses) == 1 else f"{bus.replace(':', '_')}_{name}"
 
 
 def _lines(learned: Learned, bus: str, table: str) -> str:

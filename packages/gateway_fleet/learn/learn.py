@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from gateway.bus.frames import ID_MASK
+from gateway.calibration.logs import read_answered
 from gateway.config.model import BusConfig, Config
-from gateway.config.resolve import load_databases
+from gateway.config.resolve import answer_buses, load_databases
 from gateway.engine.checks.memory_health import OWNER
 from gateway.signals.database import Database
 from gateway_fdi.errors import InputError
@@ -115,7 +116,7 @@ def write(texts: Mapping[Path, str]) -> None:
 
 
 def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Database, ...]]:
-    """Look at the logs.
+    """Look at the logs; returns the databases of the buses, too.
 
     Raises:
         InputError, InputErrors: a database or log that is wrong; nothing in the logs that a database has.
@@ -126,23 +127,30 @@ def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Databa
                 name=bus.name,
                 uri=bus.uri,
                 match=bus.match,
+                dm1=bool(bus.keys.get("dm1")),
                 database=tuple(Path(file) for file in bus.files or bus.databases),
             )
             for bus in asked.buses
-        )
+            if not bus.of_answers
+        ),
+        ecu=tuple(ecu.params for bus in asked.buses for ecu in bus.ecus),
     )
-    databases = load_databases(config)
+    answers = answer_buses(config)
+    databases = (*load_databases(config), *(bus.database for bus in answers))
     own = [own_database(asked, bus) for bus in asked.buses]
     observer = Observer(config, databases, own)
     for path in asked.logs:
-        observer.read(path, asked.maps, asked.hold_out, _by_log(progress, "reading"))
+        log = read_answered(config, answers, path, asked.maps)
+        observer.read(path, log, asked.hold_out, _by_log(progress, "reading"))
     observation = observer.result()
     _refuse_strangers(asked, observation, {str(path) for path in own})
     return observation, databases
 
 
 def own_database(asked: Asked, bus: BusAsked) -> Path | None:
-    """Return the file of a bus's identifiers that no other database has; None: the file to be updated names none."""
+    """Return the file of identifiers that no other database has; None: the updated file names none, or answers."""
+    if bus.of_answers:
+        return None
     path = database_path(asked.out, bus.name)
     given = (Path(file) for file in bus.files or bus.databases)
     return next((file for file in given if file.resolve() == path.resolve()), None if asked.update else path)
@@ -197,7 +205,7 @@ def learn(asked: Asked, progress: Progress) -> Result:
     names = [bus.name for bus in asked.buses]
     merge(observation, before, names)
     progress("deriving", "", 0.0)
-    learned = derive(observation, databases, names, before.seconds)
+    learned = derive(observation, databases, asked.buses, before.seconds)
     result = Result(learned, observation, "")
     result.databases = _own_texts(asked, databases, result)
     logs = [*before.logs, *logs_text(observation)]

@@ -56,13 +56,14 @@ def read(text: str) -> File:
     """Find the entries of checks, signals and relations in a configuration."""
     file = File(text.splitlines(), {}, {})
     buses = [str(bus.get("name", "")) for bus in parse_toml(text).get("bus", [])]
-    bus, table = "", ""
+    bus, table, of = "", "", ""
     for number, line in enumerate(file.lines):
         header = _HEADER.match(line)
         key = _KEY.match(line)
         array = _ARRAY.match(line)
         if header is not None and not table:
-            bus = buses[0] if len(buses) == 1 else ""
+            of = "answers:" if header["name"].strip() == "ecu" else ""
+            bus = of + buses[0] if len(buses) == 1 else ""
         elif table and line.strip().startswith("]"):
             file.ends[bus, table] = number
             table = ""
@@ -75,7 +76,7 @@ def read(text: str) -> File:
         elif array is not None:
             table = array["key"]
         elif key is not None and (key["key"] == "bus" or (key["key"] == "name" and key["value"] in buses)):
-            bus = key["value"]
+            bus = of + key["value"] if key["key"] == "bus" or not of else bus
     return file
 
 

@@ -13,7 +13,6 @@ from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
 from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames
-from gateway.calibration.logs import read_even
 from gateway.config.model import Config
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
@@ -146,7 +145,9 @@ class Observer:
         self._doubled = doubled
         self._snapshots = Snapshots(sum(len(seen.signals) for seen in self._made))
         self._logs: list[LogSeen] = []
-        self._pauses = [Pauses() for _ in config.bus]
+        self._pauses = [Pauses() for _ in databases]
+        places = {(bus, config.ecu[k].place) for bus, ecus in config.answered.items() for k in ecus}
+        self._asked = {(bus, each) for bus, place in places for each in (place.request, place.response)}
 
     def _seen(self, row: int, databases: list[tuple[int, Database]]) -> Seen:
         bus, name = self._plan.message_names[row]
@@ -164,8 +165,14 @@ class Observer:
         unknown = self._own[bus] is not None and dict(databases)[bus].file_of(name) == self._own[bus]
         return Seen(bus, message, signals, slice(first, self._last_column), courses, observers=shown, unknown=unknown)
 
-    def read(self, path: Path, maps: Sequence[str], hold_out: float, progress: Progress) -> None:
+    def read(self, path: Path, batches: Iterator[tuple[Frames, float]], hold_out: float, progress: Progress) -> None:
         """Read a log, but for a share at its end.
+
+        Args:
+            path: of the log.
+            batches: its frames with those of answers, and how far it is then.
+            hold_out: the share.
+            progress: told how far it is.
 
         Raises:
             InputError, InputErrors: it is damaged, cut off, or holds no frame of a configured bus.
@@ -180,7 +187,7 @@ class Observer:
             seen.last_ns = None
             for observer in seen.observers:
                 observer.begin()
-        for frames, cut in _until(read_even(self._config, path, maps), 1.0 - hold_out, progress, path):
+        for frames, cut in _until(batches, 1.0 - hold_out, progress, path):
             good = frames[: len(frames) if cut is None else cut]
             if cut is not None and log.cut_ns is None:
                 log.cut_ns = int(frames["t_ns"][cut])
@@ -239,10 +246,12 @@ class Observer:
 
     def _unknown(self, bus: int, can_id: int) -> int:
         """Return the place of a message for an identifier that no database has, -1 if none is to be made."""
+        if self._own[bus] is None or (bus, can_id) in self._asked:
+            return -1
         by_pgn = bool(can_id & EXTENDED) and self._config.bus[bus].match == "pgn"
         mine = [seen for seen in self._made if seen.bus == bus]
         made = sum(seen.unknown for seen in mine)
-        if self._own[bus] is None or by_pgn or of_a_tester(can_id) or made >= MOST:
+        if by_pgn or of_a_tester(can_id) or made >= MOST:
             return -1
         message = message_of(can_id, {seen.message.name for seen in mine})
         self._made.append(Seen(bus, message, [], slice(0, 0), Courses([]), unknown=True))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gateway.bus.frames import Frames, empty
-from gateway.calibration.logs import read_even
+from gateway.calibration.logs import read_answered
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
@@ -95,7 +95,7 @@ def _replay(
 
     window: list[Frames] = []
     kept, last_ns = 0, 0
-    for frames, done in read_even(result.config, log.path, maps):
+    for frames, done in read_answered(result.config, result.parts.answers, log.path, maps):
         if cut is not None and not held and int(frames["t_ns"].max()) >= cut:
             at = int(np.argmax(frames["t_ns"] >= cut))
             engine.process(frames[:at], hear)

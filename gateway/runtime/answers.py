@@ -1,0 +1,67 @@
+"""Answers of ECUs in frames that no gateway is fed, of a log: the same messages that one would make of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from gateway.answers.pages import AnswerBus
+from gateway.answers.weave import Weaver
+from gateway.bus.frames import Frames, chosen
+from gateway.clients.asking import TELLS, Asking, Ecu
+from gateway.clients.ecu import Ask, EcuClient
+from gateway.clients.params import EcuParams
+from gateway.config.model import Config
+
+
+def ecus_of(config: Config, answers: Sequence[AnswerBus], asks: Callable[[EcuParams], list[Ask]]) -> list[Ecu]:
+    """Build the ECUs of a configuration.
+
+    Args:
+        config: the configuration.
+        answers: buses of their answers, in the order of ``Config.answered``.
+        asks: returns what an ECU is asked for.
+    """
+    made: list[Ecu] = []
+    for at, (bus, ecus) in enumerate(config.answered.items()):
+        for k, pages, lengths in zip(ecus, answers[at].pages, answers[at].lengths, strict=True):
+            client = EcuClient(config.ecu[k], bus, asks(config.ecu[k]))
+            made.append(Ecu(client, Weaver(pages, lengths, len(config.bus) + at)))
+    return made
+
+
+class Answers:
+    """Puts the frames of answers behind those that complete them; it asks nothing.
+
+    Args:
+        config: the configuration.
+        answers: buses of the answers, in the order of ``Config.answered``.
+
+    Attributes:
+        woven: how many frames of answers there were.
+    """
+
+    def __init__(self, config: Config, answers: Sequence[AnswerBus]) -> None:
+        self._first = len(config.bus)
+        self._asking = Asking(ecus_of(config, answers, lambda _: []), {}, lambda _: False)
+        self.woven = 0
+
+    def add(self, frames: Frames) -> Frames:
+        """Return frames, in order of time, with those of the answers that they complete."""
+        made = self._asking.hear(frames)
+        if made is frames:
+            return frames
+        self._asking.told.clear()  # DTCs are of the vehicle's memory, which a log has none of
+        made = chosen(made, (made["bus"] < self._first) | (made["can_id"] != TELLS))
+        self.woven += len(made) - len(frames)
+        return made
+
+    def notes(self) -> list[str]:
+        """Return what came of the answers, one line an ECU that said something."""
+        said = []
+        for state in self._asking.states():
+            known = sum(state[f"answers_{name}"] for name in ("decoded", "shorter", "longer"))
+            unknown, refused, cut = (state[f"answers_{name}"] for name in ("unknown", "negative", "cut"))
+            text = f"{known} answers decoded, {unknown} without a layout, {refused} refusals, {cut} cut off"
+            some = known + unknown + refused + cut
+            said.append(f"ECU {state['ecu']}: {text if some else 'no answer in this log'}")
+        return said
