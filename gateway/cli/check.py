@@ -60,7 +60,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in _trusted_in_vain(monitor)
     ]
     warnings += _ways_around(config)
-    doip, by_bus, around = _reached(config)
+    reached, around = _reached(config)
     warnings += around
     warnings += secrets_shown(config, path)
     warnings += _of_this_machine(config)
@@ -72,8 +72,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
                 "codes": codes,
                 "taken": notes,
                 "told": told,
-                "doip": doip,
-                "routes": by_bus,
+                "reached": reached,
                 "warnings": warnings,
                 "asked": list(asked_of(config)),
             }
@@ -90,26 +89,23 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             print(f"taken: {text}")
         for text in asked_of(config):
             print(text)
-        for name, lines in told.items():
+        for name, lines in (told | reached).items():
             print(f"{name}:", *lines, sep="\n  ")
-        if doip:
-            print("by DoIP:", *doip, sep="\n  ")
-        if by_bus:
-            print("by routes from bus to bus:", *by_bus, sep="\n  ")
         for text in warnings:
             print(f"warning: {text}")
     return 0
 
 
-def _reached(config: Config) -> tuple[list[str], list[str], list[str]]:
-    """Return who reaches what by DoIP, by routes from bus to bus, and ways around the rules of both."""
+def _reached(config: Config) -> tuple[dict[str, list[str]], list[str]]:
+    """Return who reaches what by DoIP and by routes from bus to bus, by title, and ways around the rules of both."""
     doip, uds, need = config.output.doip, config.output.uds, config.needs[ROUTE]
     by_doip = [] if doip is None else list(reach(doip, need))
     addresses = [] if uds is None else uds.each_address
     by_bus = [line for each in addresses for line in bus_reach(each, config.bus[config.bus_index(each.bus)].name, need)]
     around = [] if doip is None else list(reach_around(doip))
     routed = by_bus or (doip is not None and doip.route)
-    return by_doip, by_bus, around + (list(routes_around(need)) if routed else [])
+    found = {"by DoIP": by_doip, "by routes from bus to bus": by_bus}
+    return {title: lines for title, lines in found.items() if lines}, around + list(routes_around(need) if routed else ())
 
 
 def asked_of(config: Config) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 
 from gateway.bus.frames import ID_MASK
@@ -159,7 +159,7 @@ def _routes(config: Config) -> Iterator[InputError]:
     """Routes go to ECUs that there are, on other buses that may be asked, and have identifiers of their own."""
     doip, named = config.output.doip, {ecu.name: ecu for ecu in config.ecu}
     by_bus = dict(_bus_routes(config))
-    routes: dict[str, tuple[RouteParams | BusRouteParams, str | None]] = {key: each for key, each in by_bus.items()}
+    routes: dict[str, tuple[RouteParams | BusRouteParams, str | None]] = {**by_bus}
     routes |= {f"output.doip.route[{k}]": (each, None) for k, each in enumerate(() if doip is None else doip.route)}
     for key, (route, from_bus) in routes.items():
         if route.ecu not in named:
@@ -196,14 +196,17 @@ def _identifiers_of_routes(config: Config) -> Iterator[InputError]:
         taken += [(bus, place.request, place.target, f"ecu[{k}]"), (bus, place.response, place.tester, f"ecu[{k}]")]
     for key, (route, name) in _bus_routes(config):
         bus, place = _index(config, name), route.place
-        fixed = route.address is not None
-        asked = (("request", place.request, place.target), ("response", place.response, place.tester))
+        keys = ("address", "address") if route.address is not None else ("request", "response")
+        asked = ((keys[0], place.request, place.target), (keys[1], place.response, place.tester))
         for what, can_id, address in asked:
-            for other, number, byte, owner in taken:
-                if (other, number) == (bus, can_id) and (byte == address or None in (byte, address)):
-                    value, what = f"0x{can_id & ID_MASK:X}", "address" if fixed else what
-                    yield InputError(f"{owner} has this identifier on this bus", key=f"{key}.{what}", value=value)
-                    break
+            owners = (
+                owner
+                for other, number, byte, owner in taken
+                if (other, number) == (bus, can_id) and (byte == address or None in (byte, address))
+            )
+            for owner in islice(owners, 1):
+                text = f"{owner} has this identifier on this bus"
+                yield InputError(text, key=f"{key}.{what}", value=f"0x{can_id & ID_MASK:X}")
         taken += [(bus, can_id, address, key) for _, can_id, address in asked]
 
 
