@@ -105,7 +105,9 @@ def _reached(config: Config) -> tuple[dict[str, list[str]], list[str]]:
     around = [] if doip is None else list(reach_around(doip))
     routed = by_bus or (doip is not None and doip.route)
     found = {"by DoIP": by_doip, "by routes from bus to bus": by_bus}
-    return {title: lines for title, lines in found.items() if lines}, around + list(routes_around(need) if routed else ())
+    return {title: lines for title, lines in found.items() if lines}, around + list(
+        routes_around(need) if routed else ()
+    )
 
 
 def asked_of(config: Config) -> Iterator[str]:

@@ -10,6 +10,7 @@ from asking_rig import Car
 from doip_rig import TESTER, Peer, message
 from rig import write_config
 from test_access import SECRET
+from test_authentication import AUTH, certificates, log_in
 from test_doip_routes import RULE, Can, echo
 from udsoncan.client import Client
 from udsoncan.connections import BaseConnection
@@ -47,6 +48,7 @@ target = 0x40
 [output.uds]
 bus = "b"
 security = [{{ level = 1, secret = "00112233" }}]
+{uds}
 [[output.uds.route]]
 ecu = "brakes"
 request = 0x7E1
@@ -117,13 +119,13 @@ class Node:
 class Net(Car):
     """A tester's bus and another one with three ECUs, one of each addressing; the gateway between them."""
 
-    def __init__(self, folder, *, read="", more="", answers=(echo, echo, echo)):
+    def __init__(self, folder, *, read="", uds="", more="", answers=(echo, echo, echo)):
         far = [
             Node(1, 0x719, 0x711, answer=answers[0]),
             Node(1, 0x18DAF140, 0x18DA40F1, answer=answers[1]),
             Node(1, 0x640, 0x6F1, 0xF1, 0x40, answer=answers[2]),
         ]
-        super().__init__(write_config(folder, extra=ROUTES.format(read=read) + more), far)
+        super().__init__(write_config(folder, extra=ROUTES.format(read=read, uds=uds) + more), far)
         self.far = far
         self.near = {ids: self.tester(*ids) for ids in (OWN, BRAKES, BODY, DOORS)}
         self.server = next(each for each in self.gateway.servers.all if isinstance(each, DoipServer))
@@ -152,11 +154,15 @@ class Net(Car):
         self.run(ms)
         return {ids: [each.hex() for each in node.heard] for ids, node in self.near.items() if node.heard}
 
-    def by_doip(self, one, target, request, ms=30):
+    def by_doip(self, one, target, request, ms=30, sender=None):
         one.take()
         one.send(message(0x8001, struct.pack(">HH", one.source, target) + bytes.fromhex(request)))
         self.run(ms)
-        return [body[4:].hex() for kind, body in one.take() if kind == 0x8001]
+        return [
+            body[4:].hex()
+            for kind, body in one.take()
+            if kind == 0x8001 and int.from_bytes(body[:2], "big") == (sender or target)
+        ]
 
     def speed(self, value):
         self.say(257, round(value * 2).to_bytes(2, "little") + bytes(6))
@@ -335,46 +341,67 @@ def unlock(ask):
     assert ask("2702" + hmac_sha256(seed, bytes.fromhex(SECRET), 1).hex()) == ["6702"]
 
 
-def test_the_firewall_answers_the_same_by_can_and_by_doip(tmp_path):
-    """Random (session, security, condition, service, physical or to all): nothing forbidden is seen by the ECU."""
+ROLE = RULE.replace("security = 1", 'roles = ["workshop"]')
+
+
+@pytest.mark.parametrize(("rule", "lacks"), [(RULE, 0x33), (ROLE, 0x34)], ids=["security", "role"])
+def test_the_firewall_answers_the_same_by_can_and_by_doip(tmp_path, rule, lacks):
+    """Random (session, security or role, condition, service, to one or to all): the ECU sees nothing forbidden."""
     seed = random.randrange(1 << 32)
     print("seed", seed)
     draw = random.Random(seed)
-    made = Net(tmp_path, more=RULE.format())
+    certificates(tmp_path)
+    made = Net(tmp_path, uds=AUTH, more=rule.format())
     one = Peer(made)
     assert one.activate(TESTER) == 0x10
-    roads = (lambda request: made.ask(OWN, request, ms=4)), (lambda request: made.by_doip(one, 0x1000, request, ms=4))
+
+    def by_can(request, patience=4):
+        return "".join(made.ask(OWN, request, ms=4))
+
+    def by_ip(request, patience=4):
+        return "".join(made.by_doip(one, 0x1000, request, ms=4))
+
+    def has_rights(ask, unit):
+        assert ask("1003").startswith("5003")
+        if unit and lacks == 0x34:
+            assert log_in(ask, unit) == "6903120000"
+        elif unit == "workshop":
+            unlock(lambda request: [ask(request)])
+
     heard, tried = made.far[0].heard, set()
-    for _ in range(amount(3000, 300)):
-        state, moves = draw.choice(("default", "extended", "unlocked")), draw.random() < 0.5
+    for _ in range(amount(1500, 150)):
+        state, moves = draw.choice(("default", "", "workshop", "workshop", "development")), draw.random() < 0.5
         made.speed(100.0 if moves else 0.0)
         sid = draw.choice((0x10, 0x11, 0x14, 0x19, 0x22, 0x27, 0x2E, 0x31, 0x34, 0x3E, 0x85, draw.randrange(0x80)))
         request = bytes([sid]) + draw.randbytes(draw.randrange(5))
         if draw.random() < 0.2:
             request = bytes([0x10, draw.choice((1, 0x81, 2, 3))])
-        reads = (sid != 0x10 and request[0] in (0x19, 0x22, 0x3E)) or request in (b"\x10\x01", b"\x10\x81")
-        wanted = 0 if reads else 0x7F if state == "default" else 0x33 if state == "extended" else 0x22 if moves else 0
-        told = []
-        for at, ask in enumerate(roads):
-            ask("1001")
-            if state == "unlocked":
-                unlock(ask)
-            elif state == "extended":
-                ask("1003")
+        to_all = draw.random() < 0.3 and sid != 0x28  # this one would silence us before it is passed on
+        reads = (request[0] in (0x19, 0x22, 0x3E)) or request in (b"\x10\x01", b"\x10\x81")
+        wanted = 0x7F if state == "default" else lacks if state != "workshop" else 0x22 if moves else 0
+        wanted, told, data = 0 if reads else wanted, [], request.hex()
+        what = (seed, data, state, moves, to_all)
+        for ask in (by_can, by_ip):
+            if state != "default":
+                has_rights(ask, state)
             heard.clear()
-            data = request.hex()
-            told.append(made.by_doip(one, 0x1001, data, ms=4) if at else made.ask(BRAKES, data, ms=4))
-            assert heard == ([] if wanted else [request]), (seed, data, state, moves)
-            made.run(210 if len(told[-1]) == 0 else 1)  # what is not answered is waited for
-        assert told[0] == told[1], (seed, request.hex(), state, moves)
+            if ask is by_can:
+                found = made.ask_all(data, ms=4).get(BRAKES, []) if to_all else made.ask(BRAKES, data, ms=4)
+            else:
+                found = made.by_doip(one, 0xE400 if to_all else 0x1001, data, ms=4, sender=0x1001)
+            told.append(found)
+            assert heard == ([] if wanted else [request]), what
+            made.run(1 if found else 210)  # an answer that does not come is waited for
+            ask("1001")
+        assert told[0] == told[1], what
         if wanted:
-            assert told[0] == [f"7f{request[:1].hex()}{wanted:02x}"]
-        tried.add((state, moves, wanted))
+            assert told[0] == ([] if to_all and wanted == 0x7F else [f"7f{data[:2]}{wanted:02x}"]), what
+        tried.add((moves, wanted, to_all))
     assert len(tried) >= 10
     made.close()
 
 
-def test_a_role_and_another_address_of_the_gateway_are_a_testers_own(tmp_path):
+def test_a_key_at_another_address_of_the_gateway_opens_its_own_routes_alone(tmp_path):
     further = """[[output.uds.further]]
 bus = "b"
 request = 0x7E4
@@ -399,7 +426,7 @@ response = 0x7ED
 
 
 def test_the_check_prints_who_reaches_what(tmp_path, capsys):
-    check(write_config(tmp_path, extra=ROUTES.format(read="") + RULE.format()), schema_wanted=False, json=False)
+    check(write_config(tmp_path, extra=ROUTES.format(read="", uds="") + RULE.format()), schema_wanted=False, json=False)
     said = capsys.readouterr().out
     more = "10 01, 19, 22, 3E; all else: in the extended session, security level 1, M1.Value in ..1"
     for line in (
@@ -429,6 +456,8 @@ def test_the_check_prints_who_reaches_what(tmp_path, capsys):
 )
 def test_wrong_routes_are_named(tmp_path, more, key):
     quiet = '[[bus]]\nname = "q"\nuri = "virtual:q"\nlisten_only = true\n'
-    text = ROUTES.format(read="").replace("[output.doip]", f"[[output.uds.route]]\n{more}\n{quiet}[output.doip]")
+    text = ROUTES.format(read="", uds="").replace(
+        "[output.doip]", f"[[output.uds.route]]\n{more}\n{quiet}[output.doip]"
+    )
     with pytest.raises((InputError, InputErrors), match=key):
         Car(write_config(tmp_path, extra=text))
