@@ -64,6 +64,12 @@ requests_per_s = 1000
 ecu = "doors"
 address = 0x33
 requests_per_s = 1000
+[[output.uds.route]]
+ecu = "doors"
+request = 0x6F1
+response = 0x613
+target = 0x13
+requests_per_s = 1000
 [output.doip]
 [[output.doip.route]]
 ecu = "brakes"
@@ -213,7 +219,9 @@ def test_each_addressing_reaches_its_ecu_with_short_and_long_messages(net):
         assert net.ask(ids, "3e80") == []
         assert net.far[at].heard == [b"\x22\xf1\x90", bytes.fromhex(long), b"\x3e\x80"]
     assert net.ask(OWN, "3e00") == ["7e00"], "the gateway itself"
-    assert net.gateway.servers.counters()["routed"] == 9
+    counters = net.gateway.servers.counters()
+    assert counters["routed"] == 9
+    assert counters["isotp_errors"] == 0, "each of two routes by 0x6F1 passes over what is to the other one"
 
 
 def test_answers_above_4095_bytes_have_the_escape_length(tmp_path):
@@ -418,6 +426,7 @@ response = 0x7ED
     unlock(lambda request: made.ask(two, request, ms=5))
     assert made.ask(BRAKES, "14ffffff") == ["7f147f"], "another tester's key"
     assert made.ask(other, "14ffffff") == ["54ffffff"]
+    assert made.gateway.asking.ecus[0].client.waiting.apart_ns == 20_000_000, "of three routes the slowest"
     assert [(each.address, each.outcome) for each in made.gateway.memory.interventions() if each.action == "route"] == [
         (0x7E1, 0x7F),
         (0x7E5, 0),
@@ -442,10 +451,10 @@ def test_the_check_prints_who_reaches_what(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("more", "key"),
     [
-        ('ecu = "brake"\nrequest = 0x7E2\nresponse = 0x7EA', r"route\[3\].ecu.*the ECUs are brakes"),
-        ('ecu = "brakes"\nrequest = 0x7E1\nresponse = 0x7EA', r"route\[3\].request = '0x7E1'.*route\[0\] has this"),
-        ('ecu = "brakes"\nrequest = 0x6F1\nresponse = 0x7EA', r"route\[3\].request = '0x6F1'.*route\[1\] has this"),
-        ('ecu = "brakes"\nrequest = 0x7E2\nresponse = 0x7E8', r"route\[3\].response.*output.uds has this"),
+        ('ecu = "brake"\nrequest = 0x7E2\nresponse = 0x7EA', r"route\[4\].ecu.*the ECUs are brakes"),
+        ('ecu = "brakes"\nrequest = 0x7E1\nresponse = 0x7EA', r"route\[4\].request = '0x7E1'.*route\[0\] has this"),
+        ('ecu = "brakes"\nrequest = 0x6F1\nresponse = 0x7EA', r"route\[4\].request = '0x6F1'.*route\[1\] has this"),
+        ('ecu = "brakes"\nrequest = 0x7E2\nresponse = 0x7E8', r"route\[4\].response.*output.uds has this"),
         ('ecu = "brakes"\nrequest = 0x7DF\nresponse = 0x7E8', "this request is to all ECUs"),
         ('ecu = "near"\nrequest = 0x7E2\nresponse = 0x7EA\n[[ecu]]\nname = "near"\nbus = "b"\naddress = 9', "own bus"),
         (
