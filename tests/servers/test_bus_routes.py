@@ -7,6 +7,7 @@ import isotp
 import pytest
 from amount import amount
 from asking_rig import Car
+from daemon_rig import World
 from doip_rig import TESTER, Peer, message
 from rig import write_config
 from test_access import SECRET
@@ -470,3 +471,24 @@ def test_wrong_routes_are_named(tmp_path, more, key):
     )
     with pytest.raises((InputError, InputErrors), match=key):
         Car(write_config(tmp_path, extra=text))
+
+
+def test_a_daemon_passes_on_between_its_buses(tmp_path):
+    """In the daemon's own loop: the request, and the answer one turn after the ECU's."""
+    world = World()
+    daemon = world.daemon(write_config(tmp_path, extra=ROUTES.format(read="", uds="")), tmp_path / "faults.sqlite")
+
+    def script():
+        yield from world.wait(0.05)
+        world.put(0x7E1, b"\x03\x22\xf1\x90\0\0\0\0", "virtual:rig")
+        yield from world.wait(0.02)
+        world.put(0x719, b"\x05\x62\xf1\x90\x01\x02\0\0", "virtual:far")
+        yield from world.wait(0.02)
+
+    world.play(daemon, script())
+    daemon.close()
+    sent = [(uri, can_id, data[:6]) for _, uri, can_id, data in world.sent]
+    assert sent == [
+        ("virtual:far", 0x711, b"\x03\x22\xf1\x90\xcc\xcc"),
+        ("virtual:rig", 0x7E9, b"\x05\x62\xf1\x90\x01\x02"),
+    ]
