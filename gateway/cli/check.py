@@ -21,6 +21,7 @@ from gateway.servers.access import ROUTE
 from gateway.servers.access_review import ways_around
 from gateway.servers.doip.reach import reach
 from gateway.servers.doip.reach import ways_around as reach_around
+from gateway.servers.reach import bus_reach, routes_around
 from gateway_fdi.errors import InputError, InputErrors, each_of
 
 #: Columns that are left for a name after the codes given out for it, of 80.
@@ -59,9 +60,8 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         for text in _trusted_in_vain(monitor)
     ]
     warnings += _ways_around(config)
-    doip, need = config.output.doip, config.needs[ROUTE]
-    reached = [] if doip is None else list(reach(doip, need))
-    warnings += [] if doip is None else list(reach_around(doip, need))
+    reached, around = _reached(config)
+    warnings += around
     warnings += secrets_shown(config, path)
     warnings += _of_this_machine(config)
     if json:
@@ -72,7 +72,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
                 "codes": codes,
                 "taken": notes,
                 "told": told,
-                "doip": reached,
+                "reached": reached,
                 "warnings": warnings,
                 "asked": list(asked_of(config)),
             }
@@ -89,13 +89,25 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             print(f"taken: {text}")
         for text in asked_of(config):
             print(text)
-        for name, lines in told.items():
+        for name, lines in (told | reached).items():
             print(f"{name}:", *lines, sep="\n  ")
-        if reached:
-            print("by DoIP:", *reached, sep="\n  ")
         for text in warnings:
             print(f"warning: {text}")
     return 0
+
+
+def _reached(config: Config) -> tuple[dict[str, list[str]], list[str]]:
+    """Return who reaches what by DoIP and by routes from bus to bus, by title, and ways around the rules of both."""
+    doip, uds, need = config.output.doip, config.output.uds, config.needs[ROUTE]
+    by_doip = [] if doip is None else list(reach(doip, need))
+    addresses = [] if uds is None else uds.each_address
+    by_bus = [line for each in addresses for line in bus_reach(each, config.bus[config.bus_index(each.bus)].name, need)]
+    around = [] if doip is None else list(reach_around(doip))
+    routed = by_bus or (doip is not None and doip.route)
+    found = {"by DoIP": by_doip, "by routes from bus to bus": by_bus}
+    return {title: lines for title, lines in found.items() if lines}, around + list(
+        routes_around(need) if routed else ()
+    )
 
 
 def asked_of(config: Config) -> Iterator[str]:

@@ -15,13 +15,13 @@ from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.dtcs import READ_DTCS, details_of, told_by
 from gateway.clients.ecu import MS, Ask, EcuClient
 from gateway.clients.line import Line
-from gateway.clients.params import FUNCTIONAL
 from gateway.clients.pgn import MARK, ended_by, identifiers_of
 from gateway.clients.refusals import PENDING
 from gateway.common.times import NEVER
 from gateway.faults.vehicle import TOLD, Told
-from gateway.isotp.edges import FLOW_CONTROL
+from gateway.isotp.edges import FLOW_CONTROL, MOST_LONG, MOST_SHORT
 from gateway.isotp.heard import Reassembler
+from gateway.isotp.place import FUNCTIONAL
 
 #: Identifier of a frame behind each answer that tells DTCs, on the bus of the answers: it is the place in time of
 #: :attr:`Asking.told`.
@@ -54,7 +54,7 @@ class Ecu:
 
     def __post_init__(self) -> None:
         place = self.client.place
-        self.answers, self.requests = Reassembler(place.tester), Reassembler(place.target)
+        self.answers, self.requests = Reassembler(place.tester, MOST_LONG), Reassembler(place.target)
 
 
 class Asking:
@@ -153,7 +153,8 @@ class Asking:
                 ecu.client.give_way(t_ns)
                 ecu.asked = ecu.requests.take(data, t_ns) or ecu.asked
             else:
-                if data and data[0] >> 4 == FLOW_CONTROL:
+                content = data if address is None else data[1:]
+                if content and content[0] >> 4 == FLOW_CONTROL:
                     self._said.append(ecu.client.on_flow_control(frame, t_ns))
                 made.append(self._answer(ecu, data, t_ns))
         return joined(made)
@@ -170,6 +171,9 @@ class Asking:
             return empty(0)
         ours = ecu.client.busy
         ecu.client.on_answer(answer, t_ns)
+        if len(answer) > MOST_SHORT:  # only testers ask for so much; no layout has it
+            ecu.asked, ecu.weaver.counts["longer"] = b"", ecu.weaver.counts["longer"] + 1
+            return empty(0)
         told = told_by(ecu.client.params.name, answer, ecu.asked)
         if answer[0] != NEGATIVE or answer[2:3] != bytes([PENDING]):
             ecu.asked = b""
@@ -237,10 +241,10 @@ class Asking:
 
         Args:
             name: of the ECU.
-            requests_per_s: most of them, of all testers together.
+            requests_per_s: most of them, of all testers together; of several lines the least counts.
         """
         client = next(ecu.client for ecu in self.ecus if ecu.client.params.name == name)
-        client.waiting.apart_ns = round(1e9 / requests_per_s)
+        client.waiting.apart_ns = max(client.waiting.apart_ns, round(1e9 / requests_per_s))
         return Line(client, self._may_ask, self._plan)
 
     def _plan(self) -> None:

@@ -8,15 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gateway.answers.weave import NEGATIVE, POSITIVE, READ_SERVICES
-from gateway.bus.frames import Frames, empty, put
-from gateway.clients.params import DTC_SERVICES, EcuAddress, EcuParams
-from gateway.clients.passed import Passed, Waiting, transport_of
+from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, put
+from gateway.clients.params import DTC_SERVICES, EcuParams
+from gateway.clients.passed import Passed, Waiting
 from gateway.clients.pgn import MARK, WAIT_MS, Ended, frame_of, pgn_of
 from gateway.clients.refusals import BUSY, FINAL, PENDING
 from gateway.common.times import NEVER
-from gateway.isotp.edges import MOST_SHORT
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.heard import N_CR_NS
+from gateway.isotp.params import IsoTpParams
+from gateway.isotp.place import EcuAddress
 from gateway_fdi.common.log import get_logger
 
 log = get_logger(__name__)
@@ -101,9 +102,12 @@ class EcuClient:
         self.place: EcuAddress = self.params.place
         self._sender = self._new_sender()
 
-    def _new_sender(self) -> IsoTpEndpoint | None:
-        transport = transport_of(self.place)
-        return None if transport is None else IsoTpEndpoint(transport, self.bus)
+    def _new_sender(self) -> IsoTpEndpoint:
+        """Return what sends requests of several frames."""
+        request, response, target, tester = self.place
+        long = bool(request & EXTENDED)
+        params = IsoTpParams(request=response & ID_MASK, response=request & ID_MASK, functional=None, extended=long)
+        return IsoTpEndpoint(params, self.bus, None if target is None or tester is None else (tester, target))
 
     @property
     def busy(self) -> bool:
@@ -114,7 +118,7 @@ class EcuClient:
     def due_ns(self) -> int:
         """When its next request is due, or its answer overdue; NEVER: nothing is."""
         if self._asked is not None:
-            sends_ns = self._sender.next_ns if self._sender is not None and self._sender.sending else NEVER
+            sends_ns = self._sender.next_ns if self._sender.sending else NEVER
             return min(self._deadline_ns, sends_ns)
         return max(min((ask.due_ns for ask in self.asks if not ask.refused), default=NEVER), self._rests_ns)
 
@@ -154,11 +158,6 @@ class EcuClient:
             return frame_of(ask.request, self.params.address or 0, self.bus, t_ns)
         return self._frame(bytes([len(ask.request)]) + ask.request, t_ns)
 
-    @property
-    def longest(self) -> int:
-        """Bytes of the longest request."""
-        return 6 if self._sender is None else MOST_SHORT
-
     def passes(self, t_ns: int) -> bool:
         """Return whether a tester's request may go now."""
         return bool(self.waiting.passed) and self._asked is None and t_ns >= self.waiting.next_ns
@@ -170,7 +169,6 @@ class EcuClient:
         self.counts["passed"] += 1
         if len(one.request) <= (7 if self.place.target is None else 6):
             return self._frame(bytes([len(one.request)]) + one.request, t_ns)
-        assert self._sender is not None, "longest is asked before"
         self._sender.advance(t_ns)
         self._sender.send([one.request])
         self._deadline_ns += N_CR_NS
@@ -178,13 +176,12 @@ class EcuClient:
 
     def on_flow_control(self, frame: np.void, t_ns: int) -> Frames:
         """Take the ECU's flow control of a request of several frames; returns the frames that follow."""
-        if self._sender is None or not self._sender.sending:
+        if not self._sender.sending:
             return empty(0)
         self._sender.receive(frame, t_ns)
         return self._go_on(t_ns)
 
     def _go_on(self, t_ns: int) -> Frames:
-        assert self._sender is not None
         self._sender.advance(t_ns)
         self._sender.send([])
         self._deadline_ns = t_ns + round(self.params.p2_ms * MS) + (N_CR_NS if self._sender.sending else 0)
@@ -300,7 +297,7 @@ class EcuClient:
         """Give up an answer that is overdue; returns the next frames of a request of several."""
         if self._asked is not None and t_ns >= self._deadline_ns:
             self._absent(t_ns)
-        elif self._sender is not None and self._sender.sending and t_ns >= self._sender.next_ns:
+        elif self._sender.sending and t_ns >= self._sender.next_ns:
             return self._go_on(t_ns)
         return empty(0)
 

@@ -19,9 +19,12 @@ class Line:
 
     def __init__(self, client: EcuClient, may_ask: Callable[[int], bool], plan: Callable[[], None]) -> None:
         self._client, self._may_ask, self._plan = client, may_ask, plan
-        self.name, self.longest = client.params.name, client.longest
-        # Behind one request that is under way, and the least time after it.
-        self.part_ms = round(client.params.p2_ms + client.waiting.apart_ns / 1e6)
+        self.name = client.params.name
+
+    @property
+    def part_ms(self) -> int:
+        """How long a request may wait behind one that is under way, and for the least time after it [ms]."""
+        return round(self._client.params.p2_ms + self._client.waiting.apart_ns / 1e6)
 
     @property
     def is_open(self) -> bool:
@@ -32,7 +35,7 @@ class Line:
         """Have a request sent; returns whether there is room for it.
 
         Args:
-            request: at most ``longest`` bytes.
+            request: at most 4095 bytes.
             owner: the tester.
             done: takes each answer; None: none comes any more.
         """

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
 from gateway.answers.model import TWO_BYTES, Address, request_name
 from gateway.answers.weave import READ_SERVICES
-from gateway.bus.frames import EXTENDED
 from gateway.clients import pgn
 from gateway.engine.checks.communication import Params as CheckParams
 from gateway.faults.settings import ConditionSettings, DtcText
+from gateway.isotp.place import PlaceParams
 from gateway.monitors.contract import Debounce, Fault
 from gateway_fdi.common.tomlfile import StrictModel
 
@@ -20,12 +20,6 @@ from gateway_fdi.common.tomlfile import StrictModel
 DTC_SERVICES = (0x19, 0x03, 0x07, 0x0A)
 #: Requests for the DTCs that fail, did in this cycle or since the clear, are pending, confirmed, or ask for a lamp.
 DTC_REQUESTS = {"uds": (b"\x19\x02\xaf",), "obd": (b"\x03", b"\x07", b"\x0a")}
-#: Identifiers of functional requests, to all ECUs of a bus.
-FUNCTIONAL = (0x7DF, EXTENDED | 0x18DB33F1)
-#: A tester's address in normal fixed addressing, and usual in extended addressing.
-TESTER = 0xF1
-
-
 #: DTC of another ECU, as the vehicle's memory has it; without a failure type it is any.
 _CODE = r"^([PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?|SPN \d+ FMI \d+)$"
 
@@ -113,30 +107,11 @@ class AskParams(StrictModel):
     requests_per_s: float = Field(10.0, gt=0, le=1000, description="most requests a second, of all ECUs of the bus")
 
 
-class EcuAddress(NamedTuple):
-    """Identifiers of an ECU, with EXTENDED, and address bytes in its frames; None: there are none."""
-
-    request: int
-    response: int
-    target: int | None
-    tester: int | None
-
-
-class EcuParams(StrictModel):
+class EcuParams(PlaceParams):
     """An ECU that is asked, or whose answers to others are heard."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="how the rest refers to it")
     bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
-    request: int | None = Field(None, ge=0, le=0x1FFFFFFF, description="identifier of requests to it")
-    response: int | None = Field(None, ge=0, le=0x1FFFFFFF, description="identifier of its answers")
-    extended: bool | None = Field(None, description="29-bit identifiers; default: if one of them is above 0x7FF")
-    address: int | None = Field(
-        None, ge=0, le=0xFF, description="normal fixed addressing, instead of request and response: 18DAxxF1, 18DAF1xx"
-    )
-    target: int | None = Field(
-        None, ge=0, le=0xFF, description="extended addressing: its address, first byte of frames to it"
-    )
-    tester: int = Field(TESTER, ge=0, le=0xFF, description="extended addressing: first byte of frames from it")
     signals: tuple[Path, ...] = Field((), description="layouts of its answers: DBC, OBDb, ...; relative to this file")
     read: tuple[ReadParams, ...] = Field((), description="values that are read again and again")
     dtcs: DtcsParams | None = Field(None, description="its DTCs are read; none: they are not")
@@ -146,18 +121,7 @@ class EcuParams(StrictModel):
     p2_star_ms: float = Field(5000, ge=10, le=60_000, description="the same after it said that it needs longer [ms]")
 
     @model_validator(mode="after")
-    def _addressed(self) -> Self:
-        pair = (self.request is not None, self.response is not None)
-        if any(pair) != all(pair) or all(pair) == (self.address is not None):
-            raise ValueError("give request and response, or address")
-        if self.address is not None and (self.extended is False or self.target is not None):
-            raise ValueError("address is of 29-bit identifiers, without target")
-        if self.extended is False and max(self.request or 0, self.response or 0) > 0x7FF:
-            raise ValueError("identifiers above 0x7FF have 29 bits: extended = true")
-        if self.place.request in FUNCTIONAL:
-            raise ValueError("this request is to all ECUs: give the ECU's own, as 0x7E0 to 0x7E7 of OBD")
-        if self.request is not None and self.request == self.response:
-            raise ValueError("request and response are the same identifier")
+    def _reads(self) -> Self:
         seen: set[tuple[int, int]] = set()
         for read in self.read:
             if read.key in seen:
@@ -166,17 +130,6 @@ class EcuParams(StrictModel):
                 raise ValueError(f"{read.name}: give the ECU's J1939 address: address")
             seen.add(read.key)
         return self
-
-    @property
-    def place(self) -> EcuAddress:
-        """Its identifiers and address bytes."""
-        if self.address is not None:
-            fixed = EXTENDED | 0x18DA0000
-            return EcuAddress(fixed | self.address << 8 | TESTER, fixed | TESTER << 8 | self.address, None, None)
-        request, response = self.request or 0, self.response or 0
-        long = self.extended or (self.extended is None and max(request, response) > 0x7FF)
-        flag = EXTENDED if long else 0
-        return EcuAddress(request | flag, response | flag, self.target, None if self.target is None else self.tester)
 
     @property
     def asks(self) -> bool:

@@ -10,10 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from gateway.bus.frames import EXTENDED, ID_MASK
-from gateway.clients.params import EcuAddress
 from gateway.clients.refusals import BUSY
-from gateway.isotp.params import IsoTpParams
 
 #: Services whose first parameter is a sub-function (ISO 14229-1, Table 2), its highest bit: no answer, if it is good.
 SUB_FUNCTIONS = frozenset({0x10, 0x11, 0x19, 0x27, 0x28, 0x29, 0x2C, 0x31, 0x3E, 0x83, 0x85, 0x86, 0x87})
@@ -99,15 +96,3 @@ class Waiting:
     def forget(self, owner: object) -> None:
         """Take out what a tester that has gone had asked."""
         self.passed = deque(each for each in self.passed if each.owner is not owner)
-
-
-def transport_of(place: EcuAddress) -> IsoTpParams | None:
-    """Return the transport of requests of several frames to an ECU; None: by its addressing there are none."""
-    if place.target is not None:
-        return None
-    return IsoTpParams(
-        request=place.response & ID_MASK,
-        response=place.request & ID_MASK,
-        functional=None,
-        extended=bool(place.request & EXTENDED),
-    )

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 
+from gateway.bus.frames import ID_MASK
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.faults.settings import POWER
 from gateway.isotp.params import IsoTpParams
 from gateway.servers.access_review import wrong_rules
+from gateway.servers.doip.params import RouteParams
 from gateway.servers.identifiers import check_unique
+from gateway.servers.uds.params import BusRouteParams
 from gateway_fdi.errors import InputError, InputErrors, nearest, under
 
 
@@ -28,6 +31,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
         _access(config),
         _addresses(config),
         _doip(config),
+        _routes(config),
         _ecus(config),
         _faults_of_ecus(config),
         _only_listened_to(config),
@@ -145,21 +149,74 @@ def _outputs(config: Config) -> Iterator[InputError]:
 
 def _doip(config: Config) -> Iterator[InputError]:
     """The DoIP server has the services, sessions and keys of the UDS server."""
-    doip = config.output.doip
-    names = {ecu.name: ecu for ecu in config.ecu}
-    for k, route in enumerate(() if doip is None else doip.route):
-        ecu, key = names.get(route.ecu), f"output.doip.route[{k}].ecu"
-        if ecu is None:
-            there = ", ".join(names) or "none"
-            yield InputError(f"the ECUs are {there}{nearest(route.ecu, names)}", key=key, value=route.ecu)
-            continue
-        bus = _index(config, ecu.bus)
-        if bus is not None and config.bus[bus].listen_only:
-            yield InputError("its bus is only listened to, and takes no requests", key=key, value=route.ecu)
-    if doip is not None and config.output.uds is None:
+    if config.output.doip is not None and config.output.uds is None:
         yield InputError(
             "this needs the table [output.uds]: services, sessions and keys are its own", key="output.doip"
         )
+
+
+def _routes(config: Config) -> Iterator[InputError]:
+    """Routes go to ECUs that there are, on other buses that may be asked, and have identifiers of their own."""
+    doip, named = config.output.doip, {ecu.name: ecu for ecu in config.ecu}
+    by_bus = dict(_bus_routes(config))
+    routes: dict[str, tuple[RouteParams | BusRouteParams, str | None]] = {**by_bus}
+    routes |= {f"output.doip.route[{k}]": (each, None) for k, each in enumerate(() if doip is None else doip.route)}
+    for key, (route, from_bus) in routes.items():
+        if route.ecu not in named:
+            there = f"the ECUs are {', '.join(named) or 'none'}{nearest(route.ecu, named)}"
+            yield InputError(there, key=f"{key}.ecu", value=route.ecu)
+            continue
+        bus = _index(config, named[route.ecu].bus)
+        if bus is not None and config.bus[bus].listen_only:
+            text = "its bus is only listened to, and takes no requests"
+            yield InputError(text, key=f"{key}.ecu", value=route.ecu)
+        if bus is not None and key in by_bus and bus == _index(config, from_bus):
+            text = "this ECU is on the testers' own bus, where they reach it without a route"
+            yield InputError(text, key=f"{key}.ecu", value=route.ecu)
+    yield from _identifiers_of_routes(config)
+
+
+def _bus_routes(config: Config) -> Iterator[tuple[str, tuple[BusRouteParams, str | None]]]:
+    """Yield each route from bus to bus by its key, and the bus of its testers."""
+    for k, own in enumerate(() if config.output.uds is None else config.output.uds.each_address):
+        for j, route in enumerate(own.route):
+            yield f"output.uds{f'.further[{k - 1}]' if k else ''}.route[{j}]", (route, own.bus)
+
+
+def _identifiers_of_routes(config: Config) -> Iterator[InputError]:
+    """Yield routes with an identifier that another one has, an ECU of that bus, or the gateway itself."""
+    taken: list[tuple[int | None, int, int | None, str]] = []
+    for key, server in _servers(config):
+        ids = (server.request, server.response, server.functional)
+        taken += [
+            (_index(config, server.bus), can_id | server.flags, None, key) for can_id in ids if can_id is not None
+        ]
+    for k, ecu in enumerate(config.ecu):
+        bus, place = _index(config, ecu.bus), ecu.place
+        taken += [(bus, place.request, place.target, f"ecu[{k}]"), (bus, place.response, place.tester, f"ecu[{k}]")]
+    for key, (route, name) in _bus_routes(config):
+        bus, place = _index(config, name), route.place
+        keys = ("address", "address") if route.address is not None else ("request", "response")
+        asked = ((keys[0], place.request, place.target), (keys[1], place.response, place.tester))
+        for what, can_id, address in asked:
+            owners = (
+                owner
+                for other, number, byte, owner in taken
+                if (other, number) == (bus, can_id) and (byte == address or None in (byte, address))
+            )
+            for owner in islice(owners, 1):
+                text = f"{owner} has this identifier on this bus"
+                yield InputError(text, key=f"{key}.{what}", value=f"0x{can_id & ID_MASK:X}")
+        taken += [(bus, can_id, address, key) for _, can_id, address in asked]
+
+
+def _servers(config: Config) -> Iterator[tuple[str, IsoTpParams]]:
+    """Yield each address of our diagnostic servers by its key."""
+    uds, obd = config.output.uds, config.output.obd
+    if obd is not None:
+        yield "output.obd", obd
+    for k, each in enumerate(() if uds is None else uds.each_address):
+        yield f"output.uds.further[{k - 1}]" if k else "output.uds", each
 
 
 def _addresses(config: Config) -> Iterator[InputError]:
@@ -231,14 +288,9 @@ def _index(config: Config, name: str | None) -> int | None:
 
 def _ecus(config: Config) -> Iterator[InputError]:
     """ECUs that are asked are on buses that there are, at addresses of their own, which are none of ours."""
-    uds, obd = config.output.uds, config.output.obd
-    servers: dict[str, IsoTpParams | None] = {"output.obd": obd}
-    for k, each in enumerate(() if uds is None else uds.each_address):
-        servers[f"output.uds.further[{k - 1}]" if k else "output.uds"] = each
     ours = {
         (_index(config, server.bus), can_id | server.flags): key
-        for key, server in servers.items()
-        if server is not None
+        for key, server in _servers(config)
         for can_id in (server.request, server.response)
     }
     taken: dict[tuple[object, ...], str] = {}

@@ -10,6 +10,8 @@ SINGLE, FIRST, CONSECUTIVE, FLOW_CONTROL = range(4)
 LONGEST_STMIN = 0x7F
 #: Lengths above this have the escape form of a first frame.
 MOST_SHORT = 4095
+#: Longest answer of another ECU that is taken [byte].
+MOST_LONG = 65535
 
 
 class Judged(NamedTuple):

@@ -35,31 +35,38 @@ class IsoTpEndpoint:
     Args:
         params: addresses and transport.
         bus: index of the bus.
+        address: extended addressing: first byte of frames to us, and of ours; None: there is none.
     """
 
-    def __init__(self, params: IsoTpParams, bus: int) -> None:
-        self._params = params
+    def __init__(self, params: IsoTpParams, bus: int, address: tuple[int, int] | None = None) -> None:
+        self._params, self._address = params, address
         self._bus = bus
-        self._layer = IsoTpLayer(params)
+        self._layer = IsoTpLayer(params, address)
         self._dropped = 0
         flags = params.flags
         self._physical = params.request | flags
         self._functional = None if params.functional is None else params.functional | flags
 
-    def succeed(self, old: IsoTpEndpoint, bus: int | None) -> None:
-        """Keep requests and answers that are under way, if the addresses are the same.
+    def succeed(self, old: IsoTpEndpoint, bus: int | None) -> bool:
+        """Keep requests and answers that are under way, if the addresses are the same; returns whether they are.
 
         Args:
             old: not to be used any more.
             bus: index here of the other's bus; None: it is no more.
         """
-        if bus == self._bus and self._params.same_transport(old._params):
+        if bus == self._bus and self._address == old._address and self._params.same_transport(old._params):
             self._layer, self._dropped = old._layer, old._dropped
+            return True
+        return False
 
     @property
     def bus(self) -> int:
         """Index of its bus."""
         return self._bus
+
+    def asked_by(self, *, functional: bool) -> int:
+        """Return the identifier of its requests, without EXTENDED."""
+        return (self._physical if not functional or self._functional is None else self._functional) & ID_MASK
 
     @property
     def identifiers(self) -> list[int]:
@@ -104,11 +111,12 @@ class IsoTpEndpoint:
             frame: one that it wanted; each is given once, in its order.
         """
         data, can_id = payload(frame), int(frame["can_id"])
-        if can_id != self._physical or not data or self._layer.transmitting:
+        content = self._layer.content(data)
+        if can_id != self._physical or not content or self._layer.transmitting:
             return None
         if self._layer.receiving:
-            return self._layer.completed_by(data)
-        if data[0] >> 4:
+            return self._layer.completed_by(content)
+        if content[0] >> 4:
             return None
         return self._layer.single(isotp.CanMessage(can_id & ID_MASK, data=data, extended_id=bool(can_id & EXTENDED)))
 

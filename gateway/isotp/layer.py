@@ -92,20 +92,25 @@ class IsoTpLayer:
 
     Args:
         params: addresses and transport.
+        address: extended addressing: first byte of frames to us, and of ours; None: there is none.
     """
 
-    def __init__(self, params: IsoTpParams) -> None:
+    def __init__(self, params: IsoTpParams, address: tuple[int, int] | None = None) -> None:
+        self._before = b"" if address is None else bytes(address[:1])
         self._clock = _Clock()
         self._received: deque[isotp.CanMessage] = deque()
         self._shown: list[int] | None = []  # bytes of each frame of the message under way that is taken later
         self._sent: list[isotp.CanMessage] = []
         self.errors = 0
-        mode = isotp.AddressingMode.Normal_29bits if params.flags else isotp.AddressingMode.Normal_11bits
+        kind, (ours, theirs) = ("Normal", (None, None)) if address is None else ("Extended", address)
+        mode = isotp.AddressingMode[f"{kind}_{29 if params.flags else 11}bits"]
         self._logic = _Logic(
             self._clock,
             rxfn=lambda _timeout: self._received.popleft() if self._received else None,
             txfn=self._sent.append,
-            address=isotp.Address(mode, txid=params.response, rxid=params.request),
+            address=isotp.Address(
+                mode, txid=params.response, rxid=params.request, source_address=ours, target_address=theirs
+            ),
             error_handler=self._on_error,
             params={
                 "stmin": params.separation_ms,
@@ -141,14 +146,17 @@ class IsoTpLayer:
     def take(self, message: isotp.CanMessage) -> bytes | None:
         """Take a frame and do what is due; returns the message that it completes, None: none."""
         self._shown = []
-        data, aborts = judge(bytes(message.data))
+        before = self._before
+        if not message.data.startswith(before):  # to another address
+            return None
+        data, aborts = judge(bytes(message.data[len(before) :]), len(before))
         if aborts and self._logic.tx_state == self._logic.TxState.WAIT_FC:
             self._logic.stop_sending()
         if data is None:
             self.errors += 1
             self._logic.process()
             return None
-        message.data = data
+        message.data = before + data
         self._received.append(message)
         self._logic.process()
         whole = self._logic.recv()
@@ -158,7 +166,7 @@ class IsoTpLayer:
         """Return what has come of the message under way, if a frame that is taken later completes it; None: not so.
 
         Args:
-            data: of the next frame that is taken later; each is shown once, in its order.
+            data: content of the next frame that is taken later; each is shown once, in its order.
         """
         logic, kind = self._logic, data[0] >> 4
         if kind == FLOW_CONTROL or self._shown is None:
@@ -172,10 +180,14 @@ class IsoTpLayer:
         before = len(come) + sum(self._shown[:-1])
         return come if before < logic.rx_frame_length <= before + self._shown[-1] else None
 
+    def content(self, data: bytes) -> bytes:
+        """Return a frame's bytes behind the address; none of a frame to another one."""
+        return data[len(self._before) :] if data.startswith(self._before) else b""
+
     def single(self, message: isotp.CanMessage) -> bytes | None:
         """Return what a single frame carries, leaving what is under way alone; None: it is no valid one."""
         try:
-            pdu = PDU(message)
+            pdu = PDU(message, len(self._before))
         except ValueError:
             self.errors += 1
             return None

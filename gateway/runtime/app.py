@@ -266,8 +266,8 @@ class Gateway:
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
         self._proofs.recall()
         self.controls.go_on()
+        self.asking.succeed(old.asking, buses)  # it sends requests back, whose answers the servers take
         self.servers.succeed(old.servers, buses)
-        self.asking.succeed(old.asking, buses)
         self._verdicts.count = old._verdicts.count
         self._standing.succeed(old._standing)
         self.reports.succeed(old.reports)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,18 +36,19 @@ from gateway.isotp.params import IsoTpParams
 from gateway.monitors.contract import Fault
 from gateway.runtime.answers import ecus_of
 from gateway.servers.authority import Authority
+from gateway.servers.bus_route import BusRoute
 from gateway.servers.bus_server import BusServer
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.diagnostic_server import DiagnosticServer
 from gateway.servers.doip.identity import GATEWAY, NODE, Identity
 from gateway.servers.doip.params import ADDRESSES
-from gateway.servers.doip.route import Route
 from gateway.servers.doip.server import DoipServer
 from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.j1939.endpoint import J1939Endpoint
 from gateway.servers.j1939.server import J1939Server
 from gateway.servers.obd.server import ObdServer
+from gateway.servers.route import Route
 from gateway.servers.tester_control import TesterControl
 from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.intervention_memory import NUMBERS
@@ -289,13 +291,16 @@ def _doip_server(
 
 
 def connect_routes(servers: BusServers, asking: Asking) -> None:
-    """Give the DoIP server the lines to the ECUs of its routes."""
+    """Give the servers that have routes the lines to their ECUs."""
     for server in servers.all:
         if isinstance(server, DoipServer):
             server.routes = {
-                each.address: Route(each.address, asking.line(each.ecu, each.requests_per_s))
+                each.address: Route(asking.line(each.ecu, each.requests_per_s), server.counts)
                 for each in server.params.route
             }
+        elif isinstance(server, BusRoute):
+            server.route = Route(asking.line(server.params.ecu, server.params.requests_per_s), server.counts)
+            server.wake = partial(servers.wake, server)
 
 
 def _diagnostic_servers(
@@ -314,7 +319,13 @@ def _diagnostic_servers(
 
     shared = config.diagnostic_address_is_shared()
     for k, params in enumerate(() if config.output.uds is None else config.output.uds.each_address):
-        server(params, testers.server(params, _bus_name(config, params.bus)), obd if shared and not k else None)
+        uds = testers.server(params, _bus_name(config, params.bus))
+        for route in params.route:
+            place = route.place
+            address = None if place.target is None or place.tester is None else (place.target, place.tester)
+            endpoint = IsoTpEndpoint(route.transport(params), config.bus_index(params.bus), address)
+            made.append(BusRoute(route, endpoint, uds))
+        server(params, uds, obd if shared and not k else None)
     if asked is not None and not shared:
         server(asked, None, obd)
     return made

@@ -39,7 +39,7 @@ FREE = {
     "authenticate": 0x29,
     "events": 0x86,
 }
-#: Passing on of what does more than read, to ECUs behind a DoIP route.
+#: Passing on of what does more than read, to ECUs behind a route.
 ROUTE = "route"
 #: Clearing by protocols that know no sessions.
 SESSIONLESS = {"obd_clear": "OBD mode 04", "j1939_clear": "DM3 and DM11"}
@@ -107,7 +107,7 @@ class AccessParams(StrictModel):
     dtc_setting: Access | None = Field(None, description="switching the setting of DTCs off (0x85)")
     events: Access | None = Field(None, description="responses on events (0x86)")
     route: Access | None = Field(
-        None, description="requests by a DoIP route beside reading (10 01, 19, 22, 3E); none: they are refused"
+        None, description="requests by a route beside reading (10 01, 19, 22, 3E); none: they are refused"
     )
     obd_clear: SessionlessAccess | None = Field(None, description="clearing by OBD (mode 04)")
     j1939_clear: SessionlessAccess | None = Field(None, description="clearing by J1939 (DM3, DM11)")

@@ -491,7 +491,7 @@ def test_mutated_streams(tmp_path):
             cut(bytes(one.one.out))
             one.close()
         assert made.server.connections == []
-        assert len(made.server._counts) < 12
+        assert len(made.server.counts) < 12
         left = made.rig.gateway
         assert left.controls.monitoring
         assert left.authority.lasting() == []

@@ -5,10 +5,9 @@ from __future__ import annotations
 import ipaddress
 from collections.abc import Iterator
 
-from gateway.servers.access import SESSIONS, Need
+from gateway.servers.access import Need
 from gateway.servers.doip.params import DoipParams, DoipTesterParams
-
-_SESSIONS = {number: name for name, number in SESSIONS.items()}
+from gateway.servers.reach import passing
 
 
 def reach(params: DoipParams, need: Need) -> Iterator[str]:
@@ -27,11 +26,11 @@ def reach(params: DoipParams, need: Need) -> Iterator[str]:
         yield f"testers {_addresses(entry)}{by} reach:"
         yield f"  0x{params.address:04X}  the gateway: as by UDS on a bus ([access])"
         for route in params.route:
-            yield f"  0x{route.address:04X}  {route.ecu}: 10 01, 19, 22, 3E; {_more(need)}"
+            yield f"  0x{route.address:04X}  {passing(route.ecu, need)}"
         yield f"  0x{params.functional:04X}  all of them"
 
 
-def ways_around(params: DoipParams, need: Need) -> Iterator[str]:
+def ways_around(params: DoipParams) -> Iterator[str]:
     """Yield the ways by which something is easier than it looks, one line each."""
     outside = [text for text in params.bind if not ipaddress.ip_address(text).is_loopback]
     if outside and (params.tls is None or not params.tls.required):
@@ -39,9 +38,6 @@ def ways_around(params: DoipParams, need: Need) -> Iterator[str]:
         yield f"output.doip.bind: all who reach {there} may come without TLS, and a source address proves nothing"
     if outside and params.tls is not None and not all(entry.certificate for entry in params.tester):
         yield "output.doip.tester: some need no certificate, so that TLS hides what they say, and not who they are"
-    if params.route and need.allowed and not need.is_locked:
-        when = " while its conditions are met" if need.when else ""
-        yield f"access.route: every tester may write and clear by each route{when}: no security, no role"
 
 
 def _from_where(text: str) -> str:
@@ -51,15 +47,3 @@ def _from_where(text: str) -> str:
 
 def _addresses(entry: DoipTesterParams) -> str:
     return f"0x{entry.address:04X}" + ("" if entry.last is None else f" to 0x{entry.last:04X}")
-
-
-def _more(need: Need) -> str:
-    if not need.allowed:
-        return "nothing else"
-    parts = [f"in the {' or '.join(_SESSIONS[each] for each in sorted(need.sessions))} session"]
-    parts += [f"security level {need.security}"] if need.security else []
-    parts += [f"role {' or '.join(sorted(need.roles))}"] if need.roles else []
-    for one in need.when:
-        low, high = ("" if each is None else f"{each:g}" for each in (one.min, one.max))
-        parts.append(f"{one.signal} in {low}..{high}")
-    return "all else: " + ", ".join(parts)

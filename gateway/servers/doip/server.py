@@ -17,7 +17,8 @@ from gateway.servers.doip.codec import CLOSING, Activation, Kind, Message, Nack,
 from gateway.servers.doip.connection import MOST_BYTES, Connection
 from gateway.servers.doip.identity import Identity
 from gateway.servers.doip.params import ADDRESSES, DoipParams
-from gateway.servers.doip.route import Route, is_told
+from gateway.servers.route import LONGEST_REQUEST, Route, is_told
+from gateway.servers.uds.nrc import Nrc
 from gateway.servers.uds.server import UdsServer
 from gateway_fdi.common.log import get_logger
 
@@ -32,8 +33,6 @@ UNACTIVATED = 16
 MOST_IN_A_TURN = 16
 #: Activation types: default, and by regulation.
 TYPES = (0x00, 0x01)
-#: Longest request that reaches an application [byte].
-LONGEST_REQUEST = 4095
 
 log = get_logger(__name__)
 
@@ -53,6 +52,7 @@ class DoipServer(BusServer):
     Attributes:
         connections: those that are open.
         routes: to ECUs, by their logical addresses.
+        counts: what it counted.
     """
 
     normal = False
@@ -66,7 +66,7 @@ class DoipServer(BusServer):
         self.routes: dict[int, Route] = {}
         self.connections: list[Connection] = []
         self._own = params.address.to_bytes(2, "big")
-        self._counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()
         self._now_ns = 0
 
     # Connections
@@ -101,7 +101,8 @@ class DoipServer(BusServer):
 
         With other settings they are ended: an address that was right may not be so now.
         """
-        self._counts, self._now_ns = old._counts, old._now_ns
+        self.counts.update(old.counts)
+        self._now_ns = old._now_ns
         self.connections, old.connections = old.connections, []
         for each in self.connections:
             each.splitter.room = self._room
@@ -120,11 +121,11 @@ class DoipServer(BusServer):
         return 2 * self.params.most_bytes - sum(each.splitter.claimed for each in self.connections)
 
     def _count(self, name: str) -> None:
-        self._counts[f"doip_{name}"] += 1
+        self.counts[f"doip_{name}"] += 1
 
     def counters(self) -> dict[str, int]:
         """Return what it counted."""
-        return dict(self._counts)
+        return dict(self.counts)
 
     def _end(self, one: Connection) -> None:
         """Have a connection closed; the session of its tester is over, and those that waited for its place have it."""
@@ -209,7 +210,7 @@ class DoipServer(BusServer):
                 self._count("activated")
             return
         self._count("activation_denied")
-        times = self._counts["doip_activation_denied"]
+        times = self.counts["doip_activation_denied"]
         if not times & (times - 1):  # the 1st, 2nd, 4th, ...: nobody fills the log
             told = {"tester": one.name, "source": f"0x{source:04X}", "reason": code.name, "times": times}
             log.warning("DoIP: routing is not activated", **told)
@@ -268,21 +269,22 @@ class DoipServer(BusServer):
             self._end(one)
             return
         route, functional = self.routes.get(target), target == self.params.functional
-        if route is not None:
-            obstacle = route.obstacle(request)
-        elif target == self.params.address or functional:
-            obstacle = Nack.TOO_LARGE if len(request) > LONGEST_REQUEST else None
-        else:
+        obstacle = None
+        if route is None and target != self.params.address and not functional:
             obstacle = Nack.UNKNOWN_TARGET
+        elif len(request) > LONGEST_REQUEST:
+            obstacle = Nack.TOO_LARGE
+        elif route is not None and not route.line.is_open:
+            obstacle = Nack.UNREACHABLE
         if obstacle is not None:
             self._refuse(one, body, obstacle)
             return
         assert one.server is not None
         if route is not None:
-            self._pass_on(one, route, body)
+            self._pass_on(one, target, body)
             return
         self._acknowledge(one, body)
-        for each in self.routes.values() if functional else ():  # judged before our own server changes its session
+        for each in self.routes if functional else ():  # judged before our own server changes its session
             self._pass_on(one, each, body, functional=True)
         self._answer(one, one.server.answer(request, functional, self._now_ns))
 
@@ -290,32 +292,30 @@ class DoipServer(BusServer):
         self._count("requests")
         one.put(Kind.DIAGNOSTIC_ACK, body[2:4] + body[:2] + b"\x00")
 
-    def _pass_on(self, one: Connection, route: Route, body: bytes, *, functional: bool = False) -> None:
+    def _pass_on(self, one: Connection, target: int, body: bytes, *, functional: bool = False) -> None:
         """Pass a request on to an ECU, if it may; of a functional one only the answers are told."""
-        request = body[ADDRESSES:]
-        if functional and route.obstacle(request) is not None:
-            self._count("routes_skipped")
+        request, route = body[ADDRESSES:], self.routes[target]
+        if functional and not route.line.is_open:
+            self.counts["routes_skipped"] += 1
             return
         assert one.server is not None
         refusal = route.refusal(request, one.server, self._now_ns)
 
-        def back(answer: bytes | None) -> None:
-            if answer is None or one.ends:
-                self._count("routes_without_answer" if answer is None else "routes_without_tester")
-            elif is_told(answer, functional):
-                self._answer(one, [route.stamped(answer)], route.address)
+        def tell(answer: bytes | None) -> None:
+            if one.ends:
+                self._count("routes_without_tester")
+            elif answer is not None:
+                much = len(answer) > self.params.most_bytes - ADDRESSES
+                self._answer(one, [bytes([0x7F, request[0], Nrc.RESPONSE_TOO_LONG]) if much else answer], target)
 
-        taken = bool(refusal) or route.line.ask(request, one, back)
+        taken = bool(refusal) or route.ask(request, one, tell, functional=functional)
         if not functional and not taken:
             self._refuse(one, body, Nack.OUT_OF_MEMORY)
             return
         if not functional:
             self._acknowledge(one, body)
-        if refusal:
-            self._count("routes_refused")
-            back(refusal)
-        else:
-            self._count("routed" if taken else "routes_skipped")
+        if refusal and is_told(refusal, functional):
+            tell(refusal)
 
     def _refuse(self, one: Connection, body: bytes, code: Nack) -> None:
         self._count("requests_refused")

@@ -6,7 +6,9 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.isotp.params import IsoTpParams
+from gateway.isotp.place import FUNCTIONAL, PlaceParams
 from gateway.servers.access import Access
 from gateway.servers.uds.authentication import AuthenticationParams
 from gateway_fdi.common.tomlfile import StrictModel
@@ -42,6 +44,34 @@ class SecurityLevel(StrictModel):
         return self
 
 
+class BusRouteParams(PlaceParams):
+    """A route to an ECU of another bus, and its identifiers on the bus of the testers."""
+
+    ecu: str = Field(description="name of an [[ecu]]")
+    requests_per_s: float = Field(50.0, gt=0, le=1000, description="most requests a second, of all testers")
+
+    def transport(self, own: IsoTpParams) -> IsoTpParams:
+        """Return its identifiers and transport.
+
+        Args:
+            own: of the gateway's own address; identifiers of another length have the usual functional one.
+        """
+        request, response, target, _ = self.place
+        flag = request & EXTENDED
+        functional = own.functional if own.flags == flag else FUNCTIONAL[bool(flag)] & ID_MASK
+        return IsoTpParams(
+            bus=own.bus,
+            request=request & ID_MASK,
+            response=response & ID_MASK,
+            functional=None if target is not None or own.functional is None else functional,
+            extended=bool(flag),
+            fd=own.fd,
+            padding=own.padding,
+            block_size=own.block_size,
+            separation_ms=own.separation_ms,
+        )
+
+
 class FurtherAddress(StrictModel):
     """A further address of the UDS server, with a session and a security of its own."""
 
@@ -49,6 +79,7 @@ class FurtherAddress(StrictModel):
     request: int = Field(ge=0, le=0x1FFFFFFF, description="identifier of physical requests")
     response: int = Field(ge=0, le=0x1FFFFFFF, description="identifier of the answers")
     functional: int | None = Field(None, ge=0, le=0x1FFFFFFF, description="identifier of functional requests")
+    route: tuple[BusRouteParams, ...] = Field((), description="ECUs of other buses that its testers reach")
 
 
 class UdsParams(IsoTpParams):
@@ -63,6 +94,7 @@ class UdsParams(IsoTpParams):
     routine: Access | None = Field(None, description="conditions of routines (0x31); the same as access.routine")
     security: tuple[SecurityLevel, ...] = Field((), description="security levels (0x27)")
     authentication: AuthenticationParams | None = Field(None, description="authentication by certificate (0x29)")
+    route: tuple[BusRouteParams, ...] = Field((), description="ECUs of other buses that testers reach by this one")
     further: tuple[FurtherAddress, ...] = Field(
         (), description="further addresses, for testers beside the first; each has its own session"
     )
@@ -80,7 +112,8 @@ class UdsParams(IsoTpParams):
     @property
     def each_address(self) -> list[UdsParams]:
         """The server's settings for each of its addresses, the first one first."""
-        return [self, *(self.model_copy(update=further.model_dump()) for further in self.further)]
+        names = FurtherAddress.model_fields
+        return [self, *(self.model_copy(update={name: getattr(one, name) for name in names}) for one in self.further)]
 
     @property
     def rules(self) -> dict[str, Access]:

@@ -111,18 +111,20 @@ class UdsServer(Application):
             c.check_security()
         return service.handle(c, request)
 
-    def passes(self, request: bytes, to: str, t_ns: int) -> int:
+    def passes(self, request: bytes, to: str, t_ns: int, by: int | None = None) -> int:
         """Judge and note a request to another ECU that does more than read; returns the refusal, 0: none.
 
         Args:
             request: its bytes.
             to: name of the ECU.
             t_ns: now.
+            by: identifier that it came by; None: the tester's address.
         """
         c = self._context
         c.now_ns = max(c.now_ns, t_ns)
         self._end_session()
-        c.asked_in, c.asked_by = (c.session, c.security.unlocked, c.authentication.role), c.params.request
+        c.asked_in = c.session, c.security.unlocked, c.authentication.role
+        c.asked_by = c.params.request if by is None else by
         refusal = c.authority.refusal(ROUTE, c.asker)
         c.note(ROUTE, request, refusal, to=to)
         return refusal

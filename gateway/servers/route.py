@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from typing import Protocol
 
-from gateway.servers.doip.codec import Nack
 from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL
 from gateway.servers.uds.server import UdsServer
 
 #: Services that pass: DTCs, data, tester present; of the sessions the default one.
 READING = frozenset({0x19, 0x22, 0x3E})
 _DEFAULT_SESSION = (0x10, 0x01)
+#: Longest request of a tester, to the gateway or by a route [byte].
+LONGEST_REQUEST = 4095
 
 
 class Line(Protocol):
-    """The line to an ECU; ``part_ms``: how long a request may wait for it [ms]."""
+    """The line to an ECU."""
 
     name: str
-    longest: int
-    part_ms: int
+
+    @property
+    def part_ms(self) -> int:
+        """How long a request may wait for it [ms]."""
 
     @property
     def is_open(self) -> bool:
@@ -43,20 +47,14 @@ class Route:
     """A route.
 
     Args:
-        address: logical address of the ECU.
-        line: to it.
+        line: to the ECU.
+        counts: counts what becomes of requests.
     """
 
-    def __init__(self, address: int, line: Line) -> None:
-        self.address, self.line = address, line
+    def __init__(self, line: Line, counts: Counter[str]) -> None:
+        self.line, self._counts = line, counts
 
-    def obstacle(self, request: bytes) -> Nack | None:
-        """Return why a request cannot be taken; None: it can, if there is room."""
-        if len(request) > self.line.longest:
-            return Nack.TOO_LARGE
-        return None if self.line.is_open else Nack.UNREACHABLE
-
-    def stamped(self, answer: bytes) -> bytes:
+    def _stamped(self, answer: bytes) -> bytes:
         """Return an answer with the route's part added to the times of its session (0x50: P2 in 1 ms, P2* in 10 ms)."""
         if answer[0] != 0x50 or len(answer) != 6:
             return answer
@@ -64,10 +62,37 @@ class Route:
         p2, star = p2 + self.line.part_ms, star + -(-self.line.part_ms // 10)
         return answer[:2] + b"".join(min(each, 0xFFFF).to_bytes(2, "big") for each in (p2, star))
 
-    def refusal(self, request: bytes, server: UdsServer, t_ns: int) -> bytes:
-        """Return the negative response to a request that may not pass, which is noted; b"": it may."""
-        code = 0 if only_reads(request) else server.passes(request, self.line.name, t_ns)
+    def refusal(self, request: bytes, server: UdsServer, t_ns: int, by: int | None = None) -> bytes:
+        """Return the negative response to a request that may not pass, which is noted; b"": it may.
+
+        Args:
+            request: its bytes.
+            server: of the tester's session.
+            t_ns: now.
+            by: identifier that it came by; None: the tester's address.
+        """
+        code = 0 if only_reads(request) else server.passes(request, self.line.name, t_ns, by)
+        self._counts["routes_refused"] += bool(code)
         return bytes([0x7F, request[0], code]) if code else b""
+
+    def ask(self, request: bytes, owner: object, tell: Callable[[bytes | None], None], *, functional: bool) -> bool:
+        """Have a request sent that may pass; returns whether there is room for it.
+
+        Args:
+            request: at most LONGEST_REQUEST bytes.
+            owner: the tester.
+            tell: takes each answer that the tester is told; None: none comes.
+            functional: whether it is to all ECUs.
+        """
+
+        def done(answer: bytes | None) -> None:
+            self._counts["routes_without_answer"] += answer is None
+            if answer is None or is_told(answer, functional):
+                tell(None if answer is None else self._stamped(answer))
+
+        taken = self.line.ask(request, owner, done)
+        self._counts["routed" if taken else "routes_skipped"] += 1
+        return taken
 
 
 def is_told(answer: bytes, functional: bool) -> bool:
