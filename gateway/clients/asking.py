@@ -164,7 +164,9 @@ class Asking:
         before, errors = ecu.answers.receiving, ecu.answers.errors
         answer = ecu.answers.take(data, t_ns)
         if answer is None:
-            if ecu.answers.receiving:
+            if ecu.answers.too_long:
+                self._said.append(ecu.client.on_too_long(t_ns))
+            elif ecu.answers.receiving:
                 began = not before or ecu.answers.errors > errors
                 said = ecu.client.on_first_frame(t_ns) if began else ecu.client.on_more(t_ns)
                 self._said += [said] if len(said) else []

@@ -12,7 +12,7 @@ from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, put
 from gateway.clients.params import DTC_SERVICES, EcuParams
 from gateway.clients.passed import Passed, Waiting
 from gateway.clients.pgn import MARK, WAIT_MS, Ended, frame_of, pgn_of
-from gateway.clients.refusals import BUSY, FINAL, PENDING
+from gateway.clients.refusals import BUSY, FINAL, PENDING, TOO_LONG
 from gateway.common.times import NEVER
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.heard import N_CR_NS
@@ -199,6 +199,16 @@ class EcuClient:
             return empty(0)
         self._deadline_ns = t_ns + N_CR_NS
         return self._frame(bytes([0x30, 0, 0]), t_ns)
+
+    def on_too_long(self, t_ns: int) -> Frames:
+        """Return the flow control (overflow) that ends an answer, if it is ours; a tester that asked is told so."""
+        one = self._asked
+        if one is None:
+            return empty(0)
+        if isinstance(one, Passed):
+            self._asked, self._deadline_ns = None, NEVER
+            one.done(bytes([NEGATIVE, one.request[0], TOO_LONG]))
+        return self._frame(bytes([0x32, 0, 0]), t_ns)
 
     def on_more(self, t_ns: int) -> Frames:
         """Note that an answer goes on; no frame is due for that."""

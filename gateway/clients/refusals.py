@@ -4,6 +4,8 @@ from __future__ import annotations
 
 #: The ECU needs longer, and says so again and again until the answer.
 PENDING = 0x78
+#: The answer is longer than the gateway takes.
+TOO_LONG = 0x14
 #: The ECU is busy: the same again, soon.
 BUSY = 0x21
 #: Not here, not in this session, not to us: it will say the same the next time. Sessions and keys are never asked for.

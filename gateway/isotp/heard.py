@@ -19,6 +19,7 @@ class Reassembler:
 
     Attributes:
         errors: frames that break ISO-TP, and messages that were cut or too long.
+        too_long: whether the last frame began a message that is too long.
     """
 
     def __init__(self, address: int | None = None, most: int = MOST_SHORT) -> None:
@@ -27,7 +28,7 @@ class Reassembler:
         self._data = bytearray()
         self._length = self._number = 0
         self._last_ns = 0
-        self.errors = 0
+        self.errors, self.too_long = 0, False
 
     @property
     def receiving(self) -> bool:
@@ -41,7 +42,7 @@ class Reassembler:
             data: payload of the frame.
             t_ns: its stamp.
         """
-        before = len(self._address)
+        before, self.too_long = len(self._address), False
         if data[:before] != self._address:
             return None
         judged = judge(data[before:], before).data
@@ -77,7 +78,7 @@ class Reassembler:
         if not length:
             length, start = int.from_bytes(data[2:6], "big"), 6
         if length > self._most:
-            self.errors += 1
+            self.errors, self.too_long = self.errors + 1, True
             return
         self._data[:] = data[start:]
         self._length, self._number, self._last_ns = length, 0, t_ns
