@@ -4,6 +4,7 @@ import importlib.util
 import json
 import os
 import random
+import sys
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 
@@ -280,3 +281,11 @@ def test_a_cdd_gives_its_identifiers(tmp_path):
     assert decoded(layout, bytes.fromhex("fffe 0a")) == {"Torque": -1, "Level": 10}
     assert cantools.database.load_string(CDD, "cdd").dids[0].decode(bytes.fromhex("fffe0a61626364"))["Level"] == 10
     assert found.left_out[0].where.endswith("Text")
+
+
+def test_a_folder_without_cases_is_not_judged(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["judge-obdb", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        judge().main()
+    assert ended.value.code == 2
+    assert f"{tmp_path}: no cases; expected is" in capsys.readouterr().err

@@ -159,3 +159,24 @@ def test_faults_are_put_into_answers(recorded, tmp_path, capsys, monkeypatch):
     assert set_["cells.First.high"] > 5
     assert any("--inject" in note and not note.endswith(" 0 frames") for note in notes)
     assert list(faults("drop Speed @8..12")[0]) == ["answers:obd.Speed.timeout"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "file", "why"),
+    [
+        (
+            ("--ecu", "more.toml"),
+            BUS + ECU + '[memory]\npath = "m"\n',
+            "more.toml: memory: only [[bus]]",
+        ),
+        (("--ecu", "more.toml"), BUS, "more.toml: ecu: there is no [[ecu]]"),
+        (("--ecu", "more.toml", "--bus", "can"), BUS + ECU, "--bus = 'can': the buses of more.toml are obd"),
+    ],
+)
+def test_what_cannot_be_learned_with_is_told(arguments, file, why, tmp_path, capsys, monkeypatch):
+    write(tmp_path, BUS)
+    (tmp_path / "more.toml").write_text(file)
+    (tmp_path / "drive.log").write_text("(1.0) can0 7EC#00\n")
+    monkeypatch.chdir(tmp_path)
+    ended = command(capsys, monkeypatch, "learn", "drive.log", *arguments)
+    assert (ended.code, why in ended.err) == (2, True), ended.err
