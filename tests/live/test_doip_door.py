@@ -49,13 +49,13 @@ class Bench:
     def reload(self, **more):
         self.write(**more)
         self.daemon.reloader.request()
-        thread = None
-        while thread is None or self.daemon.reloader._thread is not None:
+        known = len(self.world.told("config"))
+        while len(self.world.told("config")) == known:
             yield from self.world.wait(0.01)
-            thread = self.daemon.reloader._thread or thread
+            thread = self.daemon.reloader._thread
             if thread is not None:
                 thread.join()
-                yield from self.world.wait(0.01)
+        yield from self.world.wait(0.01)
 
 
 @pytest.fixture
