@@ -1,5 +1,6 @@
 """DoIP (ISO 13400-2:2019) without sockets: each message, denial, refusal and timer of the entity."""
 
+import os
 import random
 import struct
 
@@ -305,7 +306,7 @@ def test_a_session_ends_by_s3_and_a_condition_that_is_unmet_ends_what_it_let(tmp
 
 def test_the_same_requests_get_the_same_answers_by_can_and_by_doip(tmp_path):
     """Of two gateways, one asked by CAN and one by IP: session, key, condition and request at random."""
-    seed = random.randrange(1 << 32)
+    seed = int(os.environ.get("GATEWAY_SEED", "51"))
     print("seed", seed)
     draw, refused = random.Random(seed), set()
     (tmp_path / "can").mkdir()
@@ -327,7 +328,12 @@ def test_the_same_requests_get_the_same_answers_by_can_and_by_doip(tmp_path):
             refused.add(answers[0][4:6] if answers[0].startswith("7f") else "done")
         assert {"done", "22", "33", "7f"} <= refused
         noted = [  # those alike in a row are one; a functional request has another identifier by CAN
-            [(i.action, i.outcome, i.session) for i in each.rig.gateway.memory.interventions() for _ in range(i.count)]
+            [
+                (i.action, i.outcome, i.session)
+                for i in each.rig.gateway.memory.interventions()
+                if not i.action.endswith("_ended")  # with time, which is not the same to the millisecond
+                for _ in range(i.count)
+            ]
             for each in (by_ip, by_can)
         ]
         assert noted[0][-60:] == noted[1][-60:]
@@ -474,7 +480,7 @@ def test_a_slow_reader_is_not_served_and_holds_nobody_up(tmp_path):
 
 def test_mutated_streams(tmp_path):
     """Whatever comes, the next tester is served as before, and nothing is left of it."""
-    seed = random.randrange(1 << 32)
+    seed = int(os.environ.get("GATEWAY_SEED", "51"))
     print("seed", seed)
     draw = random.Random(seed)
     with net(tmp_path) as made:
