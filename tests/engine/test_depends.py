@@ -39,7 +39,7 @@ def depends(path):
 def test_every_fault_of_every_configuration_depends_on_something(path):
     config, parts, found = depends(path)
     assert list(found) == [slot.id for slot in parts.engine.faults]
-    buses = {bus.name: k for k, bus in enumerate(config.bus)}
+    buses = {bus.name: k for k, bus in enumerate(config.buses)}
     for fault, seen in found.items():
         assert seen, fault
         names = [one.component.name for one in seen]

@@ -34,7 +34,10 @@ MODEL = load_model(shipped("models/truck.toml"))
 def isolated(system="RDS"):
     """State and constants of the isolation, of a system of the paper's or of the monitor."""
     s, c = zeros(1, isolation.State)[0], zeros(1, isolation.Const)[0]
-    isolation.prepare_table(s, c, MODEL, TESTS.get(system, isolation.TESTS), 0.5)
+    if system in TESTS:
+        isolation.prepare_table(s, c, MODEL, TESTS[system], 0.5)
+    else:
+        isolation.prepare(s, c, MODEL, 0.5)
     return s, c
 
 
@@ -44,7 +47,8 @@ def isolated(system="RDS"):
 def test_a_test_that_fires_alone_names_the_resistance_if_it_is_t5(system, test, named):
     """T2 sees a resistance above 100 A only; T1 would have told of an inverter."""
     s, c = isolated(system)
-    s.up[0], level = 1 << isolation.TESTS[system].index(test), np.zeros(isolation.MOST_TESTS)
+    tests = TESTS.get(system, isolation.TESTS)
+    s.up[0], level = 1 << tests.index(test), np.zeros(len(isolation.TESTS))
     told = []
     for _ in range(200):
         machine.stand(s, c, 1_000_000_000, 1_000_000_000)
