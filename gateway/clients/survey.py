@@ -15,6 +15,7 @@ from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, joined, payload
 from gateway.clients.asking import Asking, Ecu
 from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.questions import Questioned, Said, questioned
+from gateway.isotp.place import FUNCTIONAL
 
 MS = 1_000_000
 #: How long it listens before it asks, and how long an answer may take [ns].
@@ -23,7 +24,7 @@ LISTEN_NS, P2_NS = 1_000 * MS, 100 * MS
 PROBES = (b"\x22\xf1\x86", b"\x3e\x00")
 #: Requests to all: PIDs of OBD, tester present.
 TO_ALL = (b"\x01\x00", b"\x3e\x00")
-FUNCTIONAL_11, FUNCTIONAL_29 = 0x7DF, EXTENDED | 0x18DB33F1
+FUNCTIONAL_11, FUNCTIONAL_29 = FUNCTIONAL
 TESTER = 0xF1
 #: Physical addresses: of 11 bits, and of 29 bits in normal fixed addressing with the tester F1.
 PHYSICAL = (*range(0x700, 0x800), *(EXTENDED | 0x18DA0000 | k << 8 | TESTER for k in range(256)))
