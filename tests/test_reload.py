@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gateway.config.load import load_config
-from gateway.runtime.app import Gateway, prepare
+from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import prepare
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped

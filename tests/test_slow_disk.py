@@ -7,7 +7,8 @@ from rig import Tester
 from told import FRAMES, of, stored, told, told_of, watched_rigs
 
 from gateway.faults.store import Store, StoreError
-from gateway.runtime.app import Gateway, prepare
+from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import prepare
 
 NOT_WRITTEN, DAMAGED = "gateway.memory_not_written", "gateway.memory_damaged"
 

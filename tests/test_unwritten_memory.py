@@ -7,7 +7,8 @@ from told import FRAMES, of, stored, told, watched_rigs
 from gateway.bus.frames import EXTENDED
 from gateway.config.load import load_config
 from gateway.faults.store import Store, StoreError
-from gateway.runtime.app import Gateway, prepare
+from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import prepare
 
 NOT_WRITTEN, DAMAGED = "gateway.memory_not_written", "gateway.memory_damaged"
 

@@ -21,7 +21,7 @@ from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.merge import Merger
 from gateway.live.pump import HELD, Left, Pump
-from gateway.runtime.app import Quiet
+from gateway.runtime.passage import Quiet
 from gateway_fdi.common.log import get_logger
 
 #: Without traffic, the engine's time lags the clock by this, so that a frame that is still on its

@@ -18,7 +18,7 @@ from gateway.engine.core import Engine
 from gateway.live import pumping
 from gateway.live.clock import Clock
 from gateway.live.merge import Merger
-from gateway.runtime.app import Quiet
+from gateway.runtime.passage import Quiet
 from gateway_fdi.jit import Bound, bound
 
 #: Frames taken of a socket at one call.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
+from gateway.answers.pages import AnswerBus
 from gateway.clients.asking import Asking
 from gateway.config.model import Config
 from gateway.engine.core import Engine
@@ -64,3 +66,14 @@ def bus_errors(config: Config, engine: Engine) -> dict[str, dict[str, int]]:
     return {
         bus.name: {name: n for name, n in engine.error_counters(k).items() if n} for k, bus in enumerate(config.bus)
     }
+
+
+def unread(config: Config, answers: Sequence[AnswerBus]) -> list[str]:
+    """Return which signals of answers are not decoded, and which reads have no layout, one line each."""
+    found = [text for bus in answers for text in bus.left_out]
+    for ecus, of_bus in zip(config.answered.values(), answers, strict=True):
+        for k, lengths in zip(ecus, of_bus.lengths, strict=True):
+            ecu = config.ecu[k]
+            names = [read.name for read in ecu.read if read.key not in lengths and read.pgn is None]
+            found += [f"ecu[{k}]: no layout of {', '.join(names)}: answers are only counted"] if names else []
+    return found

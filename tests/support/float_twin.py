@@ -8,7 +8,7 @@ from gateway.bus.frames import FD, empty, payload
 from gateway.config.load import load_config
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
-from gateway.runtime.app import prepare
+from gateway.runtime.assemble import prepare
 from gateway.signals.database import load_database
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario

@@ -1,0 +1,157 @@
+"""The parts of a gateway, connected: frames go in, verdicts go on, events and frames come out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gateway.common.uncollected import uncollected
+from gateway.config.model import Config
+from gateway.engine.depends.derive import Dependences
+from gateway.faults.kept import KeptStore
+from gateway.faults.memory import FaultMemory
+from gateway.faults.recorder import Recorder
+from gateway.runtime.assemble import Parts, asking_of, connect_routes, identifiers_of, prepare, servers_of
+from gateway.runtime.causes import Causes
+from gateway.runtime.controls import Controls
+from gateway.runtime.doubts import Doubts
+from gateway.runtime.explainer import Explainer
+from gateway.runtime.interventions import Interventions
+from gateway.runtime.outbox import Outbox
+from gateway.runtime.proofs import Proofs
+from gateway.runtime.reception import Reception
+from gateway.runtime.reports import Reports
+from gateway.runtime.standing import Standing
+from gateway.runtime.switched_off import SwitchedOff
+from gateway.runtime.usage_meter import UsageMeter
+from gateway.runtime.vehicle import Vehicle
+from gateway.runtime.verdicts import Verdicts
+from gateway.servers.access import signals_of
+from gateway.servers.authority import Authority
+from gateway.servers.bus_servers import BusServers
+
+
+class Connected:
+    """Engine, fault memory, servers and clients of one configuration, and the links between them.
+
+    Args:
+        config: the configuration.
+        memory_path: SQLite file of the fault memory; None keeps it in this process only.
+        file: where the configuration came from, for errors.
+        parts: of this configuration, when they are there already (see :func:`prepare`).
+        store: an open fault memory to go on with, instead of ``memory_path``.
+        lasting: whether batches are not written to after they were fed, as those of a log: they can be kept as they
+            are.
+
+    Raises:
+        InputError, InputErrors: a database, message, signal or fault that is wrong.
+    """
+
+    @uncollected()
+    def __init__(
+        self,
+        config: Config,
+        memory_path: str | Path | None = None,
+        *,
+        file: Path | None = None,
+        parts: Parts | None = None,
+        store: KeptStore | None = None,
+        lasting: bool = False,
+    ) -> None:
+        self.config = config
+        self._parts: Parts = prepare(config, file) if parts is None else parts
+        self.engine, self.catalogue = self._parts.engine, self._parts.catalogue
+        self.store = KeptStore(None if memory_path is None else Path(memory_path)) if store is None else store
+        self._closed = False
+        recording = config.memory.recording
+        names = tuple(bus.name for bus in config.bus)
+        self._recorder = None if recording is None else Recorder(recording, names, lasting=lasting)
+        self.memory = FaultMemory(
+            self.catalogue,
+            self.store,
+            size=config.memory.entries,
+            recordings=1 if recording is None else recording.most_per_fault,
+            statistics=self.engine.fold_statistics,
+            usage=config.usage,
+            ahead=config.memory.tell == "first",
+        )
+        self.controls = Controls(
+            self.engine,
+            self.memory,
+            self.store,
+            self._recorder,
+            self._parts.slots,
+            round(config.access.stale_ms * 1e6),
+            live=self._parts.live,
+        )
+        local = config.access.local_unlocked
+        self.authority = Authority(config.needs, self.controls, local_unlocked=local)
+        self._standing = Standing(self.engine, self.controls, told=self.store.path is None)
+        self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
+        self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
+        self.asking = asking_of(config, self._parts, self.controls, self._may_ask)
+        self._vehicle = Vehicle(config, self.asking, self.memory, self.engine)
+        servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
+        servers += [self._vehicle] if config.answered else []
+        self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
+        connect_routes(self.servers, self.asking)
+        served, asked = self.servers.heard, self.asking.heard
+        self._heard = None if served is None or asked is None else served | asked
+        self._connect()
+
+    def _may_ask(self, bus: int) -> bool:
+        """Return whether other ECUs of a bus may be asked now: it is neither dead nor asleep, and we may send."""
+        awake = self.config.power.awake
+        return (
+            self.controls.send
+            and self.engine.bus_lives(bus)
+            and (not awake or any(self.controls.met_so_far(condition) for condition in awake))
+        )
+
+    def _connect(self) -> None:
+        """Make the links between the parts: frames in, verdicts, events and frames out."""
+        self._off = SwitchedOff(self.engine)
+        first, send = self.config.memory.tell == "first", self.servers.on_changes
+        self._outbox = Outbox(self.memory, self.store, self.engine, self._off.report, send, first=first)
+        self._upkeep = self._outbox.upkeep
+        names = [bus.name for bus in self.config.buses]
+        self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
+        self._proofs = Proofs(self.engine, self.memory)
+        parts = self._parts
+        known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
+        self._causes = Causes(self.engine, known, parts.checks)
+        self._explainer = Explainer(
+            self.engine,
+            self.memory,
+            parts.depends,
+            self._causes,
+            hold=self.config.memory.symptoms == "hold",
+            note=self._outbox.note,
+        )
+        self._verdicts = Verdicts(
+            self.config,
+            self._parts,
+            self.memory,
+            self.controls,
+            self._recorder,
+            self._outbox,
+            self._off,
+            self._doubts,
+            self._causes,
+            self._explainer.failed,
+        )
+        self._explainer.note_changes = self._verdicts.note_changes
+        self._vehicle.connect(self._outbox.note, self._verdicts.take)
+        judged = [self._parts.slots[name] for name in signals_of(self.config.needs)]
+        self._reception = Reception(self.engine, self.controls, self._meter, judged, self._verdicts.take)
+        self._interventions = Interventions(
+            self.engine,
+            self.memory,
+            self._outbox,
+            self._verdicts,
+            self.controls,
+            self.authority,
+            self._standing,
+            self._off,
+        )
+        self.controls.connect(self._interventions)
+        self.reports = Reports(self.config.report, self.engine, self.controls, self._verdicts.take, self._outbox.tell)

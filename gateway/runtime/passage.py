@@ -1,0 +1,200 @@
+"""Frames and time go into a gateway, frames to send come out: batches, a pump's, servers' and clients' time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.bus.frames import FRAME, Frames, empty, joined
+from gateway.engine.core import Engine
+from gateway.runtime.connected import Connected
+from gateway.runtime.reception import refuse_unless_frames
+from gateway_fdi.errors import GatewayError
+
+_NO_FRAMES = empty(0)
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """A gateway in which nothing waits: what a pump must know of it. Times are of the engine [ns].
+
+    Attributes:
+        engine: to be fed.
+        before_ns: frames from this time on are to come by :meth:`Gateway.feed`.
+        due_ns: when a server, or a recording, is due, by the engine's time.
+        prompt_ns: when a server is due, by the bus's own time.
+        heard: identifiers (with EXTENDED) whose frames are to come by :meth:`Gateway.feed`.
+        may_send: whether what monitors send goes to the bus.
+    """
+
+    engine: Engine
+    before_ns: int
+    due_ns: int
+    prompt_ns: int
+    heard: frozenset[int]
+    may_send: bool
+
+
+class Passage(Connected):
+    """The parts of a gateway in the order in which they have their turn after a batch.
+
+    Times that go in are of the engine's time, which no step of the wall clock disturbs; a frame of the condition
+    STEPPED tells where the wall clock was set.
+    """
+
+    def feed(self, frames: Frames) -> Frames:
+        """Take a batch of frames; returns the frames to send.
+
+        The contents of the returned frames are stored before, unless they cannot be (see ``upkeep``).
+
+        Args:
+            frames: of FRAME, shape (n,), in order of time.
+
+        Raises:
+            TypeError: these are no frames.
+            GatewayError: the gateway is closed.
+        """
+        if self._closed or type(frames) is not np.ndarray or frames.dtype is not FRAME or frames.ndim != 1:
+            self._refuse_unless_open()
+            refuse_unless_frames(frames)
+        if self._recorder is not None:
+            self._recorder.on_frames(frames, self.engine.offset_ns)
+        frames = self.asking.hear(frames)
+        if self.servers.indifferent(frames):  # as to nearly every batch
+            return self._emit(self._reception.process(frames))
+        sent: list[Frames] = []
+        for piece, last, wanting in self.servers.pieces(frames):
+            sent.append(self._emit(self._reception.process(piece), asked=bool(wanting)))
+            for k in wanting:
+                made = self.servers.on_frame(k, last, self.engine.now_ns)
+                sent += [*self._outbox.take_early(), made]
+        return joined(sent)
+
+    def quiet(self) -> Quiet | None:
+        """Return what a pump must know to feed the engine in place of :meth:`feed`; None: something waits."""
+        before_ns = self._reception.before_ns
+        if self._closed or before_ns is None or self._heard is None or not (self._outbox.empty and self._settled):
+            return None
+        due_ns = self.servers.next_ns
+        if self._recorder is not None:
+            due_ns = min(due_ns, self._recorder.due_ns + 1)
+        return Quiet(self.engine, before_ns, due_ns, self.next_ns, self._heard, self.controls.send)
+
+    def took(self, frames: Frames) -> None:
+        """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`tell`."""
+        if self._recorder is not None:
+            self._recorder.on_frames(frames, self.engine.offset_ns)
+        self._reception.hear(int(frames["t_ns"].max()))
+
+    def tell(self) -> Frames:
+        """Take the events of the engine where a pump has left; returns the frames to send, before it goes on."""
+        return self._emit(self._reception.tell())
+
+    def resume(self, frames: Frames, start: int) -> Frames:
+        """Go on with a batch that a pump has begun, and that was taken down; returns the frames to send.
+
+        Args:
+            frames: of FRAME, shape (n,).
+            start: the first that the engine has not handled.
+        """
+        return self._emit(self._reception.resume(frames, start))
+
+    def _refuse_unless_open(self) -> None:
+        if self._closed:
+            raise GatewayError("this gateway is closed: make a new one")
+
+    def without_own(self, frames: Frames) -> Frames:
+        """Return a recording's frames without those that our monitors had sent: they send them again."""
+        return self._reception.without_own(frames)
+
+    def advance(self, t_ns: int) -> Frames:
+        """Let time pass without frames; returns the frames to send.
+
+        Raises:
+            GatewayError: the gateway is closed.
+        """
+        self._refuse_unless_open()
+        return self._emit(self._reception.advance(t_ns))
+
+    def poll(self, t_ns: int) -> Frames:
+        """Let time pass for the servers that answer others, and for the clients: the monitors' time lags theirs.
+
+        Args:
+            t_ns: now, of the clock that stamps frames.
+        """
+        made = self.servers.on_time(t_ns, prompt=True)
+        return joined([*made, self.asking.poll(t_ns)] if t_ns >= self.asking.next_ns else made)
+
+    def promise(self, frames: Frames, t_ns: int) -> Frames:
+        """Return what has testers wait (0x78), whose requests are among frames that a successor is fed.
+
+        Args:
+            frames: not to be fed to this one.
+            t_ns: now, of the clock that stamps frames.
+        """
+        return joined([empty(0), *self.servers.promise(frames, t_ns)])
+
+    @property
+    def next_ns(self) -> int:
+        """Time at which :meth:`poll` has something to do."""
+        return min(self.servers.next_prompt_ns, self.asking.next_ns)
+
+    @property
+    def due_ns(self) -> int:
+        """Time at which :meth:`advance` has something to do; while it waits for a write or the like: the past."""
+        if not (self._outbox.empty and self._idle):
+            return -1
+        return min(self.engine.due_ns, self.servers.next_ns, self.engine.pause_ns)
+
+    def identifiers_on(self, bus: int) -> list[int] | None:
+        """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
+        found: list[int] = []
+        for of in (self.engine.plan.identifiers, self.servers.identifiers_on, self.asking.identifiers_on):
+            more = of(bus)
+            if more is None:
+                return None
+            found += more
+        return found
+
+    def serve_requests(self) -> None:
+        """Do what other processes asked the fault memory for (``gateway faults clear``)."""
+        self._upkeep.look(self.engine.now_ns)
+        self._proofs.look()
+        self._interventions.serve_requests()
+        self._upkeep.tend()
+
+    def _emit(self, sent: Frames, *, asked: bool = False) -> Frames:
+        """Return the frames to send: the monitors' own, then what the servers have to say.
+
+        Args:
+            sent: by the monitors.
+            asked: whether there is a request for the present state.
+        """
+        now = self.engine.now_ns
+        if self._outbox.empty and self._idle and now < self.servers.next_ns:
+            return sent if self.controls.send else _NO_FRAMES  # as for nearly every batch
+        self._doubts.poll()
+        self._standing.settle(self._verdicts.take)
+        if self._recorder is not None and self._recorder.busy:
+            self.memory.add_recordings(self._recorder.on_time(now))
+        if self.memory.room:
+            self._verdicts.note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
+            self._explainer.look_soon()
+        frames = [*self._outbox.take_early(), sent if self.controls.send else _NO_FRAMES]
+        frames += self._outbox.release(now, self._verdicts.take, asked=asked)
+        frames += self.servers.on_time(now)
+        return joined(frames)
+
+    @property
+    def _idle(self) -> bool:
+        """Whether nothing waits: no recording, no entry for which there is room now, no write, no search for rules.
+
+        Nor that monitoring was switched, and is not told.
+        """
+        return self._settled and not (self._recorder is not None and self._recorder.busy)
+
+    @property
+    def _settled(self) -> bool:
+        """Whether nothing waits but time."""
+        return self._standing.settled and not (self.memory.room or self._doubts.busy) and self._upkeep.idle
