@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway.isotp.endpoint import IsoTpEndpoint
-from gateway.servers.bus_server import BusServer
+from gateway.servers.addressed import AddressedServer
 from gateway.servers.route import Route, is_told
 from gateway.servers.uds.nrc import Nrc
 from gateway.servers.uds.params import BusRouteParams
 from gateway.servers.uds.server import UdsServer
 
 
-class BusRoute(BusServer):
+class BusRoute(AddressedServer):
     """One. It judges a functional request before the gateway's own server takes it: it stands before that.
 
     Args:
@@ -32,29 +31,20 @@ class BusRoute(BusServer):
         wake: has the servers look again at when it is due, which is given, too.
     """
 
-    normal = False
-    prompt = True
     route: Route
 
     def __init__(self, params: BusRouteParams, transport: IsoTpEndpoint, server: UdsServer) -> None:
-        self.params, self._transport, self._server = params, transport, server
+        super().__init__(transport)
+        self.params, self._server = params, server
         self.counts: Counter[str] = Counter()
         self.wake: Callable[[], None] = lambda: None
         self._answers: list[bytes] = []
 
-    def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
-        """Keep requests and answers that are under way, if the identifiers are the same."""
-        if isinstance(old, BusRoute) and self._transport.succeed(old._transport, buses.get(old._transport.bus)):
+    def go_on(self, old: AddressedServer) -> None:
+        """Keep answers that wait, and what was counted."""
+        if isinstance(old, BusRoute):
             self.counts.update(old.counts)
             self._answers = old._answers
-
-    def identifiers(self, bus: int) -> list[int] | None:
-        """Return its request identifiers, if it is on this bus."""
-        return self._transport.identifiers if bus == self._transport.bus else []
-
-    def wanted(self, frames: Frames) -> NDArray[np.bool_]:
-        """Return which frames carry its request identifiers."""
-        return self._transport.wanted(frames)
 
     def on_frame(self, frame: np.void, t_ns: int) -> Frames:
         """Take a frame; passes the request on that it completes."""
@@ -63,13 +53,9 @@ class BusRoute(BusServer):
             self._pass_on(*request)
         return self.on_time(t_ns)
 
-    def promise(self, frame: np.void, t_ns: int) -> Frames:
-        """Return 0x78 for a request that is taken later."""
-        self._transport.advance(t_ns)
-        request = self._transport.peek(frame)
-        if request:
-            self._transport.send(self._server.pending(request))
-        return self._transport.take_frames()
+    def pending(self, request: bytes) -> list[bytes]:
+        """Return 0x78, as the gateway's own server would."""
+        return self._server.pending(request)
 
     def _pass_on(self, request: bytes, functional: bool, t_ns: int) -> None:
         """Pass a request on, if it may; the ECU that does not answer is named by the code, unless all were asked."""
@@ -106,4 +92,4 @@ class BusRoute(BusServer):
 
     def counters(self) -> dict[str, int]:
         """Return what it counted."""
-        return {**self._transport.counters(), **self.counts}
+        return {**super().counters(), **self.counts}

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway.faults.entries import DtcChange
 from gateway.isotp.endpoint import IsoTpEndpoint
+from gateway.servers.addressed import AddressedServer
 from gateway.servers.application import Application
-from gateway.servers.bus_server import BusServer
 from gateway.servers.obd.server import MODES
 
 
-class DiagnosticServer(BusServer):
+class DiagnosticServer(AddressedServer):
     """Hands requests from a transport to the application they are for, and its responses back.
 
     Args:
@@ -24,27 +23,11 @@ class DiagnosticServer(BusServer):
         obd: answers modes 01 to 0A; everything, where there is no UDS.
     """
 
-    normal = False
-    prompt = True
-
     def __init__(self, transport: IsoTpEndpoint, uds: Application | None, obd: Application | None) -> None:
-        self._transport = transport
+        super().__init__(transport)
         self._uds = uds
         self._obd = obd
         self._applications = [each for each in (uds, obd) if each is not None]
-
-    def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
-        """Keep requests and answers that are under way, if the addresses are the same."""
-        if isinstance(old, DiagnosticServer):
-            self._transport.succeed(old._transport, buses.get(old._transport.bus))
-
-    def identifiers(self, bus: int) -> list[int] | None:
-        """Return its request identifiers, if it is on this bus."""
-        return self._transport.identifiers if bus == self._transport.bus else []
-
-    def wanted(self, frames: Frames) -> NDArray[np.bool_]:
-        """Return which frames carry its request identifiers."""
-        return self._transport.wanted(frames)
 
     def on_frame(self, frame: np.void, t_ns: int) -> Frames:
         """Take a frame; answers the request that it completes."""
@@ -54,14 +37,10 @@ class DiagnosticServer(BusServer):
         self._hold(t_ns)
         return self._transport.take_frames()
 
-    def promise(self, frame: np.void, t_ns: int) -> Frames:
-        """Return 0x78 for a request that is taken later."""
-        self._transport.advance(t_ns)
-        request = self._transport.peek(frame)
-        application = None if not request else self._application_for(request)
-        if request and application is not None:
-            self._transport.send(application.pending(request))
-        return self._transport.take_frames()
+    def pending(self, request: bytes) -> list[bytes]:
+        """Return 0x78 of the application that the request is for."""
+        application = self._application_for(request)
+        return [] if application is None else application.pending(request)
 
     def _hold(self, t_ns: int) -> None:
         busy = self._transport.busy
@@ -96,7 +75,3 @@ class DiagnosticServer(BusServer):
     def next_ns(self) -> int:
         """Time of the next timer of the transport or of an application."""
         return min([self._transport.next_ns, *(each.next_ns for each in self._applications)])
-
-    def counters(self) -> dict[str, int]:
-        """Return what the transport counted."""
-        return self._transport.counters()
