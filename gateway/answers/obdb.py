@@ -26,6 +26,7 @@ from gateway.answers.model import (
     signal_of,
 )
 from gateway.bus.frames import EXTENDED
+from gateway.isotp.place import FUNCTIONAL, TESTER
 from gateway.signals.bounds import LONGEST
 from gateway_fdi.errors import InputError
 
@@ -49,10 +50,8 @@ UNITS = {
 }  # fmt: skip
 #: Units that name what 0 and 1 mean.
 _TEXTS = {"noyes": {0: "no", 1: "yes"}, "yesno": {0: "yes", 1: "no"}, "offon": {0: "off", 1: "on"}}
-#: Priority of diagnostic frames with 29 bits, and the tester's address there (ISO 15765-2).
-_PRIORITY, _TESTER = 0x18, 0xF1
-#: Requests to all: any ECU answers them.
-TO_ALL = (0x7DF, EXTENDED | 0x18DB0000 | 0x33 << 8 | _TESTER)
+#: Priority of diagnostic frames with 29 bits (ISO 15765-2).
+_PRIORITY = 0x18
 
 
 class _Place(NamedTuple):
@@ -187,7 +186,7 @@ def _command(entry: Any, place: _Place) -> _Command:
         raise place.at("cmd").at(word).wrong("an identifier is missing")
     return _Command(
         place,
-        None if (address := _address(table, place)).request in TO_ALL else address,
+        None if (address := _address(table, place)).request in FUNCTIONAL else address,
         service,
         identifier,
         Years.of(table.get("filter"), place.at("filter")),
@@ -208,7 +207,7 @@ def _address(table: Mapping[str, Any], place: _Place) -> Address:
         if request > 0x7FF or (response or 0) > 0x7FF:
             raise place.at("hdr").wrong("an identifier of three digits has at most 7FF", header)
         return Address(request, response, own, None if own is None else own if tester is None else tester)
-    source = _TESTER if tester is None else tester
+    source = TESTER if tester is None else tester
     if len(header) == 4:
         priority = _hex(table, "pri", place, 0x1F)
         request |= (_PRIORITY if priority is None else priority) << 16
