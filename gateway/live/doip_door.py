@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from gateway.bus.frames import Frames
 from gateway.live.clock import Clock
+from gateway.live.listening import Listening
 from gateway.runtime.app import Gateway
 from gateway.servers.doip.connection import Connection
 from gateway.servers.doip.params import DoipParams
@@ -26,8 +27,6 @@ CHUNK_BYTES, MOST_IN_A_TURN = 64 << 10, 8
 HANDSHAKES_IN_A_TURN = 1
 #: Time for a closed tester to take what was sent to it last [s], and how many may take it.
 LINGER_S, LINGERING = 1.0, 32
-#: Time that no connection is taken where no descriptors are left [s].
-DEAF_S = 1.0
 #: The vehicle is announced this often, with this time between (ISO 13400-2, Table 42) [s].
 ANNOUNCEMENTS, ANNOUNCE_S = 3, 0.5
 #: Longest datagram that makes sense [byte].
@@ -85,9 +84,10 @@ class DoipDoor:
         self._found: DoipServer | None = _server_of(gateway)
         self._peers: list[_Peer] = []
         self._lingering: list[_Peer] = []
-        self._listening: list[tuple[socket.socket, _Attend]] = []
+        self._listening = Listening(self._selector, "DoIP: a tester cannot be taken")
+        self._datagrams: list[socket.socket] = []
         self._announced, self._announce_s = 0, 0.0
-        self._deaf_until = self._now_s = 0.0
+        self._now_s = 0.0
         self._shakes = 0
         try:
             for address in params.bind:
@@ -122,8 +122,11 @@ class DoipDoor:
                 text = f"nothing can listen at {address}: {error.strerror or error}"
                 raise InputError(text, key=f"output.doip.{key}", value=port) from error
             made.setblocking(False)
-            self._listening.append((made, attend))
-            self._selector.register(made, selectors.EVENT_READ, attend)
+            if kind == socket.SOCK_STREAM:
+                self._listening.add(made, attend)
+            else:
+                self._datagrams.append(made)
+                self._selector.register(made, selectors.EVENT_READ, attend)
 
     @property
     def _server(self) -> DoipServer:
@@ -160,11 +163,7 @@ class DoipDoor:
             now_s: of a clock that is never set [s].
             wanted: whether the descriptor was readable.
         """
-        if self._deaf_until and now_s >= self._deaf_until:
-            self._deaf_until = 0.0
-            for made, attend in self._listening:
-                if made.type == socket.SOCK_STREAM:
-                    self._selector.register(made, selectors.EVENT_READ, attend)
+        self._listening.turn(now_s)
         if self._announced < self._most_announcements and now_s >= self._announce_s:
             self._announce(now_s)
         if wanted:
@@ -190,8 +189,9 @@ class DoipDoor:
             self._drop(peer)
         for peer in list(self._lingering):
             self._forget(peer)
-        for made, _ in self._listening:
+        for made in self._datagrams:
             made.close()
+        self._listening.close()
         self._selector.close()
 
     # Datagrams
@@ -219,9 +219,7 @@ class DoipDoor:
         for text in self._params.announce:
             to = ipaddress.ip_address(text)
             family = socket.AF_INET6 if to.version == 6 else socket.AF_INET
-            for made, _ in self._listening:
-                if made.type != socket.SOCK_DGRAM or made.family != family:
-                    continue
+            for made in (each for each in self._datagrams if each.family == family):
                 try:
                     if family == socket.AF_INET:
                         made.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -236,19 +234,10 @@ class DoipDoor:
 
     def _accept(self, listener: socket.socket, *, secure: bool = False) -> None:
         for _ in range(MOST_IN_A_TURN):
-            try:
-                made, peer = listener.accept()
-            except BlockingIOError:
+            taken = self._listening.accept(listener, self._now_s)
+            if taken is None:
                 return
-            except OSError as error:
-                # No descriptors left: the socket stays readable, and the loop would turn for nothing.
-                log.warning("DoIP: a tester cannot be taken", reason=error.strerror)
-                for each, _ in self._listening:
-                    if each.type == socket.SOCK_STREAM:
-                        self._selector.unregister(each)
-                self._deaf_until = self._now_s + DEAF_S
-                return
-            made.setblocking(False)
+            made, peer = taken
             try:
                 made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 if secure and self._server.tls is not None:

@@ -15,7 +15,8 @@ from pathlib import Path
 from gateway.bus.frames import Frames
 from gateway.common.jsonlines import line
 from gateway.faults.reported import ReportParams
-from gateway.live.unix_socket import credentials_of, groups_of, listen_at
+from gateway.live.listening import Listening
+from gateway.live.unix_socket import credentials_of, groups_of, listen_at, remove
 from gateway.report.words import MOST_BYTES, REFUSALS
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger
@@ -25,8 +26,6 @@ from gateway_fdi.errors import UnsupportedError
 MOST_IN_A_TURN = 32
 #: Time that a connection is not heard after a report that was refused for its sender's fault [s].
 PAUSE_S = 0.01
-#: Time that no connection is taken where no descriptors are left [s].
-DEAF_S = 1.0
 #: Reasons for the pause: a sender of too much or of nonsense does not keep the loop busy.
 _PAUSING = {"malformed", "unknown_fault", "not_allowed", "rate", "data"}
 _TURNED_AWAY = line({"ok": False, "refused": "not_allowed", "why": REFUSALS["not_allowed"]}).encode()
@@ -66,10 +65,10 @@ class ReportSocket:
         self._selector = selectors.DefaultSelector()
         self._socket = listen_at(self._path, "report socket", kind=socket.SOCK_SEQPACKET, mode=params.mode_of_socket)
         self._inode = self._path.stat().st_ino
-        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._listening = Listening(self._selector, "report socket: a reporter cannot be taken")
+        self._listening.add(self._socket)
         self._connections: list[_Connection] = []
         self._paused: dict[_Connection, float] = {}  # until when
-        self._deaf_until = 0.0
         self.refused = 0
         self._say_strangers()
 
@@ -110,9 +109,7 @@ class ReportSocket:
         if not reports.begun:
             return  # no time to stamp a report with
         reports.pass_time()
-        if self._deaf_until and now_s >= self._deaf_until:
-            self._deaf_until = 0.0
-            self._selector.register(self._socket, selectors.EVENT_READ)
+        self._listening.turn(now_s)
         for connection in [each for each, until_s in self._paused.items() if now_s >= until_s]:
             del self._paused[connection]
             self._selector.register(connection.socket, _events_of(connection), connection)
@@ -134,25 +131,14 @@ class ReportSocket:
             connection.socket.close()
         self._connections.clear()
         self._selector.close()
-        self._socket.close()
-        try:
-            if self._path.stat().st_ino == self._inode:
-                self._path.unlink()
-        except OSError:
-            return  # it has been removed already
+        self._listening.close()
+        remove(self._path, self._inode)
 
     def _accept(self, now_s: float) -> None:
-        try:
-            made, _ = self._socket.accept()
-        except BlockingIOError:
-            return  # gone again
-        except OSError as error:
-            # No descriptors left: the socket stays readable, and the loop would turn for nothing.
-            log.warning("report socket: a reporter cannot be taken", reason=error.strerror)
-            self._selector.unregister(self._socket)
-            self._deaf_until = now_s + DEAF_S
+        taken = self._listening.accept(self._socket, now_s)
+        if taken is None:
             return
-        made.setblocking(False)
+        made, _ = taken
         if len(self._connections) >= self.params.connections:
             self.refused += 1
             if self.refused == 1:

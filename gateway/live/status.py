@@ -28,8 +28,9 @@ from gateway.bus.frames import Frames
 from gateway.bus.traffic import Traffic
 from gateway.common.jsonlines import line
 from gateway.engine.buckets import TickRow
+from gateway.live.listening import Listening
 from gateway.live.status_commands import Commands, monitoring_of
-from gateway.live.unix_socket import credentials_of, listen_at
+from gateway.live.unix_socket import credentials_of, listen_at, remove
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger
 
@@ -42,8 +43,6 @@ ENOUGH_BYTES = 256 << 10
 MOST_BYTES = 4 << 20
 #: Longest line that a reader may send, and most that is read or sent at once [byte].
 LINE_BYTES, CHUNK_BYTES = 64 << 10, 64 << 10
-#: Time that no connection is taken where no descriptors are left [s].
-DEAF_S = 1.0
 #: How often what is shown [s].
 TICK_S, BUSES_S, MESSAGES_S = 0.05, 0.5, 1.0
 #: No detection counter is this.
@@ -102,12 +101,12 @@ class StatusSocket:
         self._selector = selectors.DefaultSelector()
         self._socket = listen_at(path)
         self._inode = path.stat().st_ino
-        self._selector.register(self._socket, selectors.EVENT_READ)
+        self._listening = Listening(self._selector, "status socket: a reader cannot be taken")
+        self._listening.add(self._socket)
         self._readers: list[_Reader] = []
         self._pending: list[_Reader] = []  # of whom commands wait
         self._due = [0.0, 0.0, 0.0]
         self._count = 0
-        self._deaf_until = 0.0
         self._ended = ""
         self.sent_away = self.refused = self.ticks = 0
         self.replace(gateway)
@@ -155,9 +154,7 @@ class StatusSocket:
             now_s: of a clock that is never set [s].
             wanted: whether the descriptor was readable.
         """
-        if self._deaf_until and now_s >= self._deaf_until:
-            self._deaf_until = 0.0
-            self._selector.register(self._socket, selectors.EVENT_READ)
+        self._listening.turn(now_s)
         if wanted:
             self._attend(now_s)
         if not self._readers:
@@ -182,12 +179,8 @@ class StatusSocket:
         for reader in list(self._readers):
             self._drop(reader)
         self._selector.close()
-        self._socket.close()
-        try:
-            if self.path.stat().st_ino == self._inode:
-                self.path.unlink()
-        except OSError:
-            return  # it has been removed already
+        self._listening.close()
+        remove(self.path, self._inode)
 
     # Readers
 
@@ -203,22 +196,15 @@ class StatusSocket:
                 self._hear(reader)
 
     def _accept(self, now_s: float) -> None:
-        try:
-            connection, _ = self._socket.accept()
-        except BlockingIOError:
-            return  # gone again
-        except OSError as error:
-            # No descriptors left: the socket stays readable, and the loop would turn for nothing.
-            log.warning("status socket: a reader cannot be taken", reason=error.strerror)
-            self._selector.unregister(self._socket)
-            self._deaf_until = now_s + DEAF_S
+        taken = self._listening.accept(self._socket, now_s)
+        if taken is None:
             return
+        connection, _ = taken
         if len(self._readers) >= self._most:
             self.refused += 1
             log.warning("status socket: too many readers, one refused", most=self._most, refused=self.refused)
             connection.close()
             return
-        connection.setblocking(False)
         self._count += 1
         reader = _Reader(connection, self._count)
         if not self._readers:  # earlier results were shown to no reader, and have no known time

@@ -68,6 +68,15 @@ def _tidy(path: Path, what: str, listening: int) -> None:
     raise InputError(f"another gateway listens at this {what}", value=str(path))
 
 
+def remove(path: Path, inode: int) -> None:
+    """Remove the file of a socket, unless it has been removed already or is that of another process now."""
+    try:
+        if path.stat().st_ino == inode:
+            path.unlink()
+    except OSError:
+        return
+
+
 def credentials_of(connection: socket.socket) -> tuple[int, int, int]:
     """Return process, user and group at the other end; NOBODY on another system than Linux."""
     if not hasattr(socket, "SO_PEERCRED"):
