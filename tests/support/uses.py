@@ -97,12 +97,12 @@ USES = {
 
 
 @cache
-def lacking(name):
-    """Return whether a package ("gateway_bench") or a plant ("crank") is not in this checkout."""
+def lacking(name, root=ROOT):
+    """Return whether a package ("gateway_bench") or a plant ("crank") is not in a checkout, which is this one."""
     if name == "gateway":
-        return not (ROOT / "gateway" / "__init__.py").exists()
+        return not (root / "gateway" / "__init__.py").exists()
     folder = f"packages/{name}" if name.startswith("gateway_") else f"packages/gateway_plants/{name}"
-    return not (ROOT / folder).is_dir()
+    return not (root / folder).is_dir()
 
 
 @cache
