@@ -19,7 +19,7 @@ from gateway_fdi.errors import InputError
 from gateway_fleet.learn.answers import answers_asked
 from gateway_fleet.learn.document import BusAsked, relative
 from gateway_fleet.learn.learn import Asked, Progress, Result, learn, write
-from gateway_fleet.learn.report import data, markdown, summary
+from gateway_fleet.learn.report import data, markdown, observed, summary
 from gateway_fleet.learn.state import state_path
 
 #: Time between two lines where no terminal is [s].
@@ -173,8 +173,8 @@ def _say(asked: Asked, result: Result) -> None:
         print(f"{found['faults_named']} of {found['faults_tried']} faults put into these were named")
     if result.conditions:
         print(f"the logs themselves: {', '.join(result.conditions)}")
-    for wheel in found["wheels"]:
-        print(wheel)
+    for line in (line for lines in observed(result).values() for line in lines):
+        print(line)
     for note in result.learned.notes:
         print(note if len(note) <= 78 or "DOES NOT LOOK" in note else f"{note[:75]}...")
     print(f"{asked.out.with_suffix('.md')}: the evidence. Next: gateway check {asked.out}")
