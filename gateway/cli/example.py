@@ -9,7 +9,7 @@ from gateway.cli.present import print_json
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 
-#: What runs of an example leave in its folder.
+#: Files that a run of an example leaves in its folder.
 _LEFT = shutil.ignore_patterns("__pycache__", ".*", "*.sqlite*", "left")
 
 

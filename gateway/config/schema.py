@@ -25,4 +25,7 @@ def schema() -> dict[str, Any]:
                 "required": ["type", *params.get("required", [])],
             }
         )
+    kinds.append(
+        {"properties": {"type": {"pattern": ":", "description": "module:NAME of a monitor that is no package"}}}
+    )
     return document
