@@ -1,6 +1,7 @@
 """The whole gateway in one process: scenarios, live against replay, robustness, clear errors."""
 
 import random
+import tomllib
 from pathlib import Path
 
 import can
@@ -9,6 +10,7 @@ import pytest
 from amount import FULL, examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
 
 from gateway.bus.frames import ERROR, EXTENDED, FD, FRAME, REMOTE, empty
 from gateway.bus.logs import open_writer, read_log
@@ -350,6 +352,26 @@ def test_the_environment_overrides_the_file(monkeypatch):
     assert config.memory.path == Path("/elsewhere/f.sqlite")
     assert config.name == "other"
     assert config.bus[0].name == "powertrain"
+
+
+def test_shipped_configurations_are_as_the_schema_says():
+    Draft202012Validator.check_schema(schema())
+    judge = Draft202012Validator(schema())
+    files = [
+        shipped("gateway.toml"),
+        *(path for path in all_shipped("configs", ".toml") if "bus" in _read(path)),  # the others are catalogues
+        shipped("examples/battery_voltage/gateway.toml"),
+    ]
+    assert {path.name: [error.message for error in judge.iter_errors(_read(path))] for path in files} == {
+        path.name: [] for path in files
+    }
+    wrong = _read(shipped("configs/truck.toml"))
+    wrong["monitor"][0]["nu"] = {"T1": "many"}  # a part that only this monitor has
+    assert not judge.is_valid(wrong)
+
+
+def _read(path):
+    return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def test_the_schema_describes_monitors():

@@ -449,6 +449,16 @@ def new_monitor(
 
 
 @app.command()
+@does("gateway.cli.example:example")
+def example(
+    name: Annotated[str | None, typer.Argument(help="Name of the example.  [default: list all]")] = None,
+    folder: Annotated[Path | None, typer.Option("--folder", help="Folder to write.  [default: NAME]")] = None,
+    json: Json = False,
+) -> None:
+    """Copy an example to try: a car, a bench, a monitor or package of your own."""
+
+
+@app.command()
 @does("gateway.cli.warmup:warmup")
 def warmup(json: Json = False) -> None:
     """Compile all kernels into the cache, for a quick start."""

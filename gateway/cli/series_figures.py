@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from gateway.cli.drawing import save
-from gateway.runtime.series.envelope import Envelope, Trace
+from gateway.runtime.series.envelope import Envelope, Mark, Trace
 from gateway.runtime.series.rows import FAULT, QUANTITY, SIGNAL
 
 #: Number of panels of a picture; the series that moved least are left out.
@@ -25,6 +25,8 @@ _FAR = 20.0
 _LONG = 110
 #: DTC marks with a name; all have a line.
 _NAMED = 12
+#: Width of a letter of such a name, as a share of the picture.
+_LETTER = 0.0055
 
 _LINE, _LIMIT, _SET, _HEALED, _FAILED = "#1f4e79", "#b8860b", "#c0392b", "#2e8b57", "#f3d2cd"
 
@@ -92,6 +94,21 @@ def _panel(axes: Axes, trace: Trace, begin_ns: float) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
+def _name(axes: Axes, marks: list[Mark], begin_ns: float) -> int:
+    """Write the names of DTCs above their lines, as low as those before leave room; returns the number of heights."""
+    low, high = axes.get_xlim()
+    ends: list[float] = []  # of the last name at each height
+    for mark in marks:
+        at = (mark.t_ns - begin_ns) / 1e9
+        level = next((k for k, end in enumerate(ends) if end < at), len(ends))
+        ends[level : level + 1] = [at + (high - low) * _LETTER * len(mark.name)]
+        axes.annotate(
+            mark.name, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(2, 10 + 8 * level),
+            textcoords="offset points", fontsize=6, color=_SET, annotation_clip=False,
+        )  # fmt: skip
+    return len(ends)
+
+
 def draw(path: Path, envelope: Envelope, title: str) -> list[str]:
     """Draw series; returns what people should know of it, one line each."""
     traces, notes = _shown(envelope)
@@ -100,17 +117,12 @@ def draw(path: Path, envelope: Envelope, title: str) -> list[str]:
     rows = [axes for (axes,) in grid]
     for axes, trace in zip(rows, traces, strict=False):
         _panel(axes, trace, envelope.begin_ns)
-    named = 0
     for mark in envelope.marks:
         at, colour = (mark.t_ns - envelope.begin_ns) / 1e9, _SET if mark.is_set else _HEALED
         for axes in rows:
             axes.axvline(at, color=colour, lw=0.7, ls="-" if mark.is_set else ":")
-        if mark.is_set and named < _NAMED:
-            rows[0].annotate(
-                mark.name, (at, 1.0), xycoords=("data", "axes fraction"), xytext=(2, 10 + 8 * (named % 2)),
-                textcoords="offset points", fontsize=6, color=colour, rotation=0, annotation_clip=False,
-            )  # fmt: skip
-            named += 1
+    names = _name(rows[0], [mark for mark in envelope.marks if mark.is_set][:_NAMED], envelope.begin_ns)
+    figure.set_figheight(figure.get_figheight() + 0.11 * names)
     if not traces:
         rows[0].set_title("nothing has changed", fontsize=8, loc="left")
         notes.append("nothing has changed in it")

@@ -14,7 +14,7 @@ from gateway.runtime.series.envelope import Envelope
 from gateway.runtime.series.files import open_series, read_series
 from gateway.runtime.series.gather import Fed, Gatherer
 from gateway.runtime.series.rows import Series, Sink
-from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.errors import InputError, named
 
 _PICTURES = (".svg", ".png", ".pdf")
 
@@ -95,18 +95,17 @@ def plot_file(series: Path, output: Path, only: Sequence[str]) -> int:
     names: set[str] = set()
 
     def wanted(one: Series) -> bool:
-        names.update((one.monitor, one.name))
-        return not only or one.monitor in only or one.name in only
+        own = (one.monitor, one.name, f"{one.monitor}.{one.name}")  # the last as lines of DTCs have it
+        names.update(own)
+        return not only or any(name in only for name in own)
 
     envelope = Envelope(wanted)
     for rows, known in read_series(series, key="SERIES"):
         envelope.write(rows, known)
     for name in only:
         if name not in names:
-            known_names = sorted(names - {""})
-            raise InputError(
-                f"the file has {', '.join(known_names)}{nearest(name, known_names)}", key="--only", value=name
-            )
+            known_names = {each for each in names if not each.startswith(".")} - {""}
+            raise InputError(named("series of the file:", name, known_names), key="--only", value=name)
     for line in _drawn(output, envelope, series.stem):
         print(line)
     return 0

@@ -7,8 +7,9 @@ step begins, so a run is the same every time and goes as fast as the machine all
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from gateway.bus.frames import Frames
 from gateway.config.model import Config
@@ -35,7 +36,7 @@ class Driven(Protocol):
 
 
 def judgeable(scenario: Scenario, config: Config, *, file: Path) -> None:
-    """Refuse to judge a scenario whose gateway tells no tester of its DTCs: each expectation of silence would hold.
+    """Refuse to judge a gateway on a bus that tells no tester of its DTCs: each expectation of silence would hold.
 
     Args:
         scenario: with expectations.
@@ -50,6 +51,12 @@ def judgeable(scenario: Scenario, config: Config, *, file: Path) -> None:
         raise InputError(text, file=file, key="config", value=str(scenario.config))
 
 
+def _judged(judge: Judge, event: dict[str, Any]) -> None:
+    """Judge the event of a DTC."""
+    if event["event"] == "dtc":
+        judge.report(event["t_ns"] / 1e9, event["dtc"], event["status"], event["occurrence"])
+
+
 def drive(
     gateway: Gateway,
     player: Player,
@@ -61,7 +68,7 @@ def drive(
     stop: Callable[[], bool] = lambda: False,
     fed: Driven | None = None,
 ) -> None:
-    """Play a scenario to a gateway and read its DTC frames as a tester would.
+    """Play a scenario to a gateway and read its DTC frames as a tester would; its events, if it sends no DTC frames.
 
     Args:
         gateway: not started yet.
@@ -75,6 +82,8 @@ def drive(
     """
     driven: Driven = gateway if fed is None else fed
     wires = Wires(gateway)
+    if judge is not None and gateway.config.output.dtc_frame is None:
+        gateway.listen(partial(_judged, judge))
     try:
         gateway.start(0)
         until = 0

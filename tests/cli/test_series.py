@@ -148,6 +148,9 @@ def test_pictures(logs, tmp_path, capsys, monkeypatch):
     wrong = command(capsys, monkeypatch, "plot", tmp_path / "out.csv", "-o", again, "--only", "T over J of e9")
     assert wrong.code == 2
     assert "did you mean T over J of e" in wrong.err
+    assert len(wrong.err) < 200
+    as_told = command(capsys, monkeypatch, "plot", tmp_path / "out.csv", "-o", again, "--only", "motor.T over J of e5")
+    assert as_told.code == 0, as_told.err
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from gateway_bench.cli.control import Control
 from gateway_bench.cli.junit_scenario import of_findings, stopped
 from gateway_bench.cli.report import write_scenario
 from gateway_bench.cli.story import Story
-from gateway_bench.drive import drive, judgeable
+from gateway_bench.drive import drive
 from gateway_bench.playing import player_of
 from gateway_bench.vecu.expectations import Finding, Judge
 from gateway_bench.vecu.player import Player
@@ -166,8 +166,6 @@ def simulate(
     stop = Ending(starting=128 + signal.SIGTERM)
     scenario, config, player = _open(scenario_name, seed, stepwise=control is not None)
     check = check or junit is not None
-    if check and bus == INSIDE:
-        judgeable(scenario, config, file=find_scenario(scenario_name))
     junit_file = _JunitFile(junit, scenario, player, [file for file in (record, html) if file is not None])
     say(f"{scenario.name}: {scenario.duration_s} s, seed {player.seed}")
     with ExitStack() as stack:
