@@ -24,6 +24,7 @@ from gateway.bus.socketcand import (
     plain_frame,
     split,
 )
+from gateway.host.process import RAW
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import BusError
 
@@ -38,7 +39,7 @@ HOLD_S = 0.05
 def _spare() -> int | None:
     """Return a descriptor to be given up when there is no other; None: not even this one."""
     try:
-        return os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
+        return os.open(os.devnull, os.O_RDONLY | RAW)
     except OSError:
         return None
 

@@ -38,7 +38,8 @@ def record(
     if (out is None) == (ring is None):
         raise InputError("say where to: a file with --out, or a folder with --ring")
     ending = Ending().after(duration)
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    if hasattr(signal, "SIGHUP"):
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
     channels = _channels(uris)
     printer = EventPrinter(as_json=json, start_ns=time.time_ns())
     clock = Clock()

@@ -123,7 +123,8 @@ def run(
         printer.definition = definition
         if page is not None and status is not None:
             stack.callback(PageProcess(status, page).close)
-        signal.signal(signal.SIGHUP, daemon.reloader.request)
+        if hasattr(signal, "SIGHUP"):
+            signal.signal(signal.SIGHUP, daemon.reloader.request)
         say(daemon.describe())
         begun = time.monotonic()
         daemon.run(ending.after(duration))

@@ -13,10 +13,8 @@ from gateway.cli.present import find_config, say
 from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.config.model import Config
+from gateway.host import process
 from gateway_fdi.common.log import get_logger
-
-#: How far a page beside a gateway gives way to it.
-NICE = 10
 
 log = get_logger(__name__)
 
@@ -74,9 +72,8 @@ def give_way() -> None:
     With SCHED_IDLE a gateway that something comes for takes its processor at once. With SCHED_BATCH, or by its nice
     value alone, the page would keep it until its slice is over (Linux 6.6 and later protect slices): up to 4 ms.
     """
-    os.nice(NICE)  # for a sandbox that forbids the next
     try:
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+        process.give_way()
     except OSError as error:
         log.info("the page runs without SCHED_IDLE", reason=error.strerror)
 

@@ -9,7 +9,6 @@ happened.
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Generic, Protocol, TypeVar
 
 from gateway.common.extras import need
+from gateway.host.process import processors
 from gateway_fdi.errors import GatewayError, InputError
 
 #: How often a task that was under way when a worker died is tried alone.
@@ -60,7 +60,7 @@ class Work(Protocol[Task, Outcome]):
 
 def default_workers() -> int:
     """Return how many workers a cluster on this machine gets: a core each."""
-    return max(1, len(os.sched_getaffinity(0)))
+    return processors()
 
 
 class Pool(Generic[Task, Outcome]):

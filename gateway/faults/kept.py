@@ -20,7 +20,7 @@ from typing import TypeVar
 
 from gateway.faults import chain, rows, write_ahead
 from gateway.faults.interventions import Intervention
-from gateway.faults.lock import InUseError, is_in_place, mark_unsaved, take_lock
+from gateway.faults.lock import InUseError, is_in_place, take_lock
 from gateway.faults.mishaps import Mishap, Mishaps
 from gateway.faults.place import Place
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
@@ -36,6 +36,7 @@ from gateway.faults.store import (
     damage,
 )
 from gateway.faults.vehicle import EcuDtc
+from gateway.host.locks import mark_unsaved
 from gateway_fdi.errors import GatewayError, InputError
 
 T = TypeVar("T")

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import struct
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from gateway.host import locks
+from gateway.host.process import RAW
 from gateway_fdi.errors import InputError
 
 #: Longer than :func:`is_kept` takes [s].
 LOOK_S = 0.02
-#: struct flock (fcntl(2)): type, whence, start, length, process.
-_FLOCK = "@hhqqi0q"
 #: Bytes that SQLite locks for reading: the first, and how many (https://www.sqlite.org/lockingv3.html).
 _SHARED = (0x40000002, 510)
 
@@ -23,23 +22,26 @@ class InUseError(InputError):
     """Another process keeps this fault memory."""
 
 
-def is_kept(path: Path) -> bool:
-    """Return whether a process keeps this fault memory at present."""
+def _asked(path: Path, question: Callable[[int], bool]) -> bool:
+    """Return what a fault memory's lock answers; no lock: no."""
     try:
-        lock = os.open(f"{path.resolve()}-lock", os.O_RDONLY | os.O_CLOEXEC)
+        lock = os.open(f"{path.resolve()}-lock", os.O_RDONLY | RAW)
     except OSError:
         return False
     try:
-        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
+        return question(lock)
     finally:
         os.close(lock)
-    return False
 
 
-def _flock(kind: int, start: int = 0, length: int = 1) -> bytes:
-    return struct.pack(_FLOCK, kind, os.SEEK_SET, start, length, 0)
+def is_kept(path: Path) -> bool:
+    """Return whether a process keeps this fault memory at present."""
+    return _asked(path, locks.is_kept)
+
+
+def is_unsaved(path: Path) -> bool:
+    """Return whether the process that keeps this fault memory has changes that the file does not have."""
+    return _asked(path, locks.is_unsaved)
 
 
 def keep_from_copying(database: int) -> None:
@@ -50,42 +52,15 @@ def keep_from_copying(database: int) -> None:
     Args:
         database: descriptor of the file; the lock ends when it is closed.
     """
-    with suppress(OSError):
-        fcntl.fcntl(database, fcntl.F_OFD_SETLK, _flock(fcntl.F_RDLCK, *_SHARED))
-
-
-def mark_unsaved(lock: int, unsaved: bool) -> None:
-    """Let other processes see whether the writer holds changes that its file does not have.
-
-    A second lock on the same file says so, because that can still be told when nothing can be written.
-
-    Args:
-        lock: from :func:`take_lock`.
-        unsaved: whether there are such changes.
-    """
-    kind = fcntl.F_WRLCK if unsaved else fcntl.F_UNLCK
-    fcntl.fcntl(lock, fcntl.F_OFD_SETLK, _flock(kind))
-
-
-def is_unsaved(path: Path) -> bool:
-    """Return whether the process that keeps this fault memory has changes that the file does not have."""
-    try:
-        lock = os.open(f"{path.resolve()}-lock", os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return False
-    try:
-        # Whether a lock for reading would be refused.
-        found = fcntl.fcntl(lock, fcntl.F_OFD_GETLK, _flock(fcntl.F_RDLCK))
-    finally:
-        os.close(lock)
-    return bool(struct.unpack(_FLOCK, found)[0] != fcntl.F_UNLCK)
+    locks.share(database, *_SHARED)
 
 
 def mark(lock: int) -> None:
     """Note in the lock's file that there was a fault memory beside it."""
     with suppress(OSError):  # a full disk
         if not os.fstat(lock).st_size:
-            os.pwrite(lock, b"kept\n", 0)
+            os.lseek(lock, 0, os.SEEK_SET)
+            os.write(lock, b"kept\n")
 
 
 def is_marked(path: Path) -> bool:
@@ -117,13 +92,13 @@ def take_lock(path: Path) -> int:
         InUseError: another process is the writer.
         OSError: the lock file cannot be made.
     """
-    lock = os.open(f"{path.resolve()}-lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    lock = os.open(f"{path.resolve()}-lock", os.O_RDWR | os.O_CREAT | RAW, 0o644)
     try:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            locks.keep(lock)
         except BlockingIOError:
             time.sleep(LOOK_S)  # another process may only have looked
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            locks.keep(lock)
     except BlockingIOError as error:
         os.close(lock)
         raise InUseError(

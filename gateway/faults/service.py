@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -23,6 +22,7 @@ from gateway.faults.remedy import severity_names
 from gateway.faults.status import Status
 from gateway.faults.store import OutdatedError, Store
 from gateway.faults.vehicle import EcuDtc
+from gateway.host.process import user_in_words
 from gateway_fdi.errors import GatewayError, InputError
 
 
@@ -293,13 +293,13 @@ def clear(path: Path, dtc: str | None = None, *, force: bool = False, why: str =
     try:
         store = Store(path)
     except InUseError:
-        return _ask_writer(path, AskedClear(group, f"uid {os.getuid()}, command line", force, why), patience_s)
+        return _ask_writer(path, AskedClear(group, f"{user_in_words()}, command line", force, why), patience_s)
     try:
         memory = FaultMemory(Catalogue(()), store)
         count = sum(group in (ALL_DTCS, entry.dtc.value) for entry in memory.entries())
         memory.clear(group)
         request = b"\x14" + group.to_bytes(3, "big")
-        by = f"uid {os.getuid()}, command line{f': {why}' if why else ''}"
+        by = f"{user_in_words()}, command line{f': {why}' if why else ''}"
         memory.note_intervention(Intervention(time.time_ns(), "local", "", 0, "clear", request, role=by))
         memory.commit(final=True)
         return count

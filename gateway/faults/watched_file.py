@@ -31,6 +31,7 @@ from gateway.faults import chain
 from gateway.faults.lock import keep_from_copying
 from gateway.faults.salvage import FAST
 from gateway.faults.schema import APPLICATION_ID, MAGIC
+from gateway.host.process import RAW
 
 #: Where the header has the application's id (https://www.sqlite.org/fileformat.html).
 _APPLICATION = slice(68, 72)
@@ -73,7 +74,7 @@ class WatchedFile:
     def __init__(self, path: Path) -> None:
         beside = path.resolve()  # SQLite keeps log and index beside the file itself, not beside a link to it
         self._path, self._wal, self._shm = str(path), f"{beside}-wal", f"{beside}-shm"
-        self._file = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        self._file = os.open(path, os.O_RDONLY | RAW)
         self._file_state = self._log_state = _NO_FILE
         self._sum = 0
         self._index = _state(self._shm)[:2]

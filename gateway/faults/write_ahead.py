@@ -13,6 +13,8 @@ import shutil
 import sqlite3
 from pathlib import Path
 
+from gateway.host.process import RAW
+
 #: Length that the log gets, in pages of :data:`PAGE` bytes; SQLite copies a longer log by itself.
 PAGES, PAGE = 1000, 4096
 LENGTH = PAGES * (PAGE + 24) + 32
@@ -22,6 +24,12 @@ MANY = PAGES // 2
 ROOM = 64 << 20
 #: Bytes that the log grows by while no other process can write.
 _STEP = 64 << 10
+
+
+def _zeros(log: int, start: int, count: int) -> int:
+    """Write zeros into a file; returns how many."""
+    os.lseek(log, start, os.SEEK_SET)
+    return os.write(log, bytes(count))
 
 
 def lengthen(db: sqlite3.Connection, database: Path, known: tuple[int, int]) -> None:
@@ -36,7 +44,7 @@ def lengthen(db: sqlite3.Connection, database: Path, known: tuple[int, int]) -> 
         sqlite3.Error: another process writes for long.
         OSError: it cannot be written.
     """
-    log = os.open(f"{database}-wal", os.O_WRONLY | os.O_CLOEXEC)
+    log = os.open(f"{database}-wal", os.O_WRONLY | RAW)
     try:
         found = os.fstat(log)
         size = found.st_size
@@ -47,7 +55,7 @@ def lengthen(db: sqlite3.Connection, database: Path, known: tuple[int, int]) -> 
             db.execute("BEGIN IMMEDIATE")  # no other process appends now
             try:
                 size = os.fstat(log).st_size
-                size += os.pwrite(log, bytes(min(_STEP, max(LENGTH - size, 0))), size)
+                size += _zeros(log, size, min(_STEP, max(LENGTH - size, 0)))
             finally:
                 db.execute("ROLLBACK")
         os.fsync(log)

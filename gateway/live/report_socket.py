@@ -15,8 +15,8 @@ from pathlib import Path
 from gateway.bus.frames import Frames
 from gateway.common.jsonlines import line
 from gateway.faults.reported import ReportParams
+from gateway.host.sockets import credentials_of, groups_of, listen_at, remove
 from gateway.live.listening import Listening
-from gateway.live.unix_socket import credentials_of, groups_of, listen_at, remove
 from gateway.report.words import MOST_BYTES, REFUSALS
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger

@@ -28,9 +28,9 @@ from gateway.bus.frames import Frames
 from gateway.bus.traffic import Traffic
 from gateway.common.jsonlines import line
 from gateway.engine.buckets import TickRow
+from gateway.host.sockets import credentials_of, listen_at, remove
 from gateway.live.listening import Listening
 from gateway.live.status_commands import Commands, monitoring_of
-from gateway.live.unix_socket import credentials_of, listen_at, remove
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger
 

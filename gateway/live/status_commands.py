@@ -20,14 +20,13 @@ condition is met no longer (unless it was forced), and when a tester or another 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.interventions import Intervention
-from gateway.live.unix_socket import NOBODY
+from gateway.host.process import NOBODY, user
 from gateway.runtime.app import Gateway
 from gateway.servers.authority import WATCH_NS, Holder, Refusal, local_intervention
 from gateway.servers.uds.params import S3_MS
@@ -175,7 +174,7 @@ class Commands:
             text = asked.get(key, "")
             if not isinstance(text, str) or len(text) > MOST_LETTERS:
                 raise InputError(f"at most {MOST_LETTERS} letters", key=key, value=text)
-        if force and session.uid not in (0, os.geteuid()):
+        if force and session.uid not in (0, user()):
             raise InputError("only the owner of the status socket may override the rules", key="force", value=force)
         session.by = asked.get("by", "")
         found = _Asked(session, action, request, self._gateway.authority.local_refusal(action), force, why)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections import Counter
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from gateway.engine.checks.memory_health import OWNER
 from gateway.engine.checks.reporter_health import REPORTER_LOST
 from gateway.engine.core import Engine, Sink
 from gateway.faults.reported import ReporterParams, ReportParams, key_of
+from gateway.host.process import user
 from gateway.report.words import MOST_BYTES, REFUSALS, RESULTS
 from gateway.runtime.controls import Controls
 from gateway_fdi.common.log import get_logger
@@ -102,7 +102,7 @@ class Reports:
         tell: Callable[[dict[str, Any]], None],
     ) -> None:
         self._engine, self._controls, self._sink, self._tell = engine, controls, sink, tell
-        self._own = os.geteuid()
+        self._own = user()
         self._reporters: dict[str, _Reporter] = {}
         self._keys: dict[str, tuple[str, ...]] = {}  # fault -> names of its data
         self._senders: dict[int, _Sender] = {}

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from gateway.host.sockets import open_connection
 from gateway.serve.wire import Garbled, Splitter
 
 #: Waits between attempts to reach the daemon [s].
@@ -48,7 +49,7 @@ class StatusLink:
         wait_s = FIRST_WAIT_S
         while True:
             try:
-                reader, self._writer = await asyncio.open_unix_connection(str(self.path))
+                reader, self._writer = await open_connection(self.path)
             except OSError as error:
                 self._on_link(False, f"{self.path}: {error.strerror or error}")
                 await asyncio.sleep(wait_s)

@@ -106,9 +106,9 @@ def test_what_is_long_is_copied_into_the_database(store, tmp_path):
 def test_nobody_can_write_while_the_log_is_made_longer(store, monkeypatch):
     """Else the zeros would fall upon what he appends."""
     tried = []
-    put = write_ahead.os.pwrite
+    put = write_ahead._zeros
 
-    def pwrite(*arguments):
+    def zeros(*arguments):
         other = sqlite3.connect(store.path, isolation_level=None, timeout=0)
         with pytest.raises(sqlite3.OperationalError, match="locked"):
             other.execute("BEGIN IMMEDIATE")
@@ -117,7 +117,7 @@ def test_nobody_can_write_while_the_log_is_made_longer(store, monkeypatch):
         return put(*arguments)
 
     store.save(Changes(records=[record(1)]))
-    monkeypatch.setattr(write_ahead.os, "pwrite", pwrite)
+    monkeypatch.setattr(write_ahead, "_zeros", zeros)
     store.tend_log()
     assert tried
     store.save(Changes(records=[record(2)]))

@@ -9,8 +9,8 @@ import pytest
 from daemon_rig import World
 from reporting import write_config
 
+from gateway.host.sockets import groups_of, listen_at
 from gateway.live import report_socket as module
-from gateway.live.unix_socket import groups_of, listen_at
 from gateway.serve.metrics import Metrics
 from gateway_fdi.errors import InputError
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.common.jsonlines import line
-from gateway.live.unix_socket import listen_at
+from gateway.host.sockets import connect, listen_at
 from gateway_bench.vecu.player import Player
 from gateway_fdi.errors import GatewayError, InputError, nearest
 
@@ -141,10 +141,8 @@ def ask(path: Path, request: Mapping[str, Any], *, patience_s: float = 30.0) -> 
     Raises:
         InputError: no simulation listens there, no answer came, or it was refused.
     """
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as peer:
-        peer.settimeout(patience_s)
-        try:
-            peer.connect(str(path))
+    try:
+        with connect(path, patience_s=patience_s) as peer:
             peer.sendall(line(dict(request)).encode() + b"\n")
             heard = b""
             while not heard.endswith(b"\n"):
@@ -152,9 +150,9 @@ def ask(path: Path, request: Mapping[str, Any], *, patience_s: float = 30.0) -> 
                 if not data:
                     raise InputError("the simulation has ended", value=str(path))
                 heard += data
-        except OSError as error:
-            text = f"no simulation with --control listens here: {error.strerror or error}"
-            raise InputError(text, value=str(path)) from error
+    except OSError as error:
+        text = f"no simulation with --control listens here: {error.strerror or error}"
+        raise InputError(text, value=str(path)) from error
     answer: dict[str, Any] = json.loads(heard)
     if "error" in answer:
         raise InputError(str(answer["error"]))

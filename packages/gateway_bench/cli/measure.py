@@ -18,6 +18,7 @@ from gateway.bus.frames import Frames
 from gateway.config.load import load_config
 from gateway.faults.records import Changes, Record
 from gateway.faults.store import Store, StoreError
+from gateway.host.process import processors
 from gateway.runtime.app import Gateway
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario
@@ -133,7 +134,7 @@ def measure(folder: Path, seconds: float = EACH_S) -> dict[str, Any]:
         seconds: for each of the four.
     """
     return {
-        "processors": len(os.sched_getaffinity(0)),
+        "processors": processors(),
         "load": os.getloadavg()[0],
         "replay": replay(seconds),
         "one_frame": one_frame(seconds),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import select
 import signal
 import time
@@ -24,6 +23,7 @@ from gateway.cli.run import Ending
 from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.config.model import Config
+from gateway.host import process
 from gateway.live.watchdog import steps_watched
 from gateway.runtime.app import Gateway
 from gateway.servers.dtc_frame import message_of, read_dtc_frame
@@ -244,7 +244,7 @@ def prefer(priority: int | None) -> None:
     if priority is None:
         return
     try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+        process.prefer(priority)
     except OSError as error:
         text = f"{error.strerror}: it wants CAP_SYS_NICE, or a limit rtprio (limits.conf)"
         raise InputError(text, key="--priority", value=priority) from error

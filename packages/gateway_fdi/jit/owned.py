@@ -11,15 +11,28 @@ import os
 import stat
 from pathlib import Path
 
+#: A file is read as it is, and neither a link nor a pipe is waited for.
+_READ = os.O_RDONLY
+for _name in ("O_CLOEXEC", "O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"):
+    _READ |= getattr(os, _name, 0)
 #: Modes by which others than the owner can write.
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
-def _wrong(status: os.stat_result) -> str:
-    """Return why something may be another user's, "" if it is this user's."""
-    if status.st_uid not in (os.geteuid(), 0):
+def _wrong_owner(status: os.stat_result) -> str:
+    if hasattr(os, "geteuid") and status.st_uid not in (os.geteuid(), 0):
         return f"it belongs to another user ({status.st_uid})"
-    if status.st_mode & _OTHERS:
+    return ""
+
+
+def _wrong(status: os.stat_result) -> str:
+    """Return why something may be another user's, "" if it is this user's.
+
+    Windows numbers no users; there the folder's own rights decide, which the user's profile keeps from others.
+    """
+    if why := _wrong_owner(status):
+        return why
+    if hasattr(os, "geteuid") and status.st_mode & _OTHERS:
         return f"others can write it (mode {stat.S_IMODE(status.st_mode):o})"
     return ""
 
@@ -28,8 +41,8 @@ def foreign(folder: Path) -> str:
     """Return why a folder is not to be used, "" if it is this user's, or not there yet."""
     try:
         link = folder.lstat()
-        if stat.S_ISLNK(link.st_mode) and link.st_uid not in (os.geteuid(), 0):
-            return f"it belongs to another user ({link.st_uid})"
+        if stat.S_ISLNK(link.st_mode) and (why := _wrong_owner(link)):
+            return why
         status = folder.stat()
     except OSError:  # told by the code that reads or writes there
         return ""
@@ -45,7 +58,7 @@ def read_own(path: Path) -> bytes:
     """
     if why := foreign(path.parent):
         raise PermissionError(errno.EPERM, why, str(path.parent))
-    with os.fdopen(os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+    with os.fdopen(os.open(path, _READ), "rb") as file:
         status = os.fstat(file.fileno())
         why = _wrong(status) if stat.S_ISREG(status.st_mode) else "it is no file"
         if why:

@@ -1,0 +1,56 @@
+"""This process: its user, its processors, flags of the files that it opens."""
+
+from __future__ import annotations
+
+import getpass
+import os
+
+#: Flags for :func:`os.open`: bytes as they are, and no child process has the file.
+RAW = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
+#: Nice value of a process that gives way.
+_NICE = 10
+#: Of a user that the system does not number, or does not tell.
+NOBODY = -1
+
+
+def user() -> int:
+    """Return the number of this process's user; NOBODY on Windows, which has none."""
+    return os.geteuid() if hasattr(os, "geteuid") else NOBODY
+
+
+def user_in_words() -> str:
+    """Return this process's user for the trace of what was done: "uid 1000", on Windows the user's name."""
+    return f"uid {os.getuid()}" if hasattr(os, "getuid") else f"user {getpass.getuser()}"
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1
+
+
+def prefer(priority: int) -> None:
+    """Let the kernel prefer this process (SCHED_RR).
+
+    Args:
+        priority: 1 to 99.
+
+    Raises:
+        OSError: this user may not ask for that, or this system has no such order.
+    """
+    if not hasattr(os, "sched_setscheduler"):
+        raise OSError("this system has no such priority")
+    os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+
+
+def give_way() -> None:
+    """Let every other process go first (SCHED_IDLE), as far as the system can.
+
+    Raises:
+        OSError: SCHED_IDLE is forbidden; its nice value is higher all the same.
+    """
+    if hasattr(os, "nice"):
+        os.nice(_NICE)
+    if hasattr(os, "sched_setscheduler") and hasattr(os, "SCHED_IDLE"):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))

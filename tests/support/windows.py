@@ -1,0 +1,93 @@
+"""Takes from this Python what Windows' lacks, and runs the gateway: python tests/support/windows.py check car.toml.
+
+It shows that nothing of it is needed; it does not show that Windows does the rest. Other packages, and the standard
+library, keep what they have taken before.
+"""
+
+import asyncio
+import ctypes
+import importlib
+import os
+import select
+import signal
+import socket
+import struct
+import subprocess  # noqa: F401 - keeps what it needs of os
+import sys
+import time
+import types
+from pathlib import Path
+
+#: Packages that know both systems, and would look for Windows' own modules.
+KEEP = """
+    asyncio multiprocessing.context multiprocessing.shared_memory concurrent.futures.process tempfile selectors numba
+    llvmlite.binding scipy.signal filterpy.kalman can can.interfaces.virtual cantools typer rich.console structlog
+    matplotlib.pyplot sqlite3 pydantic pydantic_settings platformdirs pytest sympy urllib.request
+""".split()
+MODULES = "fcntl grp pwd resource termios tty pty syslog".split()
+LACKING = {
+    os: """
+        getuid geteuid getgid getegid getgroups eventfd eventfd_read eventfd_write EFD_NONBLOCK EFD_CLOEXEC sched_getaffinity
+        sched_setscheduler sched_param SCHED_RR SCHED_IDLE SCHED_FIFO O_CLOEXEC O_NOFOLLOW O_NONBLOCK O_DIRECTORY O_DSYNC
+        pwrite pread fchmod fchown chown fork fdatasync posix_fadvise posix_fallocate getloadavg uname statvfs sysconf nice
+        setsid mkfifo killpg wait4 memfd_create writev preadv pwritev sendfile getpriority setpriority initgroups
+    """,
+    socket: """
+        AF_UNIX AF_CAN PF_CAN CAN_RAW CMSG_LEN CMSG_SPACE SO_PEERCRED SOCK_CLOEXEC SOCK_NONBLOCK MSG_DONTWAIT SO_REUSEPORT
+        MSG_NOSIGNAL AF_PACKET AF_NETLINK SCM_RIGHTS
+    """,
+    signal: """
+        SIGHUP SIGUSR1 SIGUSR2 SIGALRM SIGPIPE SIGCHLD SIGQUIT SIGKILL setitimer pthread_sigmask sigwait
+    """,
+    select: "poll epoll",
+    time: "clock_gettime clock_gettime_ns CLOCK_REALTIME CLOCK_MONOTONIC CLOCK_BOOTTIME CLOCK_MONOTONIC_RAW",
+    asyncio: "open_unix_connection start_unix_server",
+}
+
+
+def _locking():
+    """Return Windows' locks of byte ranges: of a descriptor, and never shared."""
+    import fcntl
+
+    def locking(descriptor, mode, count):
+        start = os.lseek(descriptor, 0, os.SEEK_CUR)
+        writes = fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_RDWR
+        kind = fcntl.F_UNLCK if not mode else fcntl.F_WRLCK if writes else fcntl.F_RDLCK
+        try:
+            fcntl.fcntl(descriptor, fcntl.F_OFD_SETLK, struct.pack("@hhqqi0q", kind, 0, start, count, 0))
+        except BlockingIOError as error:
+            raise PermissionError(13, "Permission denied") from error
+
+    return types.SimpleNamespace(locking=locking, LK_UNLCK=0, LK_NBLCK=2)
+
+
+def become_windows():
+    """Take away what is lacking, for all modules that are loaded from now on."""
+    for name in KEEP:
+        try:
+            importlib.import_module(name)
+        except ImportError:
+            continue
+    sys.modules["msvcrt"] = _locking()
+    for name in MODULES:
+        sys.modules[name] = None
+    for module, names in LACKING.items():
+        for name in names.split():
+            vars(module).pop(name, None)
+    os.O_BINARY, os.O_NOINHERIT = 0, 0
+
+    def no_library_of_the_process(name, *more, **further):
+        if name is None:
+            raise TypeError("bad argument type for built-in operation")
+        return library(name, *more, **further)
+
+    library, ctypes.CDLL = ctypes.CDLL, no_library_of_the_process
+
+
+if __name__ == "__main__":
+    sys.path[0] = str(Path(__file__).parents[2])
+    become_windows()
+    from gateway.cli import main
+
+    sys.argv[0] = "gateway"
+    main()
