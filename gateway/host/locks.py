@@ -38,7 +38,7 @@ def _kind(found: bytes) -> int:
 
 
 def _lock_byte(lock: int, place: int) -> bool:
-    """Lock a byte on Windows; returns whether nobody else has it. The caller may have it already."""
+    """Lock a byte on Windows; returns whether no other process has it."""
     os.lseek(lock, place, os.SEEK_SET)
     try:
         _windows.locking(lock, _windows.LK_NBLCK, 1)

@@ -19,22 +19,44 @@ import types
 from pathlib import Path
 
 #: Packages that know both systems, and would look for Windows' own modules.
-KEEP = """
-    asyncio multiprocessing.context multiprocessing.shared_memory concurrent.futures.process tempfile selectors numba
-    llvmlite.binding scipy.signal filterpy.kalman can can.interfaces.virtual cantools typer rich.console structlog
-    matplotlib.pyplot sqlite3 pydantic pydantic_settings platformdirs pytest sympy urllib.request
-""".split()
-MODULES = "fcntl grp pwd resource termios tty pty syslog".split()
+KEEP = [
+    "asyncio",
+    "multiprocessing.context",
+    "multiprocessing.shared_memory",
+    "concurrent.futures.process",
+    "tempfile",
+    "selectors",
+    "numba",
+    "llvmlite.binding",
+    "scipy.signal",
+    "filterpy.kalman",
+    "can",
+    "can.interfaces.virtual",
+    "cantools",
+    "typer",
+    "rich.console",
+    "structlog",
+    "matplotlib.pyplot",
+    "sqlite3",
+    "pydantic",
+    "pydantic_settings",
+    "platformdirs",
+    "pytest",
+    "sympy",
+    "urllib.request",
+]
+MODULES = ["fcntl", "grp", "pwd", "resource", "termios", "tty", "pty", "syslog"]
 LACKING = {
     os: """
-        getuid geteuid getgid getegid getgroups eventfd eventfd_read eventfd_write EFD_NONBLOCK EFD_CLOEXEC sched_getaffinity
-        sched_setscheduler sched_param SCHED_RR SCHED_IDLE SCHED_FIFO O_CLOEXEC O_NOFOLLOW O_NONBLOCK O_DIRECTORY O_DSYNC
-        pwrite pread fchmod fchown chown fork fdatasync posix_fadvise posix_fallocate getloadavg uname statvfs sysconf nice
-        setsid mkfifo killpg wait4 memfd_create writev preadv pwritev sendfile getpriority setpriority initgroups
+        getuid geteuid getgid getegid getgroups eventfd eventfd_read eventfd_write EFD_NONBLOCK EFD_CLOEXEC
+        sched_getaffinity sched_setscheduler sched_param SCHED_RR SCHED_IDLE SCHED_FIFO O_CLOEXEC O_NOFOLLOW
+        O_NONBLOCK O_DIRECTORY O_DSYNC pwrite pread fchmod fchown chown fork fdatasync posix_fadvise
+        posix_fallocate getloadavg uname statvfs sysconf nice setsid mkfifo killpg wait4 memfd_create writev
+        preadv pwritev sendfile getpriority setpriority initgroups
     """,
     socket: """
-        AF_UNIX AF_CAN PF_CAN CAN_RAW CMSG_LEN CMSG_SPACE SO_PEERCRED SOCK_CLOEXEC SOCK_NONBLOCK MSG_DONTWAIT SO_REUSEPORT
-        MSG_NOSIGNAL AF_PACKET AF_NETLINK SCM_RIGHTS
+        AF_UNIX AF_CAN PF_CAN CAN_RAW CMSG_LEN CMSG_SPACE SO_PEERCRED SOCK_CLOEXEC SOCK_NONBLOCK MSG_DONTWAIT
+        SO_REUSEPORT MSG_NOSIGNAL AF_PACKET AF_NETLINK SCM_RIGHTS
     """,
     signal: """
         SIGHUP SIGUSR1 SIGUSR2 SIGALRM SIGPIPE SIGCHLD SIGQUIT SIGKILL setitimer pthread_sigmask sigwait
