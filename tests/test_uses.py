@@ -14,8 +14,8 @@ from uses import BELOW, PLANTS, ROOT, TESTS, USES, helpers, imported, lacking, u
 LINES = sorted((place, owner) for place, owners in USES.items() for owner in owners)
 
 
-#: Tests that run without plants: help, doctor, a package of strangers, a log that is learned.
-SOME = "test_help or test_doctor or test_a_package_brings or test_each_channel_of_a_log"
+#: Tests that run without plants: help, doctor, a log that is learned.
+SOME = "test_help or test_doctor or test_each_channel_of_a_log"
 
 #: A file that takes every shipped file, or every page, uses all plants.
 EVERY = ("all_shipped", "glob", "rglob")
