@@ -12,6 +12,7 @@ import pytest
 from rig import FUNCTIONAL, Rig, Tester, write_config
 from test_access import LEVEL, STANDS, by_j1939, by_mode_04, unlock
 from uds_tester import EXTRA, Asked
+from uses import PLANTS, lacking
 
 from gateway.servers.access import FREE, GUARDED
 from gateway.servers.uds.services import SERVICES
@@ -114,10 +115,12 @@ def test_a_functional_request_opens_nothing(tmp_path):
 def test_the_tests_that_the_page_names_are_there():
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", PAGE.read_text())
     assert len(named) > 25
+    gone = {plant for plant in PLANTS if lacking(plant)}
     missing = [
         f"{file}::{name}"
         for file, name in named
-        if not (ROOT / file).exists() or not re.search(rf"^def {name}\(", (ROOT / file).read_text(), re.M)
+        if Path(file).parts[1] not in gone
+        and not ((ROOT / file).exists() and re.search(rf"^def {name}\(", (ROOT / file).read_text(), re.M))
     ]
     assert missing == []
 
