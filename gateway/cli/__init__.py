@@ -545,10 +545,11 @@ def faults_recordings(
 def faults_export(
     config: ConfigArgument = None,
     out: Annotated[Path | None, typer.Option(help="File to write; default: standard output.")] = None,
+    pdx: Annotated[Path | None, typer.Option(help="Write what UDS testers can ask as PDX (ODX) instead.")] = None,
 ) -> None:
-    """Write the catalogue of faults as JSON.
+    """Write the catalogue of faults as JSON, or as PDX.
 
-    It has faults, data identifiers and extended data records, as indented JSON.
+    JSON has faults, data identifiers and extended data records; PDX has all services of the UDS server, for testers.
     """
 
 

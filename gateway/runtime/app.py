@@ -121,8 +121,8 @@ class Gateway:
         lasting: bool = False,
     ) -> None:
         self.config = config
-        self._parts: Parts = prepare(config, file) if parts is None else parts
-        self.engine, self.catalogue = self._parts.engine, self._parts.catalogue
+        self.parts: Parts = prepare(config, file) if parts is None else parts
+        self.engine, self.catalogue = self.parts.engine, self.parts.catalogue
         self.store = KeptStore(None if memory_path is None else Path(memory_path)) if store is None else store
         self._closed = False
         recording = config.memory.recording
@@ -142,18 +142,18 @@ class Gateway:
             self.memory,
             self.store,
             self._recorder,
-            self._parts.slots,
+            self.parts.slots,
             round(config.access.stale_ms * 1e6),
-            live=self._parts.live,
+            live=self.parts.live,
         )
         local = config.access.local_unlocked
         self.authority = Authority(config.needs, self.controls, local_unlocked=local)
         self._standing = Standing(self.engine, self.controls, told=self.store.path is None)
         self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
-        self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
-        self.asking = asking_of(config, self._parts, self.controls, self._may_ask)
+        self.identifiers = identifiers_of(config, self.parts, self.memory, self.controls)
+        self.asking = asking_of(config, self.parts, self.controls, self._may_ask)
         self._vehicle = Vehicle(config, self.asking, self.memory, self.engine)
-        servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
+        servers = servers_of(config, self.parts, self.memory, self.authority, self.identifiers)
         servers += [self._vehicle] if config.answered else []
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
         connect_routes(self.servers, self.asking)
@@ -177,9 +177,9 @@ class Gateway:
         self._outbox = Outbox(self.memory, self.store, self.engine, self._off.report, send, first=first)
         self._upkeep = self._outbox.upkeep
         names = [bus.name for bus in self.config.buses]
-        self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
+        self._doubts = Doubts(self.engine, self.parts.checks, self.parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
-        parts = self._parts
+        parts = self.parts
         known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
         self._causes = Causes(self.engine, known, parts.checks)
         self._explainer = Explainer(
@@ -192,7 +192,7 @@ class Gateway:
         )
         self._verdicts = Verdicts(
             self.config,
-            self._parts,
+            self.parts,
             self.memory,
             self.controls,
             self._recorder,
@@ -204,7 +204,7 @@ class Gateway:
         )
         self._explainer.note_changes = self._verdicts.note_changes
         self._vehicle.connect(self._outbox.note, self._verdicts.take)
-        judged = [self._parts.slots[name] for name in signals_of(self.config.needs)]
+        judged = [self.parts.slots[name] for name in signals_of(self.config.needs)]
         self._reception = Reception(self.engine, self.controls, self._meter, judged, self._verdicts.take)
         self._interventions = Interventions(
             self.engine,
@@ -278,8 +278,8 @@ class Gateway:
         self._explainer.begin(self.engine.now_ns)
 
     def _cycles_from(self, old: Gateway) -> dict[int, int]:
-        names = {name: k for k, name in enumerate(self._parts.cycles)}
-        return {k: names[name] for k, name in enumerate(old._parts.cycles) if name in names}
+        names = {name: k for k, name in enumerate(self.parts.cycles)}
+        return {k: names[name] for k, name in enumerate(old.parts.cycles) if name in names}
 
     def listen(self, listener: Listener) -> None:
         """Add a listener; it is called with each event of the JSON contract, in order."""
@@ -448,7 +448,7 @@ class Gateway:
     @property
     def databases(self) -> Sequence[Database]:
         """The databases of its buses."""
-        return self._parts.databases
+        return self.parts.databases
 
     @property
     def dtc_frame_id(self) -> int:
@@ -514,13 +514,13 @@ class Gateway:
     @property
     def notes(self) -> tuple[str, ...]:
         """Choices where the configuration leaves them to the databases, one line each."""
-        return self._parts.notes
+        return self.parts.notes
 
     @property
     def unread(self) -> list[str]:
         """Signals of answers that are not decoded, and reads whose answers have no layout, one line each."""
-        found = [text for bus in self._parts.answers for text in bus.left_out]
-        for ecus, answers in zip(self.config.answered.values(), self._parts.answers, strict=True):
+        found = [text for bus in self.parts.answers for text in bus.left_out]
+        for ecus, answers in zip(self.config.answered.values(), self.parts.answers, strict=True):
             for k, lengths in zip(ecus, answers.lengths, strict=True):
                 ecu = self.config.ecu[k]
                 unread = [read.name for read in ecu.read if read.key not in lengths and read.pgn is None]
@@ -535,7 +535,7 @@ class Gateway:
     @property
     def codes(self) -> Mapping[str, tuple[str, ...]]:
         """Base codes of DTCs that were given out, by the full name of a message, a signal or a relation."""
-        return self._parts.codes
+        return self.parts.codes
 
     def describe(self) -> dict[str, Any]:
         """Return what testers and other programs need to know: faults, identifiers, extended data."""
