@@ -268,6 +268,7 @@ def test_odxtools_writes_the_same_elements_in_the_same_order(tmp_path):
         write_pdx_file(str(again), odxtools.load_pdx_file(file))
         with zipfile.ZipFile(file) as ours, zipfile.ZipFile(again) as theirs:
             assert set(ours.namelist()) == set(theirs.namelist())
+            assert {info.date_time[0] for info in ours.infolist()} == {1980}, "no time of today"
             for name in set(ours.namelist()) - {"index.xml"}:
                 assert stripped(ET.fromstring(ours.read(name))) == stripped(ET.fromstring(theirs.read(name))), name
 
