@@ -10,7 +10,7 @@ from gateway.answers.j1979 import j1979
 from gateway.faults.interventions import PROTOCOLS
 from gateway.servers.access import SESSIONS
 from gateway.servers.identifiers import ACTIVE_SESSION, CODES, DidParams
-from gateway.servers.odx.layer import Layer, Param, value
+from gateway.servers.odx.dictionary import Dictionary, Param, value
 from gateway.servers.odx.xml import short
 from gateway.servers.uds.context import Context
 
@@ -44,17 +44,17 @@ class Identified(NamedTuple):
 
 
 class Data:
-    """Makes parameters of data, in a layer."""
+    """Makes parameters of data, in a dictionary."""
 
-    def __init__(self, layer: Layer, served: Served) -> None:
-        self._layer, self._served = layer, served
+    def __init__(self, dictionary: Dictionary, served: Served) -> None:
+        self._dictionary, self._served = dictionary, served
 
     def identifiers(self) -> dict[int, Identified]:
         """Return all identifiers that can be read, in their order."""
         ids = self._served.context.identifiers
         found = {n: Identified(did.name, did.signal or "", self.of_did(did)) for n, did in ids.table.items()}
         found |= {n: Identified(name, "", self._of_own(n, name)) for n, (name, _) in ids.served.items()}
-        session = value("active_session", self._layer.number("B", texts=SESSION_NAMES))
+        session = value("active_session", self._dictionary.number("B", texts=SESSION_NAMES))
         found[ACTIVE_SESSION] = Identified(session.name, "", [session])
         for page, kind in _OBD.items():
             for number in range(page << 8, (page + 1) << 8):
@@ -67,10 +67,10 @@ class Data:
     def of_did(self, did: DidParams) -> list[Param]:
         """Return the data of an identifier."""
         if did.signal is None:
-            return [value(short(did.name), self._layer.data(len(did.constant), text=did.text is not None))]
+            return [value(short(did.name), self._dictionary.data(len(did.constant), text=did.text is not None))]
         code = CODES[did.type]
         size = {"B": 8, "H": 16, "I": 32}.get(code)
-        dop = self._layer.number(
+        dop = self._dictionary.number(
             code,
             scale=did.scale,
             offset=did.offset,
@@ -82,23 +82,23 @@ class Data:
     def _of_own(self, number: int, name: str) -> list[Param]:
         """Return the data of an identifier by which the gateway speaks of itself."""
         if number == self._served.context.trace_did:
-            return [value(name, self._layer.counted(name, self.intervention()))]
-        return [value(name, self._layer.data(None))]
+            return [value(name, self._dictionary.counted(name, self.intervention()))]
+        return [value(name, self._dictionary.data(None))]
 
     def _of_obd(self, number: int, name: str, data: bytes) -> list[Param]:
         """Return the data of an identifier of OBD: signals where the standard's are known, else bytes."""
         known = {layout.identifier: layout.message for layout in j1979()} if number >> 8 == 0xF4 else {}
         message = known.get(number & 0xFF)
         if message is None or message.length != len(data):
-            return [value(name, self._layer.data(None))]
+            return [value(name, self._dictionary.data(len(data) if number >> 8 == 0xF4 else None))]
         bits = [self._of_signal(signal) for signal in message.signals]
-        return [value(name, self._layer.structure(name, bits, size=len(data)))]
+        return [value(name, self._dictionary.structure(name, bits, size=len(data)))]
 
     def _of_signal(self, signal: Any) -> Param:
         """Return a signal of the standard: high byte first."""
         first = 8 * (signal.start // 8) + 7 - signal.start % 8
         last = first + signal.length - 1
-        dop = self._layer.number(
+        dop = self._dictionary.number(
             "i" if signal.is_signed else "I",
             scale=float(signal.scale),
             offset=float(signal.offset),
@@ -111,11 +111,11 @@ class Data:
     def coded(self, name: str, code: str) -> list[Param]:
         """Return a number; a time is two, whose sum it is: ODX has 32 bits at most."""
         if code != "q":
-            return [value(name, self._layer.number(code))]
+            return [value(name, self._dictionary.number(code))]
         base = name.removesuffix("_ns")
         return [
-            value(f"{base}_upper", self._layer.number("i", scale=2**32 / 1e9, unit="s")),
-            value(f"{base}_rest", self._layer.number("I", scale=1e-9, unit="s")),
+            value(f"{base}_upper", self._dictionary.number("i", scale=2**32 / 1e9, unit="s")),
+            value(f"{base}_rest", self._dictionary.number("I", scale=1e-9, unit="s")),
         ]
 
     def numbers(self, names: Sequence[str], *, signals: bool = False) -> list[Param]:
@@ -124,12 +124,12 @@ class Data:
         for name in names:
             found = None if signals else _UNIT.fullmatch(name)
             plain, unit = (name, self._served.units.get(name, "")) if found is None else found.groups()
-            made.append(value(short(plain), self._layer.number("d", unit=unit), long=name))
+            made.append(value(short(plain), self._dictionary.number("d", unit=unit), long=name))
         return made
 
     def intervention(self) -> list[Param]:
         """Return a record of the trace."""
-        number = self._layer.number
+        number = self._dictionary.number
         return [
             *self.coded("first_ns", "q"),
             *self.coded("last_ns", "q"),
@@ -139,6 +139,6 @@ class Data:
             value("session", number("B")),
             value("security", number("B")),
             value("service", number("B")),
-            value("request", self._layer.data(7)),
+            value("request", self._dictionary.data(7)),
             value("outcome", number("B")),
         ]

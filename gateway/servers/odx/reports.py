@@ -8,7 +8,7 @@ from typing import NamedTuple
 from gateway.faults.explained import HOLDS, ROLES
 from gateway.faults.status import Status
 from gateway.servers.odx.data import Data, Served
-from gateway.servers.odx.layer import Layer, Param, const, value
+from gateway.servers.odx.dictionary import Dictionary, Param, const, value
 from gateway.servers.uds.extended_data import EXTENDED_DATA
 from gateway.servers.uds.intervention_memory import NUMBERS, SELECTION, dtc_of
 
@@ -25,17 +25,17 @@ class SubFunction(NamedTuple):
 
 
 class Reports:
-    """The reports of a gateway's fault memory, in a layer."""
+    """The reports of a gateway's fault memory, in a dictionary."""
 
-    def __init__(self, layer: Layer, served: Served, data: Data) -> None:
-        self._layer, self._served, self._data = layer, served, data
+    def __init__(self, dictionary: Dictionary, served: Served, data: Data) -> None:
+        self._dictionary, self._served, self._data = dictionary, served, data
         self._catalogue = list(served.context.memory.catalogue)
-        self._dtc = layer.dtcs(
+        self._dtc = dictionary.dtcs(
             "DTC", [(each.dtc.value, str(each.dtc), f"{each.id}: {each.description}") for each in self._catalogue]
         )
-        flag = layer.number("B", bits=1)
+        flag = dictionary.number("B", bits=1)
         bits = [value(bit.name or "", flag, bit=(0, k)) for k, bit in enumerate(Status)]
-        self._status = layer.structure("Status", bits, size=1)
+        self._status = dictionary.structure("Status", bits, size=1)
         self._of_dtc = [value("DTC", self._dtc), value("Status", self._status)]
         self._extended = self._extended_data()
 
@@ -46,20 +46,20 @@ class Reports:
         yield from self._user_memory().items()
 
     def _byte(self, name: str) -> Param:
-        return value(name, self._layer.number("B"))
+        return value(name, self._dictionary.number("B"))
 
     def _lists(self) -> dict[int, SubFunction]:
         """Return the reports of numbers and lists of DTCs."""
-        layer, byte = self._layer, self._byte
+        dictionary, byte = self._dictionary, self._byte
         mask, severity = byte("StatusMask"), byte("SeverityMask")
         group, readiness = byte("FunctionalGroup"), byte("ReadinessGroup")
         shown, kind = value("AvailabilityMask", self._status), byte("DTCFormat")
-        count = [shown, kind, value("DTCCount", layer.number("H"))]
+        count = [shown, kind, value("DTCCount", dictionary.number("H"))]
         severe = [byte("Severity"), byte("FunctionalUnit"), *self._of_dtc]
-        listed = value("DTCs", layer.rest("DTCs", self._of_dtc))
-        with_unit = value("DTCs", layer.rest("DTCs_with_severity", severe))
-        graded = value("DTCs", layer.rest("DTCs_graded", [byte("Severity"), *self._of_dtc]))
-        counters = layer.rest("DetectionCounters", [value("DTC", self._dtc), byte("FaultDetectionCounter")])
+        listed = value("DTCs", dictionary.rest("DTCs", self._of_dtc))
+        with_unit = value("DTCs", dictionary.rest("DTCs_with_severity", severe))
+        graded = value("DTCs", dictionary.rest("DTCs_graded", [byte("Severity"), *self._of_dtc]))
+        counters = dictionary.rest("DetectionCounters", [value("DTC", self._dtc), byte("FaultDetectionCounter")])
         wwh = [mask, severity]
         return {
             0x01: SubFunction("reportNumberOfDTCByStatusMask", [mask], count),
@@ -90,15 +90,16 @@ class Reports:
 
     def _records(self) -> dict[int, SubFunction]:
         """Return the reports of snapshots and extended data."""
-        layer, record, asked = self._layer, self._byte("RecordNumber"), value("DTC", self._dtc)
+        dictionary, record, asked = self._dictionary, self._byte("RecordNumber"), value("DTC", self._dtc)
         snapshot = self._snapshot()
-        snapshots = layer.rest("Snapshots", [record, *snapshot])
-        stored = layer.rest("StoredData", [record, *self._of_dtc, *snapshot])
-        numbered = layer.rest("SnapshotNumbers", [asked, record])
+        snapshots = dictionary.rest("Snapshots", [record, *snapshot])
+        stored = dictionary.rest("StoredData", [record, *self._of_dtc, *snapshot])
+        numbered = dictionary.rest("SnapshotNumbers", [asked, record])
         cases = {
-            n: (EXTENDED_DATA[n].name, layer.structure(EXTENDED_DATA[n].name, p)) for n, p in self._extended.items()
+            n: (EXTENDED_DATA[n].name, dictionary.structure(EXTENDED_DATA[n].name, p))
+            for n, p in self._extended.items()
         }
-        records = layer.rest("ExtendedData", [value("record", layer.choice("ExtendedRecord", "B", cases))])
+        records = dictionary.rest("ExtendedData", [value("record", dictionary.choice("ExtendedRecord", "B", cases))])
         return {
             0x03: SubFunction("reportDTCSnapshotIdentification", [], [value("records", numbered)]),
             0x04: SubFunction(
@@ -114,56 +115,58 @@ class Reports:
         """Yield 0x16 of each record: its answer alone does not say how the record looks."""
         for number, params in self._extended.items():
             name, which = EXTENDED_DATA[number].name, const("RecordNumber", number)
-            found = value("DTCs", self._layer.rest(f"{name}_of_DTCs", [*self._of_dtc, *params]))
+            found = value("DTCs", self._dictionary.rest(f"{name}_of_DTCs", [*self._of_dtc, *params]))
             yield SubFunction(f"reportDTCExtDataRecordByRecordNumber_{name}", [which], [which, found])
 
     def _snapshot(self) -> list[Param]:
         """Return the content of a snapshot: identifiers with their data; without signals there is none."""
         cases = {
-            number: (did.name, self._layer.structure(did.name, self._data.of_did(did)))
+            number: (did.name, self._dictionary.structure(did.name, self._data.of_did(did)))
             for number, did in sorted(self._served.context.identifiers.table.items())
             if did.signal is not None
         }
         if not cases:
             return []
-        which = value("identifier", self._layer.choice("Identified", "H", cases))
-        return [value("data", self._layer.counted("Snapshot", [which]))]
+        which = value("identifier", self._dictionary.choice("Identified", "H", cases))
+        return [value("data", self._dictionary.counted("Snapshot", [which]))]
 
     def _extended_data(self) -> dict[int, Sequence[Param]]:
         """Return the data of each extended data record, by its number."""
-        layer, data = self._layer, self._data
+        dictionary, data = self._dictionary, self._data
         evidence = {each.dtc.value: data.numbers((*_ALWAYS, *each.evidence)) for each in self._catalogue}
         inputs = {each.dtc.value: data.numbers(self._served.inputs[each.id], signals=True) for each in self._catalogue}
-        part = layer.counted("Components", [value("name", layer.data(None, text=True, length_bits=8))])
-        of_cause = [value("probability", layer.number("H", scale=1e-4)), value("components", part)]
+        part = dictionary.counted("Components", [value("name", dictionary.data(None, text=True, length_bits=8))])
+        of_cause = [value("probability", dictionary.number("H", scale=1e-4)), value("components", part)]
         varying = {
-            "evidence": [value("evidence", layer.by_dtc("evidence", evidence))],
-            "inputs": [value("inputs", layer.by_dtc("inputs", inputs))],
+            "evidence": [value("evidence", dictionary.by_dtc("evidence", evidence))],
+            "inputs": [value("inputs", dictionary.by_dtc("inputs", inputs))],
             "cause": [
-                value("role", layer.number("B", texts=dict(enumerate(ROLES)))),
-                value("confirmation", layer.number("B", texts=dict(enumerate(("as usual", *HOLDS[1:]))))),
-                value("lead", layer.number("I", bits=24)),
-                value("causes", layer.counted("Causes", of_cause)),
+                value("role", dictionary.number("B", texts=dict(enumerate(ROLES)))),
+                value("confirmation", dictionary.number("B", texts=dict(enumerate(("as usual", *HOLDS[1:]))))),
+                value("lead", dictionary.number("I", bits=24)),
+                value("causes", dictionary.counted("Causes", of_cause)),
             ],
         }
         return {n: varying.get(kind.name) or data.coded(kind.name, kind.code) for n, kind in EXTENDED_DATA.items()}
 
     def _user_memory(self) -> dict[int, SubFunction]:
         """Return the reports of what testers did."""
-        layer, data, trace = self._layer, self._data, self._served.context.trace_did
+        dictionary, data, trace = self._dictionary, self._data, self._served.context.trace_did
         if trace is None:
             return {}
         record, shown = self._byte("RecordNumber"), value("AvailabilityMask", self._status)
         known = {dtc_of(action): action for action in ("", *NUMBERS)}
-        dtc = layer.dtcs("Intervention", [(d.value, str(d), action or "other") for d, action in sorted(known.items())])
+        dtc = dictionary.dtcs(
+            "Intervention", [(d.value, str(d), action or "other") for d, action in sorted(known.items())]
+        )
         memory, of_dtc = const("Memory", SELECTION), [value("DTC", dtc), value("Status", self._status)]
-        listed = value("DTCs", layer.rest("Interventions", of_dtc))
-        each = layer.counted("InterventionRecord", [const("Identifier", trace, 2), *data.intervention()])
-        records = value("records", layer.rest("InterventionRecords", [record, value("data", each)]))
+        listed = value("DTCs", dictionary.rest("Interventions", of_dtc))
+        each = dictionary.counted("InterventionRecord", [const("Identifier", trace, 2), *data.intervention()])
+        records = value("records", dictionary.rest("InterventionRecords", [record, value("data", each)]))
         counted = {n: EXTENDED_DATA[n] for n in (0x01, 0x10, 0x11)}
-        cases = {n: (k.name, layer.structure(k.name, data.coded(k.name, k.code))) for n, k in counted.items()}
-        choice = value("record", layer.choice("InterventionValue", "B", cases))
-        extended = value("records", layer.rest("InterventionData", [choice]))
+        cases = {n: (k.name, dictionary.structure(k.name, data.coded(k.name, k.code))) for n, k in counted.items()}
+        choice = value("record", dictionary.choice("InterventionValue", "B", cases))
+        extended = value("records", dictionary.rest("InterventionData", [choice]))
         asked, told = [value("DTC", dtc), record, memory], [memory, *of_dtc]
         return {
             0x17: SubFunction(

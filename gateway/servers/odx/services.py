@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from gateway.faults.dtc import ALL_DTCS
 from gateway.faults.settings import ConditionSettings
 from gateway.servers.odx.data import SESSION_NAMES, Data, Served
-from gateway.servers.odx.layer import Layer, Needed, Param, const, value
+from gateway.servers.odx.dictionary import Param, const, value
+from gateway.servers.odx.layer import Layer, Needed
 from gateway.servers.odx.reports import Reports, SubFunction
 from gateway.servers.odx.xml import short
 from gateway.servers.uds.context import ANY_SESSION, Context, Service
@@ -40,9 +41,9 @@ class _Services:
     """Adds services to a layer."""
 
     def __init__(self, layer: Layer, served: Served) -> None:
-        self._layer, self._c = layer, served.context
-        self._data = Data(layer, served)
-        self._reports = Reports(layer, served, self._data)
+        self._layer, self._dictionary, self._c = layer, layer.dictionary, served.context
+        self._data = Data(layer.dictionary, served)
+        self._reports = Reports(layer.dictionary, served, self._data)
 
     def add_all(self, service: Service) -> None:
         """Add a service: each of its sub-functions, identifiers or routines."""
@@ -120,26 +121,26 @@ class _Services:
         return {number: SubFunction(name) for number, name in names.get(sid, {}).items()}
 
     def _sessions(self) -> dict[int, SubFunction]:
-        number = self._layer.number
+        number = self._dictionary.number
         p2 = [value("P2_max", number("H", unit="ms")), value("P2_star_max", number("H", scale=10.0, unit="ms"))]
         return {k: SubFunction(f"{name}Session", [], p2) for k, name in SESSION_NAMES.items()}
 
     def _security(self) -> dict[int, SubFunction]:
-        made, key = {}, value("key", self._layer.data(None))
+        made, key = {}, value("key", self._dictionary.data(None))
         for entry in self._c.params.security:
-            seed, name = value("seed", self._layer.data(entry.seed_length)), _level(entry.level)
+            seed, name = value("seed", self._dictionary.data(entry.seed_length)), _level(entry.level)
             made[2 * entry.level - 1] = SubFunction(f"RequestSeed_{name}", [], [seed])
             made[2 * entry.level] = SubFunction(f"SendKey_{name}", [key], [])
         return made
 
     def _communication(self) -> dict[int, SubFunction]:
         kinds = {1: "normal messages", 2: "network management", 3: "both"}
-        kind = value("CommunicationType", self._layer.number("B", texts=kinds))
+        kind = value("CommunicationType", self._dictionary.number("B", texts=kinds))
         names = ("enableRxAndTx", "enableRxAndDisableTx", "disableRxAndEnableTx", "disableRxAndTx")
         return {k: SubFunction(name, [kind]) for k, name in enumerate(names)}
 
     def _authentication(self) -> dict[int, SubFunction]:
-        part, result = self._layer.data(None, length_bits=16), value("Result", self._layer.number("B"))
+        part, result = self._dictionary.data(None, length_bits=16), value("Result", self._dictionary.number("B"))
 
         def parts(*names: str) -> list[Param]:
             return [value(name, part) for name in names]
@@ -153,7 +154,7 @@ class _Services:
         }
 
     def _events(self) -> dict[int, SubFunction]:
-        byte, more = self._layer.number("B"), self._layer.data(None)
+        byte, more = self._dictionary.number("B"), self._dictionary.data(None)
         window, events = value("EventWindow", byte), value("Events", byte)
         asked = [window, value("StatusMask", byte), value("ServiceToRespondTo", more)]
         names = {0x00: "stopResponseOnEvent", 0x05: "startResponseOnEvent", 0x06: "clearResponseOnEvent"}
@@ -164,7 +165,7 @@ class _Services:
         }
 
     def _clear(self, service: Service) -> None:
-        group = value("GroupOfDTC", self._layer.number("I", bits=24), default=ALL_DTCS)
+        group = value("GroupOfDTC", self._dictionary.number("I", bits=24), default=ALL_DTCS)
         self._add(service, SubFunction(service.name, [group]))
 
     def _report(self, service: Service) -> None:
@@ -188,7 +189,7 @@ class _Services:
 
     def _routines(self, service: Service) -> None:
         for routine, name in ((RESTART_CYCLE, "RestartCycle"), (COMPACT, "CompactMemory")):
-            which, done = const("Routine", routine, 2, "ID"), value("result", self._layer.number("B"))
+            which, done = const("Routine", routine, 2, "ID"), value("result", self._dictionary.number("B"))
             for number, verb in ((START, "Start"), (RESULTS, "Results")):
                 self._add(
                     service, SubFunction(f"{verb}_{name}", [which], [which, done]), sub=number, semantic="ROUTINE"

@@ -40,6 +40,16 @@ def short(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", name)[:128]
 
 
+def free(name: str, taken: set[str]) -> str:
+    """Return a name as ODX has it that is not taken yet, and take it."""
+    base = made = short(name)
+    number = 2
+    while made in taken:
+        made, number = f"{base[:120]}_{number}", number + 1
+    taken.add(made)
+    return made
+
+
 def named(tag: str, name: str, *children: Element | str | None, long: str = "", **attributes: object) -> Element:
     """Return an element with a short name, and with a long one if it says more."""
     longer = node("LONG-NAME", long) if long and long != name else None
