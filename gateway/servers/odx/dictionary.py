@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
@@ -10,7 +11,6 @@ from gateway.servers.odx.xml import free, group, named, node, short
 
 #: struct's codes of numbers -> ODX's type.
 _TYPES = {**dict.fromkeys("BHI", "A_UINT32"), **dict.fromkeys("bhi", "A_INT32"), "f": "A_FLOAT32", "d": "A_FLOAT64"}
-_BYTES = {"B": 1, "H": 2, "I": 4, "b": 1, "h": 2, "i": 4, "f": 4, "d": 8}
 #: The groups of a dictionary, in the order of the schema.
 _GROUPS = (
     "DTC-DOP", "ENV-DATA-DESC", "DATA-OBJECT-PROP", "STRUCTURE", "DYNAMIC-LENGTH-FIELD", "END-OF-PDU-FIELD", "MUX",
@@ -82,13 +82,10 @@ def echo(name: str, at: int, size: int = 1, semantic: str = "DATA") -> Param:
 
 def params_of(params: Sequence[Param]) -> Element:
     """Return the parameters with their places, as far as these are fixed."""
-    made, at, taken = [], 0, set()
-    fixed = True
+    made, at, fixed = [], 0, True
+    taken: set[str] = set()
     for param in params:
-        name, number = param.name, 2
-        while name in taken:
-            name, number = f"{param.name}_{number}", number + 1
-        taken.add(name)
+        name = free(param.name, taken)
         byte = at if param.bit is None else param.bit[0]
         places = [node("BYTE-POSITION", str(byte))] if fixed else []
         if param.bit is not None:
@@ -157,7 +154,7 @@ class Dictionary:
         key = code, scale, offset, unit, tuple((texts or {}).items()), bits, unknown
         if key in self._known:
             return self._known[key]
-        length, kind = bits or 8 * _BYTES[code], _TYPES[code]
+        length, kind = bits or 8 * struct.calcsize(f">{code}"), _TYPES[code]
         linear = (scale, offset) != (1, 0)
         seen = "A_UNICODE2STRING" if texts else "A_FLOAT64" if linear else kind
         coded = node(
