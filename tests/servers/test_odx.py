@@ -261,7 +261,8 @@ def written(path, folder):
 
 def test_odxtools_writes_the_same_elements_in_the_same_order(tmp_path):
     """The schema of ODX is not free; odxtools writes in its order."""
-    plain = write_config(tmp_path, extra="[output.uds]\nfd = true\nfunctional = 0x18DB33F1\n")
+    odd = {0: 'description = "a\\u0001 <&> \\u00fc"\n'}
+    plain = write_config(tmp_path, extra="[output.uds]\nfd = true\nfunctional = 0x18DB33F1\n", faults=odd)
     for path in (plain, find_config(Path("configs/diagnostics.toml"))):
         file, again = written(path, tmp_path), tmp_path / "again.pdx"
         assert written(path, tmp_path).read_bytes() == file.read_bytes()

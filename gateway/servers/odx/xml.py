@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from xml.etree.ElementTree import Element, indent, tostring
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
+#: Characters that XML does not have.
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 #: Time of each file in the package: the earliest that ZIP knows.
 _NO_TIME = (1980, 1, 1, 0, 0, 0)
 
@@ -24,7 +26,7 @@ def node(tag: str, *children: Element | str | None, **attributes: object) -> Ele
     made = Element(tag, {"xsi:type" if k == "type" else k.replace("_", "-"): str(v) for k, v in attributes.items()})
     for child in children:
         if isinstance(child, str):
-            made.text = child
+            made.text = _CONTROL.sub("?", child)
         elif child is not None:
             made.append(child)
     return made
