@@ -3,13 +3,16 @@
 # Build: a virtual environment with the package, which brings its compiled kernels.
 FROM python:3.13-slim AS build
 WORKDIR /src
-COPY pyproject.toml README.md LICENSE gateway.toml ./
+COPY pyproject.toml hatch_build.py README.md LICENSE gateway.toml ./
 COPY gateway ./gateway
 COPY packages ./packages
 COPY dbc ./dbc
 COPY scenarios ./scenarios
 COPY examples ./examples
-RUN python -m venv /opt/gateway/venv \
+# docker build --build-arg COMMIT=$(git rev-parse --short=12 HEAD) . has gateway --version say it.
+ARG COMMIT=
+RUN if [ -n "$COMMIT" ]; then echo "$COMMIT" > COMMIT; fi \
+    && python -m venv /opt/gateway/venv \
     && /opt/gateway/venv/bin/pip install --no-cache-dir .
 
 # Run: no compiler, no source, not root.

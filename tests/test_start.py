@@ -263,12 +263,9 @@ def _candump(folder):
     return path
 
 
-def test_the_structural_analysis_names_its_extras(lacking, tmp_path, capsys):
+def test_the_structural_analysis_names_its_extra(lacking, capsys):
     ask = {"json": True, "limit": 1000, "sensors": None}
-    lacking("matplotlib")
     lacking("sympy")
-    with pytest.raises(InputError, match=r"--plot: .*\[plot\]"):
-        structure(Path("example_1"), plot=tmp_path / "a.svg", residual=None, **ask)
     with pytest.raises(InputError, match=r"--residual: .*\[structure\]"):
         structure(Path("example_1"), plot=None, residual="T1", **ask)
     assert structure(Path("example_1"), plot=None, residual=None, **ask) == 0
@@ -310,7 +307,6 @@ for name in {names!r}:
         print(name)
 """
     refused = set(run(code).stdout.split())
-    pictures = {f"gateway.cli.{name}" for name in ("drawing", "series_figures")}
     algebra = {
         f"gateway_fdi.structure.generator.{name}"
         for name in (
@@ -321,10 +317,10 @@ for name in {names!r}:
     pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}
     assert len(names) > 200
     others = {
-        *("gateway_plants.structural.monitor.choice", "gateway_plants.structural.analysis.figures"),
+        "gateway_plants.structural.monitor.choice",
         "gateway_bench.vecu.fmu.model",
     }
-    assert refused == pictures | algebra | pages | others
+    assert refused == algebra | pages | others
 
 
 def test_the_package_offers_the_extras_that_are_named_to_people():

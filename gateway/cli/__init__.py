@@ -15,7 +15,6 @@ from typing import Annotated
 
 import typer
 
-from gateway import __version__
 from gateway.cli.commands import Commands, does, group
 from gateway.cli.failure import DEBUG, ended_by, install_hooks
 from gateway.cli.options import (
@@ -59,14 +58,16 @@ app.add_typer(evaluate_app, name="evaluate")
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"gateway {__version__}")
+        from gateway.cli.version import version
+
+        typer.echo(f"gateway {version()}")
         raise typer.Exit
 
 
 @app.callback()
 def _main(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print version and commit, and exit.")
     ] = False,
     debug: Annotated[
         bool,
@@ -555,10 +556,11 @@ def faults_recordings(
 def faults_export(
     config: ConfigArgument = None,
     out: Annotated[Path | None, typer.Option(help="File to write; default: standard output.")] = None,
+    pdx: Annotated[Path | None, typer.Option(help="Write what UDS testers can ask as PDX (ODX) instead.")] = None,
 ) -> None:
-    """Write the catalogue of faults as JSON.
+    """Write the catalogue of faults as JSON, or as PDX.
 
-    It has faults, data identifiers and extended data records, as indented JSON.
+    JSON has faults, data identifiers and extended data records; PDX has all services of the UDS server, for testers.
     """
 
 

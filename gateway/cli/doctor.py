@@ -12,6 +12,7 @@ from typing import Any, Protocol, cast
 
 from gateway import __version__
 from gateway.cli.present import find_config, print_json
+from gateway.cli.version import version as version_text
 from gateway.common.extras import EXTRAS, PURPOSES, installed, missing
 from gateway.common.plugins import Registry, foreign, unusable
 from gateway.config.load import load_config
@@ -200,7 +201,7 @@ def doctor(
     if json:
         print_json(facts)
         return code
-    print(f"gateway {__version__}, Python {facts['python']}, kernel {facts['kernel']}")
+    print(f"gateway {version_text()}, Python {facts['python']}, kernel {facts['kernel']}")
     print(lacking or "SocketCAN is there")
     if can:
         shown = ", ".join(_interfaces()) or "none; make one: ip link add dev vcan0 type vcan"

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from gateway.common.extras import need
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import Parts
 from gateway.runtime.replay import FrameConsumer
@@ -20,14 +19,13 @@ _PICTURES = (".svg", ".png", ".pdf")
 
 
 def _picture(path: Path, key: str) -> None:
-    """Refuse what is no picture, or cannot be drawn.
+    """Refuse what is no picture.
 
     Raises:
-        InputError: another suffix; matplotlib is not installed.
+        InputError: another suffix.
     """
     if path.suffix.lower() not in _PICTURES:
         raise InputError(f"a picture is {', '.join(_PICTURES)}", key=key, value=str(path))
-    need("plot", "pictures", key=key)
 
 
 class Watched:

@@ -117,8 +117,8 @@ class Gateway(Passage):
         self._explainer.begin(self.engine.now_ns)
 
     def _cycles_from(self, old: Gateway) -> dict[int, int]:
-        names = {name: k for k, name in enumerate(self._parts.cycles)}
-        return {k: names[name] for k, name in enumerate(old._parts.cycles) if name in names}
+        names = {name: k for k, name in enumerate(self.parts.cycles)}
+        return {k: names[name] for k, name in enumerate(old.parts.cycles) if name in names}
 
     def write_beside(self, writer: Writer | None = None, patience_s: float = PATIENCE_S) -> None:
         """Have a thread write the fault memory: frames come whether a disk is slow or not.
@@ -173,7 +173,7 @@ class Gateway(Passage):
     @property
     def databases(self) -> Sequence[Database]:
         """The databases of its buses."""
-        return self._parts.databases
+        return self.parts.databases
 
     @property
     def dtc_frame_id(self) -> int:
@@ -183,12 +183,12 @@ class Gateway(Passage):
     @property
     def notes(self) -> tuple[str, ...]:
         """Choices where the configuration leaves them to the databases, one line each."""
-        return self._parts.notes
+        return self.parts.notes
 
     @property
     def unread(self) -> list[str]:
         """Signals of answers that are not decoded, and reads whose answers have no layout, one line each."""
-        return unread(self.config, self._parts.answers)
+        return unread(self.config, self.parts.answers)
 
     @property
     def signal_slots(self) -> dict[str, int]:
@@ -198,7 +198,7 @@ class Gateway(Passage):
     @property
     def codes(self) -> Mapping[str, tuple[str, ...]]:
         """Base codes of DTCs that were given out, by the full name of a message, a signal or a relation."""
-        return self._parts.codes
+        return self.parts.codes
 
     def describe(self) -> dict[str, Any]:
         """Return what testers and other programs need to know: faults, identifiers, extended data."""

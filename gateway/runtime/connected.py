@@ -58,8 +58,8 @@ class Connected:
         lasting: bool = False,
     ) -> None:
         self.config = config
-        self._parts: Parts = prepare(config, file) if parts is None else parts
-        self.engine, self.catalogue = self._parts.engine, self._parts.catalogue
+        self.parts: Parts = prepare(config, file) if parts is None else parts
+        self.engine, self.catalogue = self.parts.engine, self.parts.catalogue
         self.store = KeptStore(None if memory_path is None else Path(memory_path)) if store is None else store
         self._closed = False
         recording = config.memory.recording
@@ -79,18 +79,18 @@ class Connected:
             self.memory,
             self.store,
             self._recorder,
-            self._parts.slots,
+            self.parts.slots,
             round(config.access.stale_ms * 1e6),
-            live=self._parts.live,
+            live=self.parts.live,
         )
         local = config.access.local_unlocked
         self.authority = Authority(config.needs, self.controls, local_unlocked=local)
         self._standing = Standing(self.engine, self.controls, told=self.store.path is None)
         self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
-        self.identifiers = identifiers_of(config, self._parts, self.memory, self.controls)
-        self.asking = asking_of(config, self._parts, self.controls, self._may_ask)
+        self.identifiers = identifiers_of(config, self.parts, self.memory, self.controls)
+        self.asking = asking_of(config, self.parts, self.controls, self._may_ask)
         self._vehicle = Vehicle(config, self.asking, self.memory, self.engine)
-        servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
+        servers = servers_of(config, self.parts, self.memory, self.authority, self.identifiers)
         servers += [self._vehicle] if config.answered else []
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
         connect_routes(self.servers, self.asking)
@@ -114,9 +114,9 @@ class Connected:
         self._outbox = Outbox(self.memory, self.store, self.engine, self._off.report, send, first=first)
         self._upkeep = self._outbox.upkeep
         names = [bus.name for bus in self.config.buses]
-        self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
+        self._doubts = Doubts(self.engine, self.parts.checks, self.parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
-        parts = self._parts
+        parts = self.parts
         known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
         self._causes = Causes(self.engine, known, parts.checks)
         self._explainer = Explainer(
@@ -129,7 +129,7 @@ class Connected:
         )
         self._verdicts = Verdicts(
             self.config,
-            self._parts,
+            self.parts,
             self.memory,
             self.controls,
             self._recorder,
@@ -141,7 +141,7 @@ class Connected:
         )
         self._explainer.note_changes = self._verdicts.note_changes
         self._vehicle.connect(self._outbox.note, self._verdicts.take)
-        judged = [self._parts.slots[name] for name in signals_of(self.config.needs)]
+        judged = [self.parts.slots[name] for name in signals_of(self.config.needs)]
         self._reception = Reception(self.engine, self.controls, self._meter, judged, self._verdicts.take)
         self._interventions = Interventions(
             self.engine,

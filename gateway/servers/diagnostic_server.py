@@ -25,7 +25,7 @@ class DiagnosticServer(AddressedServer):
 
     def __init__(self, transport: IsoTpEndpoint, uds: Application | None, obd: Application | None) -> None:
         super().__init__(transport)
-        self._uds = uds
+        self.uds = uds
         self._obd = obd
         self._applications = [each for each in (uds, obd) if each is not None]
 
@@ -52,9 +52,9 @@ class DiagnosticServer(AddressedServer):
         return [] if application is None else application.answer(request, functional, t_ns)
 
     def _application_for(self, request: bytes) -> Application | None:
-        if self._obd is not None and (request[0] in MODES or self._uds is None):
+        if self._obd is not None and (request[0] in MODES or self.uds is None):
             return self._obd
-        return self._uds
+        return self.uds
 
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
         """Send the responses that were asked for on changes (0x86)."""

@@ -14,7 +14,7 @@ from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError
 
 #: struct codes of the numeric types, high byte first.
-_CODES = {
+CODES = {
     "u8": "B",
     "u16": "H",
     "u32": "I",
@@ -72,7 +72,7 @@ class DidParams(StrictModel):
 
     def encode(self, value: float | None) -> bytes:
         """Code a signal's value; an unknown one is all ones, one out of range the nearest end."""
-        code = _CODES[self.type]
+        code = CODES[self.type]
         known = value is not None and math.isfinite(value)
         if self.type.startswith("f"):
             scaled = (value - self.offset) / self.scale if value is not None and known else math.nan
@@ -117,7 +117,7 @@ class Identifiers:
         self._written = written
         self._write = write
         self._others: Callable[[int], bytes | None] = lambda _: None
-        self._served: dict[int, tuple[str, Callable[[], bytes]]] = {}
+        self.served: dict[int, tuple[str, Callable[[], bytes]]] = {}
         self.table = {did.id: did for did in params}
         self._by_source = {did.signal: did for did in params if did.signal is not None}
         self._by_source |= {did.name: did for did in params}
@@ -129,7 +129,7 @@ class Identifiers:
 
     def serve(self, number: int, name: str, read: Callable[[], bytes]) -> None:
         """Add an identifier that the gateway itself has something to say by."""
-        self._served[number] = name, read
+        self.served[number] = name, read
 
     def fall_back(self, read: Callable[[int], bytes | None]) -> None:
         """Have identifiers that are not in the table read elsewhere; None: not there either."""
@@ -137,8 +137,8 @@ class Identifiers:
 
     def read(self, number: int) -> bytes | None:
         """Return the bytes of an identifier now, None if there is none."""
-        if number in self._served:
-            return self._served[number][1]()
+        if number in self.served:
+            return self.served[number][1]()
         did = self.table.get(number)
         if did is None:
             return self._others(number)
@@ -186,7 +186,7 @@ class Identifiers:
                 "id": f"0x{number:04X}", "name": name, "signal": None, "type": "bytes", "length": None, "scale": None,
                 "offset": None, "writable": False,
             }
-            for number, (name, _) in self._served.items()
+            for number, (name, _) in self.served.items()
         ]  # fmt: skip
 
 

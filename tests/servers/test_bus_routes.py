@@ -323,7 +323,7 @@ def test_udsoncan_reads_the_dtcs_of_another_gateway_as_it_has_them(tmp_path):
     made, ecu = Net(tmp_path), Can(tmp_path / "ecu", bus=1, request=0x711, response=0x719)
     made.now = max(made.now, ecu.rig.now)
     made.ecus[0] = ecu
-    own = next(server for server in ecu.rig.gateway.servers.all if hasattr(server, "_uds"))._uds
+    own = next(server for server in ecu.rig.gateway.servers.all if hasattr(server, "uds")).uds
     seen = 0
     for number, (length, _) in REPORTS.items():
         request = bytes([0x19, number]) + (b"\x10\x00\x11\xff" if length >= 4 else b"\xff" * 9)[:length].ljust(

@@ -374,7 +374,7 @@ def test_all_reports_of_60_dtcs_of_an_ecu_are_those_that_it_has(tmp_path):
     made.now = max(made.now, ecu.rig.now)
     made.ecus[0] = ecu
     one = made.tester()
-    own = next(server for server in ecu.rig.gateway.servers.all if hasattr(server, "_uds"))._uds
+    own = next(server for server in ecu.rig.gateway.servers.all if hasattr(server, "uds")).uds
     dtc, seen = bytes.fromhex("100011"), 0
     assert dtc_text(0) == "P1000-11"
     for number, (length, _) in REPORTS.items():

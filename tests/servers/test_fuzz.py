@@ -159,7 +159,7 @@ def test_mutated_requests(rig):
             request = mutated(rng, slow if n % 50 == 0 else seeds)
             functional = bool(n & 1)
             answers = server._answer(request, functional, now)
-            answers += server._uds.pass_time(now)
+            answers += server.uds.pass_time(now)
             for answer in answers:
                 assert 1 <= len(answer) <= 4095
                 if answer[0] == 0x7F:

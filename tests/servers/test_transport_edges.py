@@ -140,7 +140,7 @@ def test_the_session_ends_so_long_after_the_end_of_the_answer(uds):
             ended = rig.now
     assert ended is not None
     rig.wait((ended + 4990 * MS - rig.now) / MS)
-    assert rig.gateway.servers.all[0]._uds._context.session == 3
+    assert rig.gateway.servers.all[0].uds.context.session == 3
     rig.wait(20)
     assert ask("22f186") == "62f18601"
 
@@ -163,7 +163,7 @@ def test_a_request_that_comes_to_nothing_keeps_it_only_so_long(uds):
     rig.feed((REQUEST, bytes.fromhex("100922f186f186f1")))
     rig.wait(1100)  # given up after a second
     rig.wait(4800)
-    assert rig.gateway.servers.all[0]._uds._context.session == 3
+    assert rig.gateway.servers.all[0].uds.context.session == 3
     rig.wait(300)
     assert ask("22f186") == "62f18601"
 
@@ -182,7 +182,7 @@ def test_a_tester_that_falls_silent_in_an_answer_loses_its_session(uds):
     rig.feed((REQUEST, bytes.fromhex("03190208")))
     rig.wait(1100)  # no flow control
     rig.wait(4800)
-    assert rig.gateway.servers.all[0]._uds._context.session == 3
+    assert rig.gateway.servers.all[0].uds.context.session == 3
     rig.wait(300)
     assert ask("22f186") == "62f18601"
 

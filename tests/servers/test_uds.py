@@ -264,7 +264,7 @@ def test_a_key_is_counted_before_it_is_looked_at(uds, tmp_path):
     """Who cuts the power at the answer has used an attempt up all the same."""
     rig, ask = uds(uds=SECURE, memory=tmp_path / "m.sqlite")
     seen = []
-    level = rig.gateway.servers.all[0]._uds._context.security._levels[1]
+    level = rig.gateway.servers.all[0].uds.context.security._levels[1]
 
     def key(seed, secret, number):
         seen.append(rig.gateway.store.facts().get("attempts.1"))

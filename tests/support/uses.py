@@ -66,6 +66,7 @@ USES = {
     "serve/test_prometheus.py": ("crank", _BENCH),
     "serve/test_report.py": ("crank",),
     "serve/test_watch.py": ("crank",),
+    "servers/test_odx.py": ("crank",),
     "structural/monitor/test_choice.py": ("truck",),
     "structural/test_structure.py": ("truck",),
     "studies/test_cause.py": ("structural", "pedal", "truck"),

@@ -62,23 +62,28 @@ def _cause(entry: Entry) -> bytes:
 
 
 class ExtendedData(NamedTuple):
-    """One extended data record: name, bytes (None: as many as there are values), how it is made."""
+    """One extended data record: name, struct's code ("": as many bytes as there are values), how it is made."""
 
     name: str
-    length: int | None
+    code: str
     encode: Callable[[Entry], bytes]
+
+    @property
+    def length(self) -> int | None:
+        """Its bytes; None: they vary."""
+        return struct.calcsize(">" + self.code) or None
 
 
 #: Extended data records by number.
 EXTENDED_DATA: Mapping[int, ExtendedData] = {
-    0x01: ExtendedData("occurrence", 1, lambda entry: _clipped(entry.occurrence)),
-    0x02: ExtendedData("aged_cycles", 1, lambda entry: _clipped(entry.aged_cycles)),
-    0x03: ExtendedData("peak_fdc", 1, lambda entry: struct.pack(">b", entry.peak_fdc)),
-    0x04: ExtendedData("failed_cycles", 1, lambda entry: _clipped(entry.failed_cycles)),
-    0x05: ExtendedData("near_misses", 1, lambda entry: _clipped(entry.near_misses)),
-    0x10: ExtendedData("first_ns", 8, lambda entry: _time(entry.first_ns)),
-    0x11: ExtendedData("last_ns", 8, lambda entry: _time(entry.last_ns)),
-    0x20: ExtendedData("evidence", None, lambda entry: _numbers(entry.evidence.values())),
-    0x21: ExtendedData("inputs", None, lambda entry: _numbers(entry.inputs.values())),
-    0x30: ExtendedData("cause", None, _cause),
+    0x01: ExtendedData("occurrence", "B", lambda entry: _clipped(entry.occurrence)),
+    0x02: ExtendedData("aged_cycles", "B", lambda entry: _clipped(entry.aged_cycles)),
+    0x03: ExtendedData("peak_fdc", "b", lambda entry: struct.pack(">b", entry.peak_fdc)),
+    0x04: ExtendedData("failed_cycles", "B", lambda entry: _clipped(entry.failed_cycles)),
+    0x05: ExtendedData("near_misses", "B", lambda entry: _clipped(entry.near_misses)),
+    0x10: ExtendedData("first_ns", "q", lambda entry: _time(entry.first_ns)),
+    0x11: ExtendedData("last_ns", "q", lambda entry: _time(entry.last_ns)),
+    0x20: ExtendedData("evidence", "", lambda entry: _numbers(entry.evidence.values())),
+    0x21: ExtendedData("inputs", "", lambda entry: _numbers(entry.inputs.values())),
+    0x30: ExtendedData("cause", "", _cause),
 }

@@ -43,7 +43,7 @@ class UdsServer(Application):
     """
 
     def __init__(self, context: Context) -> None:
-        self._context = context
+        self.context = context
         self._later: tuple[Service, bytes, Later] | None = None
         self._last_request_ns = 0
         self._watched_ns = 0
@@ -68,7 +68,7 @@ class UdsServer(Application):
         return [_negative(request[0], Nrc.RESPONSE_PENDING)]
 
     def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
-        c = self._context
+        c = self.context
         c.now_ns = self._last_request_ns = t_ns
         c.security.start(t_ns)
         c.asked_in = c.session, c.security.unlocked, c.authentication.role
@@ -95,7 +95,7 @@ class UdsServer(Application):
 
     def _serve(self, service: Service, request: bytes) -> bytes | Later:
         """Check a request in the standard's order, and let its service handle it."""
-        c = self._context
+        c = self.context
         c.need = c.authority.need(service.action, undoing=service.undoes(request))
         in_session = c.session in service.sessions and not c.authority.session_refusal(c.need, c.asker)
         refuse_unless(in_session, Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION)
@@ -120,7 +120,7 @@ class UdsServer(Application):
             t_ns: now.
             by: identifier that it came by; None: the tester's address.
         """
-        c = self._context
+        c = self.context
         c.now_ns = max(c.now_ns, t_ns)
         self._end_session()
         c.asked_in = c.session, c.security.unlocked, c.authentication.role
@@ -132,24 +132,24 @@ class UdsServer(Application):
     def leave(self) -> None:
         """End the session of a tester that has gone."""
         self._later = None
-        self._context.leave()
+        self.context.leave()
 
     def _note(self, service: Service, request: bytes, outcome: int) -> None:
         """Keep what a request did, or was refused, if it would change anything."""
-        c = self._context
+        c = self.context
         if service.traced(request) and (outcome == DONE or outcome in TRACED):
             c.note(service.action, request, outcome)
             if outcome == Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS:
                 c.note("lockout", request[:2], outcome)
 
     def _positive(self, sid: int, content: bytes) -> bytes:
-        if 1 + len(content) > self._context.longest:
+        if 1 + len(content) > self.context.longest:
             return _negative(sid, Nrc.RESPONSE_TOO_LONG)
         return bytes([sid + 0x40]) + content
 
     def pass_time(self, t_ns: int) -> list[bytes]:
         """Let time pass; returns the answer that was still to come."""
-        c = self._context
+        c = self.context
         c.now_ns = max(c.now_ns, t_ns)
         made: list[bytes] = []
         if self._later is not None:
@@ -170,13 +170,13 @@ class UdsServer(Application):
 
     def _end_session(self) -> None:
         """End the session if S3 is over; it does not run while a message is under way."""
-        c = self._context
+        c = self.context
         if c.session != DEFAULT and not self._busy and c.now_ns >= self._session_ends_ns:
             c.enter(DEFAULT)
 
     def hold(self, busy: bool, t_ns: int) -> None:
         """Stop S3 while a message is under way; it starts again when that is over (ISO 14229-2, 7.5)."""
-        c = self._context
+        c = self.context
         c.now_ns = max(c.now_ns, t_ns)
         if busy and not self._busy:
             self._end_session()  # it may have been over before
@@ -186,23 +186,23 @@ class UdsServer(Application):
 
     @property
     def _session_ends_ns(self) -> int:
-        return self._last_request_ns + self._context.params.s3_ms * 1_000_000
+        return self._last_request_ns + self.context.params.s3_ms * 1_000_000
 
     @property
     def next_ns(self) -> int:
         """When it has something to do next."""
         if self._later is not None:
             return 0
-        if self._context.session == DEFAULT:
+        if self.context.session == DEFAULT:
             return NEVER
         ends = NEVER if self._busy else self._session_ends_ns
-        return min(ends, self._watched_ns + WATCH_NS) if self._context.holder.watches else ends
+        return min(ends, self._watched_ns + WATCH_NS) if self.context.holder.watches else ends
 
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[bytes]:
         """Take changes of status bytes; returns the responses that were asked for on them (0x86)."""
-        self._context.now_ns = max(self._context.now_ns, t_ns)
+        self.context.now_ns = max(self.context.now_ns, t_ns)
         made = []
-        for request in responses_to(self._context, changes):
+        for request in responses_to(self.context, changes):
             service = SERVICES[request[0]]
             try:
                 found = self._serve(service, request)

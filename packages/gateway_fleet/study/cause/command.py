@@ -11,7 +11,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
-from gateway.common.extras import need
 from gateway_fleet.study.cause.cars import learned
 from gateway_fleet.study.cause.matrix import Job, Row, done, folder_of, healthy, pairs, singles
 
@@ -45,7 +44,6 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
 
 def draw(figures: Path, work: Path) -> int:
     """Draw the pictures of docs/cause.md; returns the exit code."""
-    need("plot", "pictures", key="--figures")
     from gateway_fleet.study.cause.figures import draw_all  # noqa: PLC0415 - matplotlib is slow to load
 
     for path in draw_all(figures, folder_of(work)):

@@ -274,8 +274,6 @@ def structure(
     _exportable(export, output, residual)
     if plot is not None and plot.suffix not in _FORMATS:
         raise InputError(f"a picture is {', '.join(_FORMATS)}", key="--plot", value=str(plot))
-    if plot is not None:
-        need("plot", "pictures", key="--plot")
     if residual is not None:
         need("structure", "residual generators", key="--residual")
     model = load_model(find_shipped(name, "models", "model"))
