@@ -51,6 +51,7 @@ from gateway.servers.access import signals_of
 from gateway.servers.authority import Authority
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import message_of
+from gateway.servers.local import LocalServer
 from gateway.signals.database import Database
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.resources import shipped
@@ -156,6 +157,7 @@ class Gateway:
         servers = servers_of(config, self._parts, self.memory, self.authority, self.identifiers)
         servers += [self._vehicle] if config.answered else []
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
+        self.local = next(each for each in servers if isinstance(each, LocalServer))
         connect_routes(self.servers, self.asking)
         served, asked = self.servers.heard, self.asking.heard
         self._heard = None if served is None or asked is None else served | asked

@@ -127,6 +127,14 @@ class Doors:
         tester.close()
         return answer[4:6].upper() if answer.startswith("7f") else "done"
 
+    def by_request(self, request):
+        """By the status socket's own UDS."""
+        reader = self.reader()
+        answers = [reader.ask("request", tester="t", uds=each)["uds"][0] for each in ("1003", request)]
+        assert answers[0].startswith("5003")
+        reader.leave()
+        return answers[1][4:6].upper() if answers[1].startswith("7f") else "done"
+
     def by_obd(self):
         answer = by_mode_04(self.rig)
         return answer[4:6].upper() if answer.startswith("7f") else "done"

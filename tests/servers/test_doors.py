@@ -41,7 +41,7 @@ _OFF = {
 ROWS = {
     **{
         (door, f"{what} ({request})"): lambda d, by=by, r=request: by(d, r)
-        for door, by in (("UDS", Doors.by_uds), ("DoIP", Doors.by_doip))
+        for door, by in (("UDS", Doors.by_uds), ("DoIP", Doors.by_doip), ("request", Doors.by_request))
         for what, request in {
             "clear": "14 FF FF FF", "reset": "11 01", "DTC setting off": "85 02", "reception off": "28 02 01",
             "sending off": "28 01 01",
@@ -70,7 +70,7 @@ def cell(folder, row, speed, *, force=False, **options):
             assert (doors.rig.status(0) == 0x50) == done
         elif what in ("operation cycle", "reset"):
             assert (doors.gateway.memory.cycle_number() == 2) == done
-        elif row[0] == "DoIP":  # it ended when the tester left
+        elif row[0] in ("DoIP", "request"):  # it ended when the tester left
             assert [each.action for each in doors.gateway.memory.interventions() if not each.outcome] == (
                 [_OFF[what][1], f"{_OFF[what][1]}_ended"] if done else []
             )
