@@ -31,6 +31,7 @@ from gateway.engine.buckets import TickRow
 from gateway.live.status_commands import Commands, monitoring_of
 from gateway.live.unix_socket import credentials_of, listen_at
 from gateway.runtime.app import Gateway
+from gateway.servers.uds.params import S3_MS
 from gateway_fdi.common.log import get_logger
 
 PROTOCOL = 1
@@ -194,7 +195,7 @@ class StatusSocket:
             return  # it has been removed already
 
     def _poll_alone(self, now_s: float) -> None:
-        """Have requests answered after the run, when nobody else lets time pass; nothing goes to a bus."""
+        """Have requests answered after the run, when no one lets time pass; nothing goes to a bus."""
         self._ended_s = self._ended_s or now_s
         self._gateway.poll(self._gateway.engine.now_ns + round((now_s - self._ended_s) * 1e9))
 
@@ -400,7 +401,9 @@ def _described(gateway: Gateway) -> dict[str, Any]:
     config = gateway.config
     told = gateway.describe()
     owners = {monitor.name: monitor.type for monitor in config.monitor}
-    file = gateway.store.path
+    file, senders = gateway.store.path, gateway.senders
+    asked = set(gateway.asking.askable)
+    uds = config.output.uds
     return {
         "protocol": PROTOCOL,
         "version": __version__,
@@ -408,6 +411,7 @@ def _described(gateway: Gateway) -> dict[str, Any]:
         "memory": None if file is None else str(file.resolve()),
         "faults": [
             {**fault, "bus": _bus_of(gateway, k), "monitor": fault["id"].rpartition(".")[0],
+             "ecu": senders.get(fault["id"].rpartition(".")[0], ""),
              "type": owners.get(fault["id"].split(".")[0], "check")}
             for k, fault in enumerate(told["faults"])
         ],
@@ -417,6 +421,14 @@ def _described(gateway: Gateway) -> dict[str, Any]:
              "filtered": gateway.identifiers_on(k) is not None}
             for k, bus in enumerate(config.bus)
         ],
+        "ecus": [
+            {"name": ecu.name, "bus": ecu.bus or config.bus[0].name, "asked": ecu.name in asked,
+             "dids": sorted({read.key[1] for read in ecu.read if read.key[0] == 0x22})}
+            for ecu in config.ecu
+        ],
+        "identifiers": told["identifiers"],
+        "levels": [] if uds is None else uds.levels,
+        "s3_s": (S3_MS if uds is None else uds.s3_ms) / 1e3,
         "signals": list(gateway.signal_slots),
         "notes": list(gateway.notes),
     }  # fmt: skip

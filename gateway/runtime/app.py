@@ -17,6 +17,7 @@ from gateway.bus.frames import FRAME, Frames, empty, joined
 from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
+from gateway.engine.checks.silence import sender_of
 from gateway.engine.core import Engine
 from gateway.engine.depends.derive import Dependences
 from gateway.faults.beside import Writer
@@ -538,6 +539,13 @@ class Gateway:
     def codes(self) -> Mapping[str, tuple[str, ...]]:
         """Base codes of DTCs that were given out, by the full name of a message, a signal or a relation."""
         return self._parts.codes
+
+    @property
+    def senders(self) -> dict[str, str]:
+        """Name of the ECU that sends a checked message, by the first part of its faults' ids; those that are known."""
+        databases = self.databases
+        found = {each.name: sender_of(each.params.message, databases[each.bus]) for each in self._parts.checks}
+        return {name: sender for name, sender in found.items() if sender}
 
     def describe(self) -> dict[str, Any]:
         """Return what testers and other programs need to know: faults, identifiers, extended data."""

@@ -369,7 +369,7 @@ def servers_of(
         )
     trace = config.access.trace_did
     testers = Testers(memory, identifiers, authority, parts.security, parts.authentication, trace)
-    made += [_local_server(config, testers), *_diagnostic_servers(config, testers, memory, authority, identifiers)]
+    made += _diagnostic_servers(config, testers, memory, authority, identifiers)
     if asked.doip is not None:
         made.append(_doip_server(config, parts, testers, identifiers, control))
     if asked.j1939 is not None:
@@ -378,7 +378,7 @@ def servers_of(
             asked.j1939.name, asked.j1939.address, index, commandable=asked.j1939.commanded_address
         )
         made.append(J1939Server(asked.j1939, endpoint, memory, control, authority, config.bus[index].name))
-    return made
+    return [*made, _local_server(config, testers)]
 
 
 def asking_of(config: Config, parts: Parts, control: TesterControl, may_ask: Callable[[int], bool]) -> Asking:

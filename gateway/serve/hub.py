@@ -198,6 +198,22 @@ class Hub:
         """Have the fault memory's file read soon."""
         self._stale.set()
 
+    async def read_memory(self) -> dict[str, Any]:
+        """Return the contents of the fault memory's file as it is now."""
+        return await self._in_thread(self.memory_file.read, self.hello["faults"])
+
+    async def interventions(self) -> list[dict[str, Any]]:
+        """Return what testers did, the oldest first."""
+        return await self._in_thread(self.memory_file.interventions)
+
+    async def recordings(self, dtc: str) -> list[Recording]:
+        """Return the recordings of a DTC, the oldest first; none, where there is no entry of it."""
+        return await self._in_thread(self.memory_file.recordings, dtc)
+
+    def unit(self, signal: str) -> str | None:
+        """Return the unit of a signal by its full name, by the databases; None: it has none, or is not in them."""
+        return self._names.unit(signal)
+
     async def recording(self, dtc: str, number: int) -> Recording | None:
         """Return a recording as :meth:`MemoryFile.recording` does."""
         return await self._in_thread(self.memory_file.recording, dtc, number)
