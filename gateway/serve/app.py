@@ -13,13 +13,14 @@ from typing import Any
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
-from starlette.routing import Route
+from starlette.routing import Mount, Route
 
 from gateway.common.jsonlines import line
 from gateway.serve.bokeh_files import bokeh_folder
 from gateway.serve.hub import Hub
 from gateway.serve.link import Refused
 from gateway.serve.metrics import Metrics
+from gateway.serve.sovd.app import sovd
 from gateway_fdi.errors import GatewayError
 
 STATIC = Path(__file__).parent / "static"
@@ -65,6 +66,7 @@ class Page:
                 Route("/api/settings", self._settings, methods=["POST"]),
                 Route("/api/present", self._present, methods=["POST"]),
                 Route("/metrics", self._show_metrics),
+                Mount("/sovd", sovd(self.hub)),
             ],
             lifespan=self._lifespan,
         )

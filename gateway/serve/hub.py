@@ -126,7 +126,8 @@ class Hub:
         self.link = StatusLink(socket, self._on_message, self._on_link)
         self.connected, self.reason = False, "not reached yet"
         self.hello: dict[str, Any] = {
-            "name": "", "faults": [], "buses": [], "version": "", "memory": None, "ended": "",
+            "name": "", "faults": [], "buses": [], "version": "", "memory": None, "ended": "", "ecus": [],
+            "identifiers": [], "levels": [], "s3_s": 5.0, "signals": [],
         }  # fmt: skip
         self.memory_file = MemoryFile(None)
         self.memory: dict[str, Any] = self.memory_file.read(())
@@ -151,7 +152,7 @@ class Hub:
             "missed": self._on_missed,
         }
         self._viewers: set[Viewer] = set()
-        self._ending = False
+        self.ending = False
         self._number = itertools.count(1)
         self._stale = asyncio.Event()
         # One thread, and no more: each has a heap of its own, which keeps memory that SQLite has freed.
@@ -170,7 +171,7 @@ class Hub:
         """Begin to tell a page; the first message is all there is."""
         viewer = Viewer()
         viewer.begin(self._state(), self.history.past())
-        if self._ending:
+        if self.ending:
             viewer.end()
         self._viewers.add(viewer)
         return viewer
@@ -181,7 +182,7 @@ class Hub:
 
     def end(self) -> None:
         """End telling all pages: their streams end, and so do those of pages that come now."""
-        self._ending = True
+        self.ending = True
         for viewer in self._viewers:
             viewer.end()
 

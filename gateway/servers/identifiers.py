@@ -14,7 +14,7 @@ from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError
 
 #: struct codes of the numeric types, high byte first.
-_CODES = {
+CODES = {
     "u8": "B",
     "u16": "H",
     "u32": "I",
@@ -72,7 +72,7 @@ class DidParams(StrictModel):
 
     def encode(self, value: float | None) -> bytes:
         """Code a signal's value; an unknown one is all ones, one out of range the nearest end."""
-        code = _CODES[self.type]
+        code = CODES[self.type]
         known = value is not None and math.isfinite(value)
         if self.type.startswith("f"):
             scaled = (value - self.offset) / self.scale if value is not None and known else math.nan
