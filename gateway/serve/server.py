@@ -44,8 +44,8 @@ class ServeSettings:
         host: address that is listened at.
         port: 0: any that is free.
         names: further names that this server is known by.
-        read_token_file, control_token_file: files of the tokens; further lines of the second are clients of SOVD, a name
-            and a token each.
+        read_token_file, control_token_file: files of the tokens; further lines of the second are clients of SOVD, a
+            name and a token each.
         certificate, key: PEM files for TLS.
         parent: end when this process is not the parent any more; None: do not look.
     """
@@ -130,11 +130,9 @@ def rights_of(settings: ServeSettings) -> Rights:
     read, _ = _tokens(settings.read_token_file)
     control, clients = _tokens(settings.control_token_file)
     control = control or (secrets.token_urlsafe(24) if local else "")
-    given = [read, control, *clients.values()]
-    if any(given.count(each) > 1 for each in given if each):
-        raise InputError(
-            "reading and changing are two rights, and clients are several: a token each", key="--control-token-file"
-        )
+    every = [read, control, *clients.values()]
+    if any(every.count(each) > 1 for each in every if each):
+        raise InputError("reading and changing are two rights: two tokens, all different", key="--control-token-file")
     names = {settings.host.strip("[]").lower(), *(name.lower() for name in settings.names)}
     if local:
         names |= {"localhost", "127.0.0.1", "::1"}
@@ -159,9 +157,8 @@ def _tokens(file: Path | None) -> tuple[str, dict[str, str]]:
     for each in filter(None, more):
         name, _, token = each.strip().partition(" ")
         if not _CLIENT.fullmatch(name) or name in (CONTROL, *clients):
-            raise InputError(
-                "a further line is NAME TOKEN; a name has 1 to 20 letters, digits, _ and -", file=file, value=name
-            )
+            text = "a further line is NAME TOKEN; a name has 1 to 20 letters, digits, _ and -"
+            raise InputError(text, file=file, value=name)
         clients[name] = token.strip()
     for token in (first.strip(), *clients.values()):
         if len(token) < 16 or not token.isprintable() or " " in token:

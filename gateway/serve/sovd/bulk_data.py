@@ -30,7 +30,7 @@ class BulkItem(Model):
 
     id: str
     name: str
-    mimetype: Literal["text/plain"] = _TYPE
+    mimetype: Literal["text/plain"] = "text/plain"
     size: int
     creation_date: datetime | None
 
@@ -49,7 +49,7 @@ async def _recordings(call: Call) -> dict[str, tuple[str, Recording]]:
     """Return name and recording by id."""
     if call.state.component(call.path).id != OWN or call.path["category"] != CATEGORY:
         raise SovdError(404, "there is no such category")
-    found = {}
+    found: dict[str, tuple[str, Recording]] = {}
     for each in (await faults.of(call)).values():
         if each.entry["recordings"]:
             recordings = await call.state.hub.recordings(each.entry["dtc"])

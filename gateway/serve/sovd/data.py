@@ -60,7 +60,7 @@ def _items(call: Call, one: Component) -> list[DataItem]:
             DataItem(id=slug(name), name=name, category="currentData", unit=unit(name))
             for name in call.state.hub.hello["signals"]
         ]
-    dids = next((each["dids"] for each in call.state.hub.hello["ecus"] if each["name"] == one.ecu), [])
+    dids: list[int] = next((each["dids"] for each in call.state.hub.hello["ecus"] if each["name"] == one.ecu), [])
     return [DataItem(id=f"did-{did:04X}", name=f"22{did:04X}", category="currentData") for did in dids]
 
 
@@ -85,7 +85,7 @@ async def read_did(call: Call, one: Component, key: str) -> Value:
             raise SovdError(404, error.message, "error-response", error.parameters) from error
         raise
     raw = answer[3:]
-    found = _decoded(identifiers(call).get(key, {}), raw) if one.id == OWN else None
+    found: float | str | None = _decoded(identifiers(call).get(key, {}), raw) if one.id == OWN else None
     if found is None and raw.isascii() and raw.decode().isprintable():
         found = raw.decode()
     return Value(value=found, raw=raw.hex())

@@ -1,7 +1,7 @@
 """Faults: entries of the fault memory with status, environment data, evidence and cause; clearing.
 
-``code`` is the DTC. Two entries of one DTC, which an earlier configuration can have left, are told apart by the fault's id
-behind it: ``P0336-39~crank.missing_tooth``; clearing one clears both, as by UDS.
+``code`` is the DTC. Two entries of one DTC, which an earlier configuration can have left, are told apart by the
+fault's id behind it: ``P0336-39~crank.missing_tooth``; clearing one clears both, as by UDS.
 """
 
 from __future__ import annotations
@@ -24,24 +24,31 @@ from gateway_fdi.errors import GatewayError, InputError
 #: The one memory that there is, and its severities (1: the worst) by their names here.
 SCOPE = "primary"
 SEVERITY = {"immediately": 1, "next_halt": 2, "maintenance": 3}
+#: Keys of an entry that are extended data, and those that only we know.
+_EXTENDED = ("occurrence", "failed_cycles", "aged_cycles", "peak_fdc", "near_misses", "permanent")
+_OURS = ("evidence", "inputs", "cause", "hold", "words", "remedy", "stored")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _Bit = Literal["0", "1"]
+_Word = Literal["active", "passive", "cleared"]
 _YesNo = Literal["true", "false"]
 
-FaultStatus: type[Model] = create_model(
+_STATUS: dict[str, Any] = {
+    "mask": (str, ...),
+    "aggregatedStatus": (_Word, ...),
+    **dict.fromkeys(BITS, (_Bit, ...)),
+}
+FaultStatus = create_model(
     "FaultStatus",
     __base__=Model,
-    __doc__="The status byte: its bits by the names of ISO 14229-1, as a whole, and in one word.",
-    mask=(str, ...),
-    aggregatedStatus=(Literal["active", "passive", "cleared"], ...),
-    **dict.fromkeys(BITS, (_Bit, ...)),  # type: ignore[call-overload]
+    __doc__="The status byte: as a whole, in one word, and its bits by the names of ISO 14229-1.",
+    **_STATUS,
 )
-StatusFilter: type[Model] = create_model(
-    "StatusFilter",
-    __base__=Model,
-    __doc__="Bits that a fault is to have, one of them at least.",
-    aggregatedStatus=(Literal["active", "passive", "cleared"] | None, None),
-    **dict.fromkeys(BITS, (Literal["0", "1", "true", "false"] | None, None)),  # type: ignore[call-overload]
+_FILTER: dict[str, Any] = {
+    "aggregatedStatus": (_Word | None, None),
+    **dict.fromkeys(BITS, (Literal["0", "1", "true", "false"] | None, None)),
+}
+StatusFilter = create_model(
+    "StatusFilter", __base__=Model, __doc__="Bits that a fault is to have, one of them at least.", **_FILTER
 )
 
 
@@ -53,7 +60,7 @@ class Fault(Model):
     display_code: str
     fault_name: str
     severity: int | None = Field(None, ge=1, le=4)
-    status: FaultStatus  # type: ignore[valid-type]
+    status: FaultStatus
     symptom: str | None = None
 
 
@@ -66,7 +73,7 @@ class FaultList(Model):
 class FaultFilter(Model):
     """Which faults are listed."""
 
-    status: StatusFilter | None = None  # type: ignore[valid-type]
+    status: StatusFilter | None = None
     severity: Literal["1", "2", "3", "4"] | None = None
     scope: str | None = None
     include_schema: _YesNo = Field("false", alias="include-schema")
@@ -107,7 +114,7 @@ class FaultDetail(Model):
 
     item: Fault
     environment_data: Environment
-    errors: list[dict[str, Any]] = []
+    errors: tuple[dict[str, Any], ...] = ()
     x_gateway: dict[str, Any] | None = Field(None, alias="x-gateway")
 
 
@@ -122,7 +129,7 @@ def instant(t_ns: int | None) -> datetime | None:
 def _status(byte: int) -> Model:
     word = "active" if byte & 1 else "passive" if byte & 0x0C else "cleared"
     bits = {name: str(byte >> k & 1) for k, name in enumerate(BITS)}
-    return FaultStatus(mask=f"0x{byte:02X}", aggregatedStatus=word, **bits)
+    return FaultStatus.model_validate({"mask": f"0x{byte:02X}", "aggregatedStatus": word, **bits})
 
 
 class Found:
@@ -151,37 +158,18 @@ class Found:
         """Return what is known of it."""
         entry = self.entry
         own = "fault" in entry
-        names = (
-            (
-                "occurrence",
-                "failed_cycles",
-                "aged_cycles",
-                "peak_fdc",
-                "near_misses",
-                "permanent",
-                "first_ns",
-                "last_ns",
-            )
-            if own
-            else ("came", "first_ns", "last_ns", "went_ns")
-        )
+        names = (*_EXTENDED, "first_ns", "last_ns") if own else ("came", "first_ns", "last_ns", "went_ns")
         extended = {name: entry[name] for name in names}
         extended |= {name.replace("_ns", "_time"): instant(entry[name]) for name in names if name.endswith("_ns")}
         snapshots = (
             [
-                Snapshot(
-                    record=each["record"], timestamp=instant(each["t_ns"]), t_ns=each["t_ns"], data=each["signals"]
-                )
-                for each in entry["freeze_frames"]
+                Snapshot(record=one["record"], timestamp=instant(one["t_ns"]), t_ns=one["t_ns"], data=one["signals"])
+                for one in entry["freeze_frames"]
             ]
             if own
             else [Snapshot(data={"request": kind, "raw": raw}) for kind, raw in entry["snapshots"].items()]
         )
-        ours = {
-            name: entry[name]
-            for name in ("evidence", "inputs", "cause", "hold", "words", "remedy", "stored")
-            if name in entry
-        }
+        ours = {name: entry[name] for name in _OURS if name in entry}
         return FaultDetail(
             item=self.shown,
             environment_data=Environment(
@@ -202,7 +190,7 @@ async def of(call: Call) -> dict[str, Found]:
     told = {fault["id"]: fault for fault in state.hub.hello["faults"]}
     memory = await state.hub.read_memory()
     if memory["error"]:
-        raise SovdError(503, memory["error"])
+        raise SovdError(503, memory["error"] if state.hub.connected else f"the gateway does not run: {state.hub.reason}")
     ordered = {fault: k for k, fault in enumerate(f for case in memory["cases"] for f in case["faults"])}
     entries: Sequence[Mapping[str, Any]] = sorted(memory["entries"], key=lambda each: ordered[each["fault"]])
 

@@ -1,7 +1,7 @@
 """Locks: a client that changes something has the component for itself, and its session as long as it has the lock.
 
-A lock is of the client whose token made it. It keeps the session alive (tester present); when it ends, the session is the
-default one. Where this process is killed, the gateway ends the sessions of its testers, as their reader has gone.
+A lock is of the client whose token made it. It keeps the session alive (tester present); when it ends, the session is
+the default one. Where this process is killed, the gateway ends the sessions of its testers, as their reader has gone.
 """
 
 from __future__ import annotations

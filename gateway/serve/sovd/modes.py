@@ -98,7 +98,7 @@ async def _show(call: Call) -> ModeShown:
         value = "on" if call.state.hub.monitoring["dtcs"] else "off"
     else:
         value = "unknown" if lock is None else ("on" if lock.dtcs else "off")
-    return ModeShown(id=key, name=name, value=value, values=list(values))  # type: ignore[arg-type]
+    return ModeShown(id=key, name=name, value=value, values=list(values))
 
 
 async def _set(call: Call) -> ModeSet:
@@ -122,7 +122,7 @@ async def _unlock(call: Call, one: Component, value: str) -> ModeSet:
     level = int(value.removesuffix(_SEED).removeprefix("level_"))
     if value.endswith(_SEED):
         answer = await call.state.locks.intervene(call.who, one, bytes([0x27, 2 * level - 1]))
-        return ModeSet(id="security", value=value, seed=Seed(Request_Seed=f"0x{answer[2:].hex()}"))
+        return ModeSet(id="security", value=value, seed=Seed(request_seed=f"0x{answer[2:].hex()}"))
     if call.body.key is None:
         raise SovdError(409, f"Key: first ask for a seed ({value}{_SEED}), then send its key")
     key = bytes.fromhex(call.body.key.send_key.removeprefix("0x"))

@@ -11,7 +11,7 @@ from pydantic.json_schema import models_json_schema
 from gateway import __version__
 from gateway.serve.sovd.components import BASE
 from gateway.serve.sovd.errors import GenericError
-from gateway.serve.sovd.model import Body
+from gateway.serve.sovd.model import Body, Model
 from gateway.serve.sovd.table import JSON, Endpoint, models_of
 
 _REF = "#/components/schemas/{model}"
@@ -26,12 +26,10 @@ def document(endpoints: Iterable[Endpoint], below: str = "") -> dict[str, Any]:
         below: path of an entity: only what is below it, "": all.
     """
     chosen = [each for each in endpoints if not below or _is_below(each.path, below)]
-    models = [*models_of(chosen), GenericError]
+    models: list[type[Model]] = [*models_of(chosen), GenericError]
     queries = list(dict.fromkeys(each.query for each in chosen if each.query.model_fields))
-    modes = [
-        (each, "validation" if issubclass(each, Body) or each in queries else "serialization")
-        for each in (*models, *queries)
-    ]
+    asked = {each for each in models if issubclass(each, Body)}.union(queries)
+    modes = [(each, "validation" if each in asked else "serialization") for each in (*models, *queries)]
     names, schemas = models_json_schema(modes, ref_template=_REF)  # type: ignore[arg-type]
     refs = {model: ref for (model, _), ref in names.items()}
     definitions = schemas["$defs"]

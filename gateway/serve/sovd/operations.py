@@ -42,7 +42,7 @@ class OperationShown(Model):
 class Execute(Body):
     """No operation has parameters."""
 
-    parameters: dict[str, Any] = {}
+    parameters: dict[str, Any] | None = None
 
 
 class Executed(Model):
@@ -55,7 +55,7 @@ class Executed(Model):
 class ExecutionList(Model):
     """Executions that go on: none."""
 
-    items: list[OperationItem] = []
+    items: list[OperationItem]
 
 
 class StatusShown(Model):
@@ -87,7 +87,7 @@ async def _show(call: Call) -> OperationShown:
 
 async def _executions(call: Call) -> ExecutionList:
     _item(call)
-    return ExecutionList()
+    return ExecutionList(items=[])
 
 
 async def _execute(call: Call) -> Executed:

@@ -50,7 +50,8 @@ class State:
         Raises:
             SovdError: there is none.
         """
-        return known(self.components(), path["component_id"], "component")
+        found: Component = known(self.components(), path["component_id"], "component")
+        return found
 
     def buses(self) -> dict[str, str]:
         """Return the names of the buses by id."""

@@ -1,4 +1,4 @@
-"""Cyclic subscriptions and triggers: a value or the faults again and again, or when they change, as server-sent events."""
+"""Cyclic subscriptions and triggers: a value, or the faults, again and again or at a change, as server-sent events."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gateway.serve.link import Refused
 from gateway.serve.sovd import data, faults
 from gateway.serve.sovd.components import BASE, OWN, place
 from gateway.serve.sovd.errors import CODES, VENDOR, GenericError, SovdError
-from gateway.serve.sovd.model import Body, Model
+from gateway.serve.sovd.model import Body, Model, ReadValue
 from gateway.serve.sovd.table import Call, Endpoint, Made
 from gateway.serve.sovd.watching import Subscription
 
@@ -105,7 +105,7 @@ def _events_at(one: Subscription) -> str:
 
 def _cyclic(one: Subscription) -> Cyclic:
     source = _events_at(one)
-    return Cyclic(id=one.id, observed_resource=one.resource, event_source=source, interval=one.interval)  # type: ignore[arg-type]
+    return Cyclic(id=one.id, observed_resource=one.resource, event_source=source, interval=one.interval)
 
 
 def _trigger(one: Subscription) -> Trigger:
@@ -172,7 +172,7 @@ async def _read(call: Call, resource: str) -> dict[str, Any]:
         found = await faults.of(call)
         return faults.FaultList(items=[each.shown for each in found.values()]).told()
     key = unquote(match[2])
-    return data.ReadValue(id=key, data=await data.read(call, one, key)).told()
+    return ReadValue(id=key, data=await data.read(call, one, key)).told()
 
 
 def _stream(kind: str) -> Callable[[Call], Any]:

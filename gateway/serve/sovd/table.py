@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 from starlette.requests import Request
 from starlette.responses import Response
 
@@ -140,7 +140,9 @@ def _wrong(error: ValidationError) -> SovdError:
     return SovdError(400, f"{key}: {first['msg']}" if key else first["msg"], parameters={"key": key})
 
 
-def models_of(endpoints: Iterable[Endpoint]) -> list[type[BaseModel]]:
+def models_of(endpoints: Iterable[Endpoint]) -> list[type[Model]]:
     """Return all models of bodies and answers, each once."""
-    found = [each for endpoint in endpoints for each in (endpoint.body, endpoint.answer) if each is not None]
+    found: list[type[Model]] = []
+    for endpoint in endpoints:
+        found += [each for each in (endpoint.body, endpoint.answer) if each is not None]
     return list(dict.fromkeys(found))

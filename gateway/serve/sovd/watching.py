@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 from dataclasses import dataclass, field
+from typing import Literal
 
 from gateway.serve.sovd.errors import SovdError
 
@@ -34,7 +35,7 @@ class Subscription:
     resource: str
     every_s: float
     until_s: float
-    interval: str = "fast"
+    interval: Literal["fast", "normal", "slow"] = "fast"
     condition: str = ""
     bounds: tuple[float, float] = (0.0, 0.0)
     id: str = field(default_factory=lambda: secrets.token_urlsafe(9))
