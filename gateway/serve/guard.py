@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
 import ipaddress
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
@@ -27,10 +28,12 @@ BODY_BYTES, BODY_S = 16 << 10, 5.0
 SEND_S = 30.0
 #: Name of the client that has the control token.
 CONTROL = "control"
-#: Methods, and those below SOVD.
-METHODS, SOVD_METHODS = ("GET", "HEAD", "POST"), ("GET", "HEAD", "POST", "PUT", "DELETE")
+#: Methods of the page, and those that change something.
+METHODS, CHANGING = ("GET", "HEAD", "POST"), ("POST", "PUT", "DELETE")
+#: Most of a body that is thrown away before a refusal, so that a client which sends it all reads that [byte].
+DRAIN_BYTES = 16 << 20
 #: Longest path with its query [byte].
-PATH_BYTES = 2048
+PATH_BYTES = 8 << 10
 #: Type of refusals.
 TEXT = b"text/plain; charset=utf-8"
 #: Largest headers together [byte], and how many at most.
@@ -116,7 +119,7 @@ class Guard:
         scope["gateway.who"] = self._rights.who(_token_of(headers))
         wrong = self._wrong(scope, headers)
         body = b""
-        if wrong is None and scope["method"] not in ("GET", "HEAD"):
+        if wrong is None and scope["method"] in CHANGING:
             try:
                 body = await asyncio.wait_for(_body(receive), BODY_S)
             except TimeoutError:
@@ -125,6 +128,9 @@ class Guard:
                 wrong = (413, "the request is too large")
         if wrong is not None:
             self._on_refused(wrong[0])
+            if _is_sovd(scope):
+                with contextlib.suppress(TimeoutError, _TooLargeError):
+                    await asyncio.wait_for(_body(receive, DRAIN_BYTES, keep=False), BODY_S)
             await _refuse(send, *wrong, sovd=_is_sovd(scope))
             return
         try:
@@ -158,9 +164,8 @@ class Guard:
         chunked = any(name == "transfer-encoding" for name, _ in headers)
         if scope["method"] in ("GET", "HEAD"):
             return (400, "no body here") if chunked or any(value != "0" for value in lengths) else None
-        methods = SOVD_METHODS if _is_sovd(scope) else METHODS
-        if scope["method"] not in methods:
-            return 405, ", ".join(methods)
+        if scope["method"] not in (CHANGING if _is_sovd(scope) else METHODS):
+            return None if _is_sovd(scope) else (405, ", ".join(METHODS))  # each of its resources knows its methods
         if lengths and (not lengths[0].isdigit() or int(lengths[0]) > BODY_BYTES):
             return 413, "the request is too large"
         if _is_sovd(scope) and not chunked and all(value == "0" for value in lengths):
@@ -170,7 +175,7 @@ class Guard:
 
     def _wrong_right(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
         path: str = scope["path"]
-        changes = scope["method"] not in ("GET", "HEAD")
+        changes = scope["method"] in CHANGING
         if not changes and not path.startswith(("/api/", "/metrics")) and not _is_sovd(scope):
             return None  # the page itself: it is the same everywhere, and says nothing of this gateway
         may_control = bool(scope["gateway.who"])
@@ -209,15 +214,17 @@ def _name(host: str) -> str:
     return host.partition(":")[0]
 
 
-async def _body(receive: Receive) -> bytes:
-    body = b""
+async def _body(receive: Receive, most: int = BODY_BYTES, *, keep: bool = True) -> bytes:
+    body, size = b"", 0
     while True:
         message = dict(await receive())
         if message["type"] != "http.request":
             return body
-        body += bytes(message.get("body", b""))
-        if len(body) > BODY_BYTES:
+        part = bytes(message.get("body", b""))
+        size += len(part)
+        if size > most:
             raise _TooLargeError
+        body += part if keep else b""
         if not message.get("more_body"):
             return body
 

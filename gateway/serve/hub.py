@@ -150,6 +150,7 @@ class Hub:
             "buses": self._on_buses,
             "messages": self._on_messages,
             "missed": self._on_missed,
+            "answer": lambda message, _: self._take_monitoring(message),
         }
         self._viewers: set[Viewer] = set()
         self.ending = False
@@ -316,7 +317,7 @@ class Hub:
         self._take_monitoring(message)
 
     def _take_monitoring(self, message: dict[str, Any]) -> None:
-        found = message.get("monitoring", ALL_ON)
+        found = message.get("monitoring", self.monitoring)
         if found != self.monitoring:
             self.monitoring = found
             self._tell("monitoring", found)

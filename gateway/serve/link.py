@@ -84,7 +84,6 @@ class StatusLink:
                     waiting = self._answers.get(message.get("id", 0))
                     if waiting is not None and not waiting.done():
                         waiting.set_result(message)
-                    continue
                 self._on_message(message, block)
 
     def _end(self) -> None:

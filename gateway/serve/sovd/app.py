@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -52,7 +52,7 @@ def sovd(hub: Hub) -> Starlette:
     routes += [Route(f"/v1{path}/docs", _docs(state, path), methods=["GET"]) for path in _DOCS]
     version = entities.ENDPOINTS[0]
     routes.append(Route("/version-info", _handler(state, {"GET": version}), methods=["GET"]))
-    app = Starlette(routes=routes, exception_handlers={HTTPException: _no_endpoint})
+    app = Starlette(routes=routes, exception_handlers={HTTPException: no_endpoint})
     app.router.redirect_slashes = False
     return app
 
@@ -65,7 +65,7 @@ def _handler(state: State, of: dict[str, Endpoint]) -> Callable[[Request], Await
 
 
 def _docs(state: State, path: str) -> Callable[[Request], Awaitable[Response]]:
-    known: Sequence[Callable[[], dict[str, str]]] = (
+    known: Sequence[Callable[[], Mapping[str, str]]] = (
         state.buses,
         lambda: {key: one.name for key, one in state.components().items()},
         state.monitors,
@@ -75,12 +75,14 @@ def _docs(state: State, path: str) -> Callable[[Request], Awaitable[Response]]:
     async def handle(request: Request) -> Response:
         if entity is not None and next(iter(request.path_params.values())) not in entity():
             return SovdError(404, "there is no such entity").response()
-        return Response(line(document(ENDPOINTS, path)), media_type=JSON)
+        examples = {name: list(of()) for name, of in zip(("area_id", "component_id", "app_id"), known, strict=True)}
+        return Response(line(document(ENDPOINTS, path, examples)), media_type=JSON)
 
     return handle
 
 
-async def _no_endpoint(_: Request, error: Exception) -> Response:
+async def no_endpoint(_: Request, error: Exception) -> Response:
+    """Return what is answered where there is no endpoint for a path or a method."""
     assert isinstance(error, HTTPException)
     text = "there is no such resource" if error.status_code == 404 else str(error.detail)
     return error_response(error.status_code, text, headers=error.headers)

@@ -190,7 +190,8 @@ async def of(call: Call) -> dict[str, Found]:
     told = {fault["id"]: fault for fault in state.hub.hello["faults"]}
     memory = await state.hub.read_memory()
     if memory["error"]:
-        raise SovdError(503, memory["error"] if state.hub.connected else f"the gateway does not run: {state.hub.reason}")
+        why = memory["error"] if state.hub.connected else f"the gateway does not run: {state.hub.reason}"
+        raise SovdError(503, why)
     ordered = {fault: k for k, fault in enumerate(f for case in memory["cases"] for f in case["faults"])}
     entries: Sequence[Mapping[str, Any]] = sorted(memory["entries"], key=lambda each: ordered[each["fault"]])
 

@@ -19,6 +19,8 @@ from gateway.servers.uds.nrc import Nrc
 
 #: Tester present is sent as often within the time of a session.
 _OFTEN = 3
+#: Refusals that say that the session is another one.
+_SESSIONS = (Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION, Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION)
 
 #: Asks by UDS: takes the client, the ECU and the request; returns the positive response.
 Ask = Callable[[str, str, bytes], Awaitable[bytes]]
@@ -104,20 +106,28 @@ class Locks:
         return lock
 
     async def intervene(self, who: str, component: Component, request: bytes) -> bytes:
-        """Ask for something that changes something; begins an extended session where it needs one.
+        """Ask for something that changes something, in an extended session, where one can be begun.
 
         Raises:
             SovdError: the client has no lock, or it is refused.
         """
         lock = self.own(who, component)
+        begun = lock.extended
+        await self._begin(lock)
         try:
             return await self._ask(who, component.ecu, request)
         except SovdError as error:
-            if lock.extended or (error.parameters or {}).get("nrc") != Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION:
+            if not begun or (error.parameters or {}).get("nrc") not in _SESSIONS:
                 raise
-        await self._ask(who, component.ecu, b"\x10\x03")
-        lock.extended = True
+        lock.extended = False  # it is over, as after a reset
+        await self._begin(lock)
         return await self._ask(who, component.ecu, request)
+
+    async def _begin(self, lock: Lock) -> None:
+        if not lock.extended:
+            with contextlib.suppress(SovdError):  # what is asked then may be allowed without it
+                await self._ask(lock.who, lock.component.ecu, b"\x10\x03")
+                lock.extended, lock.level = True, 0
 
     async def _keep(self, lock: Lock) -> None:
         loop = asyncio.get_running_loop()

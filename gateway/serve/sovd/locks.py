@@ -9,7 +9,7 @@ from pydantic import Field
 
 from gateway.serve.sovd.errors import SovdError
 from gateway.serve.sovd.holding import Lock
-from gateway.serve.sovd.model import Body, Model
+from gateway.serve.sovd.model import Body, Model, Whole
 from gateway.serve.sovd.table import Call, Endpoint, Made
 
 #: Longest time of a lock [s].
@@ -19,7 +19,7 @@ LONGEST_S = 3600
 class LockRequest(Body):
     """How long a lock is to last [s]."""
 
-    lock_expiration: int = Field(ge=1, le=LONGEST_S)
+    lock_expiration: Whole = Field(ge=1, le=LONGEST_S)
 
 
 class LockCreated(Model):

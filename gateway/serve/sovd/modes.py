@@ -109,12 +109,12 @@ async def _set(call: Call) -> ModeSet:
     if key == "security":
         return await _unlock(call, one, value)
     if key == "session":
-        await call.state.locks.intervene(call.who, one, bytes([0x10, SESSIONS[value]]))
+        await call.state.ask(call.who, one.ecu, bytes([0x10, SESSIONS[value]]))
         lock.extended, lock.level = value != "default", 0
         lock.dtcs = lock.dtcs or value == "default"
         return ModeSet(id=key, value=value)
+    await call.state.locks.intervene(call.who, one, bytes([0x85, 0x01 if value == "on" else 0x02]))
     lock.dtcs = value == "on"
-    await call.state.locks.intervene(call.who, one, bytes([0x85, 0x01 if lock.dtcs else 0x02]))
     return ModeSet(id=key, value=value)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pydantic.json_schema import models_json_schema
@@ -18,12 +18,15 @@ _REF = "#/components/schemas/{model}"
 _TEXT = {"schema": {"type": "string"}}
 
 
-def document(endpoints: Iterable[Endpoint], below: str = "") -> dict[str, Any]:
+def document(
+    endpoints: Iterable[Endpoint], below: str = "", examples: Mapping[str, Sequence[str]] | None = None
+) -> dict[str, Any]:
     """Return the document.
 
     Args:
         endpoints: in order.
         below: path of an entity: only what is below it, "": all.
+        examples: values of parameters in the path, by their names.
     """
     chosen = [each for each in endpoints if not below or _is_below(each.path, below)]
     models: list[type[Model]] = [*models_of(chosen), GenericError]
@@ -35,7 +38,7 @@ def document(endpoints: Iterable[Endpoint], below: str = "") -> dict[str, Any]:
     definitions = schemas["$defs"]
     paths: dict[str, Any] = {}
     for each in chosen:
-        paths.setdefault(each.path, {})[each.method.lower()] = _operation(each, refs, definitions)
+        paths.setdefault(each.path, {})[each.method.lower()] = _operation(each, refs, definitions, examples or {})
     for model in queries:  # they are told as parameters
         definitions.pop(refs[model]["$ref"].rpartition("/")[2])
     return {
@@ -60,13 +63,18 @@ def _is_below(path: str, entity: str) -> bool:
     return parts[: len(wanted)] == wanted or (len(parts) >= 3 and parts[1] == wanted[1] and parts[2].startswith("{"))
 
 
-def _operation(one: Endpoint, refs: dict[Any, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+def _operation(
+    one: Endpoint, refs: dict[Any, Any], definitions: dict[str, Any], examples: Mapping[str, Sequence[str]]
+) -> dict[str, Any]:
     names = re.findall(r"\{(\w+)\}", one.path)
-    parameters: list[dict[str, Any]] = [
-        {"name": name, "in": "path", "required": True, "schema": {"type": "string", "minLength": 1}} for name in names
-    ]
+    parameters: list[dict[str, Any]] = []
+    for name in names:
+        schema: dict[str, Any] = {"type": "string", "minLength": 1}
+        if examples.get(name):
+            schema["examples"] = list(examples[name])
+        parameters.append({"name": name, "in": "path", "required": True, "schema": schema})
     if one.query.model_fields:
-        parameters += _parameters(definitions[refs[one.query]["$ref"].rpartition("/")[2]])
+        parameters += _parameters(definitions[refs[one.query]["$ref"].rpartition("/")[2]], definitions)
     good: dict[str, Any] = {"description": "Done."}
     if one.answer is not None:
         good["content"] = {JSON: {"schema": refs[one.answer]}}
@@ -74,9 +82,10 @@ def _operation(one: Endpoint, refs: dict[Any, Any], definitions: dict[str, Any])
         good["content"] = {one.media: _TEXT}
     if one.status == 201:
         good["headers"] = {"Location": {"required": True, "schema": {"type": "string"}}}
+        good["links"] = _links(one)
     wrong = {"description": "It fails.", "content": {JSON: {"schema": refs[GenericError]}}}
     told: dict[str, Any] = {
-        "operationId": _id_of(one),
+        "operationId": _name(one.method, one.path),
         "summary": one.summary,
         "tags": [one.path.split("/")[1]],
         "parameters": parameters,
@@ -88,22 +97,35 @@ def _operation(one: Endpoint, refs: dict[Any, Any], definitions: dict[str, Any])
     return told
 
 
-def _parameters(schema: dict[str, Any]) -> list[dict[str, Any]]:
+def _links(one: Endpoint) -> dict[str, Any]:
+    """Return the operations on what a request has made."""
+    key = "lock_id" if one.path.endswith("/locks") else "subscription_id"
+    parameters = {"component_id": "$request.path.component_id", key: "$response.body#/id"}
+    path = f"{one.path}/{{{key}}}"
+    operations = {method: _name(method, path) for method in ("get", "delete")}
+    return {name: {"operationId": name, "parameters": parameters} for name in operations.values()}
+
+
+def _parameters(schema: dict[str, Any], definitions: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the parameters of a model; an object's keys are each one: ``status[confirmedDTC]=1``."""
     found = []
     for name, each in schema["properties"].items():
-        told = {"name": name, "in": "query", "required": False, "schema": each}
-        kinds = each.get("anyOf", [])
-        objects = [kind for kind in kinds if "$ref" in kind]
-        plain = [kind for kind in kinds if kind.get("type") != "null"]
+        told = {"name": name, "in": "query", "required": False, "schema": _plain(each)}
+        objects = [kind for kind in each.get("anyOf", ()) if "$ref" in kind]
         if objects:
-            told |= {"style": "deepObject", "explode": True, "schema": objects[0]}
-        elif plain:
-            told["schema"] = plain[0]
+            known = definitions[objects[0]["$ref"].rpartition("/")[2]]
+            keys = {key: _plain(value) for key, value in known["properties"].items()}
+            told |= {"style": "deepObject", "explode": True, "schema": {**known, "properties": keys}}
         found.append(told)
     return found
 
 
-def _id_of(one: Endpoint) -> str:
-    parts = [part for part in re.split(r"[/-]", one.path) if part]
-    return "_".join([one.method.lower(), *(f"by_{part[1:-1]}" if part.startswith("{") else part for part in parts)])
+def _plain(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a parameter: it is left out, and never null."""
+    kinds = [kind for kind in schema.get("anyOf", ()) if kind.get("type") != "null"]
+    return kinds[0] if kinds else schema
+
+
+def _name(method: str, path: str) -> str:
+    parts = [part for part in re.split(r"[/-]", path) if part]
+    return "_".join([method.lower(), *(f"by_{part[1:-1]}" if part.startswith("{") else part for part in parts)])

@@ -17,7 +17,7 @@ from gateway.serve.link import Refused
 from gateway.serve.sovd import data, faults
 from gateway.serve.sovd.components import BASE, OWN, place
 from gateway.serve.sovd.errors import CODES, VENDOR, GenericError, SovdError
-from gateway.serve.sovd.model import Body, Model, ReadValue
+from gateway.serve.sovd.model import Body, Model, ReadValue, Whole
 from gateway.serve.sovd.table import Call, Endpoint, Made
 from gateway.serve.sovd.watching import Subscription
 
@@ -37,7 +37,7 @@ class CyclicRequest(Body):
 
     resource: str = Field(max_length=1000)
     interval: _Interval = "normal"
-    duration: int = Field(60, ge=1, le=LONGEST_S)
+    duration: Whole = Field(60, ge=1, le=LONGEST_S)
     protocol: Literal["sse"] = "sse"
 
 
@@ -54,7 +54,7 @@ class TriggerRequest(Body):
 
     resource: str = Field(max_length=1000)
     trigger_condition: TriggerCondition = TriggerCondition()
-    lifetime: int = Field(60, ge=1, le=LONGEST_S)
+    lifetime: Whole = Field(60, ge=1, le=LONGEST_S)
     protocol: Literal["sse"] = "sse"
 
 
