@@ -150,7 +150,7 @@ class Hub:
             "buses": self._on_buses,
             "messages": self._on_messages,
             "missed": self._on_missed,
-            "answer": lambda message, _: self._take_monitoring(message),
+            "answer": self._take_monitoring,
         }
         self._viewers: set[Viewer] = set()
         self.ending = False
@@ -314,9 +314,9 @@ class Hub:
             self.ecus = ecus
             self._tell("ecus", ecus)
         self._tell("buses", self.buses)
-        self._take_monitoring(message)
+        self._take_monitoring(message, b"")
 
-    def _take_monitoring(self, message: dict[str, Any]) -> None:
+    def _take_monitoring(self, message: dict[str, Any], _: bytes) -> None:
         found = message.get("monitoring", self.monitoring)
         if found != self.monitoring:
             self.monitoring = found

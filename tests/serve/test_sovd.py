@@ -146,6 +146,7 @@ def test_a_lock_keeps_the_session_and_its_end_switches_on_again(doors):
     assert client.good("PUT", "modes/session", {"value": "extended"})["value"] == "extended"
     doors.turn(6.0)  # nobody says tester present: the session is over, and is begun again
     assert client.good("GET", "modes/session")["value"] == "default"
+    doors.drive(0.0)
     assert client.good("PUT", "modes/dtcsetting", {"value": "off"})["value"] == "off"
 
 

@@ -150,6 +150,12 @@ class Doors:
         code, text = self.post(f"/api/{do}", keys)
         return "done" if code == 200 else text.partition("0x")[2][:2]
 
+    def by_sovd(self, method, path, body=None):
+        own = "/sovd/v1/components/gateway"
+        assert self.http("POST", f"{own}/locks", {"lock_expiration": 60})[0] == 201
+        code, text = self.http(method, f"{own}/{path}", body)
+        return "done" if code < 300 else f"{json.loads(text)['parameters']['nrc']:02X}"
+
     def post(self, path, body, token=TOKEN):
         """Have the page do something; returns status and text of its answer."""
         return self.http("POST", path, body, token)

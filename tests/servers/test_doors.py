@@ -52,6 +52,9 @@ ROWS = {
     ("J1939", "clear (DM11)"): lambda d: d.by_j1939(0xFED3),
     **{("status socket", w): lambda d, do=do, k=k, **f: d.by_status(do, **k, **f) for w, (do, k) in _LOCAL.items()},
     **{("page", w): lambda d, do=do, k=k, **f: d.by_page(do, **k, **f) for w, (do, k) in _LOCAL.items()},
+    ("SOVD", "clear"): lambda d: d.by_sovd("DELETE", "faults"),
+    ("SOVD", "operation cycle"): lambda d: d.by_sovd("PUT", "status/restart"),
+    ("SOVD", "DTC setting off"): lambda d: d.by_sovd("PUT", "modes/dtcsetting", {"value": "off"}),
     ("command line", "clear (`gateway faults clear`)"): lambda d, **f: d.by_command(**f),
 }  # fmt: skip
 #: Doors at which whoever may open them may override the rules.

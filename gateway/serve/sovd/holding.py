@@ -48,6 +48,10 @@ class Lock:
     level: int = 0
     dtcs: bool = True
 
+    def forget_session(self) -> None:
+        """Take it that the session is over, and what it had set."""
+        self.extended, self.level, self.dtcs = False, 0, True
+
 
 class Locks:
     """The locks of all components.
@@ -119,7 +123,7 @@ class Locks:
         except SovdError as error:
             if not begun or (error.parameters or {}).get("nrc") not in _SESSIONS:
                 raise
-        lock.extended = False  # it is over, as after a reset
+        lock.forget_session()
         await self._begin(lock)
         return await self._ask(who, component.ecu, request)
 

@@ -110,8 +110,8 @@ async def _set(call: Call) -> ModeSet:
         return await _unlock(call, one, value)
     if key == "session":
         await call.state.ask(call.who, one.ecu, bytes([0x10, SESSIONS[value]]))
-        lock.extended, lock.level = value != "default", 0
-        lock.dtcs = lock.dtcs or value == "default"
+        lock.forget_session()
+        lock.extended = value != "default"
         return ModeSet(id=key, value=value)
     await call.state.locks.intervene(call.who, one, bytes([0x85, 0x01 if value == "on" else 0x02]))
     lock.dtcs = value == "on"

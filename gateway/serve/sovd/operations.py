@@ -111,6 +111,7 @@ async def _restart(call: Call) -> StatusShown:
     if one.id != OWN:
         raise SovdError(404, "only the gateway is restarted")
     await call.state.locks.intervene(call.who, one, b"\x11\x01")
+    call.state.locks.own(call.who, one).forget_session()
     return await _status(call)
 
 
