@@ -106,7 +106,7 @@ def by_dm1(rig):
         pgn = can_id >> 8 & 0x3FFFF
         if can_id & EXTENDED and pgn & 0x3FF00 == 0xEC00 and payload[0] == 0x20:
             size, data = int.from_bytes(payload[1:3], "little"), {}
-        elif can_id & EXTENDED and pgn & 0x3FF00 == 0xEB00:
+        elif size and can_id & EXTENDED and pgn & 0x3FF00 == 0xEB00:
             data[payload[0]] = payload[1:]
             if len(data) * 7 >= size:
                 break
