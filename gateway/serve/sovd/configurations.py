@@ -35,7 +35,7 @@ class NewValue(Body):
 
 
 class WriteValue(Body):
-    """What is to be written."""
+    """The new value."""
 
     data: NewValue
 

@@ -97,7 +97,7 @@ class Snapshot(Model):
 
 
 class Environment(Model):
-    """What was known when it failed."""
+    """Facts of the time when it failed."""
 
     extended_data_records: dict[str, Any] | None = None
     snapshots: list[Snapshot] | None = None
