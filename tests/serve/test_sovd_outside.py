@@ -128,11 +128,15 @@ def test_schemathesis_finds_nothing(site):
 def attacks(draw, lock):
     """Yield (kind, method, path, headers, body, refusals) for ever: each is refused, whoever asks."""
     write = [
-        ("DELETE", "faults", None), ("DELETE", "faults/U0100-87", None),
-        ("PUT", "modes/session", {"value": "extended"}), ("PUT", "modes/dtcsetting", {"value": "off"}), ("POST", "operations/restart-cycle/executions", {}),
-        ("POST", "operations/compact/executions", {}), ("PUT", "status/restart", None),
+        *(("DELETE", path, None) for path in ("faults", "faults/U0100-87")),
+        *(
+            ("PUT", f"modes/{mode}", {"value": value})
+            for mode, value in (("session", "extended"), ("dtcsetting", "off"))
+        ),
+        *(("POST", f"operations/{name}/executions", {}) for name in ("restart-cycle", "compact")),
+        ("PUT", "status/restart", None),
         ("PUT", "configurations/did-0124", {"data": {"raw": "0304"}}),
-    ]  # fmt: skip
+    ]
     steal = [
         ("DELETE", f"locks/{lock}", None), ("PUT", f"locks/{lock}", {"lock_expiration": 1}),
         ("POST", "locks", {"lock_expiration": 3600}),

@@ -25,8 +25,9 @@ from gateway.serve.sovd import (
     operations,
     subscriptions,
 )
-from gateway.serve.sovd.errors import SovdError, error_response
+from gateway.serve.sovd.errors import SovdError
 from gateway.serve.sovd.openapi import document
+from gateway.serve.sovd.replies import error_response, failure
 from gateway.serve.sovd.state import State
 from gateway.serve.sovd.table import JSON, Endpoint, serve
 
@@ -74,7 +75,7 @@ def _docs(state: State, path: str) -> Callable[[Request], Awaitable[Response]]:
 
     async def handle(request: Request) -> Response:
         if entity is not None and next(iter(request.path_params.values())) not in entity():
-            return SovdError(404, "there is no such entity").response()
+            return failure(SovdError(404, "there is no such entity"))
         examples = {name: list(of()) for name, of in zip(("area_id", "component_id", "app_id"), known, strict=True)}
         return Response(line(document(ENDPOINTS, path, examples)), media_type=JSON)
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from starlette.responses import Response
-
 from gateway.common.jsonlines import line
 from gateway.serve.sovd.model import Model
 from gateway.servers.uds.nrc import Nrc
@@ -69,10 +67,6 @@ class SovdError(Exception):
         self.code = code or CODES.get(status, VENDOR)
         super().__init__(message)
 
-    def response(self, headers: Mapping[str, str] | None = None) -> Response:
-        """Return it as an answer."""
-        return error_response(self.status, self.message, self.code, self.parameters, headers)
-
 
 def error_body(status: int, message: str, code: str = "", parameters: Mapping[str, Any] | None = None) -> bytes:
     """Return a GenericError as JSON."""
@@ -82,18 +76,6 @@ def error_body(status: int, message: str, code: str = "", parameters: Mapping[st
         error_code=code, vendor_code=vendor, message=message, parameters=dict(parameters) if parameters else None
     )
     return line(told.told()).encode()
-
-
-def error_response(
-    status: int,
-    message: str,
-    code: str = "",
-    parameters: Mapping[str, Any] | None = None,
-    headers: Mapping[str, str] | None = None,
-) -> Response:
-    """Return an answer that is a GenericError."""
-    body = error_body(status, message, code, parameters)
-    return Response(body, status, headers=None if headers is None else dict(headers), media_type="application/json")
 
 
 def negative(answer: bytes) -> SovdError:

@@ -13,8 +13,9 @@ from starlette.responses import Response
 
 from gateway.common.jsonlines import line
 from gateway.serve.link import Absent, Refused
-from gateway.serve.sovd.errors import SovdError, error_response
+from gateway.serve.sovd.errors import SovdError
 from gateway.serve.sovd.model import Body, Model, Nothing
+from gateway.serve.sovd.replies import error_response, failure
 from gateway.serve.sovd.state import State
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError
@@ -88,7 +89,7 @@ async def serve(endpoint: Endpoint, state: State, request: Request) -> Response:
         call = Call(state, dict(request.path_params), query, body, who, str(request.url.path))
         found = await endpoint.work(call)
     except SovdError as error:
-        return error.response()
+        return failure(error)
     except Absent as error:
         return error_response(503, str(error))
     except Refused as error:
