@@ -102,6 +102,9 @@ def test_faults_have_status_environment_and_evidence_and_are_filtered(doors):
         assert code in [each["code"] for each in client.good("GET", f"{path}/faults")["items"]]
     assert [each["code"] for each in client.good("GET", "/sovd/v1/apps/b.M0/faults")["items"]] == [dtc_text(0)]
     assert client("GET", "faults/P0000-00")[0] == 404
+    for path in ("faults", f"faults/{code}", "data", "data/M0.Value"):
+        described = client.good("GET", f"{path}?include-schema=true")
+        validate(described.pop("schema"), described)
 
 
 def test_what_intervenes_needs_a_token_and_a_lock_that_nobody_can_steal(doors):
@@ -267,6 +270,10 @@ def test_an_ecu_is_a_component_and_the_firewall_holds(tmp_path, rule):
         assert client.good("GET", f"{brakes}/data/did-F190")["data"]["value"] == "VIN"
         assert client.good("GET", f"{brakes}/modes/session")["value"] == "default"
         assert client("DELETE", f"{brakes}/faults")[0] == 403
+        heard = len(doors.car.ecus[0].heard)
+        for path in ("data/did-F190", "modes/session"):
+            assert Client(doors, "")("GET", f"{brakes}/{path}")[0] == 403
+        assert len(doors.car.ecus[0].heard) == heard, "who only reads the page makes no frames"
         lock = client.lock(path=f"{brakes}/locks")
         status, error = client("DELETE", f"{brakes}/faults")
         assert status == (204 if rule else 403), error

@@ -125,6 +125,20 @@ def test_schemathesis_finds_nothing(site):
     assert re.search(r"(\d+) generated, \1 passed", found.stdout)
 
 
+def test_the_command_asks_by_uds(site):
+    requests = ("22F186", "1003", "22F186", "14FFFFFF", "ba")
+    asked = gateway("request", *requests, "--status", "status", cwd=site.folder)
+    said = [line.split("  ") for line in asked.stdout.splitlines()]
+    assert [line[:2] for line in said[:4]] == [
+        ["22F186", "62F18601"], ["1003", "5003003201F4"], ["22F186", "62F18603"], ["14FFFFFF", "54"],
+    ]  # fmt: skip
+    assert said[4] == ["ba", "7FBA11", "refused: service not supported (0x11)"]
+    assert asked.returncode == 1
+    wrong = gateway("request", "22F186", "--ecu", "brakes", "--status", "status", cwd=site.folder)
+    assert wrong.returncode == 2
+    assert "brakes" in wrong.stderr
+
+
 def attacks(draw, lock):
     """Yield (kind, method, path, headers, body, refusals) for ever: each is refused, whoever asks."""
     write = [

@@ -85,8 +85,10 @@ class Doors:
 
     def __exit__(self, *_):
         if self.loop is not None:
-            self.link.cancel()
-            self.loop.run_until_complete(asyncio.gather(self.link, return_exceptions=True))
+            left = asyncio.all_tasks(self.loop)
+            for each in left:
+                each.cancel()
+            self.loop.run_until_complete(asyncio.gather(*left, return_exceptions=True))
             self.loop.close()
         self.status.close()
         self.rig.close()

@@ -10,6 +10,7 @@ from rig import Tester, write_config
 from test_access import LEVEL, SECRET
 
 from gateway.live.status import StatusSocket
+from gateway.runtime.app import Gateway
 from gateway.servers.local import MOST_TESTERS
 from gateway.servers.uds.security import hmac_sha256
 
@@ -103,6 +104,25 @@ def test_responses_on_events_are_pushed(doors):
     doors.turn()
     pushed = [message for message in reader.read() if message["kind"] == "response"]
     assert [(each["tester"], each["uds"][:4]) for each in pushed] == [("one", "5902")]
+
+
+def test_a_reload_has_requests_asked_again_and_ends_sessions(doors):
+    reader, old = doors.reader(), doors.gateway
+    one = asks(reader)
+    one("1003")
+    unlock(one)
+    assert one("8502") == ["c502"]
+    reader.socket.send(b'{"id": 77, "do": "request", "tester": "one", "uds": "22f186"}\n')
+    doors.status.turn(doors.now_s)
+    new = Gateway(old.config, store=old.store)
+    new.succeed(old)
+    doors.rig.gateway = new
+    doors.status.replace(new)
+    doors.turn()
+    assert [each["uds"] for each in reader.read() if each.get("id") == 77] == [["7f2221"]]
+    assert new.controls.results
+    assert one("22f186") == ["62f18601"]
+    assert new.servers.counters()["local_requests"] > 4
 
 
 ROUTED = """

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from gateway.serve.sovd.components import OWN, Component, slug
 from gateway.serve.sovd.errors import SovdError
-from gateway.serve.sovd.model import Model, ReadValue, Value
+from gateway.serve.sovd.model import Described, Describing, Model, ReadValue, Value
 from gateway.serve.sovd.table import Call, Endpoint
 from gateway.servers.identifiers import CODES
 from gateway.servers.uds.nrc import Nrc
@@ -31,17 +31,16 @@ class DataItem(Model):
     unit: str | None = None
 
 
-class DataList(Model):
+class DataList(Described):
     """All that can be read."""
 
     items: list[DataItem]
 
 
-class DataFilter(Model):
+class DataFilter(Describing):
     """Which data are listed."""
 
     category: _Category | None = Field(None, alias="categories")
-    include_schema: Literal["true", "false"] = Field("false", alias="include-schema")
 
 
 def identifiers(call: Call) -> dict[str, Mapping[str, Any]]:
@@ -124,5 +123,5 @@ async def read(call: Call, one: Component, key: str) -> Value:
 _DATA = "/components/{component_id}/data"
 ENDPOINTS = (
     Endpoint("GET", _DATA, "Data of a component", _list, DataList, query=DataFilter),
-    Endpoint("GET", _DATA + "/{data_id}", "A value", _read, ReadValue),
+    Endpoint("GET", _DATA + "/{data_id}", "A value", _read, ReadValue, query=Describing),
 )

@@ -17,7 +17,7 @@ from gateway.faults.dtc import Dtc
 from gateway.serve.memory import BITS
 from gateway.serve.sovd.components import OWN, Component, known
 from gateway.serve.sovd.errors import SovdError
-from gateway.serve.sovd.model import Model
+from gateway.serve.sovd.model import Described, Describing, Model
 from gateway.serve.sovd.table import Call, Endpoint
 from gateway_fdi.errors import GatewayError, InputError
 
@@ -64,27 +64,25 @@ class Fault(Model):
     symptom: str | None = None
 
 
-class FaultList(Model):
+class FaultList(Described):
     """Faults, in the order in which all lists have them."""
 
     items: list[Fault]
 
 
-class FaultFilter(Model):
+class FaultFilter(Describing):
     """Which faults are listed."""
 
     status: StatusFilter | None = None
     severity: Literal["1", "2", "3", "4"] | None = None
     scope: str | None = None
-    include_schema: _YesNo = Field("false", alias="include-schema")
 
 
-class Parts(Model):
+class Parts(Describing):
     """Which parts of a fault are told."""
 
     snapshots: _YesNo = Field("true", alias="include-snapshot-data")
     extended: _YesNo = Field("true", alias="include-extended-data")
-    include_schema: _YesNo = Field("false", alias="include-schema")
 
 
 class Snapshot(Model):
@@ -103,7 +101,7 @@ class Environment(Model):
     snapshots: list[Snapshot] | None = None
 
 
-class FaultDetail(Model):
+class FaultDetail(Described):
     """A fault, and what is known of it.
 
     Attributes:

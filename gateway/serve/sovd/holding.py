@@ -68,7 +68,8 @@ class Locks:
 
     def of(self, component: str) -> Lock | None:
         """Return the lock of a component, by its id."""
-        return self._held.get(component)
+        lock = self._held.get(component)
+        return None if lock is None or lock.until_s <= asyncio.get_running_loop().time() else lock
 
     def take(self, component: Component, who: str, seconds: int) -> Lock:
         """Lock a component.
@@ -76,7 +77,7 @@ class Locks:
         Raises:
             SovdError: it is locked.
         """
-        if component.id in self._held:
+        if self.of(component.id) is not None:
             raise SovdError(409, "this component is locked")
         lock = Lock(secrets.token_urlsafe(9), who, component, 0.0)
         self.prolong(lock, seconds)

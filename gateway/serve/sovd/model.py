@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 #: A whole number; JSON writes 5 and 5.0 for the same.
 Whole = Annotated[int, BeforeValidator(lambda it: int(it) if isinstance(it, float) and it.is_integer() else it)]
@@ -24,6 +24,18 @@ class Body(Model):
     """The body of a request: no type is converted into another."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class Described(Model):
+    """An answer that has its own schema, where it is asked for (``include-schema=true``)."""
+
+    schema_: dict[str, Any] | None = Field(None, alias="schema")
+
+
+class Describing(Model):
+    """Whether an answer is to have its schema."""
+
+    include_schema: Literal["true", "false"] = Field("false", alias="include-schema")
 
 
 class Nothing(Model):
@@ -58,7 +70,7 @@ class Value(Model):
     raw: str | None = None
 
 
-class ReadValue(Model):
+class ReadValue(Described):
     """A value with the name of its resource."""
 
     id: str

@@ -77,6 +77,8 @@ class State:
         """
         if not ecu:
             raise SovdError(409, "this component is only listened to")
+        if ecu != SELF and not who:
+            raise SovdError(403, "requests to other ECUs are frames on their bus: they need the token of a client")
         answer = await self.hub.link.ask("request", tester=f"sovd.{who or 'reader'}", ecu=ecu, uds=request.hex())
         found = [bytes.fromhex(each) for each in answer["uds"]]
         if found and found[-1][0] == 0x7F:

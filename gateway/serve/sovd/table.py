@@ -14,7 +14,7 @@ from starlette.responses import Response
 from gateway.common.jsonlines import line
 from gateway.serve.link import Absent, Refused
 from gateway.serve.sovd.errors import SovdError
-from gateway.serve.sovd.model import Body, Model, Nothing
+from gateway.serve.sovd.model import Body, Described, Describing, Model, Nothing
 from gateway.serve.sovd.replies import error_response, failure
 from gateway.serve.sovd.state import State
 from gateway_fdi.common.log import get_logger
@@ -106,7 +106,10 @@ async def serve(endpoint: Endpoint, state: State, request: Request) -> Response:
         headers, found = {"location": found.location}, found.answer
     if found is None:
         return Response(status_code=204)
-    return Response(line(found.told()), endpoint.status, headers, JSON)
+    told = found.told()
+    if isinstance(found, Described) and isinstance(query, Describing) and query.include_schema == "true":
+        told["schema"] = type(found).model_json_schema(mode="serialization")
+    return Response(line(told), endpoint.status, headers, JSON)
 
 
 def _body(model: type[Body], data: bytes) -> Body:
