@@ -217,6 +217,7 @@ def test_operations_logs_and_status(doors):
     assert doors.gateway.memory.cycle_number() == 3
     assert client.good("POST", "operations/compact/executions", {})["parameters"] == {"result": "00"}
     assert client("POST", "operations/explode/executions", {})[0] == 404
+    assert client("GET", "/sovd/v1/components/A/status")[0] == 404
     doors.turn()  # it is written with the next batch
     told = [each["x-gateway"]["action"] for each in client.good("GET", "logs/entries")["items"]]
     assert told == ["routine", "reset", "routine"]

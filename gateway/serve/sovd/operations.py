@@ -62,7 +62,7 @@ class StatusShown(Model):
     """Whether the gateway runs, and where it is restarted."""
 
     status: Literal["ready", "notReady"]
-    restart: str | None = None
+    restart: str
 
 
 def _known(call: Call) -> dict[str, tuple[int, str]]:
@@ -100,19 +100,17 @@ async def _execute(call: Call) -> Executed:
 
 
 async def _status(call: Call) -> StatusShown:
-    one = call.state.component(call.path)
+    if call.state.component(call.path).id != OWN:
+        raise SovdError(404, "only of the gateway it is known whether it runs")
     ready = call.state.hub.connected and not call.state.hub.hello.get("ended")
-    restart = place("components", OWN, "status", "restart") if one.id == OWN else None
-    return StatusShown(status="ready" if ready else "notReady", restart=restart)
+    return StatusShown(status="ready" if ready else "notReady", restart=place("components", OWN, "status", "restart"))
 
 
 async def _restart(call: Call) -> StatusShown:
-    one = call.state.component(call.path)
-    if one.id != OWN:
-        raise SovdError(404, "only the gateway is restarted")
+    shown, one = await _status(call), call.state.component(call.path)
     await call.state.locks.intervene(call.who, one, b"\x11\x01")
     call.state.locks.own(call.who, one).forget_session()
-    return await _status(call)
+    return shown
 
 
 _PATH = "/components/{component_id}/operations"
