@@ -315,6 +315,13 @@ for name in {names!r}:
         )
     } | {f"gateway_fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}
+    pages |= {
+        f"gateway.serve.sovd.{name}"
+        for name in (
+            *("app", "bulk_data", "configurations", "data", "entities", "faults", "locks", "logs", "modes", "openapi"),
+            *("operations", "replies", "subscriptions", "table"),
+        )
+    }
     assert len(names) > 200
     others = {
         "gateway_plants.structural.monitor.choice",

@@ -167,6 +167,23 @@ def watch(
 
 
 @app.command()
+@does("gateway.cli.request:request", config="config_path")
+def request(
+    requests: Annotated[
+        list[str], typer.Argument(metavar="UDS...", help="Requests as hex digits, e.g. 22F190; one session has all.")
+    ],
+    config: ConfigOption = None,
+    status: StatusOption = None,
+    ecu: Annotated[str, typer.Option(help="Name of an [[ecu]]; self: the gateway.")] = "self",
+    json: Json = False,
+) -> None:
+    """Ask a running gateway by UDS, or an ECU that it reaches.
+
+    The rules are those for testers on a bus; each intervention is noted. The exit code is 1 if an answer is negative.
+    """
+
+
+@app.command()
 @does("gateway.cli.mqtt:mqtt", config="config_path")
 def mqtt(
     broker: Annotated[str, typer.Argument(help="Broker, as HOST or HOST:PORT.")],

@@ -27,9 +27,9 @@ OTHERS: Registry[typer.Typer | Callable[..., Any]] = Registry("gateway.commands"
 
 #: The order in which ``gateway --help`` lists commands; others follow by name.
 ORDER = (
-    "demo", "run", "serve", "watch", "mqtt", "simulate", "control", "report", "structure", "learn", "import", "survey",
-    "calibrate", "bus", "record", "replay", "decode", "plot", "check", "example", "new-monitor", "warmup", "doctor",
-    "faults", "convert", "fleet", "evaluate",
+    "demo", "run", "serve", "watch", "mqtt", "request", "simulate", "control", "report", "structure", "learn", "import",
+    "survey", "calibrate", "bus", "record", "replay", "decode", "plot", "check", "example", "new-monitor", "warmup",
+    "doctor", "faults", "convert", "fleet", "evaluate",
 )  # fmt: skip
 
 

@@ -28,6 +28,8 @@ from gateway.isotp.place import FUNCTIONAL
 TELLS = EXTENDED | READ_DTCS << 16
 #: DTCs whose data are read after one answer, at most; those of others are read after the next.
 MOST_DETAILS = 16
+#: Requests of testers a second to an ECU, where no route says how many.
+REQUESTS_PER_S = 50.0
 #: How often a bus that rests is looked at again [ns].
 LOOK_NS = 100 * MS
 
@@ -238,15 +240,23 @@ class Asking:
                 return made
         return empty(0)
 
-    def line(self, name: str, requests_per_s: float) -> Line:
+    @property
+    def askable(self) -> list[str]:
+        """Names of the ECUs that may be asked: their buses are not only listened to."""
+        return [ecu.client.params.name for ecu in self.ecus if ecu.client.bus in self._apart_ns]
+
+    def line(self, name: str, requests_per_s: float | None = None) -> Line:
         """Return the line to an ECU, for requests of testers.
 
         Args:
             name: of the ECU.
-            requests_per_s: most of them, of all testers together; of several lines the least counts.
+            requests_per_s: most of them, of all testers together; of several lines the least counts. None: that of
+                the other lines, or REQUESTS_PER_S.
         """
         client = next(ecu.client for ecu in self.ecus if ecu.client.params.name == name)
-        client.waiting.apart_ns = max(client.waiting.apart_ns, round(1e9 / requests_per_s))
+        if requests_per_s is not None or not client.waiting.apart_ns:
+            apart_ns = round(1e9 / (requests_per_s or REQUESTS_PER_S))
+            client.waiting.apart_ns = max(client.waiting.apart_ns, apart_ns)
         return Line(client, self._may_ask, self._plan)
 
     def _plan(self) -> None:

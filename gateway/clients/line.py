@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gateway.clients.ecu import EcuClient
-from gateway.clients.passed import Done, Passed
+from gateway.clients.passed import Done, Passed, is_quiet
 
 
 class Line:
@@ -46,3 +46,7 @@ class Line:
     def forget(self, owner: object) -> None:
         """Take out what a tester that has gone had asked."""
         self._client.waiting.forget(owner)
+
+    def is_quiet(self, request: bytes) -> bool:
+        """Return whether no good answer comes to a request."""
+        return is_quiet(request)

@@ -23,6 +23,11 @@ MOST_OF_A_TESTER, MOST_WAITING = 8, 32
 Done = Callable[[bytes | None], None]
 
 
+def is_quiet(request: bytes) -> bool:
+    """Return whether no good answer comes to a request."""
+    return request[0] in SUB_FUNCTIONS and len(request) > 1 and bool(request[1] & 0x80)
+
+
 @dataclass(eq=False)
 class Passed:
     """One request.
@@ -44,7 +49,7 @@ class Passed:
     @property
     def is_quiet(self) -> bool:
         """Whether no good answer comes."""
-        return self.request[0] in SUB_FUNCTIONS and len(self.request) > 1 and bool(self.request[1] & 0x80)
+        return is_quiet(self.request)
 
     def is_answered_by(self, answer: bytes) -> bool:
         """Return whether an answer can be to this request, by the service and what it repeats of it."""

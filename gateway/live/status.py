@@ -32,6 +32,7 @@ from gateway.host.sockets import credentials_of, listen_at, remove
 from gateway.live.listening import Listening
 from gateway.live.status_commands import Commands, monitoring_of
 from gateway.runtime.app import Gateway
+from gateway.servers.uds.params import S3_MS
 from gateway_fdi.common.log import get_logger
 
 PROTOCOL = 1
@@ -107,7 +108,7 @@ class StatusSocket:
         self._pending: list[_Reader] = []  # of whom commands wait
         self._due = [0.0, 0.0, 0.0]
         self._count = 0
-        self._ended = ""
+        self._ended, self._ended_s = "", 0.0
         self.sent_away = self.refused = self.ticks = 0
         self.replace(gateway)
 
@@ -118,7 +119,7 @@ class StatusSocket:
     def replace(self, gateway: Gateway) -> None:
         """Show another gateway from now on; the readers are told what there is now."""
         self._gateway = gateway
-        self._commands = Commands(gateway)
+        self._commands = Commands(gateway, self._say)
         for reader in self._readers:
             self._commands.enter(reader.number, reader.uid)
         self._traffic = Traffic(len(gateway.config.bus))
@@ -159,6 +160,8 @@ class StatusSocket:
             self._attend(now_s)
         if not self._readers:
             return
+        if self._ended:
+            self._poll_alone(now_s)
         self._commands.pass_time(now_s)
         for k, (every_s, show) in enumerate(
             ((TICK_S, self._tick), (BUSES_S, self._show_buses), (MESSAGES_S, self._show_messages))
@@ -169,7 +172,9 @@ class StatusSocket:
         if self._pending and not self._gateway.writing:
             self._obey()
         for reader in list(self._readers):
-            if reader.waiting and not reader.behind:
+            if reader.bytes > 2 * MOST_BYTES:  # it asks and asks
+                self._send_away(reader)
+            elif reader.waiting and not reader.behind:
                 self._flush(reader)
 
     def close(self) -> None:
@@ -181,6 +186,11 @@ class StatusSocket:
         self._selector.close()
         self._listening.close()
         remove(self.path, self._inode)
+
+    def _poll_alone(self, now_s: float) -> None:
+        """Have requests answered after the run, when no one lets time pass; nothing goes to a bus."""
+        self._ended_s = self._ended_s or now_s
+        self._gateway.poll(self._gateway.engine.now_ns + round((now_s - self._ended_s) * 1e9))
 
     # Readers
 
@@ -241,20 +251,30 @@ class StatusSocket:
         """Do one command a turn."""
         reader = self._pending.pop(0)
         answer = self._commands.answer(reader.lines.popleft(), reader.number)
-        reader.put(_message("answer", **answer))
+        if answer is not None:
+            reader.put(_message("answer", **answer))
         if reader.lines:
             self._pending.append(reader)
+
+    def _say(self, number: int, kind: str, fields: dict[str, Any]) -> None:
+        """Tell one reader, if it is there still."""
+        for reader in self._readers:
+            if reader.number == number:
+                reader.put(_message(kind, **fields))
 
     def _send(self, data: bytes, *, event: bool = False) -> None:
         for reader in list(self._readers):
             if not event and reader.bytes > ENOUGH_BYTES:
                 reader.missed += 1
             elif reader.bytes > MOST_BYTES:
-                self.sent_away += 1
-                log.warning("status socket: a reader does not take its events, sent away", reader=reader.number)
-                self._drop(reader)
+                self._send_away(reader)
             else:
                 reader.put(data)
+
+    def _send_away(self, reader: _Reader) -> None:
+        self.sent_away += 1
+        log.warning("status socket: a reader does not take what it gets, sent away", reader=reader.number)
+        self._drop(reader)
 
     def _flush(self, reader: _Reader) -> None:
         room = CHUNK_BYTES
@@ -367,7 +387,9 @@ def _described(gateway: Gateway) -> dict[str, Any]:
     config = gateway.config
     told = gateway.describe()
     owners = {monitor.name: monitor.type for monitor in config.monitor}
-    file = gateway.store.path
+    file, senders = gateway.store.path, gateway.senders
+    asked = set(gateway.asking.askable)
+    uds = config.output.uds
     return {
         "protocol": PROTOCOL,
         "version": __version__,
@@ -375,6 +397,7 @@ def _described(gateway: Gateway) -> dict[str, Any]:
         "memory": None if file is None else str(file.resolve()),
         "faults": [
             {**fault, "bus": _bus_of(gateway, k), "monitor": fault["id"].rpartition(".")[0],
+             "ecu": senders.get(fault["id"].rpartition(".")[0], ""),
              "type": owners.get(fault["id"].split(".")[0], "check")}
             for k, fault in enumerate(told["faults"])
         ],
@@ -384,6 +407,14 @@ def _described(gateway: Gateway) -> dict[str, Any]:
              "filtered": gateway.identifiers_on(k) is not None}
             for k, bus in enumerate(config.bus)
         ],
+        "ecus": [
+            {"name": ecu.name, "bus": ecu.bus or config.bus[0].name, "asked": ecu.name in asked,
+             "dids": sorted({read.key[1] for read in ecu.read if read.key[0] == 0x22})}
+            for ecu in config.ecu
+        ],
+        "identifiers": told["identifiers"],
+        "levels": [] if uds is None else uds.levels,
+        "s3_s": (S3_MS if uds is None else uds.s3_ms) / 1e3,
         "signals": list(gateway.signal_slots),
         "notes": list(gateway.notes),
     }  # fmt: skip

@@ -7,6 +7,11 @@
 | ``settings`` | ``dtcs``, ``receive``, ``send``: true or false | as services 0x85 and 0x28 |
 | ``present`` | | keeps what this reader has switched off, as tester present (0x3E) |
 | ``values`` | ``signals``: full names | latest values |
+| ``request`` | ``tester``: a name, ``ecu``: "self" or that of an ``[[ecu]]``, ``uds``: hex digits | asks by UDS |
+
+``request`` is answered with ``uds``: the answers as a list of hex digits, when they are there; 0x78 is not among them.
+Each name is a tester of this reader's own, with a session, key and role as on a bus; routes let pass what those of
+testers by DoIP do. An answer that comes by itself is a message of the kind ``response``.
 
 Each is answered by ``{"kind": "answer", "id": ..., "ok": true, "monitoring": {...}, ...}``, or ``"ok": false`` with
 ``error``. A request that changes something goes by the rules of access for testers (:mod:`gateway.servers.authority`)
@@ -20,7 +25,8 @@ condition is met no longer (unless it was forced), and when a tester or another 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +35,7 @@ from gateway.faults.interventions import Intervention
 from gateway.host.process import NOBODY, user
 from gateway.runtime.app import Gateway
 from gateway.servers.authority import WATCH_NS, Holder, Refusal, local_intervention
+from gateway.servers.local import SELF
 from gateway.servers.uds.params import S3_MS
 from gateway_fdi.errors import GatewayError, InputError, nearest
 
@@ -39,11 +46,17 @@ _KEYS = {
     "settings": {"dtcs", "receive", "send", *_FORCE},
     "present": set(),
     "values": {"signals"},
+    "request": {"tester", "ecu", "uds"},
 }
 #: Signals that one command may ask for.
 MOST_SIGNALS = 256
 #: Longest ``by`` and ``why`` [characters].
 MOST_LETTERS = 80
+#: Name of a tester.
+_TESTER = re.compile(r"[A-Za-z0-9_.:@-]{1,40}")
+
+#: Takes what is told to a reader later: its number, the kind of message, its fields.
+Say = Callable[[int, str, dict[str, Any]], None]
 
 
 @dataclass
@@ -90,10 +103,14 @@ class Commands:
 
     Args:
         gateway: of whom.
+        say: tells a reader what comes later.
     """
 
-    def __init__(self, gateway: Gateway) -> None:
-        self._gateway = gateway
+    def __init__(self, gateway: Gateway, say: Say) -> None:
+        self._gateway, self._say = gateway, say
+        self._gateway.local.push = lambda reader, tester, answer: say(
+            reader, "response", {"tester": tester, "uds": answer.hex()}
+        )
         uds = gateway.config.output.uds
         self._s3_s = (S3_MS if uds is None else uds.s3_ms) / 1e3
         self._sessions: dict[int, _Session] = {}
@@ -115,8 +132,8 @@ class Commands:
         session = _Session(uid, "", self._gateway.authority.holder(name, ended, yields=True))
         self._sessions[reader] = session
 
-    def answer(self, text: bytes, reader: int) -> dict[str, Any]:
-        """Do one command; returns what is answered.
+    def answer(self, text: bytes, reader: int) -> dict[str, Any] | None:
+        """Do one command; returns what is answered; None: it is told later.
 
         Args:
             text: the line.
@@ -127,6 +144,9 @@ class Commands:
             asked = _parsed(text)
             ticket = asked.get("id")
             session = self._sessions[reader]
+            if asked["do"] == "request":
+                self._request(asked, session, reader)
+                return None
             if asked["do"] != "values":  # a reader that only looks keeps nothing
                 session.until_s = self._now_s + self._s3_s
             result = getattr(self, f"_{asked['do']}")(asked, session)
@@ -158,8 +178,33 @@ class Commands:
                 session.holder.end_unmet()
 
     def leave(self, reader: int) -> None:
-        """Switch on again what a reader switched off that is gone."""
+        """Switch on again what a reader switched off that is gone, and end its testers."""
+        self._gateway.local.leave(reader)
         self._gateway.authority.leave(self._sessions.pop(reader).holder)
+
+    def _request(self, asked: dict[str, Any], session: _Session, reader: int) -> None:
+        """Have a request answered.
+
+        Raises:
+            InputError: it is none.
+        """
+        tester, ecu = asked.get("tester"), asked.get("ecu", SELF)
+        if not isinstance(tester, str) or not _TESTER.fullmatch(tester):
+            raise InputError("1 to 40 letters, digits and _.:@-", key="tester", value=tester)
+        if not isinstance(ecu, str):
+            raise InputError("a name", key="ecu", value=ecu)
+        try:
+            request = bytes.fromhex(asked.get("uds", ""))
+        except (TypeError, ValueError) as error:
+            raise InputError("an even number of hex digits", key="uds", value=asked.get("uds")) from error
+
+        def done(answers: Sequence[bytes]) -> None:
+            told = {"id": asked.get("id"), "ok": True, "uds": [each.hex() for each in answers]}
+            self._say(reader, "answer", {**told, "monitoring": monitoring_of(self._gateway)})
+
+        gateway, who = self._gateway, session.holder.name
+        gateway.local.ask(reader, who, tester, (ecu, request), done)
+        gateway.servers.wake(gateway.local)
 
     def _judge(self, asked: dict[str, Any], session: _Session, action: str, request: bytes) -> _Asked:
         """Return an intervention that is allowed, or forced.

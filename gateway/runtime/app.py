@@ -12,6 +12,7 @@ from typing import Any
 from gateway.bus.frames import Frames
 from gateway.common.uncollected import uncollected
 from gateway.engine.adopt import adopt
+from gateway.engine.checks.silence import sender_of
 from gateway.faults.beside import Writer
 from gateway.faults.cases import cases_of
 from gateway.faults.hung import hung_beside
@@ -199,6 +200,13 @@ class Gateway(Passage):
     def codes(self) -> Mapping[str, tuple[str, ...]]:
         """Base codes of DTCs that were given out, by the full name of a message, a signal or a relation."""
         return self.parts.codes
+
+    @property
+    def senders(self) -> dict[str, str]:
+        """Name of the ECU that sends a checked message, by the first part of its faults' ids; those that are known."""
+        databases = self.databases
+        found = {each.name: sender_of(each.params.message, databases[each.bus]) for each in self.parts.checks}
+        return {name: sender for name, sender in found.items() if sender}
 
     def describe(self) -> dict[str, Any]:
         """Return what testers and other programs need to know: faults, identifiers, extended data."""

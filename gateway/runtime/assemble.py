@@ -47,11 +47,13 @@ from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.j1939.endpoint import J1939Endpoint
 from gateway.servers.j1939.server import J1939Server
+from gateway.servers.local import LONGEST_ANSWER, LocalServer
 from gateway.servers.obd.server import ObdServer
 from gateway.servers.route import Route
 from gateway.servers.tester_control import TesterControl
 from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.intervention_memory import NUMBERS
+from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.security import Security
 from gateway.servers.uds.server import UdsServer
 from gateway.servers.uds.testers import Testers
@@ -290,6 +292,17 @@ def _doip_server(
     return DoipServer(params, new_tester, Identity(params, identifiers.read, ready, node), parts.tls)
 
 
+def _local_server(config: Config, testers: Testers) -> LocalServer:
+    """Build the server of this machine's testers; without ``[output.uds]`` with its defaults: no key, no role."""
+    uds = config.output.uds or UdsParams()
+
+    def new_tester(name: str, source: int) -> UdsServer:
+        own = uds.model_copy(update={"bus": None, "request": source, "functional": None})
+        return testers.server(own, name, longest=LONGEST_ANSWER)
+
+    return LocalServer(new_tester)
+
+
 def connect_routes(servers: BusServers, asking: Asking) -> None:
     """Give the servers that have routes the lines to their ECUs."""
     for server in servers.all:
@@ -301,6 +314,9 @@ def connect_routes(servers: BusServers, asking: Asking) -> None:
         elif isinstance(server, BusRoute):
             server.route = Route(asking.line(server.params.ecu, server.params.requests_per_s), server.counts)
             server.wake = partial(servers.wake, server)
+    for server in servers.all:  # last: they have the rates of the routes
+        if isinstance(server, LocalServer):
+            server.routes = {name: Route(asking.line(name), server.counts) for name in asking.askable}
 
 
 def _diagnostic_servers(
@@ -362,7 +378,7 @@ def servers_of(
             asked.j1939.name, asked.j1939.address, index, commandable=asked.j1939.commanded_address
         )
         made.append(J1939Server(asked.j1939, endpoint, memory, control, authority, config.bus[index].name))
-    return made
+    return [*made, _local_server(config, testers)]
 
 
 def asking_of(config: Config, parts: Parts, control: TesterControl, may_ask: Callable[[int], bool]) -> Asking:

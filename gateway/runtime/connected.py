@@ -28,6 +28,7 @@ from gateway.runtime.verdicts import Verdicts
 from gateway.servers.access import signals_of
 from gateway.servers.authority import Authority
 from gateway.servers.bus_servers import BusServers
+from gateway.servers.local import LocalServer
 
 
 class Connected:
@@ -93,6 +94,7 @@ class Connected:
         servers = servers_of(config, self.parts, self.memory, self.authority, self.identifiers)
         servers += [self._vehicle] if config.answered else []
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
+        self.local = next(each for each in servers if isinstance(each, LocalServer))
         connect_routes(self.servers, self.asking)
         served, asked = self.servers.heard, self.asking.heard
         self._heard = None if served is None or asked is None else served | asked

@@ -11,15 +11,17 @@ from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
-from starlette.routing import Route
+from starlette.routing import Mount, Route
 
 from gateway.common.jsonlines import line
 from gateway.serve.bokeh_files import bokeh_folder
 from gateway.serve.hub import Hub
 from gateway.serve.link import Refused
 from gateway.serve.metrics import Metrics
+from gateway.serve.sovd.app import no_endpoint, sovd
 from gateway_fdi.errors import GatewayError
 
 STATIC = Path(__file__).parent / "static"
@@ -65,8 +67,10 @@ class Page:
                 Route("/api/settings", self._settings, methods=["POST"]),
                 Route("/api/present", self._present, methods=["POST"]),
                 Route("/metrics", self._show_metrics),
+                Mount("/sovd", sovd(self.hub)),
             ],
             lifespan=self._lifespan,
+            exception_handlers={HTTPException: _no_page},
         )
 
     @contextlib.asynccontextmanager
@@ -167,6 +171,13 @@ class Page:
 
 def _file(path: Path) -> Response:
     return FileResponse(path, media_type=KINDS[path.suffix])
+
+
+async def _no_page(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    if request.url.path.startswith("/sovd/"):  # a path that no pattern takes
+        return await no_endpoint(request, error)
+    return PlainTextResponse(error.detail, error.status_code, error.headers)
 
 
 def _json(value: Any) -> Response:

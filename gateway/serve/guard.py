@@ -4,26 +4,38 @@
   (DNS rebinding) is refused. **Origin**, where it is sent, must be the same.
 - **Reading** needs no token on a loopback address, elsewhere the reading one; **changing** (clear, operation cycle)
   needs the control token everywhere: more users may open a loopback port than the status socket.
+- **SOVD** (paths below /sovd) is guarded like the page: GET is reading, POST, PUT and DELETE are changing; its refusals
+  are JSON. Further clients have a token of their own each, and are known by its name.
 - Bodies, headers, time and connections are bounded; every refusal closes its connection.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
 import ipaddress
-from collections.abc import Awaitable, Callable, MutableMapping
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping
+from dataclasses import dataclass, field
 from typing import Any
 
+from gateway.serve.sovd.errors import error_body
 from gateway_fdi.common.log import get_logger
 
 #: Largest body of a request [byte], and how long it may take [s].
 BODY_BYTES, BODY_S = 16 << 10, 5.0
 #: Longest time for one part of an answer [s].
 SEND_S = 30.0
+#: Name of the client that has the control token.
+CONTROL = "control"
+#: Methods of the page, and those that change something.
+METHODS, CHANGING = ("GET", "HEAD", "POST"), ("POST", "PUT", "DELETE")
+#: Most of a body that is thrown away before a refusal, so that a client which sends it all reads that [byte].
+DRAIN_BYTES = 16 << 20
 #: Longest path with its query [byte].
-PATH_BYTES = 2048
+PATH_BYTES = 8 << 10
+#: Type of refusals.
+TEXT = b"text/plain; charset=utf-8"
 #: Largest headers together [byte], and how many at most.
 HEAD_BYTES, MOST_HEADERS = 8 << 10, 100
 
@@ -59,12 +71,19 @@ class Rights:
         read_token: for reading; "": anybody may.
         control_token: for changing.
         secure: whether it is reached by TLS.
+        clients: further tokens for changing, by the names of the clients that have them.
     """
 
     hosts: frozenset[str]
     read_token: str
     control_token: str
     secure: bool = False
+    clients: Mapping[str, str] = field(default_factory=dict)
+
+    def who(self, token: str) -> str:
+        """Return the name of the client that a token for changing is of; "": it is none."""
+        known = {CONTROL: self.control_token, **self.clients}
+        return next((name for name, own in known.items() if own and _same(token, own)), "")
 
 
 def is_loopback(host: str) -> bool:
@@ -97,9 +116,10 @@ class Guard:
         if scope["type"] != "http":
             return
         headers = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
+        scope["gateway.who"] = self._rights.who(_token_of(headers))
         wrong = self._wrong(scope, headers)
         body = b""
-        if wrong is None and scope["method"] == "POST":
+        if wrong is None and scope["method"] in CHANGING:
             try:
                 body = await asyncio.wait_for(_body(receive), BODY_S)
             except TimeoutError:
@@ -108,7 +128,10 @@ class Guard:
                 wrong = (413, "the request is too large")
         if wrong is not None:
             self._on_refused(wrong[0])
-            await _refuse(send, *wrong)
+            if _is_sovd(scope):
+                with contextlib.suppress(TimeoutError, _TooLargeError):
+                    await asyncio.wait_for(_body(receive, DRAIN_BYTES, keep=False), BODY_S)
+            await _refuse(send, *wrong, sovd=_is_sovd(scope))
             return
         try:
             await self._app(scope, _given(body, receive), _guarded(send, self._rights))
@@ -141,23 +164,24 @@ class Guard:
         chunked = any(name == "transfer-encoding" for name, _ in headers)
         if scope["method"] in ("GET", "HEAD"):
             return (400, "no body here") if chunked or any(value != "0" for value in lengths) else None
-        if scope["method"] != "POST":
-            return 405, "GET, HEAD or POST"
+        if scope["method"] not in (CHANGING if _is_sovd(scope) else METHODS):
+            return None if _is_sovd(scope) else (405, ", ".join(METHODS))  # each of its resources knows its methods
         if lengths and (not lengths[0].isdigit() or int(lengths[0]) > BODY_BYTES):
             return 413, "the request is too large"
+        if _is_sovd(scope) and not chunked and all(value == "0" for value in lengths):
+            return None  # an intervention without a body; a page of another site cannot send its token
         kinds = [value.partition(";")[0].strip().lower() for name, value in headers if name == "content-type"]
         return None if kinds == ["application/json"] else (415, "application/json")
 
     def _wrong_right(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
         path: str = scope["path"]
-        if scope["method"] != "POST" and not path.startswith(("/api/", "/metrics")):
+        changes = scope["method"] in CHANGING
+        if not changes and not path.startswith(("/api/", "/metrics")) and not _is_sovd(scope):
             return None  # the page itself: it is the same everywhere, and says nothing of this gateway
-        given = [value for name, value in headers if name == "authorization"]
-        token = given[0][7:] if len(given) == 1 and given[0][:7].lower() == "bearer " else ""
-        may_control = bool(self._rights.control_token) and _same(token, self._rights.control_token)
-        if scope["method"] == "POST":
+        may_control = bool(scope["gateway.who"])
+        if changes:
             return None if may_control else (401, "the control token is needed")
-        may_read = not self._rights.read_token or _same(token, self._rights.read_token) or may_control
+        may_read = not self._rights.read_token or _same(_token_of(headers), self._rights.read_token) or may_control
         return None if may_read else (401, "a token is needed")
 
 
@@ -167,6 +191,15 @@ class _TooLargeError(Exception):
 
 class SlowReader(Exception):
     """The reader does not take the answer."""
+
+
+def _is_sovd(scope: Scope) -> bool:
+    return scope["path"] == "/sovd" or str(scope["path"]).startswith("/sovd/")
+
+
+def _token_of(headers: list[tuple[str, str]]) -> str:
+    given = [value for name, value in headers if name == "authorization"]
+    return given[0][7:] if len(given) == 1 and given[0][:7].lower() == "bearer " else ""
 
 
 def _same(one: str, other: str) -> bool:
@@ -181,15 +214,17 @@ def _name(host: str) -> str:
     return host.partition(":")[0]
 
 
-async def _body(receive: Receive) -> bytes:
-    body = b""
+async def _body(receive: Receive, most: int = BODY_BYTES, *, keep: bool = True) -> bytes:
+    body, size = b"", 0
     while True:
         message = dict(await receive())
         if message["type"] != "http.request":
             return body
-        body += bytes(message.get("body", b""))
-        if len(body) > BODY_BYTES:
+        part = bytes(message.get("body", b""))
+        size += len(part)
+        if size > most:
             raise _TooLargeError
+        body += part if keep else b""
         if not message.get("more_body"):
             return body
 
@@ -225,10 +260,12 @@ def _guarded(send: Send, rights: Rights) -> Send:
     return guarded
 
 
-async def _refuse(send: Send, status: int, text: str) -> None:
-    data = text.encode() + b"\n"
-    headers = [(b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(data)).encode())]
+async def _refuse(send: Send, status: int, text: str, *, sovd: bool) -> None:
+    data, kind = (error_body(status, text), b"application/json") if sovd else (text.encode() + b"\n", TEXT)
+    headers = [(b"content-type", kind), (b"content-length", str(len(data)).encode())]
     headers += [(b"connection", b"close"), *((n.encode(), v.encode()) for n, v in HEADERS.items())]
+    if status == 405:
+        headers.append((b"allow", text.encode()))
     if status == 401:
         headers.append((b"www-authenticate", b"Bearer"))
     await send({"type": "http.response.start", "status": status, "headers": headers})

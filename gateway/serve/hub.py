@@ -126,7 +126,8 @@ class Hub:
         self.link = StatusLink(socket, self._on_message, self._on_link)
         self.connected, self.reason = False, "not reached yet"
         self.hello: dict[str, Any] = {
-            "name": "", "faults": [], "buses": [], "version": "", "memory": None, "ended": "",
+            "name": "", "faults": [], "buses": [], "version": "", "memory": None, "ended": "", "ecus": [],
+            "identifiers": [], "levels": [], "s3_s": 5.0, "signals": [],
         }  # fmt: skip
         self.memory_file = MemoryFile(None)
         self.memory: dict[str, Any] = self.memory_file.read(())
@@ -149,9 +150,10 @@ class Hub:
             "buses": self._on_buses,
             "messages": self._on_messages,
             "missed": self._on_missed,
+            "answer": self._take_monitoring,
         }
         self._viewers: set[Viewer] = set()
-        self._ending = False
+        self.ending = False
         self._number = itertools.count(1)
         self._stale = asyncio.Event()
         # One thread, and no more: each has a heap of its own, which keeps memory that SQLite has freed.
@@ -170,7 +172,7 @@ class Hub:
         """Begin to tell a page; the first message is all there is."""
         viewer = Viewer()
         viewer.begin(self._state(), self.history.past())
-        if self._ending:
+        if self.ending:
             viewer.end()
         self._viewers.add(viewer)
         return viewer
@@ -181,7 +183,7 @@ class Hub:
 
     def end(self) -> None:
         """End telling all pages: their streams end, and so do those of pages that come now."""
-        self._ending = True
+        self.ending = True
         for viewer in self._viewers:
             viewer.end()
 
@@ -197,6 +199,22 @@ class Hub:
     def ask_memory(self) -> None:
         """Have the fault memory's file read soon."""
         self._stale.set()
+
+    async def read_memory(self) -> dict[str, Any]:
+        """Return the contents of the fault memory's file as it is now."""
+        return await self._in_thread(self.memory_file.read, self.hello["faults"])
+
+    async def interventions(self) -> list[dict[str, Any]]:
+        """Return what testers did, the oldest first."""
+        return await self._in_thread(self.memory_file.interventions)
+
+    async def recordings(self, dtc: str) -> list[Recording]:
+        """Return the recordings of a DTC, the oldest first; none, where there is no entry of it."""
+        return await self._in_thread(self.memory_file.recordings, dtc)
+
+    def unit(self, signal: str) -> str | None:
+        """Return the unit of a signal by its full name, by the databases; None: it has none, or is not in them."""
+        return self._names.unit(signal)
 
     async def recording(self, dtc: str, number: int) -> Recording | None:
         """Return a recording as :meth:`MemoryFile.recording` does."""
@@ -296,10 +314,10 @@ class Hub:
             self.ecus = ecus
             self._tell("ecus", ecus)
         self._tell("buses", self.buses)
-        self._take_monitoring(message)
+        self._take_monitoring(message, b"")
 
-    def _take_monitoring(self, message: dict[str, Any]) -> None:
-        found = message.get("monitoring", ALL_ON)
+    def _take_monitoring(self, message: dict[str, Any], _: bytes) -> None:
+        found = message.get("monitoring", self.monitoring)
         if found != self.monitoring:
             self.monitoring = found
             self._tell("monitoring", found)

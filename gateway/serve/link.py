@@ -23,6 +23,10 @@ class Refused(Exception):
     """The daemon does not do what it was asked, or is not there; says why."""
 
 
+class Absent(Refused):
+    """The daemon is not there, or does not answer."""
+
+
 class StatusLink:
     """Reads one status socket for as long as it runs.
 
@@ -81,7 +85,6 @@ class StatusLink:
                     waiting = self._answers.get(message.get("id", 0))
                     if waiting is not None and not waiting.done():
                         waiting.set_result(message)
-                    continue
                 self._on_message(message, block)
 
     def _end(self) -> None:
@@ -90,7 +93,7 @@ class StatusLink:
             self._writer = None
         for waiting in self._answers.values():
             if not waiting.done():
-                waiting.set_exception(Refused("the gateway ended before it answered"))
+                waiting.set_exception(Absent("the gateway ended before it answered"))
 
     async def ask(self, do: str, **keys: Any) -> dict[str, Any]:
         """Have the daemon do something; returns its answer.
@@ -99,7 +102,7 @@ class StatusLink:
             Refused: it does not, or does not answer.
         """
         if self._writer is None:
-            raise Refused("the gateway does not run")
+            raise Absent("the gateway does not run")
         ticket = next(self._tickets)
         waiting: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._answers[ticket] = waiting
@@ -107,7 +110,7 @@ class StatusLink:
             self._writer.write(json.dumps({"id": ticket, "do": do, **keys}).encode() + b"\n")
             answer = await asyncio.wait_for(waiting, ANSWER_S)
         except TimeoutError as error:
-            raise Refused("the gateway does not answer") from error
+            raise Absent("the gateway does not answer") from error
         finally:
             del self._answers[ticket]
         if not answer.get("ok"):

@@ -14,7 +14,7 @@ from gateway.faults.records import Recording
 from gateway.faults.status import Status
 from gateway.faults.store import Store
 from gateway.serve.words import told_in_words
-from gateway_fdi.errors import GatewayError
+from gateway_fdi.errors import GatewayError, InputError
 
 #: Bits of the status byte, the lowest first, as ISO 14229-1 calls them.
 BITS = (
@@ -89,15 +89,32 @@ class MemoryFile:
             "readiness": readiness(faults, status),
         }
 
+    def interventions(self) -> list[dict[str, Any]]:
+        """Return what testers did, the oldest first.
+
+        Raises:
+            GatewayError: the file cannot be read.
+        """
+        return [] if self._path is None else service.interventions(self._path)
+
+    def recordings(self, dtc: str) -> list[Recording]:
+        """Return the recordings of a DTC, the oldest first; none, where there is no entry of it.
+
+        Raises:
+            GatewayError: the file cannot be read.
+        """
+        try:
+            return [] if self._path is None else service.recordings(self._path, dtc)
+        except InputError:
+            return []
+
     def recording(self, dtc: str, number: int) -> Recording | None:
         """Return a recording of a DTC, the oldest has number 1; None: there is none.
 
         Raises:
-            InputError: it is not a DTC, or there is no entry of it.
+            InputError: it is not a DTC.
         """
-        if self._path is None:
-            return None
-        found = service.recordings(self._path, str(Dtc.parse(dtc)))
+        found = self.recordings(str(Dtc.parse(dtc)))
         return found[number - 1] if 1 <= number <= len(found) else None
 
 

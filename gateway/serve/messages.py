@@ -28,6 +28,7 @@ class MessageNames:
     def __init__(self, buses: Sequence[Mapping[str, Any]]) -> None:
         self._buses = [str(bus["name"]) for bus in buses]
         self._known: dict[tuple[int, int], Any] = {}
+        self._units: dict[str, str | None] = {}
         self.wrong: list[str] = []
         for k, bus in enumerate(buses):
             if not bus["database"]:
@@ -39,6 +40,13 @@ class MessageNames:
                 continue
             for message in database:
                 self._known[k, message.frame_id | (EXTENDED if message.is_extended_frame else 0)] = message
+                for signal in message.signals:
+                    for prefix in ("", f"{bus['name']}."):
+                        self._units.setdefault(f"{prefix}{message.name}.{signal.name}", signal.unit or None)
+
+    def unit(self, signal: str) -> str | None:
+        """Return the unit of a signal by its full name; None: it has none, or is not in the databases."""
+        return self._units.get(signal)
 
     def shown(self, block: bytes, now_ns: int) -> list[dict[str, Any]]:
         """Return what is shown of each identifier.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import re
 import secrets
 import signal
 import socket
@@ -17,12 +18,14 @@ import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from gateway.serve.app import Page
-from gateway.serve.guard import Guard, Rights, is_loopback
+from gateway.serve.guard import CONTROL, Guard, Rights, is_loopback
 from gateway.serve.hub import Hub
 from gateway_fdi.errors import GatewayError, InputError
 
 #: A connection that has sent no request within this time [s] is closed.
 HEAD_S = 10.0
+#: Name of a client.
+_CLIENT = re.compile(r"[A-Za-z0-9_-]{1,20}")
 #: Connections at a time.
 MOST_CONNECTIONS = 128
 #: Most that the kernel keeps of an answer that is not read; by default it keeps megabytes of each connection.
@@ -41,7 +44,8 @@ class ServeSettings:
         host: address that is listened at.
         port: 0: any that is free.
         names: further names that this server is known by.
-        read_token_file, control_token_file: files of the tokens.
+        read_token_file, control_token_file: files of the tokens; further lines of the second are clients of SOVD, a
+            name and a token each.
         certificate, key: PEM files for TLS.
         parent: end when this process is not the parent any more; None: do not look.
     """
@@ -123,32 +127,43 @@ def rights_of(settings: ServeSettings) -> Rights:
                     key="--host",
                     value=settings.host,
                 )
-    read = _token(settings.read_token_file)
-    control = _token(settings.control_token_file) or (secrets.token_urlsafe(24) if local else "")
-    if read and read == control:
-        raise InputError("reading and changing are two rights: two tokens", key="--control-token-file")
+    read, _ = _tokens(settings.read_token_file)
+    control, clients = _tokens(settings.control_token_file)
+    control = control or (secrets.token_urlsafe(24) if local else "")
+    every = [read, control, *clients.values()]
+    if any(every.count(each) > 1 for each in every if each):
+        raise InputError("reading and changing are two rights: two tokens, all different", key="--control-token-file")
     names = {settings.host.strip("[]").lower(), *(name.lower() for name in settings.names)}
     if local:
         names |= {"localhost", "127.0.0.1", "::1"}
     names -= {"0.0.0.0", "::"}  # noqa: S104 - these are no names
     if not names:
         raise InputError("listening everywhere needs the names that this server is known by", key="--name")
-    return Rights(frozenset(names), read, control, secure=settings.certificate is not None)
+    return Rights(frozenset(names), read, control, secure=settings.certificate is not None, clients=clients)
 
 
-def _token(file: Path | None) -> str:
+def _tokens(file: Path | None) -> tuple[str, dict[str, str]]:
+    """Return the token of a file, and those of further lines by the names before them."""
     if file is None:
-        return ""
+        return "", {}
     try:
-        token = file.read_text(encoding="ascii").strip()
+        first, *more = file.read_text(encoding="ascii").strip().splitlines() or [""]
         mode = file.stat().st_mode
     except (OSError, ValueError) as error:
         raise InputError(f"no token can be read here: {error}", file=file) from error
     if mode & 0o077:
         raise InputError("others can read this token: chmod 600", file=file)
-    if len(token) < 16 or not token.isprintable() or " " in token:
-        raise InputError("a token is one word of 16 characters or more", file=file)
-    return token
+    clients: dict[str, str] = {}
+    for each in filter(None, more):
+        name, _, token = each.strip().partition(" ")
+        if not _CLIENT.fullmatch(name) or name in (CONTROL, *clients):
+            text = "a further line is NAME TOKEN; a name has 1 to 20 letters, digits, _ and -"
+            raise InputError(text, file=file, value=name)
+        clients[name] = token.strip()
+    for token in (first.strip(), *clients.values()):
+        if len(token) < 16 or not token.isprintable() or " " in token:
+            raise InputError("a token is one word of 16 characters or more", file=file)
+    return first.strip(), clients
 
 
 def open_socket(settings: ServeSettings) -> socket.socket:

@@ -10,8 +10,7 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.servers.addressed import AddressedServer
-from gateway.servers.route import Route, is_told
-from gateway.servers.uds.nrc import Nrc
+from gateway.servers.route import Route
 from gateway.servers.uds.params import BusRouteParams
 from gateway.servers.uds.server import UdsServer
 
@@ -58,25 +57,14 @@ class BusRoute(AddressedServer):
         return self._server.pending(request)
 
     def _pass_on(self, request: bytes, functional: bool, t_ns: int) -> None:
-        """Pass a request on, if it may; the ECU that does not answer is named by the code, unless all were asked."""
+        """Pass a request on, if it may."""
 
-        def tell(answer: bytes | None) -> None:
-            if answer is not None or not functional:
-                self._answers.append(negative(Nrc.NO_RESPONSE_FROM_SUBNET) if answer is None else answer)
-                self.wake()
+        def tell(answer: bytes) -> None:
+            self._answers.append(answer)
+            self.wake()
 
-        def negative(code: int) -> bytes:
-            return bytes([0x7F, request[0], code])
-
-        if not self.route.line.is_open:
-            self.counts["routes_skipped"] += 1
-            tell(None)
-            return
-        refusal = self.route.refusal(request, self._server, t_ns, self._transport.asked_by(functional=functional))
-        if refusal:
-            tell(refusal if is_told(refusal, functional) else None)
-        elif not self.route.ask(request, self._server, tell, functional=functional) and not functional:
-            tell(negative(Nrc.BUSY))
+        by = self._transport.asked_by(functional=functional)
+        self.route.pass_on(request, self._server, t_ns, tell, functional=functional, by=by)
 
     def on_time(self, t_ns: int) -> Frames:
         """Send answers that have come, and run separation times and timeouts."""

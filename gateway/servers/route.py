@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Protocol
 
-from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL
+from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, Nrc
 from gateway.servers.uds.server import UdsServer
 
 #: Services that pass: DTCs, data, tester present; of the sessions the default one.
@@ -34,6 +34,9 @@ class Line(Protocol):
 
     def forget(self, owner: object) -> None:
         """Take out what a tester that has gone had asked."""
+
+    def is_quiet(self, request: bytes) -> bool:
+        """Return whether no good answer comes to a request."""
 
 
 def only_reads(request: bytes) -> bool:
@@ -93,6 +96,45 @@ class Route:
         taken = self.line.ask(request, owner, done)
         self._counts["routed" if taken else "routes_skipped"] += 1
         return taken
+
+    def pass_on(
+        self,
+        request: bytes,
+        server: UdsServer,
+        t_ns: int,
+        tell: Callable[[bytes], None],
+        *,
+        functional: bool = False,
+        by: int | None = None,
+    ) -> None:
+        """Pass a request on, if it may; an ECU that does not answer is named by the code, unless all were asked.
+
+        Args:
+            request: its bytes.
+            server: of the tester's session.
+            t_ns: now.
+            tell: takes each answer: the ECU's, a refusal, 0x25 (no response), 0x21 (no room for it now).
+            functional: whether it is to all ECUs.
+            by: as of :meth:`refusal`.
+        """
+
+        def answered(answer: bytes | None) -> None:
+            if answer is not None or not functional:
+                tell(bytes([0x7F, request[0], Nrc.NO_RESPONSE_FROM_SUBNET]) if answer is None else answer)
+
+        if not self.line.is_open:
+            self._counts["routes_skipped"] += 1
+            answered(None)
+            return
+        refusal = self.refusal(request, server, t_ns, by)
+        if refusal:
+            answered(refusal if is_told(refusal, functional) else None)
+        elif not self.ask(request, server, answered, functional=functional) and not functional:
+            tell(bytes([0x7F, request[0], Nrc.BUSY]))
+
+    def is_quiet(self, request: bytes) -> bool:
+        """Return whether no good answer comes to a request."""
+        return self.line.is_quiet(request)
 
 
 def is_told(answer: bytes, functional: bool) -> bool:

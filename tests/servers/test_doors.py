@@ -41,7 +41,7 @@ _OFF = {
 ROWS = {
     **{
         (door, f"{what} ({request})"): lambda d, by=by, r=request: by(d, r)
-        for door, by in (("UDS", Doors.by_uds), ("DoIP", Doors.by_doip))
+        for door, by in (("UDS", Doors.by_uds), ("DoIP", Doors.by_doip), ("request", Doors.by_request))
         for what, request in {
             "clear": "14 FF FF FF", "reset": "11 01", "DTC setting off": "85 02", "reception off": "28 02 01",
             "sending off": "28 01 01",
@@ -52,6 +52,9 @@ ROWS = {
     ("J1939", "clear (DM11)"): lambda d: d.by_j1939(0xFED3),
     **{("status socket", w): lambda d, do=do, k=k, **f: d.by_status(do, **k, **f) for w, (do, k) in _LOCAL.items()},
     **{("page", w): lambda d, do=do, k=k, **f: d.by_page(do, **k, **f) for w, (do, k) in _LOCAL.items()},
+    ("SOVD", "clear"): lambda d: d.by_sovd("DELETE", "faults"),
+    ("SOVD", "operation cycle"): lambda d: d.by_sovd("PUT", "status/restart"),
+    ("SOVD", "DTC setting off"): lambda d: d.by_sovd("PUT", "modes/dtcsetting", {"value": "off"}),
     ("command line", "clear (`gateway faults clear`)"): lambda d, **f: d.by_command(**f),
 }  # fmt: skip
 #: Doors at which whoever may open them may override the rules.
@@ -70,7 +73,7 @@ def cell(folder, row, speed, *, force=False, **options):
             assert (doors.rig.status(0) == 0x50) == done
         elif what in ("operation cycle", "reset"):
             assert (doors.gateway.memory.cycle_number() == 2) == done
-        elif row[0] == "DoIP":  # it ended when the tester left
+        elif row[0] in ("DoIP", "request"):  # it ended when the tester left
             assert [each.action for each in doors.gateway.memory.interventions() if not each.outcome] == (
                 [_OFF[what][1], f"{_OFF[what][1]}_ended"] if done else []
             )

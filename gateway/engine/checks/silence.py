@@ -43,7 +43,8 @@ def silence_of(bus: int, params: Params, checks: Sequence[CheckInstance], databa
     for check in checks:
         timeout_ms = check.params.timeout_ms
         if check.bus == bus and timeout_ms is not None:
-            sender = _sender(check.params.message, databases[bus])
+            name = sender_of(check.params.message, databases[bus])
+            sender = f"ECU {name}" if name else check.params.message  # a message of an unknown sender has its own
             shortest[sender] = min(timeout_ms, shortest.get(sender, timeout_ms))
     if not params.watched or not shortest or (len(shortest) < 2 and params.silent_ms is None):
         return Silence()
@@ -53,13 +54,13 @@ def silence_of(bus: int, params: Params, checks: Sequence[CheckInstance], databa
     return Silence(quiet_ns, round(min(shortest.values()) * 1e6) // UNUSUAL)
 
 
-def _sender(message: str, database: Database) -> str:
-    """Return the sender of a message; a message of an unknown sender has one of its own."""
+def sender_of(message: str, database: Database) -> str:
+    """Return the name of the ECU that sends a message; "": the database does not say."""
     try:
         senders = database.message(message).senders
     except InputError:  # told where the check is filled
         senders = []
-    return next((f"ECU {name}" for name in senders if name != "Vector__XXX"), message)
+    return next((str(name) for name in senders if name != "Vector__XXX"), "")
 
 
 @kernel

@@ -1,0 +1,66 @@
+"""``gateway request``: ask a running gateway by UDS, or an ECU that it reaches."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from gateway.cli.present import find_config, print_json
+from gateway.cli.serve import socket_of
+from gateway.config.load import load_config
+from gateway.servers.uds.nrc import Nrc
+from gateway_fdi.errors import GatewayError
+
+#: How long a gateway is waited for [s].
+PATIENCE_S = 5.0
+
+
+def request(requests: Sequence[str], config_path: Path | None, *, status: Path | None, ecu: str, json: bool) -> int:
+    """Ask, one after the other, in one session; returns the exit code. Arguments as the command has them."""
+    place = status or socket_of(load_config(find_config(config_path)))
+    found = asyncio.run(_ask(place, ecu, requests))
+    answers = [(asked, bytes.fromhex(answer)) for asked, each in zip(requests, found, strict=True) for answer in each]
+    if json:
+        print_json([{"request": asked, "answers": each} for asked, each in zip(requests, found, strict=True)])
+    else:
+        for asked, answer in answers:
+            print(f"{asked}  {answer.hex().upper()}{_words(answer)}")
+    return int(any(answer[0] == 0x7F for _, answer in answers))
+
+
+def _words(answer: bytes) -> str:
+    if answer[0] != 0x7F or len(answer) < 3:
+        return ""
+    known = {int(each): each.name.lower().replace("_", " ") for each in Nrc}
+    return f"  refused: {known.get(answer[2], 'code')} (0x{answer[2]:02X})"
+
+
+async def _ask(place: Path, ecu: str, requests: Sequence[str]) -> list[list[str]]:
+    from gateway.serve.link import Refused, StatusLink  # noqa: PLC0415 - few want it
+
+    reached, why = asyncio.Event(), ""
+
+    def on_link(connected: bool, reason: str) -> None:
+        nonlocal why
+        why = reason
+        if connected:
+            reached.set()
+
+    link = StatusLink(place, lambda message, block: None, on_link)
+    work = asyncio.create_task(link.run())
+    tester = f"request-{os.getpid()}"
+    try:
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(reached.wait(), PATIENCE_S)
+        if not reached.is_set():
+            raise GatewayError(f"no gateway: {why}")
+        return [(await link.ask("request", tester=tester, ecu=ecu, uds=each))["uds"] for each in requests]
+    except Refused as error:
+        raise GatewayError(str(error)) from error
+    finally:
+        work.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await work

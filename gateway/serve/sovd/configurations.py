@@ -1,0 +1,79 @@
+"""Configurations: data identifiers of the gateway that may be written."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from gateway.serve.sovd.components import OWN
+from gateway.serve.sovd.data import identifiers, read_did
+from gateway.serve.sovd.errors import SovdError
+from gateway.serve.sovd.model import Body, Model, ReadValue
+from gateway.serve.sovd.table import Call, Endpoint
+
+
+class ConfigurationItem(Model):
+    """A configuration."""
+
+    id: str
+    name: str
+    type: Literal["parameter"] = "parameter"
+
+
+class ConfigurationList(Model):
+    """All that may be written."""
+
+    items: list[ConfigurationItem]
+
+
+class NewValue(Body):
+    """A value as text, or as hexadecimal digits; of the same length as the present one."""
+
+    value: str | None = Field(None, pattern=r"^[\x20-\x7e]{1,4000}$")
+    raw: str | None = Field(None, pattern=r"^([0-9A-Fa-f]{2}){1,4000}$")
+
+
+class WriteValue(Body):
+    """The new value."""
+
+    data: NewValue
+
+
+def _writable(call: Call) -> dict[str, str]:
+    own = call.state.component(call.path).id == OWN
+    return {key: str(each["name"]) for key, each in identifiers(call).items() if each["writable"]} if own else {}
+
+
+async def _list(call: Call) -> ConfigurationList:
+    items = [ConfigurationItem(id=key, name=name) for key, name in _writable(call).items()]
+    return ConfigurationList(items=items)
+
+
+def _key(call: Call) -> str:
+    key = call.path["configuration_id"]
+    if key not in _writable(call):
+        raise SovdError(404, "there is no such configuration")
+    return key
+
+
+async def _read(call: Call) -> ReadValue:
+    key = _key(call)
+    return ReadValue(id=key, data=await read_did(call, call.state.component(call.path), key))
+
+
+async def _write(call: Call) -> None:
+    key, new = _key(call), call.body.data
+    if (new.value is None) == (new.raw is None):
+        raise SovdError(400, "data: give value or raw")
+    data = bytes.fromhex(new.raw) if new.value is None else new.value.encode()
+    one = call.state.component(call.path)
+    await call.state.locks.intervene(call.who, one, b"\x2e" + bytes.fromhex(key.removeprefix("did-")) + data)
+
+
+_PATH = "/components/{component_id}/configurations"
+ENDPOINTS = (
+    Endpoint("GET", _PATH, "Values that may be written", _list, ConfigurationList),
+    Endpoint("GET", _PATH + "/{configuration_id}", "A value that may be written", _read, ReadValue),
+    Endpoint("PUT", _PATH + "/{configuration_id}", "Write a value", _write, None, 204, WriteValue),
+)
