@@ -110,6 +110,23 @@ def under(key: str, value: object = None, *, whole: bool | None = None) -> Itera
         raise _under(error, key, value, whole) from error
 
 
+@contextmanager
+def as_input(key: str, value: object = None) -> Iterator[None]:
+    """Say what mathematics refuses as an error of an argument.
+
+    Args:
+        key: name of the argument.
+        value: of it.
+
+    Raises:
+        InputError: a ValueError, or a TypeError for an argument that is not there, was raised within.
+    """
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise InputError(str(error), key=key, value=value) from error
+
+
 def _under(error: InputError, key: str, value: object, whole: bool) -> InputError:
     if error.file is not None and error.key is not None:
         return error

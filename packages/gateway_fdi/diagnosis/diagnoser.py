@@ -116,6 +116,18 @@ class Diagnoser:
         self._answer = tuple(self._groups[key] for key in sorted(self._groups))
         return self._answer
 
+    def causes(self) -> list[tuple[tuple[str, ...], float]]:
+        """Return what explains the tests that fail, by names, with its probability; of each group the likeliest first.
+
+        No component: they are false alarms.
+        """
+        names = [component.name for component in self.system.components]
+        return [
+            (tuple(names[place] for place in one.components), one.probability)
+            for group in self.diagnose()
+            for one in group.diagnoses
+        ]
+
     def _stale(self) -> set[int] | None:
         """Return tests whose groups are to be looked at again; None: no group is touched."""
         stale: set[int] = set()
