@@ -40,6 +40,7 @@ def simulate(
     seed: int | None = None,
     series: bool = False,
     signals: Sequence[str] = (),
+    record: Pathish | None = None,
     progress: Progress = False,
 ) -> Run:
     """Play a scenario's virtual ECUs and faults to a gateway, in simulated time (docs/vecu.md).
@@ -49,6 +50,7 @@ def simulate(
         seed: instead of the scenario's.
         series: whether values of monitors over time are kept.
         signals: names of signals that are kept with them.
+        record: log that the frames are written to, by its suffix.
         progress: True: a bar; or a function that is called with the share done.
 
     Raises:
@@ -57,7 +59,12 @@ def simulate(
     """
     with spoken():
         run: Run = _call("simulate")(
-            path_of(scenario, "scenario"), seed=seed, series=series, signals=signals, progress=progress
+            path_of(scenario, "scenario"),
+            seed=seed,
+            series=series,
+            signals=signals,
+            record=None if record is None else path_of(record, "record"),
+            progress=progress,
         )
     return run
 

@@ -29,6 +29,7 @@ class Session:
     fault memory that it was given.
 
     Attributes:
+        notes: remarks for people, of the run.
         unsent: frames that the gateway made for the bus while nobody took them (``send``).
     """
 
@@ -39,6 +40,7 @@ class Session:
         send: Callable[[can.Message], object] | None,
     ) -> None:
         self._observed, self._send = observed, send
+        self.notes = observed.notes
         consumer: FrameConsumer = observed.fed
         if injectors:
             consumer = Faulty(consumer, injectors, observed.gateway)
@@ -62,11 +64,7 @@ class Session:
         """
         self._refuse_if_over()
         with spoken():
-            return self.take(batch_of(messages, self._channels, bus, self._buses))
-
-    def take(self, frames: Frames) -> list[Event]:
-        """Take a batch of frames; returns the events that it made."""
-        self._refuse_if_over()
+            frames = batch_of(messages, self._channels, bus, self._buses)
         since = len(self._observed.events)
         if len(frames) and not self._cycle.count:
             self._observed.begin_ns = int(frames[0]["t_ns"])
@@ -104,10 +102,6 @@ class Session:
     def run(self) -> Run:
         """What has come of it; while it goes on, so far."""
         return self._observed.run(self._cycle.count) if self._run is None else self._run
-
-    def note(self, *texts: str) -> None:
-        """Add remarks for people to the run."""
-        self._observed.notes += texts
 
     def close(self) -> Run:
         """End the operation cycle, and the session; returns what came of it. It may be called again."""

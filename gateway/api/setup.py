@@ -174,10 +174,10 @@ class Setup:
             recorded = Log(path_of(log, "log", "a path, or frames"), self.config, _texts(maps, "maps"))
             with shown(progress) as tell:
                 for frames in recorded:
-                    session.take(frames)
+                    session.feed(frames)
                     tell(recorded.reader.bytes_done / max(recorded.reader.bytes_total, 1))
             found = recorded.contents(allow_empty=allow_empty, allow_cut=allow_cut)
-            session.note(*found.notes)
+            session.notes += found.notes
             if found.wrong:
                 raise InputErrors(found.wrong)
             return session.close()

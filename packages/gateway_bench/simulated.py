@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,13 +12,16 @@ from gateway.api.progress import Progress, shown
 from gateway.api.run import Run
 from gateway.api.table import Table
 from gateway.bus.frames import Frames
+from gateway.bus.logs import open_writer
 from gateway_bench.drive import drive
 from gateway_bench.playing import opened
 from gateway_bench.vecu.expectations import Judge
 from gateway_bench.vecu.words import injected
 
 
-def simulate(scenario: Path, *, seed: int | None, series: bool, signals: Sequence[str], progress: Progress) -> Run:
+def simulate(
+    scenario: Path, *, seed: int | None, series: bool, signals: Sequence[str], record: Path | None, progress: Progress
+) -> Run:
     """Play a scenario to a gateway; see :func:`gateway.api.simulate`."""
     found, config, player = opened(scenario, seed)
     observed = Observed(config, found.config, series=series, signals=signals)
@@ -26,9 +30,11 @@ def simulate(scenario: Path, *, seed: int | None, series: bool, signals: Sequenc
     def on_frames(frames: Frames) -> None:
         nonlocal count
         count += len(frames)
+        if writer is not None:
+            writer.write(frames)
 
     try:
-        with shown(progress) as tell:
+        with shown(progress) as tell, nullcontext() if record is None else open_writer(record) as writer:
             drive(
                 observed.gateway,
                 player,

@@ -17,7 +17,6 @@ from gateway_fdi import cusum, stopping
 from gateway_fdi.errors import InputError, as_input, named
 from gateway_fdi.jit import f8s, kernel, zeros
 
-
 #: Parameters of stopping rules.
 PARAMETERS = ("forget", "drift", "shift", "sigma", "low", "most", "window")
 

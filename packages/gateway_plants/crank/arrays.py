@@ -25,6 +25,8 @@ from gateway_plants.crank.monitor.faults import FAULTS
 from gateway_plants.crank.monitor.monitor import MONITOR, Params
 from gateway_plants.crank.wheel import Wheel
 
+__all__ = ["CrankWheel", "Teeth"]
+
 #: Intervals that are taken at once, and rows for what is reported meanwhile: a pulse reports each fault once at most.
 PORTION = 256
 ROOM = PORTION * len(FAULTS)

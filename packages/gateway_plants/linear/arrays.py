@@ -24,6 +24,8 @@ from gateway_plants.linear.mathematics.plant import LinearPlant, discretised
 from gateway_plants.linear.pi_bank import isolation
 from gateway_plants.linear.pi_bank.design import Noise, check, design
 
+__all__ = ["Found", "Observer", "PiBank"]
+
 Array = NDArray[np.float64]
 
 

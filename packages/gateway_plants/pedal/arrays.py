@@ -22,6 +22,8 @@ from gateway_fdi.jit import Record, kernel, zeros
 from gateway_plants.pedal.voting import simple
 from gateway_plants.pedal.voting.tracking import shape, vote
 
+__all__ = ["Voted", "Voter"]
+
 
 @dataclass(frozen=True)
 class Voted:
