@@ -70,9 +70,9 @@ class StoppingRule:
     def __init__(self, rule: str, threshold: float, **parameters: float) -> None:
         if rule not in stopping.RULES:
             raise InputError(named("the rules are", rule, stopping.RULES), key="rule", value=rule)
-        for name in parameters:
+        for name, value in parameters.items():
             if name not in PARAMETERS:
-                raise InputError(named("the parameters are", name, PARAMETERS), key=name, value=parameters[name])
+                raise InputError(named("the parameters are", name, PARAMETERS), key=name, value=value)
         self.rule, self.threshold = rule, float(threshold)
         self._s, self._c = zeros(1, stopping.State)[0], zeros(1, stopping.Const)[0]
         with as_input("parameters"):

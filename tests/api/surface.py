@@ -15,19 +15,8 @@ MODULES = (
 
 
 #: Made by functions, not by users.
-MADE = (
-    "Analysis",
-    "Calibrated",
-    "Found",
-    "Learned",
-    "Run",
-    "SeriesSet",
-    "Series",
-    "Session",
-    "Setup",
-    "Teeth",
-    "Voted",
-)
+MADE = {"Analysis", "Calibrated", "Config", "Found", "Learned", "Run", "Series", "SeriesSet"}
+MADE |= {"Session", "Setup", "Teeth", "Voted"}
 
 
 def _signature(thing) -> str:
@@ -62,7 +51,7 @@ def surface() -> str:
         for name in sorted(found.__all__):
             thing = getattr(found, name)
             if inspect.isclass(thing):
-                lines += [f"class {name}{'' if name in (*MADE, 'Config') else _signature(thing)}", *_members(thing)]
+                lines += [f"class {name}{'' if name in MADE else _signature(thing)}", *_members(thing)]
             elif callable(thing):
                 lines.append(f"{name}{_signature(thing)}")
             else:
