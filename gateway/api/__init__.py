@@ -13,6 +13,7 @@ to it (docs/api.md). All other modules of the package are the gateway's own. Mat
 """
 
 from gateway.api.calibrated import Calibrated
+from gateway.api.paths import shipped
 from gateway.api.run import Event, Run, Series, SeriesSet
 from gateway.api.scenarios import Learned, learn, simulate
 from gateway.api.session import Session
@@ -37,5 +38,6 @@ __all__ = [
     "Table",
     "learn",
     "open",
+    "shipped",
     "simulate",
 ]

@@ -34,10 +34,10 @@ class Calibrated:
     @property
     def thresholds(self) -> Table:
         """What is proposed beside what is there: of stopping rules their levels, of CUSUM tests J in units of nu."""
-        names = ("monitor", "test", "now", "largest", "proposed")
+        types = {"monitor": str, "test": str, "now": float, "largest": float, "proposed": float}
         rules = [(p.monitor, p.symptom, p.now, p.largest, p.threshold) for p in self._found.proposals]
         tests = () if self._found.tests is None else self._found.tests.rows
-        return Table.of(names, [*rules, *((t.monitor, t.name, t.now, t.largest, t.threshold) for t in tests)])
+        return Table.of(types, [*rules, *((t.monitor, t.name, t.now, t.largest, t.threshold) for t in tests)])
 
     def write(self, into: str | PathLike[str] | None = None) -> Path:
         """Write the thresholds with their source into the configuration's file, or into a copy of it beside it.

@@ -6,6 +6,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TypeAlias
 
+from gateway_fdi.common import resources
 from gateway_fdi.errors import InputError
 
 #: A path, as text or as an object.
@@ -37,3 +38,12 @@ def paths_of(paths: object, key: str) -> list[Path]:
     if isinstance(paths, str | PathLike) or not hasattr(paths, "__iter__"):
         raise InputError("a list of paths", key=key, value=paths)
     return [path_of(path, f"{key}[{k}]") for k, path in enumerate(paths)]
+
+
+def shipped(name: str) -> Path:
+    """Return the path of a file that comes with the gateway, as ``"models/tanks.toml"``.
+
+    Raises:
+        InputError: there is none.
+    """
+    return resources.shipped(name)

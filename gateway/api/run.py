@@ -21,6 +21,11 @@ from gateway.runtime.series.rows import RESULTS, Rows
 from gateway.runtime.series.rows import Series as Which
 from gateway_fdi.errors import GatewayError, named
 
+_DTCS = {"dtc": str, "fault": str, "failing": bool, "confirmed": bool, "occurrence": int}
+_DTCS |= {"first_s": float, "last_s": float, "description": str, "cause": str}
+_VERDICTS = {"fault": str, "dtc": str, "verdict": str}
+_DIAGNOSES = {"components": str, "probability": float, "proven": bool, "failing": int, "text": str}
+
 #: An event of the JSON contract (docs/diagnostics.md); ``event["event"]`` says which one.
 Event: TypeAlias = Mapping[str, Any]
 
@@ -114,7 +119,7 @@ class Run:
         events: all that was told, in order.
         summary: the last event: counters, buses, what each monitor says of itself.
         dtcs: what is in the fault memory, times from the first frame on.
-        verdicts: each fault: ``failed``, ``passed``, or ``not tested``.
+        verdicts: each fault: ``failed`` if it did once, ``passed``, or ``not tested``.
         diagnoses: what explains the DTCs, the most important first.
         notes: remarks for people.
         expectations: of a scenario: what it expects, and whether that came.
@@ -172,34 +177,23 @@ def tables_of(gateway: Gateway, begin_ns: int) -> tuple[Table, Table, Table]:
     cases = cases_of(entries)
     why = {entry["fault"]: case.text for case in cases for entry in case.entries}
     what = {definition.id: definition.description for definition in gateway.catalogue}
+
+    def seconds(t_ns: int | None) -> float | None:
+        return None if t_ns is None else (t_ns - begin_ns) / 1e9
+
     dtcs = [
         (
-            e["dtc"],
-            e["fault"],
-            bool(e["status"] & Status.TEST_FAILED),
-            e["confirmed"],
-            e["occurrence"],
-            None if e["first_ns"] is None else (e["first_ns"] - begin_ns) / 1e9,
-            None if e["last_ns"] is None else (e["last_ns"] - begin_ns) / 1e9,
-            what.get(e["fault"], ""),
-            why.get(e["fault"], ""),
+            *(e["dtc"], e["fault"], bool(e["status"] & Status.TEST_FAILED), e["confirmed"], e["occurrence"]),
+            *(seconds(e["first_ns"]), seconds(e["last_ns"]), what.get(e["fault"], ""), why.get(e["fault"], "")),
         )
         for e in entries
     ]
     verdicts = [(d.id, str(d.dtc), _verdict(gateway.memory.status_now(d.id))) for d in gateway.catalogue]
-    diagnoses = [
-        (" and ".join(case.components), case.probability, case.proven, case.failing, case.text) for case in cases
-    ]
-    return (
-        Table.of(
-            ("dtc", "fault", "failing", "confirmed", "occurrence", "first_s", "last_s", "description", "cause"), dtcs
-        ),
-        Table.of(("fault", "dtc", "verdict"), verdicts),
-        Table.of(("components", "probability", "proven", "failing", "text"), diagnoses),
-    )
+    diagnoses = [(" and ".join(one.components), one.probability, one.proven, one.failing, one.text) for one in cases]
+    return Table.of(_DTCS, dtcs), Table.of(_VERDICTS, verdicts), Table.of(_DIAGNOSES, diagnoses)
 
 
 def _verdict(status: Status) -> str:
-    if status & Status.TEST_FAILED:
+    if status & Status.TEST_FAILED_THIS_CYCLE:
         return "failed"
     return "not tested" if status & Status.NOT_COMPLETED_THIS_CYCLE else "passed"

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from gateway.common.extras import need
 from gateway_fdi.errors import InputError, named
 
-#: Rows that are shown.
-SHOWN = 20
+#: Rows, and characters of a cell, that are shown.
+SHOWN, WIDEST = 20, 60
 
 
 class MissingError(InputError, KeyError):
@@ -33,10 +33,20 @@ class Table(Mapping[str, "NDArray[Any]"]):
         self._columns = dict(columns)
 
     @classmethod
-    def of(cls, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
-        """Return a table of rows; text and what is missing (None) make a column of objects."""
-        columns = list(zip(*rows, strict=True)) or [()] * len(names)
-        return cls({name: _array(values) for name, values in zip(names, columns, strict=True)})
+    def of(cls, types: Mapping[str, type], rows: Iterable[Sequence[Any]]) -> Table:
+        """Return a table of rows.
+
+        Args:
+            types: name of each column -> str (an array of objects), float (None is NaN), int or bool.
+            rows: a value for each column.
+        """
+        columns = list(zip(*rows, strict=True)) or [()] * len(types)
+        return cls(
+            {
+                name: np.array(values, object if type_ is str else type_)
+                for (name, type_), values in zip(types.items(), columns, strict=True)
+            }
+        )
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._columns:
@@ -77,7 +87,8 @@ class Table(Mapping[str, "NDArray[Any]"]):
         need("parquet", "Arrow tables")
         import pyarrow as pa  # noqa: PLC0415 - slow to load, and an extra
 
-        return pa.table({name: pa.array(column) for name, column in self._columns.items()})
+        text = pa.string()
+        return pa.table({k: pa.array(x, text if x.dtype == object else None) for k, x in self._columns.items()})
 
     def _shown(self) -> list[list[str]]:
         columns = [[_text(value) for value in column[:SHOWN].tolist()] for column in self._columns.values()]
@@ -101,15 +112,6 @@ class Table(Mapping[str, "NDArray[Any]"]):
         return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{rest}"
 
 
-def _array(values: Sequence[Any]) -> NDArray[Any]:
-    if any(value is None or isinstance(value, str) for value in values):
-        made = np.empty(len(values), object)
-        made[:] = values
-        return made
-    return np.asarray(values)
-
-
 def _text(value: object) -> str:
-    if value is None:
-        return ""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return text if len(text) <= WIDEST else f"{text[: WIDEST - 3]}..."

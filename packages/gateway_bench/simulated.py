@@ -53,6 +53,6 @@ def simulate(
     findings = judge.findings() if judged else []
     return replace(
         run,
-        expectations=Table.of(("met", "text"), [(one.good, one.text) for one in findings]),
-        injected=Table.of(("t_s", "kind", "text"), facts),
+        expectations=Table.of({"met": bool, "text": str}, [(one.good, one.text) for one in findings]),
+        injected=Table.of({"t_s": float, "kind": str, "text": str}, facts),
     )

@@ -30,6 +30,8 @@ __all__ = ["CrankWheel", "Teeth"]
 #: Intervals that are taken at once, and rows for what is reported meanwhile: a pulse reports each fault once at most.
 PORTION = 256
 ROOM = PORTION * len(FAULTS)
+#: Columns of what is reported.
+REPORTS = {"t_s": float, "fault": str, "count": int, "tooth": int}
 
 
 @kernel
@@ -83,7 +85,7 @@ class Teeth:
         t_s: of the pulse [s].
         tooth: that it is taken for, -1 while not synchronised.
         proven: whether that is proven.
-        rpm: speed over the pitch before it, NaN while not synchronised [rpm].
+        rpm: speed since the pulse before, NaN while not synchronised, and where a pulse was added [rpm].
         reports: faults as they were found: time, fault, count, tooth.
     """
 
@@ -149,9 +151,11 @@ class CrankWheel:
             n = track(self._s, self._c, self._out, y[part], tooth[part], proven[part], reports)
             for at, fault, count, where in reports[:n]:
                 rows.append((float(times[first + int(at)]), FAULTS[int(fault)].name, int(count), int(where)))
-        return Teeth(times[1:], tooth, proven, self._rpm(y, tooth), Table.of(("t_s", "fault", "count", "tooth"), rows))
+        return Teeth(times[1:], tooth, proven, self._rpm(y, tooth), Table.of(REPORTS, rows))
 
     def _rpm(self, y: NDArray[np.float64], tooth: NDArray[np.int64]) -> NDArray[np.float64]:
         laid = self._wheel.laid_out
-        before = np.asarray(laid.pitches)[(tooth - 1) % laid.pulses]
-        return np.where(tooth >= 0, before / self._wheel.turn / (y * 1e-6) * 60.0, np.nan)
+        place = np.asarray(laid.positions)[tooth]
+        span = np.diff(place, prepend=np.nan) % laid.turn
+        known = (tooth >= 0) & (np.roll(tooth, 1) >= 0) & (span > 0.0)
+        return np.where(known, span / self._wheel.turn / (y * 1e-6) * 60.0, np.nan)
