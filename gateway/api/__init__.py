@@ -7,9 +7,9 @@
     run = api.open("gateway.toml").replay("drive.log", series=True)
     print(run.dtcs, run.series["crank.missed_pulse"].value)
 
-What is in ``__all__`` is stable: it changes only with the first number of the version, from 1.0 on the second one adds
-to it (docs/api.md). All other modules of the package are the gateway's own. Mathematics without a bus is in
-:mod:`gateway_fdi`, and in the module ``arrays`` of each plant.
+All names in ``__all__`` are stable: from 1.0 on only the first number of the version changes them (docs/api.md). All
+other modules of the package are the gateway's own. Mathematics without a bus is in :mod:`gateway_fdi`, and in the
+module ``arrays`` of a plant.
 """
 
 from gateway.api.calibrated import Calibrated

@@ -1,4 +1,4 @@
-"""What healthy logs say of a configuration's thresholds."""
+"""Thresholds that healthy logs ask for."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Calibrated:
 
     @property
     def thresholds(self) -> Table:
-        """What is proposed beside what is there: of stopping rules their levels, of CUSUM tests J in units of nu."""
+        """Proposals beside the present values: of stopping rules their levels, of CUSUM tests J in units of nu."""
         types = {"monitor": str, "test": str, "now": float, "largest": float, "proposed": float}
         rules = [(p.monitor, p.symptom, p.now, p.largest, p.threshold) for p in self._found.proposals]
         tests = () if self._found.tests is None else self._found.tests.rows

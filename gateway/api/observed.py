@@ -45,7 +45,7 @@ class Observed:
 
     Attributes:
         fed: takes frames, and lets time pass.
-        begin_ns: stamp of the first frame; whoever feeds it sets it [ns].
+        begin_ns: stamp of the first frame; set by the caller that feeds it [ns].
         notes: remarks for people.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What came of a run: events, DTCs, verdicts, diagnoses, series."""
+"""Results of a run: events, DTCs, verdicts, diagnoses, series."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class SeriesSet(Mapping[str, Series]):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
-    """What came of frames that a gateway was fed.
+    """Results of frames that a gateway was fed.
 
     Attributes:
         name: of the configuration.

@@ -1,4 +1,4 @@
-"""What packages above the core do for this interface: scenarios, and learning.
+"""Functions of this interface that packages above the core do: scenarios, and learning.
 
 They come by the plug-ins' door ``calls``, as commands do; here are their signatures.
 """
@@ -25,13 +25,13 @@ def _callable(found: object, place: str) -> Callable[..., Any]:
     return found
 
 
-_CALLS: Registry[Callable[..., Any]] = Registry("gateway.calls", _callable)
+CALLS: Registry[Callable[..., Any]] = Registry("gateway.calls", _callable)
 
 
 def _call(name: str) -> Callable[..., Any]:
-    if name not in _CALLS:
+    if name not in CALLS:
         raise GatewayError(f"no installed package brings {name}")
-    return _CALLS[name]
+    return CALLS[name]
 
 
 def simulate(
@@ -104,7 +104,7 @@ def learn(
         databases: DBC, KCD, SYM or ARXML; none: the layouts of frames are looked for in the logs.
         logs: healthy ones.
         out: file of the configuration.
-        overwrite: a file that is there is written anew.
+        overwrite: a file that is there is overwritten.
         update: the logs are added to it.
         hold_out: share of each log, at its end, on which what was learned is proven.
         maps: channels of the logs taken as buses, ``"channel=bus"`` each.

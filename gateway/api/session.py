@@ -100,7 +100,7 @@ class Session:
 
     @property
     def run(self) -> Run:
-        """What has come of it; while it goes on, so far."""
+        """Its results; while it goes on, those so far."""
         return self._observed.run(self._cycle.count) if self._run is None else self._run
 
     def close(self) -> Run:

@@ -1,4 +1,4 @@
-"""A table of results: columns of NumPy, and Arrow for whoever takes that (pandas, polars, DuckDB)."""
+"""A table of results: columns of NumPy, and Arrow for programs that take it (pandas, polars, DuckDB)."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from gateway_fdi.stopping import assured
 
 @dataclass(frozen=True)
 class Targets:
-    """What thresholds are to hold.
+    """Targets of thresholds.
 
     Attributes:
         mtfa_s: mean time between false alarms [s], for stopping rules.

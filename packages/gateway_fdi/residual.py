@@ -134,5 +134,6 @@ def _of_set(analysis: Analysis, number: int, options: Mapping[str, bool | float]
         name = f"{number + 1}:{analysis.structure.equations[candidates.equation[k]]}"
         try:
             yield Residual(analysis.model, analysis.choice(name), **options)  # type: ignore[arg-type]
-        except InputError:  # the structure says that it can be solved, algebra does not find it
-            continue
+        except InputError as error:
+            if error.key != "test":  # else the structure says that it can be solved, and algebra does not find it
+                raise
