@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,10 +12,12 @@ from gateway_fdi.detectors import numbers
 from gateway_fdi.errors import InputError, as_input, named
 from gateway_fdi.jit import zeros
 from gateway_fdi.structure.analysis import Analysis, analyse
-from gateway_fdi.structure.generator.loading import Loaded, residual_generator
 from gateway_fdi.structure.generator.records import field_name
 from gateway_fdi.structure.isolability import signatures
 from gateway_fdi.structure.model import Model, ResidualChoice
+
+if TYPE_CHECKING:
+    from gateway_fdi.structure.generator.loading import Loaded
 
 
 class Residual:
@@ -52,9 +55,7 @@ class Residual:
             known = test in model.residuals
             choice, self.name = model.residuals[test] if known else analyse(model).choice(test), test
         with as_input("test", self.name):
-            self._loaded: Loaded = residual_generator(
-                model, choice.equations, choice.consistency, name=self.name, differentiate=differentiate
-            )
+            self._loaded = _made(model, choice, self.name, differentiate=differentiate)
         row = np.array([[equation.name in choice.equations for equation in model.equations]])
         seen = signatures(model, row)[0]
         self.faults = tuple(fault for fault, there in zip(model.faults, seen, strict=True) if there)
@@ -96,6 +97,14 @@ class Residual:
         for k, dt in enumerate(steps):
             found[k] = self._loaded.step(self._s, self._c, rows[k], dt)
         return found
+
+
+def _made(model: Model, choice: ResidualChoice, name: str, *, differentiate: bool) -> Loaded:
+    try:
+        from gateway_fdi.structure.generator.loading import residual_generator  # noqa: PLC0415 - slow, and an extra
+    except ImportError as error:
+        raise InputError("code of equations needs sympy: pip install 'ecu-gateway[structure]'", value=name) from error
+    return residual_generator(model, choice.equations, choice.consistency, name=name, differentiate=differentiate)
 
 
 def _rate(field: str, rows: NDArray[np.void], times: NDArray[np.float64]) -> NDArray[np.float64]:
