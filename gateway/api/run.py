@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.api.table import MissingError, Table
+from gateway.api.table import Table
 from gateway.faults.cases import cases_of
 from gateway.faults.service import as_dict
 from gateway.faults.status import Status
@@ -19,7 +19,7 @@ from gateway.runtime.app import Gateway
 from gateway.runtime.series.files import COLUMNS
 from gateway.runtime.series.rows import RESULTS, Rows
 from gateway.runtime.series.rows import Series as Which
-from gateway_fdi.errors import GatewayError, named
+from gateway_fdi.errors import GatewayError, MissingError, named
 
 _DTCS = {"dtc": str, "fault": str, "failing": bool, "confirmed": bool, "occurrence": int}
 _DTCS |= {"first_s": float, "last_s": float, "description": str, "cause": str}

@@ -78,6 +78,17 @@ class Setup:
         #: Ids of all faults that it can report, and their DTCs.
         self.faults: dict[str, str] = {one.id: str(one.dtc) for one in self._parts.catalogue}
 
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of all signals, as ``signals=`` takes them: ``Message.Signal``, after the bus if there are several."""
+        buses = [f"{bus.name}." if len(self.config.buses) > 1 else "" for bus in self.config.buses]
+        return tuple(
+            f"{bus}{message.name}.{signal.name}"
+            for bus, database in zip(buses, self._databases, strict=True)
+            for message in database
+            for signal in message.signals
+        )
+
     def __repr__(self) -> str:
         monitors = ", ".join(entry.name for entry in self.config.monitor)
         return f"Setup({self.config.name}: {len(self.faults)} faults; monitors {monitors})"
@@ -167,7 +178,12 @@ class Setup:
         Raises:
             InputError, InputErrors: the log cannot be read, is damaged, or has no frame of a configured bus.
         """
-        with self._begin(memory, series, signals, inject, seed, None, lasting=True) as session, spoken():
+        with (
+            self._begin(
+                memory, series, signals, inject, seed, None, lasting=not isinstance(log, np.ndarray)
+            ) as session,
+            spoken(),
+        ):
             if isinstance(log, np.ndarray):
                 session.feed(log)
                 return session.close()

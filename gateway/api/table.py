@@ -10,16 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.common.extras import need
-from gateway_fdi.errors import InputError, named
+from gateway_fdi.errors import MissingError, named
 
 #: Rows, and characters of a cell, that are shown.
 SHOWN, WIDEST = 20, 60
-
-
-class MissingError(InputError, KeyError):
-    """A name that is not there."""
-
-    __str__ = InputError.__str__
 
 
 class Table(Mapping[str, "NDArray[Any]"]):

@@ -74,6 +74,12 @@ class InputError(GatewayError):
         return ": ".join(part for part in (place, subject, self.message) if part)
 
 
+class MissingError(InputError, KeyError):
+    """A name that is not there: also a KeyError, so that ``in`` and ``get`` of a mapping work."""
+
+    __str__ = InputError.__str__
+
+
 class InputErrors(GatewayError):
     """Several input errors found in one pass, so that a user can mend all of them at once."""
 

@@ -182,6 +182,8 @@ WRONG = {
     "wheel": (lambda: CrankWheel("60:2"), "wheel = '60:2'"),
     "backwards": (lambda: CrankWheel("60-2").run([1.0, 0.5]), "times_s: each pulse"),
     "channels": (lambda: Voter("median", 4), "channels = 4: 2 or 3"),
+    "cause": (lambda: Diagnoser([], [Test("flow", (Link("pump", 0.9),))]), "there is no component 'pump'"),
+    "verdict": (lambda: Diagnoser([], []).update("flow", FAILED, 1), "test = 'flow': the tests are"),
     "shape": (lambda: Voter("median", 3).run(np.zeros((4, 2))), r"readings: shape \(n, 3\), not \(4, 2\)"),
     "plant": (lambda: PiBank(np.eye(2), [[1.0]], np.eye(2), 0.1, noise=1, actuator=1, sensor=1), "plant: b has 1 rows"),
     "noise": (lambda: PiBank([[0.0]], [[1.0]], [[1.0]] * 2, 0.1, noise=0, actuator=1, sensor=1), "noise = 0: above 0"),

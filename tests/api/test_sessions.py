@@ -136,6 +136,8 @@ def test_an_interrupt_leaves_nothing_behind(log, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         setup.replay(path, memory=memory, progress=stop)
+    with pytest.raises(KeyboardInterrupt):
+        api.simulate("crank_missed_tooth", progress=stop)
     assert threading.enumerate() == before
     shares = []
     assert "P0336-39" in setup.replay(path, memory=str(memory), progress=shares.append).dtcs["dtc"]  # nobody holds it
@@ -229,6 +231,14 @@ def test_thresholds_are_found_and_kept(log, tmp_path):
         setup.calibrate([log[0]])
     with pytest.raises(api.GatewayError, match="made of tables"):
         api.open(setup.config).calibrate([log[0]])
+
+
+def test_a_setup_names_its_faults_and_signals(log):
+    setup = api.open("gateway.toml")
+    assert setup.faults[MISSED] == "P0336-39"
+    name = next(name for name in setup.signals if name.startswith("CTW_PT4."))
+    run = setup.replay(log[0], signals=[name])
+    assert len(run.series[name]) > 10
 
 
 def test_paths_are_text_or_paths():
