@@ -40,7 +40,12 @@ def batch_of(messages: Messages, channels: Mapping[str, int] | None, bus: str | 
         if messages.dtype != FRAME or messages.ndim != 1:
             text = f"frames are an array of shape (n,) of gateway's FRAME, not {messages.dtype} of {messages.shape}"
             raise InputError(text, key="messages")
+        if len(messages) and int(messages["bus"].max()) >= len(buses):
+            text = f"frames of bus {int(messages['bus'].max())}; the buses are 0 to {len(buses) - 1}"
+            raise InputError(text, key="messages")
         return messages.view(FRAME)
+    if hasattr(messages, "recv"):
+        raise InputError("a bus has no end: feed its messages one by one, for message in bus", key="messages")
     listed = list(messages) if isinstance(messages, Iterable) else [messages]
     frames = empty(len(listed))
     for k, message in enumerate(listed):

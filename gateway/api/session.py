@@ -10,7 +10,7 @@ from gateway.api.messages import Messages, batch_of
 from gateway.api.observed import Observed
 from gateway.api.run import Event, Run
 from gateway.api.words import spoken
-from gateway.bus.frames import Frames, to_message
+from gateway.bus.frames import Frames, joined, to_message
 from gateway.config.channels import channels_of
 from gateway.runtime.faulty import Faulty
 from gateway.runtime.replay import Cycle, FrameConsumer
@@ -91,7 +91,8 @@ class Session:
         if self._send is None:
             self.unsent += len(frames)
             return
-        for frame in frames:
+        gateway = self._observed.gateway
+        for frame in joined([frames, gateway.poll(gateway.engine.now_ns)]):
             self._send(to_message(frame, self._buses[int(frame["bus"])]))
 
     def _refuse_if_over(self) -> None:

@@ -111,7 +111,8 @@ class Setup:
             signals: names of signals that are kept with them.
             inject: faults that are put into the messages, as ``"offset SPEED.SPEED=40 @10..12"``.
             seed: of their randomness.
-            send: is called with each message that the gateway has for the bus; None: these are only counted.
+            send: is called with each message that the gateway has for the bus: its own, answers to testers, requests to
+                ECUs (``[[ecu]]``). None: its own and its answers are only counted, and no ECU is asked.
 
         Raises:
             InputError, InputErrors: a signal or a fault that is not there.

@@ -145,12 +145,20 @@ def test_an_interrupt_leaves_nothing_behind(log, tmp_path):
     assert shares[-1] == 1.0
 
 
+def of_bus(number):
+    frames = empty(1)
+    frames["bus"] = number
+    return frames
+
+
 WRONG = {
     "an object": (lambda s, p: api.open(3), r"config = 3: a path, tables, or a Config; this is int"),
     "no file": (lambda s, p: s.replay("gone.log"), r"gone\.log: No such file"),
     "a number": (lambda s, p: s.replay(3), r"log = 3: a path, or frames"),
     "another array": (lambda s, p: s.replay(np.zeros(3)), r"messages: frames are an array"),
     "no message": (lambda s, p: s.session().feed([1]), r"messages\[0\] = 1: a message of python-can"),
+    "frames of no bus": (lambda s, p: s.replay(of_bus(3)), r"messages: frames of bus 3; the buses are 0 to 0"),
+    "an endless bus": (lambda s, p: s.session().feed(can.Bus("x", interface="virtual")), r"messages: a bus has no end"),
     "a bus": (lambda s, p: s.session().feed([], bus="pt"), r"bus = 'pt': the buses are powertrain"),
     "an injection": (lambda s, p: s.replay(p, inject=["drop Nix"]), r"inject = 'drop Nix': no message 'Nix'"),
     "one text": (lambda s, p: s.replay(p, inject="drop Nix"), r"inject = 'drop Nix': a list"),
@@ -231,6 +239,30 @@ def test_thresholds_are_found_and_kept(log, tmp_path):
         setup.calibrate([log[0]])
     with pytest.raises(api.GatewayError, match="made of tables"):
         api.open(setup.config).calibrate([log[0]])
+
+
+def test_a_session_that_failed_is_over(log):
+    with pytest.raises(ZeroDivisionError), api.open("gateway.toml").session() as session:
+        session.feed(messages(log[0])[:100])
+        raise ZeroDivisionError
+    with pytest.raises(api.GatewayError, match="closed|over"):
+        session.feed(messages(log[0])[100:200])
+    assert session.run.frames == 100
+
+
+@pytest.mark.long
+def test_ecus_are_asked_and_testers_answered_where_something_takes_the_messages():
+    sent = []
+    setup = api.open("configs/obd_port.toml")
+    with setup.session(send=sent.append) as session:
+        session.feed(can.Message(timestamp=1.0, arbitration_id=0x7FF, is_extended_id=False, data=bytes(8)))
+        for k in range(1, 300):
+            session.advance(1.0 + 0.01 * k)
+    assert {message.arbitration_id for message in sent} & {0x7DF, *range(0x7E0, 0x7E8)}
+    with setup.session() as silent:
+        silent.feed(can.Message(timestamp=1.0, arbitration_id=0x7FF, is_extended_id=False, data=bytes(8)))
+        silent.advance(4.0)
+    assert silent.unsent < len(sent)
 
 
 def test_a_setup_names_its_faults_and_signals(log):
