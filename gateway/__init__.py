@@ -1,7 +1,6 @@
-"""CAN-bus ECU diagnostic gateway: model-based fault detection with a real fault memory."""
+"""CAN-bus ECU diagnostic gateway: model-based fault detection with a real fault memory.
+
+Its Python interface is :mod:`gateway.api`.
+"""
 
 __version__ = "0.2.0"
-
-from gateway.common.postponed import postpone
-
-postpone()  # before anything here imports cantools or can-isotp

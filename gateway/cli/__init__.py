@@ -33,6 +33,7 @@ from gateway.cli.options import (
     PortOption,
     StatusOption,
 )
+from gateway.common.postponed import postpone
 from gateway_fdi.common import log
 
 app = typer.Typer(
@@ -600,6 +601,7 @@ def main() -> None:
     gc.set_threshold(20_000)
     # Its matrices have some rows: a thread of numpy's BLAS waits for work in a loop, as long as a whole start takes.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    postpone()  # before anything imports cantools or can-isotp
     install_hooks()
     try:
         app()

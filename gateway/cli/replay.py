@@ -7,13 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from gateway.bus.frames import Frames
-from gateway.bus.log_contents import Contents, contents
-from gateway.bus.ring import Recorded, read_recording
+from gateway.bus.log_contents import Contents
 from gateway.cli.events import EventPrinter
 from gateway.cli.junit import Case, of_faults, write_junit
 from gateway.cli.present import find_config, say_unless_stored
@@ -21,14 +19,15 @@ from gateway.cli.report import RunReport
 from gateway.cli.trace import Trace, only, single
 from gateway.cli.watched import Watched
 from gateway.common.extras import need
-from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.faults.status import Status
 from gateway.live.watchdog import steps_watched
 from gateway.runtime.app import Gateway
-from gateway.runtime.assemble import Parts, prepare
-from gateway.runtime.injection import Injector, parse_injection
+from gateway.runtime.assemble import prepare
+from gateway.runtime.faulty import Faulty, injectors_of
+from gateway.runtime.injection import Injector
+from gateway.runtime.log import Log
 from gateway.runtime.replay import FrameConsumer
 from gateway.runtime.replay import replay as feed
 from gateway_fdi.errors import InputError, InputErrors
@@ -69,9 +68,9 @@ def replay(
     config = _configured(path, monitor, trace=trace)
     watched = Watched(series, plot, chosen)
     printer = EventPrinter(as_json=json, log=str(log) if among else None)
-    reader = read_recording(log, channels_of(config, maps))
+    recorded = Log(log, config, maps)
     parts = prepare(config, path, extra=chosen)
-    injectors = _injectors(config, parts, injections, seed)
+    injectors = injectors_of(config, parts, injections, seed)
     gateway = Gateway(config, memory, file=path, parts=parts, lasting=True)
     printer.definition = gateway.catalogue.get
     gateway.listen(printer)
@@ -82,10 +81,10 @@ def replay(
         report = None if html is None else RunReport(html, gateway, path)
         collector = gateway if report is None else report.collector
         with watched.of(gateway, parts, collector) as consumer, steps_watched(gateway.engine):
-            fed = _Faulty(consumer, injectors, gateway) if injectors else consumer
-            damage = _feed(fed, reader, printer, log.name, traced)
+            fed = Faulty(consumer, injectors, gateway) if injectors else consumer
+            _feed(fed, recorded, printer, log.name, traced)
         seconds = time.monotonic() - begun
-        found = _found(reader, config, maps, damage, allow_empty=allow_empty, allow_cut=allow_cut)
+        found = recorded.contents(allow_empty=allow_empty, allow_cut=allow_cut)
         summary = gateway.summary(seconds)
         found.notes += [*_notes(found, config, summary, dict(zip(injections, injectors, strict=True))), *watched.notes]
         printer(found.event())
@@ -101,27 +100,6 @@ def replay(
     if lost := say_unless_stored(gateway.stored, memory):
         return lost
     return 1 if fail_on_dtc and printer.failures else 0
-
-
-def _found(
-    reader: Recorded,
-    config: Config,
-    maps: Sequence[str],
-    damage: InputError | None,
-    *,
-    allow_empty: bool,
-    allow_cut: bool,
-) -> Contents:
-    """Return what a log held that has been read."""
-    return contents(
-        reader,
-        {bus.name: bus.channel for bus in config.bus},
-        channels_of(config, maps),
-        asked=[text.rpartition("=")[0] for text in maps],
-        damage=damage,
-        allow_empty=allow_empty,
-        allow_cut=allow_cut,
-    )
 
 
 class _Failures:
@@ -181,61 +159,12 @@ def _configured(path: Path, monitor: str | None, *, trace: bool) -> Config:
     return config
 
 
-def _injectors(config: Config, parts: Parts, texts: Sequence[str], seed: int) -> list[Injector]:
-    """Return what puts the faults into the frames.
-
-    Raises:
-        InputError: a fault that is none.
-    """
-    names = [bus.name for bus in config.buses]
-    pgn = [k for k, bus in enumerate(config.bus) if bus.match == "pgn"]
-    asked = [parse_injection(text, names, parts.databases) for text in texts]
-    return [
-        Injector(one, parts.databases, parts.checks, np.random.default_rng([seed, k]), pgn=pgn)
-        for k, one in enumerate(asked)
-    ]
-
-
-class _Faulty:
-    """A gateway that is fed frames with faults in them.
-
-    Args:
-        consumer: to be fed.
-        injectors: put the faults in.
-        gateway: that is fed in the end. No log has the answers of ECUs; it makes them of frames, so their faults are
-            put in behind that.
-    """
-
-    def __init__(self, consumer: FrameConsumer, injectors: Sequence[Injector], gateway: Gateway) -> None:
-        self._gateway, self._injectors = consumer, injectors
-        self._of_answers = [each for each in injectors if each.bus >= len(gateway.config.bus)]
-        gateway.asking.alter = self._altered if self._of_answers else None
-        self.start, self.stop, self.without_own = consumer.start, consumer.stop, consumer.without_own
-
-    def feed(self, frames: Frames) -> Frames:
-        """Feed the frames with all faults."""
-        for injector in self._injectors:  # those of answers find none, and note when the log begins
-            frames = injector.apply(frames)
-        return self._gateway.feed(frames)
-
-    def _altered(self, frames: Frames) -> Frames:
-        for injector in self._of_answers:
-            frames = injector.apply(frames)
-        return frames
-
-
 def _watches(config: Config) -> bool:
     return bool(config.monitor) or any(bus.check for bus in config.bus)
 
 
-def _feed(
-    gateway: FrameConsumer,
-    reader: Recorded,
-    printer: EventPrinter,
-    name: str,
-    trace: Trace | None = None,
-) -> InputError | None:
-    """Feed a log, showing how far it is; returns what ended it early."""
+def _feed(gateway: FrameConsumer, log: Log, printer: EventPrinter, name: str, trace: Trace | None = None) -> None:
+    """Feed a log, showing how far it is."""
     columns = (TextColumn(name), BarColumn(), TextColumn("{task.fields[frames]} frames"))
     console = Console(stderr=True)
     with Progress(
@@ -245,29 +174,23 @@ def _feed(
         transient=True,
         disable=trace is not None or not console.is_terminal,
     ) as progress:
-        task = progress.add_task(name, total=reader.bytes_total, frames=0)
+        task = progress.add_task(name, total=log.reader.bytes_total, frames=0)
         seen = 0
-        damage: InputError | None = None
 
         def show(frames: Frames) -> None:
             nonlocal seen
             seen += len(frames)
-            progress.update(task, completed=reader.bytes_done, frames=seen)
+            progress.update(task, completed=log.reader.bytes_done, frames=seen)
             for step in trace.steps() if trace is not None else ():
                 printer(step)
 
         def stamped() -> Iterator[Frames]:
-            nonlocal damage
-            try:
-                for frames in reader:
-                    if not seen and not printer.start_ns and len(frames):
-                        printer.start_ns = int(frames[0]["t_ns"])
-                    if trace is None:
-                        yield frames
-                    else:  # one by one, for a look at each
-                        yield from single(frames)
-            except InputError as error:
-                damage = error
+            for frames in log:
+                if not seen and not printer.start_ns and len(frames):
+                    printer.start_ns = int(frames[0]["t_ns"])
+                if trace is None:
+                    yield frames
+                else:  # one by one, for a look at each
+                    yield from single(frames)
 
         feed(gateway, stamped(), progress=show)
-    return damage

@@ -14,6 +14,7 @@ EXTRAS = {
     "fmu": "fmpy",
     "mf4": "asammdf",
     "mqtt": "paho.mqtt",
+    "notebook": "ipykernel",
     "odx": "odxtools",
     "parquet": "pyarrow",
     "serve": "bokeh",
@@ -21,7 +22,7 @@ EXTRAS = {
     "zst": "backports.zstd",
 }
 #: Extra -> what its features import besides.
-_BESIDES = {"fleet": ("cryptography",)}
+_BESIDES = {"fleet": ("cryptography",), "notebook": ("duckdb", "matplotlib", "pandas", "pyarrow")}
 #: Extra -> what people get with it.
 PURPOSES = {
     "auth": "testers' certificates (UDS 0x29)",
@@ -29,6 +30,7 @@ PURPOSES = {
     "fmu": 'FMUs as plants (type = "fmu")',
     "mf4": "MF4 logs",
     "mqtt": "brokers (gateway mqtt)",
+    "notebook": "the notebooks of examples/notebooks",
     "odx": "layouts of answers from ODX and PDX files (gateway import)",
     "parquet": "tables of signals (gateway decode), series as Parquet (replay --signals)",
     "serve": "the page (gateway serve), reports (--html), metrics",

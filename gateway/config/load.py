@@ -99,7 +99,7 @@ def _with_environment() -> type[Config]:
     return Settings
 
 
-def _overridden(data: dict[str, Any], path: Path) -> Config:
+def _overridden(data: dict[str, Any], path: Path | None) -> Config:
     """Return a configuration with what the environment overrides."""
     from pydantic_settings import SettingsError  # noqa: PLC0415 - slow to load
 
@@ -129,12 +129,13 @@ def load_config(path: str | Path, without: Collection[tuple[int, str]] = ()) -> 
     return config_of(data, path)
 
 
-def config_of(data: dict[str, Any], path: Path) -> Config:
+def config_of(data: dict[str, Any], path: Path | None, folder: Path | None = None) -> Config:
     """Return the configuration that the tables of a file are.
 
     Args:
         data: the tables.
-        path: of the file.
+        path: of the file; None: they are of no file.
+        folder: in which the files that they name lie; None: that of the file.
 
     Raises:
         InputErrors: every key that is wrong.
@@ -143,7 +144,17 @@ def config_of(data: dict[str, Any], path: Path) -> Config:
         config = _overridden(data, path) if _environment_says_something() else Config(**data)
     except ValidationError as error:
         raise input_errors(error, path, data=data, model=Config) from error
-    folder = path.parent
+    return placed(config, path, folder)
+
+
+def placed(config: Config, path: Path | None, folder: Path | None = None) -> Config:
+    """Return a configuration whose files are found, and whose tables go together; arguments as of :func:`config_of`.
+
+    Raises:
+        InputErrors: every key that is wrong.
+    """
+    if folder is None:
+        folder = Path() if path is None else path.parent
     config = _with_catalogues(config, folder)
     for entry in config.monitor:
         entry.lie_in(folder)

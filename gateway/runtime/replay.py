@@ -25,6 +25,44 @@ class FrameConsumer(Protocol):
         """End the operation cycle."""
 
 
+class Cycle:
+    """One operation cycle of a gateway that is fed stamped frames.
+
+    Args:
+        gateway: not started yet.
+
+    Attributes:
+        count: frames that were fed.
+        now_ns: even time of the last one [ns].
+    """
+
+    def __init__(self, gateway: FrameConsumer) -> None:
+        self._gateway, self._time = gateway, LogTime()
+        self.count = self.now_ns = 0
+
+    def take(self, stamped: Frames) -> Frames:
+        """Feed a batch; returns the frames to send.
+
+        Args:
+            stamped: of FRAME, in order of time but where the clock that stamped them was set (see
+                :class:`gateway.bus.timeline.LogTime`).
+        """
+        if not len(stamped):
+            return stamped
+        frames = self._time.apply(stamped)
+        if not self.count:
+            self._gateway.start(int(frames[0]["t_ns"]))
+        sent = self._gateway.feed(self._gateway.without_own(frames))
+        self.count += len(stamped)
+        self.now_ns = int(frames[-1]["t_ns"])
+        return sent
+
+    def end(self, t_ns: int = 0) -> None:
+        """End the operation cycle, at the last frame or at a later time [ns]."""
+        if self.count:
+            self._gateway.stop(max(self.now_ns, t_ns))
+
+
 def replay(
     gateway: FrameConsumer,
     batches: Iterable[Frames],
@@ -35,27 +73,16 @@ def replay(
 
     Args:
         gateway: not started yet.
-        batches: of FRAME, in order of time but where the clock that stamped them was set (see
-            :class:`gateway.bus.timeline.LogTime`).
+        batches: see :meth:`Cycle.take`.
         progress: called after each batch.
 
     Returns:
         how many frames were fed. Frames that the gateway would have sent are not sent anywhere.
     """
-    count = 0
-    last_ns = 0
-    time = LogTime()
+    cycle = Cycle(gateway)
     for stamped in batches:
-        if not len(stamped):
-            continue
-        frames = time.apply(stamped)
-        if not count:
-            gateway.start(int(frames[0]["t_ns"]))
-        gateway.feed(gateway.without_own(frames))
-        count += len(stamped)
-        last_ns = int(frames[-1]["t_ns"])
-        if progress is not None:
+        cycle.take(stamped)
+        if progress is not None and len(stamped):
             progress(stamped)
-    if count:
-        gateway.stop(last_ns)
-    return count
+    cycle.end()
+    return cycle.count

@@ -74,6 +74,12 @@ class InputError(GatewayError):
         return ": ".join(part for part in (place, subject, self.message) if part)
 
 
+class MissingError(InputError, KeyError):
+    """A name that is not there: also a KeyError, so that ``in`` and ``get`` of a mapping work."""
+
+    __str__ = InputError.__str__
+
+
 class InputErrors(GatewayError):
     """Several input errors found in one pass, so that a user can mend all of them at once."""
 
@@ -108,6 +114,23 @@ def under(key: str, value: object = None, *, whole: bool | None = None) -> Itera
         raise InputErrors([_under(error, key, value, whole) for error in errors.errors]) from errors
     except InputError as error:
         raise _under(error, key, value, whole) from error
+
+
+@contextmanager
+def as_input(key: str, value: object = None) -> Iterator[None]:
+    """Say what mathematics refuses as an error of an argument.
+
+    Args:
+        key: name of the argument.
+        value: of it.
+
+    Raises:
+        InputError: a ValueError, or a TypeError for an argument that is not there, was raised within.
+    """
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise InputError(str(error), key=key, value=value) from error
 
 
 def _under(error: InputError, key: str, value: object, whole: bool) -> InputError:

@@ -3,6 +3,7 @@
 from gateway.plugin import Plugin
 
 PLUGIN = Plugin(
+    calls={"learn": "gateway_fleet.learn.car:learn"},
     commands={
         "learn": "gateway_fleet.commands:learn",
         "calibrate": "gateway_fleet.commands:calibrate",
@@ -10,5 +11,5 @@ PLUGIN = Plugin(
         "evaluate cause": "gateway_fleet.commands:evaluate_cause",
         "fleet run": "gateway_fleet.commands:fleet_run",
         "fleet diff": "gateway_fleet.commands:fleet_diff",
-    }
+    },
 )

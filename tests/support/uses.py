@@ -30,6 +30,11 @@ PACKAGES = (*BELOW, "gateway_pytest")
 USES = {
     "fleet": ("gateway_fleet",),
     "pytest_plugin": (_BENCH,),
+    "api/test_arrays.py": ("structural",),
+    "api/test_docs.py": ("crank", "pedal", "linear", "structural", _BENCH, "gateway_fleet"),
+    "api/test_notebooks.py": ("crank", "pedal", "linear", "structural", "gateway_fleet"),
+    "api/test_sessions.py": ("crank", "structural", _BENCH, "gateway_fleet"),
+    "api/test_surface.py": ("crank", "pedal", "linear"),
     "cli/test_wheel.py": ("crank", "gateway_fleet"),
     "cli/test_measure.py": ("crank",),
     "bus/test_bounds.py": ("crank",),

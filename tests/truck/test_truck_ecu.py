@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.bus.frames import payload
+from gateway.signals import framed as encode
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.protection import message_of, protect
 from gateway_bench.vecu.scenario import load_scenario
-from gateway_bench.wire import encode
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputErrors
 from gateway_fdi.jit import COMPILED

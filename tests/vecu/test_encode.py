@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import payload
+from gateway.signals.framed import frames_of
 from gateway.signals.protection.own import prepared
 from gateway.signals.protection.protection import protect_all
-from gateway_bench.wire.encode import frames_of
 from gateway_fdi.common.resources import shipped
 
 CRCS = {"PED_Brake": "Crc", "PED_Brake3": "Crc", "PED_Accelerator": "Crc"}

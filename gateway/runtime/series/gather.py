@@ -8,13 +8,13 @@ result is what its test said last.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import Frames, empty
+from gateway.bus.frames import Frames, joined
 from gateway.faults.status import Status
 from gateway.monitors.contract import FAILED, PASSED, Quantities
 from gateway.runtime.app import Gateway
@@ -131,20 +131,29 @@ class Gatherer:
 
     def feed(self, frames: Frames) -> Frames:
         """Take a batch of frames, one by one and each timer by itself; returns the frames to send."""
-        sent = []
-        clock = self._engine.tables.clock[0]
+        sent: list[Frames] = []
         for k in range(len(frames)):
-            t_ns = int(frames[k]["t_ns"])
-            due = int(clock["deadline_ns"])
-            while clock["started"] and due <= t_ns:
-                sent.append(self._fed.advance(due))
-                self._look()
-                before, due = due, int(clock["deadline_ns"])
-                if due <= before:
-                    break
+            sent += self._until(int(frames[k]["t_ns"]))
             sent.append(self._fed.feed(frames[k : k + 1]))
             self._look()
-        return np.concatenate([each for each in sent if len(each)] or [empty(0)])
+        return joined(sent)
+
+    def advance(self, t_ns: int) -> Frames:
+        """Let time pass, each timer by itself; returns the frames to send."""
+        sent = [*self._until(t_ns), self._fed.advance(t_ns)]
+        self._look()
+        return joined(sent)
+
+    def _until(self, t_ns: int) -> Iterator[Frames]:
+        """Have each timer that is due by then take its turn."""
+        clock = self._engine.tables.clock[0]
+        due = int(clock["deadline_ns"])
+        while clock["started"] and due <= t_ns:
+            yield self._fed.advance(due)
+            self._look()
+            before, due = due, int(clock["deadline_ns"])
+            if due <= before:
+                break
 
     def close(self) -> None:
         """Hand on what is left."""

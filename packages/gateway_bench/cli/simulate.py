@@ -17,12 +17,10 @@ from gateway.bus.uri import open_bus
 from gateway.cli.events import EventPrinter
 from gateway.cli.junit import write_junit
 from gateway.cli.lines import wrapped
-from gateway.cli.present import find_scenario, print_json, say
+from gateway.cli.present import print_json, say
 from gateway.cli.report import RunReport
 from gateway.cli.run import Ending
 from gateway.common.extras import need
-from gateway.config.load import load_config
-from gateway.config.model import Config
 from gateway.host import process
 from gateway.live.watchdog import steps_watched
 from gateway.runtime.app import Gateway
@@ -32,10 +30,10 @@ from gateway_bench.cli.junit_scenario import of_findings, stopped
 from gateway_bench.cli.report import write_scenario
 from gateway_bench.cli.story import Story
 from gateway_bench.drive import drive
-from gateway_bench.playing import player_of
+from gateway_bench.playing import opened
 from gateway_bench.vecu.expectations import Finding, Judge
 from gateway_bench.vecu.player import Player
-from gateway_bench.vecu.scenario import Scenario, load_scenario
+from gateway_bench.vecu.scenario import Scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import GatewayError, InputError
 
@@ -47,16 +45,6 @@ INSIDE = "inside"
 LATE_S = 0.02
 #: Least standstill that is told [s].
 TOLD_S = 0.1
-
-
-def _open(name: Path, seed: int | None, *, stepwise: bool = False) -> tuple[Scenario, Config, Player]:
-    file = find_scenario(name)
-    scenario = load_scenario(file)
-    config = load_config(scenario.config)
-    try:
-        return scenario, config, player_of(scenario, config, seed=seed, stepwise=stepwise)
-    except InputError as error:
-        raise error.within(file) from error
 
 
 def _finding_event(finding: Finding) -> dict[str, Any]:
@@ -82,7 +70,7 @@ def demo(
 
 
 def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, shown: DemoPage | None = None) -> int:
-    scenario, config, player = _open(scenario_name, seed)
+    scenario, config, player = opened(scenario_name, seed)
     gateway = Gateway(config, None if shown is None else shown.memory, file=scenario.config)
     story = None if json else Story(scenario, player, gateway)
     printer = EventPrinter(as_json=True) if story is None else story
@@ -164,7 +152,7 @@ def simulate(
         if bus != INSIDE:
             raise InputError(f"of a gateway in this process: --bus {INSIDE}", key="--html")
     stop = Ending(starting=128 + signal.SIGTERM)
-    scenario, config, player = _open(scenario_name, seed, stepwise=control is not None)
+    scenario, config, player = opened(scenario_name, seed, stepwise=control is not None)
     check = check or junit is not None
     junit_file = _JunitFile(junit, scenario, player, [file for file in (record, html) if file is not None])
     say(f"{scenario.name}: {scenario.duration_s} s, seed {player.seed}")

@@ -17,6 +17,7 @@ from gateway_fdi.diagnosis.cluster import Cluster
 from gateway_fdi.diagnosis.search import Bounds, solve
 from gateway_fdi.diagnosis.state import FAILED, Sized, State
 from gateway_fdi.diagnosis.system import Component, System, Test
+from gateway_fdi.errors import MissingError, named
 
 
 class Diagnoser:
@@ -33,7 +34,7 @@ class Diagnoser:
         solved: groups that have been looked at so far: the work that was done.
 
     Raises:
-        ValueError: a name that is there twice or not at all, a probability that is none.
+        InputError: a name that is there twice or not at all, a probability that is none.
     """
 
     def __init__(self, components: Sequence[Component], tests: Sequence[Test], bounds: Bounds | None = None) -> None:
@@ -56,13 +57,19 @@ class Diagnoser:
             residual: of the test, signed, in the unit of its noise; NaN: not known.
 
         Raises:
-            KeyError: there is no such test.
+            MissingError: there is no such test.
         """
-        place = self.system.test_place[test]
+        place = self._place(test)
         changed = self.state.update(place, verdict, t_ns, residual)
         if changed:
             self._touched.add(place)
         return changed
+
+    def _place(self, test: str) -> int:
+        place = self.system.test_place.get(test)
+        if place is None:
+            raise MissingError(named("the tests are", test, self.system.test_place), key="test", value=test)
+        return place
 
     def pass_first(self, places: NDArray[np.int64], t_ns: NDArray[np.int64]) -> bool:
         """Take first passes of tests, in order of time; returns False, and takes none, if any was tested before.
@@ -82,9 +89,9 @@ class Diagnoser:
         """Take what a test says of sizes at its operating point, None: nothing.
 
         Raises:
-            KeyError: there is no such test.
+            MissingError: there is no such test.
         """
-        place = self.system.test_place[test]
+        place = self._place(test)
         if self.state.size(place, sized):
             self._touched.add(place)
 
@@ -115,6 +122,18 @@ class Diagnoser:
             self.solved += 1
         self._answer = tuple(self._groups[key] for key in sorted(self._groups))
         return self._answer
+
+    def causes(self) -> list[tuple[tuple[str, ...], float]]:
+        """Return what explains the tests that fail, by names, with its probability; of each group the likeliest first.
+
+        No component: they are false alarms.
+        """
+        names = [component.name for component in self.system.components]
+        return [
+            (tuple(names[place] for place in one.components), one.probability)
+            for group in self.diagnose()
+            for one in group.diagnoses
+        ]
 
     def _stale(self) -> set[int] | None:
         """Return tests whose groups are to be looked at again; None: no group is touched."""

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway_fdi.errors import InputError
+
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
@@ -99,7 +101,7 @@ class System:
         link_test, link_component, power, gain: of each link, tests one after the other, shape (links,).
 
     Raises:
-        ValueError: a name that is there twice or not at all, a probability that is none.
+        InputError: a name that is there twice or not at all, a probability that is none.
     """
 
     def __init__(self, components: Sequence[Component], tests: Sequence[Test]) -> None:
@@ -119,7 +121,7 @@ class System:
             _refuse_twice(test)
             for link in test.links:
                 if link.component not in self.place:
-                    raise ValueError(f"test {test.name}: there is no component {link.component!r}")
+                    raise InputError(f"test {test.name}: there is no component {link.component!r}")
                 places.append(self.place[link.component])
                 power.append(_share(test.name, f"power for {link.component}", link.power))
                 gain.append(link.gain)
@@ -155,7 +157,7 @@ def _places(what: str, names: Iterable[str]) -> dict[str, int]:
     places: dict[str, int] = {}
     for name in names:
         if name in places:
-            raise ValueError(f"two {what}s are called {name}")
+            raise InputError(f"two {what}s are called {name}")
         places[name] = len(places)
     return places
 
@@ -163,25 +165,25 @@ def _places(what: str, names: Iterable[str]) -> dict[str, int]:
 def _prior(one: Component) -> float:
     prior = PRIORS.get(one.kind, OTHER_PRIOR) if one.prior is None else one.prior
     if not 0.0 < prior <= 0.5:
-        raise ValueError(f"component {one.name}: prior = {prior}: above 0, at most 0.5")
+        raise InputError(f"component {one.name}: prior = {prior}: above 0, at most 0.5")
     return prior
 
 
 def _share(test: str, what: str, value: float) -> float:
     if not 0.0 < value < 1.0:
-        raise ValueError(f"test {test}: {what} = {value}: above 0, below 1")
+        raise InputError(f"test {test}: {what} = {value}: above 0, below 1")
     return value
 
 
 def _delay(test: Test) -> int:
     if not 0.0 <= test.delay_s <= 1e9:
-        raise ValueError(f"test {test.name}: delay_s = {test.delay_s}: 0 to 1e9 s")
+        raise InputError(f"test {test.name}: delay_s = {test.delay_s}: 0 to 1e9 s")
     if test.noise <= 0.0 or not 0.0 <= test.gain_error <= 1.0:
-        raise ValueError(f"test {test.name}: noise above 0, or NaN; gain_error 0 to 1")
+        raise InputError(f"test {test.name}: noise above 0, or NaN; gain_error 0 to 1")
     return round(test.delay_s * 1e9)
 
 
 def _refuse_twice(test: Test) -> None:
     names = [link.component for link in test.links]
     if len(set(names)) < len(names):
-        raise ValueError(f"test {test.name}: a component is linked twice")
+        raise InputError(f"test {test.name}: a component is linked twice")

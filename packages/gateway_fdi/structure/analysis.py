@@ -74,6 +74,10 @@ class Analysis:
     candidates: Candidates
     beyond: int = 0
 
+    def __repr__(self) -> str:
+        more = f", more than {self.beyond} exist" if self.beyond else ""
+        return f"Analysis({self.model.name}: {len(self.msos)} MSO sets{more}, {len(self.candidates)} candidates)"
+
     @property
     def left_out(self) -> str:
         """Parts that were not looked at, in words; empty: none."""

@@ -31,13 +31,14 @@ from __future__ import annotations
 
 import keyword
 from collections.abc import Iterable, Mapping
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from pydantic import Field
 
 from gateway_fdi.common.resources import all_shipped, beside_or_shipped, shipped
-from gateway_fdi.common.tomlfile import StrictModel, load, read_toml
+from gateway_fdi.common.tomlfile import StrictModel, load, read_toml, validate
 from gateway_fdi.errors import InputError, InputErrors, nearest
 from gateway_fdi.structure.model import (
     Equation,
@@ -302,13 +303,19 @@ class _Reader:
             raise InputError(str(error), file=self.file) from error
 
 
-def load_model(path: Path) -> Model:
+def load_model(source: str | PathLike[str] | Mapping[str, Any]) -> Model:
     """Read a structural model; its name is the file's.
+
+    Args:
+        source: the file, or its tables.
 
     Raises:
         InputError: the file is not readable, or the model makes no sense; names what.
         InputErrors: every key that is wrong.
     """
+    if isinstance(source, Mapping):
+        return _Reader(validate(dict(source), ModelFile, None), None).model("model")
+    path = Path(source)
     return _Reader(load(path, ModelFile), path).model(path.stem)
 
 

@@ -180,6 +180,15 @@ class Model:
     def __post_init__(self) -> None:
         _check(self)
 
+    def __repr__(self) -> str:
+        counted = (
+            (self.equations, "equations"),
+            (self.unknowns, "unknowns"),
+            (self.knowns, "knowns"),
+            (self.faults, "faults"),
+        )
+        return f"Model({self.name}: {', '.join(f'{len(some)} {what}' for some, what in counted)})"
+
     @cached_property
     def by_name(self) -> Mapping[str, Equation]:
         """Equations by their names."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from math import isnan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -17,18 +17,15 @@ from rich.table import Table
 from gateway.bus.corpus import find
 from gateway.calibration import cusum, plants, sensors, stopping
 from gateway.calibration.earlier import load_afresh
-from gateway.calibration.file import write
-from gateway.calibration.logs import digest, of_kind, refuse
+from gateway.calibration.logs import refuse
+from gateway.calibration.whole import Found, Targets, anything, as_dict, calibrate, keep
 from gateway.cli.present import print_json, say, wide_console
 from gateway.common.extras import need
-from gateway.config.model import Config
-from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
 from gateway_fdi.errors import InputError
 from gateway_fdi.stopping import assured
 
 if TYPE_CHECKING:
     from gateway_fleet.fleet.healthy import Answer
-    from gateway_fleet.fleet.verdicts import Row
 
 #: Time between two lines of progress [s].
 PERIOD_S = 5.0
@@ -146,31 +143,6 @@ def _plant_claim(plant: plants.Plant) -> str:
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """Request of the command line.
-
-    Attributes:
-        config: the configuration's file.
-        logs: healthy logs.
-        mtfa: target of the mean time between false alarms [s], for stopping rules.
-        margin: largest healthy T over its threshold, for CUSUM tests.
-        floor: least threshold of these [nu].
-        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
-        into: file that gets the thresholds, None: none.
-        json: whether the output is for programs.
-    """
-
-    config: Path
-    logs: list[Path]
-    mtfa: float
-    margin: float
-    floor: float
-    maps: Sequence[str]
-    into: Path | None
-    json: bool
-
-
-@dataclass(frozen=True)
 class _Fleet:
     """How the logs of a fleet are read.
 
@@ -185,90 +157,12 @@ class _Fleet:
     workers: int | None
 
 
-@dataclass(frozen=True)
-class _Learned:
-    """Findings of the logs: of stopping rules, of CUSUM tests, None where a configuration has none of these.
-
-    Attributes:
-        levels: largest levels of stopping rules.
-        proposals: thresholds for them.
-        tests: of CUSUM tests, with thresholds.
-        plants: of linear plants, with matrices.
-        sensors: of redundant sensors, with what they are like.
-        data: names of the logs' contents.
-        logs: how many they are.
-        left_out: rows of logs that nothing was learnt from.
-        read: logs that were read; the others had been before.
-    """
-
-    levels: stopping.Levels | None
-    proposals: list[stopping.Proposal]
-    tests: cusum.Found | None
-    plants: list[plants.Plant]
-    sensors: list[sensors.Sensors]
-    data: str
-    logs: int
-    left_out: Sequence[Row] = ()
-    read: int = 0
-
-    @property
-    def seconds(self) -> float:
-        """Length of the logs [s]."""
-        return max(part.seconds for part in (self.levels, self.tests, *self.plants, *self.sensors) if part is not None)
-
-    @property
-    def failed(self) -> tuple[str, ...]:
-        """DTCs that the logs set."""
-        parts = (part for part in (self.levels, self.tests, *self.sensors) if part is not None)
-        return tuple(sorted({dtc for part in parts for dtc in part.failed}))
-
-
-def _any(config: Config) -> bool:
-    """Return whether logs can set anything of a configuration."""
-    rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
-    return bool(rules or tests or of_kind(config, Refinement) or of_kind(config, SensorCalibration))
-
-
-def _learn(asked: _Asked) -> _Learned:
-    """Run the logs through a gateway, and propose thresholds.
-
-    Raises:
-        InputError: the configuration has nothing to calibrate.
-    """
-    config = load_afresh(asked.config, told=True)
-    rules, tests = of_kind(config, Calibration), of_kind(config, CusumCalibration)
-    models = of_kind(config, Refinement)
-    redundant = of_kind(config, SensorCalibration)
-    if not _any(config):
-        raise refuse("thresholds", asked.config)
+def _learn(file: Path, logs: list[Path], targets: Targets, maps: Sequence[str]) -> Found:
+    """Calibrate in this process, and show how far it is."""
     columns = (TextColumn("frames"), BarColumn(), TextColumn("{task.completed}"))
-    levels, found = None, None
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("frames", total=None)
-
-        def progress(count: int) -> None:
-            bar.advance(task, count)
-
-        if rules:
-            levels = stopping.levels(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
-        if tests:
-            found = cusum.learn(
-                config,
-                asked.logs,
-                margin=asked.margin,
-                floor=asked.floor,
-                file=asked.config,
-                maps=asked.maps,
-                progress=progress,
-            )
-        refined = []
-        if models:
-            refined = plants.learn(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
-        measured = []
-        if redundant:
-            measured = sensors.learn(config, asked.logs, file=asked.config, maps=asked.maps, progress=progress)
-    proposals = stopping.calibrate(config, levels, asked.mtfa) if levels else []
-    return _Learned(levels, proposals, found, refined, measured, digest(asked.logs), len(asked.logs))
+        return calibrate(file, logs, targets, maps, lambda count: bar.advance(task, count))
 
 
 class _Told:
@@ -291,7 +185,9 @@ class _Told:
         say(f"{answer.ask.kind}: {left} logs left")
 
 
-def _learn_of_fleet(asked: _Asked, fleet: _Fleet) -> _Learned:
+def _learn_of_fleet(
+    file: Path, logs: list[Path], targets: Targets, maps: Sequence[str], fleet: _Fleet, *, silent: bool
+) -> Found:
     """Have workers run the logs through gateways, and propose thresholds.
 
     Raises:
@@ -304,92 +200,37 @@ def _learn_of_fleet(asked: _Asked, fleet: _Fleet) -> _Learned:
 
     if fleet.scheduler is not None and fleet.workers is not None:
         raise InputError("a scheduler has workers of its own", key="--workers", value=fleet.workers)
-    config = load_afresh(asked.config, told=True)
-    if not _any(config):
-        raise refuse("thresholds", asked.config)
+    config = load_afresh(file, told=True)
+    if not anything(config):
+        raise refuse("thresholds", file)
     found = healthy.learn(
-        asked.config,
-        find(asked.logs),
+        file,
+        find(logs),
         fleet.out,
         Workers(fleet.scheduler, default_workers() if fleet.workers is None else fleet.workers),
-        margin=asked.margin,
-        floor=asked.floor,
-        maps=tuple(asked.maps),
-        told=_Told(silent=asked.json),
+        margin=targets.margin,
+        floor=targets.floor,
+        maps=tuple(maps),
+        told=_Told(silent=silent),
     )
-    proposals = stopping.calibrate(config, found.levels, asked.mtfa) if found.levels else []
-    return _Learned(
+    proposals = stopping.calibrate(config, found.levels, targets.mtfa_s) if found.levels else []
+    return Found(
         found.levels, proposals, found.tests, found.plants, found.sensors,
         found.data, found.logs, found.left_out, found.read,
     )  # fmt: skip
 
 
-def _write(asked: _Asked, learned: _Learned, into: Path) -> None:
-    """Write the thresholds into a configuration, with their source.
-
-    Raises:
-        InputError: the file cannot be written, or would not find what lies beside the configuration.
-    """
-    source = f"{learned.seconds:.0f} s of healthy logs, sha256 {learned.data}"
-    if into.absolute() != asked.config.absolute():
-        if into.absolute().parent != asked.config.absolute().parent:
-            text = "is to lie beside the configuration, whose databases are named from there"
-            raise InputError(text, key="--write-to", value=str(into))
-        into.write_text(asked.config.read_text())
-    if learned.levels:
-        tables = stopping.tables(learned.proposals)
-        write(into, tables, f"{source}, target {asked.mtfa:.0f} s")
-    if learned.tests:
-        criteria = f"margin {asked.margin:g}, floor {asked.floor:g} nu"
-        write(into, learned.tests.tables, f"{source}, {criteria}")
-    if learned.plants:
-        plants.write(into, learned.plants, source)
-    if learned.sensors:
-        sensors.write(into, learned.sensors, source)
-
-
-def _data(asked: _Asked, learned: _Learned) -> dict[str, Any]:
-    """Return what was found, for programs."""
-    said: dict[str, Any] = {
-        "seconds": learned.seconds,
-        "data": learned.data,
-        "logs": learned.logs,
-        "left_out": [{name: row[name] for name in ("path", "kind", "text")} for row in learned.left_out],
-        "failed": list(learned.failed),
-    }
-    if learned.levels:
-        said |= {"target_s": asked.mtfa, "rows": [asdict(p) for p in learned.proposals]}
-    if learned.tests:
-        said |= {"margin": asked.margin, "floor": asked.floor}
-        said["cusum"] = [asdict(row) | {"margin": row.margin} for row in learned.tests.rows]
-    if learned.plants:
-        said["plants"] = [
-            {"monitor": p.monitor, "seconds": p.seconds, "fit": list(p.fit), "rows": [list(row) for row in p.rows]}
-            for p in learned.plants
-        ]
-    if learned.sensors:
-        said["sensors"] = [
-            {
-                "monitor": one.monitor,
-                "seconds": one.seconds,
-                "rows": [[None if isinstance(v, float) and isnan(v) else v for v in row] for row in one.rows],
-            }
-            for one in learned.sensors
-        ]
-    return said | {"assured_s": assured(learned.seconds, 0)}
-
-
-def _show(asked: _Asked, learned: _Learned, console: Console) -> None:
+def _show(targets: Targets, learned: Found, console: Console) -> None:
     """Print what was found, for people."""
     lines = _alarmed(learned.failed)
     if learned.levels:
         console.print(_table(learned.proposals))
-        lines = _claim(learned.levels.seconds, asked.mtfa) + lines
+        lines = _claim(learned.levels.seconds, targets.mtfa_s) + lines
         if any(p.beyond > 1.0 for p in learned.proposals):
             lines.append("* extrapolated: this symptom's share of the target is longer than the logs")
     if learned.tests:
         console.print(_cusum_table(learned.tests.rows))
-        lines = _cusum_claim(learned.tests, asked.margin, asked.floor) + lines
+        lines = _cusum_claim(learned.tests, targets.margin, targets.floor) + lines
     for plant in learned.plants:
         console.print(_plant_table(plant))
         lines.append(_plant_claim(plant))
@@ -428,24 +269,23 @@ def calibrate_logs(
         maps: channels of the logs taken as buses.
         json: the output is for programs.
     """
+    targets = Targets(mtfa, margin, floor)
     if parts is None:
         for key, value in (("--scheduler", scheduler), ("--workers", workers)):
             if value is not None:
                 raise InputError("goes with --parts, the folder of what each log said", key=key, value=value)
-        paths = [recording.path for recording in find(logs)]
-        asked = _Asked(config_path, paths, mtfa, margin, floor, maps, into, json)
-        learned = _learn(asked)
+        learned = _learn(config_path, [recording.path for recording in find(logs)], targets, maps)
     else:
-        asked = _Asked(config_path, [Path(log) for log in logs], mtfa, margin, floor, maps, into, json)
-        learned = _learn_of_fleet(asked, _Fleet(parts, scheduler, workers))
+        fleet = _Fleet(parts, scheduler, workers)
+        learned = _learn_of_fleet(config_path, [Path(log) for log in logs], targets, maps, fleet, silent=json)
     if into is not None:
-        _write(asked, learned, into)
+        keep(config_path, targets, learned, into)
     code = 2 if any(row["kind"] in _FAILED for row in learned.left_out) else 0
     if json:
-        print_json(_data(asked, learned) | {"written": into is not None})
+        print_json(as_dict(targets, learned) | {"written": into is not None})
         return code
     console = wide_console()
-    _show(asked, learned, console)
+    _show(targets, learned, console)
     if parts is not None:
         said = f"{learned.logs} logs, {learned.read} of them read now, {len(learned.left_out)} left out"
         console.print(f"{said} (kept in {parts})", soft_wrap=True)

@@ -25,10 +25,9 @@ import numpy as np
 from gateway import __version__
 from gateway.bus.corpus import DIGITS, Recording
 from gateway.bus.frames import Frames
-from gateway.bus.log_contents import Contents, contents
-from gateway.bus.ring import Recorded, read_recording
+from gateway.bus.log_contents import Contents
+from gateway.bus.ring import Recorded
 from gateway.common.jsonlines import line
-from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.faults.cases import named
@@ -37,6 +36,7 @@ from gateway.faults.explained import Cause
 from gateway.faults.records import Record
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
+from gateway.runtime.log import Log
 from gateway.runtime.replay import replay
 from gateway_fdi.common.tomlfile import texts_in
 from gateway_fdi.errors import GatewayError, InputError
@@ -264,29 +264,16 @@ class _Span:
 
 def _judged(setup: Setup, config: Config, recording: Recording, log: str, before: str) -> Verdict:
     """Replay a recording; returns its rows. A memory that is carried stands beside the verdicts afterwards."""
-    channels = channels_of(config, setup.maps)
-    reader = read_recording(recording.path, channels)
+    recorded = Log(recording.path, config, setup.maps)
     watch, span = _Watch(), _Span()
-    damage: InputError | None = None
-
-    def batches() -> Iterator[Frames]:
-        nonlocal damage
-        try:
-            yield from reader
-        except InputError as error:
-            damage = error
-
     with ExitStack() as stack:
         memory = _begin_memory(setup, log, before)
         gateway = Gateway(config, memory, file=setup.config, lasting=True)
         stack.callback(gateway.close)
         old = {record.id: record for record in gateway.store.load()}
         gateway.listen(watch)
-        replay(gateway, batches(), progress=span)
-        found = contents(
-            reader, {bus.name: bus.channel for bus in config.bus}, channels, damage=damage, allow_cut=False
-        )
-        verdict = _rows(gateway, recording, log, reader, found, watch, span, old)
+        replay(gateway, recorded, progress=span)
+        verdict = _rows(gateway, recording, log, recorded.reader, recorded.contents(named=False), watch, span, old)
     if memory is not None:
         _keep_memory(memory, _memory(setup, log))
     return verdict

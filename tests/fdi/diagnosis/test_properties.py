@@ -11,6 +11,7 @@ from gateway_fdi.diagnosis.diagnoser import Diagnoser
 from gateway_fdi.diagnosis.search import Bounds
 from gateway_fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
 from gateway_fdi.diagnosis.system import Component, Link, Test
+from gateway_fdi.errors import InputError
 
 SEED = 4713
 
@@ -281,12 +282,12 @@ def test_a_search_that_is_cut_off_has_a_diagnosis_and_is_not_certain():
     ],
 )
 def test_what_is_wrong_is_named(components, tests, text):
-    with pytest.raises(ValueError, match=text):
+    with pytest.raises(InputError, match=text):
         Diagnoser([Component(name) for name in components], tests)
 
 
 def test_a_prior_is_a_probability():
-    with pytest.raises(ValueError, match=r"component a: prior = 0.6: above 0, at most 0.5"):
+    with pytest.raises(InputError, match=r"component a: prior = 0.6: above 0, at most 0.5"):
         Diagnoser([Component("a", prior=0.6)], [])
 
 

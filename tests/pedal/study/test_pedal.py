@@ -12,8 +12,9 @@ from once import once
 from typer.testing import CliRunner
 
 from gateway.cli import app
+from gateway_plants.pedal.arrays import Voted
 from gateway_plants.pedal.study.cases import IDEAL, NOISY, SPAN, TEN_BIT, UNCLIPPED, Case, make, oracle
-from gateway_plants.pedal.study.follow import VOTERS, Followed, follow
+from gateway_plants.pedal.study.follow import VOTERS, follow
 from gateway_plants.pedal.study.outside import faults as outside
 from gateway_plants.pedal.study.outside import sensors
 from gateway_plants.pedal.study.table import (
@@ -250,13 +251,13 @@ def test_the_judge_can_fail():
     run = make(Case("dead", onset=300), NOISY, 1)
     n = len(run.truth)
     ones = np.ones(n, np.int64)
-    bad = judge(run, Followed(run.readings[:, 0], ones, 2 * ones, 0 * ones), 2, 0.002)
+    bad = judge(run, Voted(run.readings[:, 0], ones, 2 * ones, 0 * ones), 2, 0.002)
     assert bad["latched"]
     assert bad["false_isolations"]
     assert not bad["isolations"]
     assert bad["rejected"] > 0.5
     assert bad["accepted"] > 0.5
-    good = judge(run, Followed(run.truth, 2 * ones, ones, 0 * ones), 2, 0.002)
+    good = judge(run, Voted(run.truth, 2 * ones, ones, 0 * ones), 2, 0.002)
     assert good["iae"] == 0
     assert not good["latched"]
     assert good["isolations"]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import Frames
 from gateway.signals.bits import mask_of
 from gateway.signals.columns import limits
+from gateway.signals.framed import framed, parents_first, payloads
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill
 from gateway.signals.tables import signal_row
 from gateway_bench.vecu.contract import EcuFault, Run, Truth, VirtualEcu
@@ -20,7 +21,6 @@ from gateway_bench.vecu.restbus.courses import Course
 from gateway_bench.vecu.restbus.params import RestbusParams
 from gateway_bench.vecu.restbus.selection import Sent, sent
 from gateway_bench.vecu.restbus.signals import Courses
-from gateway_bench.wire.encode import framed, parents_first, payloads
 from gateway_fdi.common.tomlfile import key_path
 from gateway_fdi.errors import InputError
 

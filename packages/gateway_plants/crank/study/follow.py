@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.monitors.contract import FAILED
 from gateway_fdi.jit import kernel, zeros
-from gateway_plants.crank.monitor import adaptive, place
+from gateway_plants.crank.arrays import collect, track
+from gateway_plants.crank.monitor import place
 from gateway_plants.crank.monitor.monitor import MONITOR, Params
 from gateway_plants.crank.study import constant_speed
 from gateway_plants.crank.study.peers import PEER, ratio, threshold
@@ -51,38 +51,6 @@ class Followed:
 
 
 @kernel
-def _collect(out: Any, n: int, pulse: int, reports: Any) -> int:
-    """Append what failed at a pulse to the reports; returns how many there are."""
-    for j in range(out.n):
-        r = out.results[j]
-        if r.result == FAILED and n < reports.shape[0]:
-            reports[n, 0], reports[n, 1] = pulse, r.fault
-            reports[n, 2], reports[n, 3] = r.cells[0], r.cells[1]
-            n += 1
-    return n
-
-
-@kernel
-def _adaptive(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: Any) -> int:
-    n = k = 0
-    while k < y.shape[0]:
-        taken = adaptive.regular(s, c, y, k, y.shape[0])
-        told = s.placed > place.NOT_TOLD
-        for j in range(taken):
-            teeth[k + j] = s.index - taken + 1 + j
-            proven[k + j] = told
-        k += taken
-        if k < y.shape[0]:
-            out.n = 0
-            adaptive.tooth(s, c, y[k], out)
-            teeth[k] = s.index if s.phase != place.SEARCHING else -1
-            proven[k] = place.proven(s)
-            k += 1
-            n = _collect(out, n, k, reports)
-    return n
-
-
-@kernel
 def _paper(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: Any) -> int:
     n = 0
     for k in range(y.shape[0]):
@@ -90,7 +58,7 @@ def _paper(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: A
         constant_speed.tooth(s, c, y[k], out)
         teeth[k] = s.index if s.phase != constant_speed.SEARCH else -1
         proven[k] = s.phase == constant_speed.TRACK
-        n = _collect(out, n, k + 1, reports)
+        n = collect(out, n, k + 1, reports)
     return n
 
 
@@ -136,7 +104,7 @@ def follower(
             s, c = zeros(1, place.State), zeros(1, place.Const)
             place.prepare(s[0], c[0], wheel, defaults.acceleration, defaults.runout, defaults.reversal_rpm)
             c[0]["told"] = report_reversal
-            n = _adaptive(s[0], c[0], out[0], y, teeth, proven, reports)
+            n = track(s[0], c[0], out[0], y, teeth, proven, reports)
             reversals = int(s[0]["reversal"]["total"])
         elif method == "paper":
             s, c = zeros(1, constant_speed.State), zeros(1, constant_speed.Const)

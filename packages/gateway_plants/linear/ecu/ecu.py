@@ -11,9 +11,9 @@ from cantools.database.can.signal import Signal
 from numpy.typing import ArrayLike
 
 from gateway.bus.frames import Frames, empty
+from gateway.signals import framed as encode
 from gateway.signals.database import Database, load_database
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
-from gateway_bench.wire import encode
 from gateway_fdi.common.resources import all_shipped, shipped
 from gateway_fdi.errors import InputError, nearest, under
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi.jit import kernel, zeros
+from gateway_plants.linear.arrays import Found, walk
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams, Swing
 from gateway_plants.linear.ecu.plant import simulate
 from gateway_plants.linear.pi_bank import isolation
@@ -22,25 +23,6 @@ Array = NDArray[np.float64]
 FEEDBACK = ((0.234, -0.429, 1.234, -1.06), (0.183, 0.005, -0.23, 0.446))
 #: Mean time between false alarms that is asked for [s].
 MTFA = 1e6
-
-
-@dataclass(frozen=True)
-class Found:
-    """What was found at each sample.
-
-    Attributes:
-        actuators: flags, shape (n, 2).
-        sensors: flags, shape (n, 3).
-        fault: sizes of the actuators' faults, shape (n, 2).
-        offset: of the sensors', shape (n, 3).
-        unexplained: shape (n,).
-    """
-
-    actuators: NDArray[np.int64]
-    sensors: NDArray[np.int64]
-    fault: Array
-    offset: Array
-    unexplained: NDArray[np.int64]
 
 
 def noise() -> Noise:
@@ -78,27 +60,6 @@ def records(start_s: float, *, known: bool) -> tuple[Any, Any]:
 
 #: Samples of a long flight whose noise is drawn at a time.
 PORTION = 100_000
-
-
-@kernel
-def _walk(s: Any, c: Any, y: Any, u: Any, flags: Any, sizes: Any) -> None:
-    """Step through samples; ``flags``: actuators, sensors, unexplained; ``sizes``: of actuators, sensors."""
-    for t in range(y.shape[0]):
-        isolation.step(s, c, y[t], u[t])
-        for i in range(2):
-            flags[t, i] = s.actuator[i]
-            sizes[t, i] = s.fault[i]
-        for j in range(3):
-            flags[t, 2 + j] = 1 if s.latched == j and s.suspect.confirmed == 1 else 0
-            sizes[t, 2 + j] = s.offset[j]
-        flags[t, 5] = s.unexplained
-
-
-def walk(s: Any, c: Any, y: Array, u: Array) -> Found:
-    """Step a bank through samples y (n, 3) with commands u (n, 2)."""
-    flags, sizes = np.zeros((len(y), 6), np.int64), np.zeros((len(y), 5))
-    _walk(s, c, y, u, flags, sizes)
-    return Found(flags[:, :2], flags[:, 2:5], sizes[:, :2], sizes[:, 2:], flags[:, 5])
 
 
 def drive(noise_std: float, *, stable: bool) -> LinearParams:

@@ -8,14 +8,14 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway_fdi.jit import Record, kernel, zeros
+from gateway_plants.pedal import arrays
+from gateway_plants.pedal.arrays import Voted
 from gateway_plants.pedal.study import hybrid, kalman_hybrid, predictive_hybrid
 from gateway_plants.pedal.study.cases import SPAN, Environment, Run
 from gateway_plants.pedal.voting import simple
 from gateway_plants.pedal.voting.tracking import shape
-from gateway_plants.pedal.voting.tracking import vote as tracking
 
 #: The detector's width; the paper gives none. KHR* is the repaired reading of it.
 BETA, REPAIRED_BETA = 0.3, 0.5
@@ -23,37 +23,6 @@ BETA, REPAIRED_BETA = 0.3, 0.5
 FLOOR = 4.0
 #: Smoothing constant of the predictive voter: about the best one for it.
 ALPHA = 0.3
-
-
-@dataclass(frozen=True)
-class Followed:
-    """What a voter made of a run of n samples.
-
-    Attributes:
-        value: shape (n,), its output [V].
-        used: shape (n,), bits of the channels that were in it.
-        isolated: shape (n,), bits of the channels it held for failed; 0 for voters that do not.
-        drift: shape (n,), whether it saw a slow disagreement.
-    """
-
-    value: NDArray[np.float64]
-    used: NDArray[np.int64]
-    isolated: NDArray[np.int64]
-    drift: NDArray[np.int64]
-
-
-@kernel
-def _average(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drift: Any) -> None:
-    for k in range(y.shape[0]):
-        simple.average(s, c, y[k])
-        value[k], used[k] = s.value, s.used
-
-
-@kernel
-def _median(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drift: Any) -> None:
-    for k in range(y.shape[0]):
-        simple.median(s, c, y[k])
-        value[k], used[k] = s.value, s.used
 
 
 @kernel
@@ -68,14 +37,6 @@ def _predictive(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, dr
     for k in range(y.shape[0]):
         predictive_hybrid.vote(s, c, y[k])
         value[k], used[k] = s.value, s.used
-
-
-@kernel
-def _tracking(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drift: Any) -> None:
-    for k in range(y.shape[0]):
-        tracking.vote(s, c, y[k], 1.0)
-        value[k], used[k] = s.value, s.used
-        isolated[k], drift[k] = s.isolated, s.drift
 
 
 def _prepare_simple(c: simple.Const, channels: int, environment: Environment) -> None:
@@ -126,18 +87,18 @@ class Voter:
 
 #: The paper gives three channels to the simple voters and two to the hybrid ones.
 VOTERS = {
-    "average": Voter(3, simple.Const, simple.State, _prepare_simple, _average),
-    "average of 2": Voter(2, simple.Const, simple.State, _prepare_simple, _average),
-    "median": Voter(3, simple.Const, simple.State, _prepare_simple, _median),
+    "average": Voter(3, simple.Const, simple.State, _prepare_simple, arrays.average),
+    "average of 2": Voter(2, simple.Const, simple.State, _prepare_simple, arrays.average),
+    "median": Voter(3, simple.Const, simple.State, _prepare_simple, arrays.median),
     "predictive": Voter(2, predictive_hybrid.Const, predictive_hybrid.State, _prepare_predictive, _predictive),
     "KHR": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_khr, _kalman),
     "KHR*": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_repaired, _kalman),
-    "tracking": Voter(2, shape.Const, shape.State, _prepare_tracking, _tracking),
-    "tracking of 3": Voter(3, shape.Const, shape.State, _prepare_tracking, _tracking),
+    "tracking": Voter(2, shape.Const, shape.State, _prepare_tracking, arrays.tracking),
+    "tracking of 3": Voter(3, shape.Const, shape.State, _prepare_tracking, arrays.tracking),
 }
 
 
-def follow(voter: str, environment: Environment, run: Run) -> Followed:
+def follow(voter: str, environment: Environment, run: Run) -> Voted:
     """Put a run through a voter.
 
     Args:
@@ -158,4 +119,4 @@ def follow(voter: str, environment: Environment, run: Run) -> Followed:
         isolated,
         drift,
     )
-    return Followed(value, used, isolated, drift)
+    return Voted(value, used, isolated, drift)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_bench.study_pool import Progress, run
+from gateway_plants.pedal.arrays import Voted
 from gateway_plants.pedal.study.cases import (
     ENVIRONMENTS,
     IDEAL,
@@ -23,7 +24,7 @@ from gateway_plants.pedal.study.cases import (
     make,
     oracle,
 )
-from gateway_plants.pedal.study.follow import VOTERS, Followed, follow
+from gateway_plants.pedal.study.follow import VOTERS, follow
 
 #: The paper's two points that carry numbers, and its sweeps: rate at value 10 %, value at rate 10 %.
 T1, T2 = Case("impulses", 0.15, 0.10), Case("impulses", 0.10, 0.15)
@@ -92,7 +93,7 @@ def longest(over: NDArray[np.bool_]) -> int:
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
-def judge(run: Run, followed: Followed, channels: int, noise: float) -> dict[str, float]:
+def judge(run: Run, followed: Voted, channels: int, noise: float) -> dict[str, float]:
     """Compare what a voter made of a run with what was in it; values as in :class:`Score`.
 
     Args:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
+from gateway.signals import framed as encode
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
 from gateway_bench.vecu.protection import message_of
-from gateway_bench.wire import encode
 from gateway_plants.truck.ecu.control import PERIOD
 from gateway_plants.truck.ecu.drive import Drive, drive
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams

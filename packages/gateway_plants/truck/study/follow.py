@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.monitors.contract import FAILED
+from gateway.signals.framed import carried
 from gateway_bench.vecu.protection import message_of
-from gateway_bench.wire.encode import carried
 from gateway_fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway_fdi.jit import kernel, zeros
 from gateway_plants.truck.ecu.control import PERIOD

@@ -1,0 +1,43 @@
+"""The gateway from Python: open a configuration, replay logs or feed frames, and get arrays back.
+
+::
+
+    from gateway import api
+
+    run = api.open("gateway.toml").replay("drive.log", series=True)
+    print(run.dtcs, run.series["crank.missed_pulse"].value)
+
+All names in ``__all__`` are stable: from 1.0 on only the first number of the version changes them (docs/api.md). All
+other modules of the package are the gateway's own. Mathematics without a bus is in :mod:`gateway_fdi`, and in the
+module ``arrays`` of a plant.
+"""
+
+from gateway.api.calibrated import Calibrated
+from gateway.api.paths import shipped
+from gateway.api.run import Event, Run, Series, SeriesSet
+from gateway.api.scenarios import Learned, learn, simulate
+from gateway.api.session import Session
+from gateway.api.setup import Setup, open
+from gateway.api.table import Table
+from gateway.config.model import Config
+from gateway_fdi.errors import GatewayError, InputError, InputErrors
+
+__all__ = [
+    "Calibrated",
+    "Config",
+    "Event",
+    "GatewayError",
+    "InputError",
+    "InputErrors",
+    "Learned",
+    "Run",
+    "Series",
+    "SeriesSet",
+    "Session",
+    "Setup",
+    "Table",
+    "learn",
+    "open",
+    "shipped",
+    "simulate",
+]

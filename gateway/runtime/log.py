@@ -1,0 +1,61 @@
+"""A recorded log for the gateway of a configuration: its frames up to what damages it, then what it held."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from gateway.bus.frames import Frames
+from gateway.bus.log_contents import Contents, contents
+from gateway.bus.ring import read_recording
+from gateway.config.channels import channels_of
+from gateway.config.model import Config
+from gateway_fdi.errors import InputError
+
+
+class Log:
+    """A log to be replayed; to be iterated over once.
+
+    Args:
+        path: of it.
+        config: whose buses it is read for.
+        maps: channels of the log taken as buses, ``"channel=bus"`` each.
+
+    Attributes:
+        reader: of it.
+        damage: what ended reading; None: nothing did.
+
+    Raises:
+        InputError: it cannot be read at all, or a map is wrong.
+    """
+
+    def __init__(self, path: Path, config: Config, maps: Sequence[str] = ()) -> None:
+        self._config, self._maps = config, tuple(maps)
+        self._channels = channels_of(config, maps)
+        self.reader = read_recording(path, self._channels)
+        self.damage: InputError | None = None
+
+    def __iter__(self) -> Iterator[Frames]:
+        """Yield its frames, batch by batch; damage ends them and is kept."""
+        try:
+            yield from self.reader
+        except InputError as error:
+            self.damage = error
+
+    def contents(self, *, named: bool = True, allow_empty: bool = False, allow_cut: bool = False) -> Contents:
+        """Return what it held, after it was read.
+
+        Args:
+            named: the maps are for this log: a channel that it does not have is an error.
+            allow_empty: a log without a frame of a configured bus is no error.
+            allow_cut: nor is one that is cut off.
+        """
+        return contents(
+            self.reader,
+            {bus.name: bus.channel for bus in self._config.bus},
+            self._channels,
+            asked=[text.rpartition("=")[0] for text in self._maps] if named else (),
+            damage=self.damage,
+            allow_empty=allow_empty,
+            allow_cut=allow_cut,
+        )

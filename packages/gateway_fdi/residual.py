@@ -1,0 +1,148 @@
+"""Residuals of a model over arrays: its equations become code, and that is run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gateway_fdi.detectors import numbers
+from gateway_fdi.errors import InputError, as_input, named
+from gateway_fdi.jit import zeros
+from gateway_fdi.structure.analysis import Analysis, analyse
+from gateway_fdi.structure.generator.records import field_name
+from gateway_fdi.structure.isolability import signatures
+from gateway_fdi.structure.model import Model, ResidualChoice
+
+if TYPE_CHECKING:
+    from gateway_fdi.structure.generator.loading import Loaded
+
+
+class Residual:
+    """A residual generator: an equation that is not needed, checked by all others of its set.
+
+    Args:
+        model: with relations (:func:`gateway_fdi.load_model`).
+        test: the name of one of its residuals, ``"SET:EQUATION"`` with a set of :func:`gateway_fdi.analyse`, or the
+            equations themselves.
+        values: values of parameters instead of the model's.
+        filter_bandwidth: of what is checked [rad/s].
+        differentiate: whether known variables may be differentiated, by a filter.
+
+    Attributes:
+        name: of the test.
+        faults: of the model, that it sees.
+        knowns: variables that it reads.
+
+    Raises:
+        InputError: no such test, or one that cannot be computed.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        test: str | ResidualChoice,
+        *,
+        values: Mapping[str, float] | None = None,
+        filter_bandwidth: float = 0.5,
+        differentiate: bool = False,
+    ) -> None:
+        if isinstance(test, ResidualChoice):
+            choice, self.name = test, test.consistency
+        else:
+            known = test in model.residuals
+            choice, self.name = model.residuals[test] if known else analyse(model).choice(test), test
+        with as_input("test", self.name):
+            self._loaded = _made(model, choice, self.name, differentiate=differentiate)
+        row = np.array([[equation.name in choice.equations for equation in model.equations]])
+        seen = signatures(model, row)[0]
+        self.faults = tuple(fault for fault, there in zip(model.faults, seen, strict=True) if there)
+        self._fields = {field_name(name): name for name in model.knowns}
+        self.knowns = tuple(self._fields.get(field, field) for field in self._loaded.generated.knowns)
+        self._s, self._c = zeros(1, self._loaded.state)[0], zeros(1, self._loaded.const)[0]
+        with as_input("values"):
+            self._loaded.prepare(self._c, values=values, filter_bandwidth=filter_bandwidth)
+
+    def __repr__(self) -> str:
+        return f"Residual({self.name}: reads {', '.join(self.knowns)}; sees {', '.join(self.faults) or 'no fault'})"
+
+    def run(self, t_s: ArrayLike, known: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+        """Return the residual of a whole record; its states begin with the first sample.
+
+        Args:
+            t_s: times, shape (n,), n at least 2, rising [s].
+            known: variable -> values, shape (n,) or a number; those that it does not read are left out.
+
+        Raises:
+            InputError: a variable is missing, or has another shape; times that do not rise.
+        """
+        times = numbers(t_s, "t_s")
+        if len(times) < 2 or not (np.diff(times) > 0.0).all():
+            raise InputError("two times at least, each after the one before", key="t_s")
+        rows = zeros(len(times), self._loaded.inputs)
+        for field in self._loaded.generated.knowns:
+            name = self._fields.get(field, field)
+            if name not in known:
+                raise InputError(named("this residual reads; there are", name, known), key=name)
+            with as_input(name):
+                rows[field] = np.broadcast_to(np.asarray(known[name], np.float64), times.shape)
+        for field in self._loaded.generated.rates:
+            rows[field] = _rate(field, rows, times)
+        self._loaded.reset(self._s, self._c)
+        self._loaded.start(self._s, self._c, rows[0])
+        steps = np.diff(times, prepend=times[0]).tolist()
+        found = np.empty(len(times))
+        for k, dt in enumerate(steps):
+            found[k] = self._loaded.step(self._s, self._c, rows[k], dt)
+        return found
+
+
+def _made(model: Model, choice: ResidualChoice, name: str, *, differentiate: bool) -> Loaded:
+    try:
+        from gateway_fdi.structure.generator.loading import residual_generator  # noqa: PLC0415 - slow, and an extra
+    except ImportError as error:
+        raise InputError("code of equations needs sympy: pip install 'ecu-gateway[structure]'", value=name) from error
+    return residual_generator(model, choice.equations, choice.consistency, name=name, differentiate=differentiate)
+
+
+def _rate(field: str, rows: NDArray[np.void], times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivative that a field named ``<known>_rate<order>`` is for, of the record's beginning."""
+    name, _, order = field.rpartition("_rate")
+    values: NDArray[np.float64] = rows[name]
+    for _ in range(int(order)):
+        values = np.gradient(values, times)
+    return values
+
+
+def residuals(model: Model, **options: bool | float) -> list[Residual]:
+    """Return the fewest residuals that tell apart as much as all that the structure gives.
+
+    Args:
+        model: with relations.
+        options: of :class:`Residual`.
+
+    Raises:
+        InputError: no set of them can be computed.
+    """
+    analysis = analyse(model)
+    made: list[Residual] = []
+    for number in analysis.fewest:
+        made += list(_of_set(analysis, int(number), options))[:1]
+    if not made:
+        raise InputError("no equation of the model can be checked by the others", key="model", value=model.name)
+    return made
+
+
+def _of_set(analysis: Analysis, number: int, options: Mapping[str, bool | float]) -> Iterator[Residual]:
+    """Yield what checks a set, best first: without a derivative, then of the fewest solutions."""
+    candidates = analysis.candidates
+    mine = np.flatnonzero((candidates.mso == number) & candidates.chosen("SDI", "unique"))
+    for k in sorted(mine.tolist(), key=lambda k: (bool(candidates.derivative_in_sequence[k]), candidates.causality(k))):
+        name = f"{number + 1}:{analysis.structure.equations[candidates.equation[k]]}"
+        try:
+            yield Residual(analysis.model, analysis.choice(name), **options)  # type: ignore[arg-type]
+        except InputError as error:
+            if error.key != "test":  # else the structure says that it can be solved, and algebra does not find it
+                raise
