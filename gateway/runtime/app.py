@@ -38,6 +38,7 @@ from gateway.runtime.outbox import Listener, Outbox
 from gateway.runtime.proofs import Proofs
 from gateway.runtime.reception import Reception, refuse_unless_frames
 from gateway.runtime.reports import Reports
+from gateway.runtime.security import Security
 from gateway.runtime.standing import Standing
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import (
@@ -179,6 +180,7 @@ class Gateway:
         names = [bus.name for bus in self.config.buses]
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
+        self.security = Security(self._outbox.tell)
         parts = self._parts
         known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
         self._causes = Causes(self.engine, known, parts.checks)
@@ -258,6 +260,7 @@ class Gateway:
         self.memory.succeed(old.memory)
         self._outbox.succeed(old._outbox)
         self._doubts.succeed(old._doubts)
+        self.security.succeed(old.security)
         self._causes.succeed(old._causes)
         self._explainer.succeed(old._explainer)
         self._meter.succeed(old._meter)
@@ -309,6 +312,7 @@ class Gateway:
         if self._causes.pending:
             self._causes.look(t_ns)
         self._explainer.finish(t_ns)
+        self.security.pass_time(self.engine.wall_ns(t_ns), final=True)
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self._outbox.settle(t_ns, self._verdicts.take, final=True)
         if self.memory.unsaved:
@@ -469,6 +473,7 @@ class Gateway:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
         self._proofs.look()
+        self.security.pass_time(self.engine.wall_ns(self.engine.now_ns))
         self._interventions.serve_requests()
         self._upkeep.tend()
 
@@ -551,7 +556,12 @@ class Gateway:
             seconds,
             self._verdicts.count,
             counters(
-                self.engine, (self.servers, self.asking), self._upkeep, self._recorder, self.reports, self._explainer
+                self.engine,
+                (self.servers, self.asking, self.security),
+                self._upkeep,
+                self._recorder,
+                self.reports,
+                self._explainer,
             ),
             buses=bus_errors(self.config, self.engine),
             monitors=self.engine.readout(),
