@@ -156,6 +156,7 @@ class ClockState(Record):
     crc_failed: i8 = means("frames whose checksum is wrong")
     repeated: i8 = means("frames whose alive counter stands still")
     wrong_sequence: i8 = means("frames of E2E out of sequence, not used")
+    doubtful: i8 = means("frames not used because another sender is among them")
     window_rejected: i8 = means("right frames of E2E not used, too few of the last ones were right")
     timeouts: i8 = means("messages that stayed away")
     results_lost: i8 = means("results that there was no room for")

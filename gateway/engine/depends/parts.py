@@ -67,6 +67,10 @@ class Network:
             return []
         return [component("ecu", self.names[bus], name) for name in found if name not in _NOBODY]
 
+    def second_sender(self, bus: int, message: str) -> Component:
+        """Return what sends a message beside its own sender."""
+        return component("second sender", self.names[bus], message)
+
     def message(self, bus: int, message: str) -> Component:
         """Return a message."""
         return component("message", self.names[bus], message)

@@ -60,7 +60,7 @@ def derive(
         line = limits.check_line(buses[bus], seen, found[key], note)
         if several and "counter" not in line.keys and found[key].counter is None:
             learned.notes.append(f"{buses[bus]}.{name}: its gaps look as if two senders sent it")
-        if not seen.unknown or set(line.keys) - {"message", "length"} or "length" not in line.keys:
+        if not seen.unknown or set(line.keys) - {"message", "length"} or line.keys.get("length") is not False:
             learned.add(line)
     speeds = [drives(observation, bus) for bus in range(len(buses))]
     for key, seen in observation.seen.items():

@@ -17,6 +17,9 @@ FIRST_NS = 1_000
 BINS = 1200  # to 5.7 h
 #: The longest gaps that are kept as they are.
 LONGEST = 8
+#: Windows in which frames are counted [ms].
+WINDOWS_MS = (1_000, 2_000, 5_000, 10_000)
+_MS = 1_000_000
 
 
 @dataclass
@@ -30,6 +33,8 @@ class Gaps:
         last_ns: stamp of the latest frame in this log; None: none yet.
         returns_ns: number of a pause of the bus -> when it came again after it [ns].
         wakes: after how many times the bus woke up, and the latest that it came then [ns].
+        counted_ns: time in which frames were counted [ns].
+        crowds: window [ms] -> most frames that came in one.
     """
 
     count: int = 0
@@ -38,10 +43,14 @@ class Gaps:
     last_ns: int | None = None
     returns_ns: dict[int, int] = field(default_factory=dict)
     wakes: tuple[int, int] = (0, 0)
+    counted_ns: int = 0
+    crowds: dict[int, int] = field(default_factory=lambda: dict.fromkeys(WINDOWS_MS, 0))
+    _recent: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def begin(self) -> None:
         """Begin with another log: the time between is no gap."""
         self.last_ns = None
+        self._recent = np.zeros(0, np.int64)
 
     def stamps(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the stamps of frames, with the one before them."""
@@ -49,6 +58,7 @@ class Gaps:
 
     def add(self, t_ns: NDArray[np.int64], none: NDArray[np.bool_] | None = None) -> None:
         """Add the stamps of frames, in order; ``none``: which gaps of :meth:`stamps` are none of this message."""
+        self._count(t_ns)
         gaps = np.diff(self.stamps(t_ns))
         self.last_ns = int(t_ns[-1])
         if none is not None:
@@ -61,8 +71,20 @@ class Gaps:
         top = np.sort(gaps)[-LONGEST:]
         self.longest_ns = sorted([*self.longest_ns, *(int(gap) for gap in top)], reverse=True)[:LONGEST]
 
+    def _count(self, t_ns: NDArray[np.int64]) -> None:
+        """Count the frames in the windows that end with each of them; an old stamp among them counts where it came."""
+        stamps = np.maximum.accumulate(np.concatenate([self._recent, t_ns]))
+        self.counted_ns += int(stamps[-1] - stamps[max(len(self._recent) - 1, 0)])
+        places = np.arange(1, len(stamps) + 1)
+        for window in WINDOWS_MS:
+            most = (places - np.searchsorted(stamps, stamps - window * _MS, side="right")).max()
+            self.crowds[window] = max(self.crowds[window], int(most))
+        self._recent = stamps[stamps > stamps[-1] - WINDOWS_MS[-1] * _MS]
+
     def join(self, other: Gaps) -> None:
         """Add the gaps of other logs."""
+        self.counted_ns += other.counted_ns
+        self.crowds = {window: max(most, other.crowds[window]) for window, most in self.crowds.items()}
         self.count += other.count
         self.bins += other.bins
         self.longest_ns = sorted([*self.longest_ns, *other.longest_ns], reverse=True)[:LONGEST]
@@ -96,6 +118,8 @@ class Gaps:
             "bins": {str(k): int(self.bins[k]) for k in used},
             "longest_ns": self.longest_ns,
             "wakes": list(self.wakes),
+            "counted_ns": self.counted_ns,
+            "crowds": [[window, most] for window, most in self.crowds.items()],
         }
 
     @classmethod
@@ -106,6 +130,8 @@ class Gaps:
             made.bins[int(k)] = count
         times, latest_ns = data.get("wakes", (0, 0))
         made.wakes = int(times), int(latest_ns)
+        made.counted_ns = int(data.get("counted_ns", 0))  # earlier versions did not count
+        made.crowds |= {int(window): int(most) for window, most in data.get("crowds", ())}
         return made
 
 
@@ -217,6 +243,30 @@ def _rounded(value: float) -> float:
     """Round up to two digits, as people write."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")
+
+
+#: Frames beyond its mean that a message may come in a window, of the mean and at least; and the share from which on a
+#: second sender might not be seen.
+BEYOND, LEAST_BEYOND, HIDDEN = 0.4, 2.0, 0.8
+
+
+def most(gaps: Gaps) -> dict[str, float] | None:
+    """Return how often a cyclic message may come, as ``most`` of its check; None where nothing says it.
+
+    Of n windows that follow one law the next has more frames than the fullest with probability 1/(n + 1): the fewer
+    there are, the more is added. The window is the shortest in which twice as many frames are far beyond that.
+    """
+    if sending(gaps) != CYCLIC or gaps.counted_ns <= 0:
+        return None
+    cycle = gaps.quantile_ns(0.5)
+    for window in WINDOWS_MS:
+        mean, count = window * _MS / cycle, gaps.counted_ns // (window * _MS)
+        if count < LEAST_GAPS // 2:
+            return None
+        room = max(BEYOND * mean, LEAST_BEYOND, _longer(count) * (gaps.crowds[window] - mean))
+        if room <= HIDDEN * mean:
+            return {"frames": int(np.ceil(mean + room)), "ms": window}
+    return None
 
 
 #: After a few wake-ups a message may come later than ever by this factor; the bus's own time to wake is this [ms].
