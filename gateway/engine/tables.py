@@ -182,6 +182,7 @@ class Tables(NamedTuple):
     Timers: a row for each, and the ``heap`` of what is noted of them (see engine.timers).
     Buckets: a row for each fault, its results since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
+    Strangers: ``known_keys`` and ``known_rows``, what the buses know, and a row for each unknown identifier.
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     Samples: ``samplers`` of the monitors that step once a sample, the messages that are ``sampled``, the inputs that
     these have ``carried``; ``held``: the parts that have come of unfinished samples.
@@ -226,6 +227,9 @@ class Tables(NamedTuple):
     reports: NDArray[np.void]
     timers: NDArray[np.void]
     heap: NDArray[np.void]
+    known_keys: NDArray[np.uint64]
+    known_rows: NDArray[np.int32]
+    strangers: NDArray[np.void]
     clock: NDArray[np.void]
 
 

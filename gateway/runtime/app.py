@@ -40,6 +40,7 @@ from gateway.runtime.reception import Reception, refuse_unless_frames
 from gateway.runtime.reports import Reports
 from gateway.runtime.security import Security
 from gateway.runtime.standing import Standing
+from gateway.runtime.strangers import Strangers
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import (
     summary_event,
@@ -181,6 +182,8 @@ class Gateway:
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
         self.security = Security(self._outbox.tell)
+        checks = {check.name for check in self._parts.checks}
+        self._strangers = Strangers(self.engine, names, checks, self.security)
         parts = self._parts
         known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
         self._causes = Causes(self.engine, known, parts.checks)
@@ -203,6 +206,7 @@ class Gateway:
             self._doubts,
             self._causes,
             self._explainer.failed,
+            self._strangers,
         )
         self._explainer.note_changes = self._verdicts.note_changes
         self._vehicle.connect(self._outbox.note, self._verdicts.take)
@@ -312,6 +316,7 @@ class Gateway:
         if self._causes.pending:
             self._causes.look(t_ns)
         self._explainer.finish(t_ns)
+        self._strangers.finish(self.engine.wall_ns(t_ns))
         self.security.pass_time(self.engine.wall_ns(t_ns), final=True)
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self._outbox.settle(t_ns, self._verdicts.take, final=True)
@@ -461,6 +466,8 @@ class Gateway:
 
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
+        if self.config.buses[bus].health.unknown != "none":
+            return None
         found: list[int] = []
         for of in (self.engine.plan.identifiers, self.servers.identifiers_on, self.asking.identifiers_on):
             more = of(bus)

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from gateway.monitors.contract import Debounce, Fault, StrictModel
+from gateway.monitors.contract import Debounce, Fault
+from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.jit import Record, i4, i8, i8s, means, u1
 
 #: Stamps that are kept of a window.

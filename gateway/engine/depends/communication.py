@@ -44,5 +44,7 @@ def of_bus(bus: int, fault: str, network: Network) -> Iterator[Seen]:
     """Yield what the health of a bus depends on."""
     if fault in _HEALTH:
         yield Seen(network.bus(bus), _HEALTH[fault], "the bus itself")
+    elif fault == "unknown":
+        yield Seen(component("stranger", network.names[bus]), 0.9, "a sender that does not belong to the bus")
     else:
         yield Seen(component("gateway", "queues"), 0.9, "the gateway did not read in time")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.bus.frames import of_a_tester
 from gateway.signals.database import Database
 from gateway_fleet.learn import limits
 from gateway_fleet.learn.answers import absent_lines, answer_lines, answer_notes
@@ -45,6 +46,9 @@ def derive(
     seconds = earlier_s + sum(log.seconds for log in observation.logs)
     taken: dict[int, set[str]] = {}
     buses = [bus.name for bus in asked if not bus.of_answers]
+    for bus, can_id in observation.foreign:
+        if bus < len(buses) and not of_a_tester(can_id):
+            learned.known.setdefault(buses[bus], set()).add(can_id)
     everything = observation
     heard = {key: seen for key, seen in observation.seen.items() if not asked[key[0]].of_answers}
     observation = replace(observation, seen=heard)

@@ -12,7 +12,7 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
-from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames
+from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames, of_a_tester
 from gateway.config.model import Config
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
@@ -25,7 +25,7 @@ from gateway_fleet.learn.gaps import WAKE_MS, Gaps
 from gateway_fleet.learn.pauses import Pauses, tell_wakes
 from gateway_fleet.learn.samples import Samples
 from gateway_fleet.learn.snapshots import Snapshots
-from gateway_fleet.learn.unknown import MOST, message_of, of_a_tester
+from gateway_fleet.learn.unknown import MOST, message_of
 
 
 @dataclass
