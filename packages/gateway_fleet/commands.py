@@ -186,6 +186,16 @@ def evaluate_senders(
     raise typer.Exit(work(cars=cars, attacks=attacks, hours=hours, logs=tuple(logs or ()), seed=seed, json=json))
 
 
+def evaluate_road(
+    folder: Annotated[Path, typer.Argument(help="Folder of the ROAD dataset, with ambient and attacks in it.")],
+    json: Json = False,
+) -> None:
+    """Evaluate who is seen on the bus, by the attacks of the ROAD dataset."""
+    from gateway_fleet.study.senders.road import road as work
+
+    raise typer.Exit(work(folder, json=json))
+
+
 def evaluate_cause(
     seeds: Annotated[int, typer.Option(min=0, help="Number of runs of each fault; 0: none.")] = 3,
     pairs: Annotated[int, typer.Option(min=0, help="Number of runs with two faults; 0: none.")] = 200,

@@ -75,7 +75,7 @@ def _tell(found: dict[str, Found], codes: Counter[str], hours: float, seed: int,
     for kind, row in rows.items():
         print(
             f"{kind}: {row['found']} of {row['tried']} found, {row['soon']} within 1 s, half after"
-            f" {row['after_s'][0]} s, 95 % after {row['after_s'][1]} s; {row['unwatched']} not watched; by {dict(row['by'])};"
-            f" others accused: {dict(row['accused'])}"
+            f" {row['after_s'][0]} s, 95 % after {row['after_s'][1]} s; {row['unwatched']} not watched;"
+            f" by {dict(row['by'])}; others accused: {dict(row['accused'])}"
         )
     print(f"{hours:g} h of other healthy drives: {dict(codes) or 'no code'}")
