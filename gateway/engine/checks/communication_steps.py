@@ -340,6 +340,8 @@ def note_arrival(T: Any, t_ns: int, c: Any) -> None:
         if deadline_ns < before_ns:  # after a late frame; the noted time is never later than the deadline
             arm(T, c.timer, deadline_ns)
     if c.stride > 0:
+        c.early = t_ns - c.last_ns < c.apart_ns
+        c.last_ns = t_ns
         c.left -= 1
         if c.left <= 0:
             judge_rate(T, t_ns, c)

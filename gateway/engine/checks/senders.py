@@ -51,11 +51,16 @@ class SenderConst(Record):
     most_ns: i8 = means("window", "ns")
     stride: i4 = means("each such frame's stamp is kept; 0: its rate is not watched")
     slots: i4 = means("stamps that are kept, KEPT at most")
+    apart_ns: i8 = means("mean gap at the limit: of two gaps around a second sender's frame one is shorter", "ns")
 
 
 class SenderState(Record):
     """What was seen of who sends a message."""
 
+    last_ns: i8 = means("when its last frame came", "ns")
+    early: u1 = means("1: the present frame came sooner after it than apart_ns")
+    blamed: u1 = means("1: the last frame's checksum was wrong, and counts against its sender")
+    before: i4 = means("detection counter of its checksum before that")
     left: i4 = means("frames until the next stamp is kept")
     at: i4 = means("place of the oldest stamp")
     filled: i4 = means("stamps of this window so far")
@@ -74,4 +79,5 @@ def fill(row: Any, most: Most | None) -> None:
     stride = -(-most.frames // KEPT)
     slots = -(-most.frames // stride)
     row["stride"], row["slots"], row["left"] = stride, slots, 1
+    row["apart_ns"] = round(most.ms * 1e6 / most.frames)
     row["most_ns"] = round(most.ms * 1e6 * stride * slots / most.frames)

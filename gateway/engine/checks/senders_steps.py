@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from gateway.engine.checks.communication import COUNTER, EARLY, SECOND
+from gateway.engine.checks.communication import COUNTER, CRC, EARLY, SECOND
 from gateway.engine.results import not_tested, report_result, store_evidence
 from gateway_fdi.jit import kernel
 
@@ -27,10 +27,19 @@ def is_doubtful(c: Any) -> bool:
 
 @kernel
 def accuse(T: Any, t_ns: int, c: Any, kind: int, failed: bool, value: float, limit: float) -> int:
-    """Report a result of a message's check, as ``report_result``; no failure while the sender is doubtful."""
-    if failed and is_doubtful(c):
+    """Report a result of a message's check, as ``report_result``; no failure while the sender is doubtful.
+
+    A wrong frame between two right ones that have their cycle between them is another sender's: it comes soon after the
+    one, or the other comes soon after it. Then it is taken back.
+    """
+    if failed and (is_doubtful(c) or (c.early == 1 and kind != COUNTER)):
         not_tested(T, t_ns, c.fault[kind])
         return -1
+    if kind == CRC and c.stride > 0:
+        d = T.debounces[c.fault[kind]]
+        if c.blamed == 1 and c.early == 1 and not failed and d.timed == 0 and d.active == 0:
+            d.counter = c.before
+        c.blamed, c.before = failed, d.counter
     return int(report_result(T, t_ns, c.fault[kind], failed, value, limit))
 
 

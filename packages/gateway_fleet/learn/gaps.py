@@ -17,9 +17,8 @@ FIRST_NS = 1_000
 BINS = 1200  # to 5.7 h
 #: The longest gaps that are kept as they are.
 LONGEST = 8
-#: Windows in which frames are counted [ms].
-WINDOWS_MS = (1_000, 2_000, 5_000, 10_000)
-_MS = 1_000_000
+#: Numbers of gaps in a row whose shortest sum is kept.
+ROWS = tuple(2**k for k in range(1, 11))
 
 
 @dataclass
@@ -33,8 +32,8 @@ class Gaps:
         last_ns: stamp of the latest frame in this log; None: none yet.
         returns_ns: number of a pause of the bus -> when it came again after it [ns].
         wakes: after how many times the bus woke up, and the latest that it came then [ns].
-        counted_ns: time in which frames were counted [ns].
-        crowds: window [ms] -> most frames that came in one.
+        counted: gaps whose rows were looked at.
+        spans_ns: number of gaps in a row -> the shortest time that so many took [ns]; 0: there were not so many.
     """
 
     count: int = 0
@@ -43,8 +42,8 @@ class Gaps:
     last_ns: int | None = None
     returns_ns: dict[int, int] = field(default_factory=dict)
     wakes: tuple[int, int] = (0, 0)
-    counted_ns: int = 0
-    crowds: dict[int, int] = field(default_factory=lambda: dict.fromkeys(WINDOWS_MS, 0))
+    counted: int = 0
+    spans_ns: dict[int, int] = field(default_factory=lambda: dict.fromkeys(ROWS, 0))
     _recent: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def begin(self) -> None:
@@ -72,19 +71,24 @@ class Gaps:
         self.longest_ns = sorted([*self.longest_ns, *(int(gap) for gap in top)], reverse=True)[:LONGEST]
 
     def _count(self, t_ns: NDArray[np.int64]) -> None:
-        """Count the frames in the windows that end with each of them; an old stamp among them counts where it came."""
+        """Look for the shortest rows of gaps that end with these frames; an old stamp counts where it came."""
         stamps = np.maximum.accumulate(np.concatenate([self._recent, t_ns]))
-        self.counted_ns += int(stamps[-1] - stamps[max(len(self._recent) - 1, 0)])
-        places = np.arange(1, len(stamps) + 1)
-        for window in WINDOWS_MS:
-            most = (places - np.searchsorted(stamps, stamps - window * _MS, side="right")).max()
-            self.crowds[window] = max(self.crowds[window], int(most))
-        self._recent = stamps[stamps > stamps[-1] - WINDOWS_MS[-1] * _MS]
+        self.counted += len(t_ns)
+        for row in ROWS:
+            if len(stamps) > row:
+                self._shorter(row, int((stamps[row:] - stamps[:-row]).min()))
+        self._recent = stamps[-ROWS[-1] :]
+
+    def _shorter(self, row: int, span_ns: int) -> None:
+        before = self.spans_ns[row]
+        self.spans_ns[row] = span_ns if before == 0 else min(before, span_ns)
 
     def join(self, other: Gaps) -> None:
         """Add the gaps of other logs."""
-        self.counted_ns += other.counted_ns
-        self.crowds = {window: max(most, other.crowds[window]) for window, most in self.crowds.items()}
+        self.counted += other.counted
+        for row, span_ns in other.spans_ns.items():
+            if span_ns:
+                self._shorter(row, span_ns)
         self.count += other.count
         self.bins += other.bins
         self.longest_ns = sorted([*self.longest_ns, *other.longest_ns], reverse=True)[:LONGEST]
@@ -118,8 +122,8 @@ class Gaps:
             "bins": {str(k): int(self.bins[k]) for k in used},
             "longest_ns": self.longest_ns,
             "wakes": list(self.wakes),
-            "counted_ns": self.counted_ns,
-            "crowds": [[window, most] for window, most in self.crowds.items()],
+            "counted": self.counted,
+            "spans_ns": [[row, span_ns] for row, span_ns in self.spans_ns.items()],
         }
 
     @classmethod
@@ -130,8 +134,8 @@ class Gaps:
             made.bins[int(k)] = count
         times, latest_ns = data.get("wakes", (0, 0))
         made.wakes = int(times), int(latest_ns)
-        made.counted_ns = int(data.get("counted_ns", 0))  # earlier versions did not count
-        made.crowds |= {int(window): int(most) for window, most in data.get("crowds", ())}
+        made.counted = int(data.get("counted", 0))  # earlier versions did not look
+        made.spans_ns |= {int(row): int(span_ns) for row, span_ns in data.get("spans_ns", ())}
         return made
 
 
@@ -245,27 +249,27 @@ def _rounded(value: float) -> float:
     return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")
 
 
-#: Frames beyond its mean that a message may come in a window, of the mean and at least; and the share from which on a
-#: second sender might not be seen.
-BEYOND, LEAST_BEYOND, HIDDEN = 0.4, 2.0, 0.8
+#: Shortest time of the row of gaps that is limited [ns]; share of it that such a row must take at least, and number of
+#: rows that it takes to say so.
+WINDOW_NS, LEAST_SHARE, LEAST_ROWS = 1_000_000_000, 0.75, 5
 
 
 def most(gaps: Gaps) -> dict[str, float] | None:
     """Return how often a cyclic message may come, as ``most`` of its check; None where nothing says it.
 
-    Of n windows that follow one law the next has more frames than the fullest with probability 1/(n + 1): the fewer
-    there are, the more is added. The window is the shortest in which twice as many frames are far beyond that.
+    A second sender halves the time of a row of gaps, queues shorten it by their length, so that a limit of three
+    quarters of a second stands a host that is a quarter of a second late. Of n rows that follow one law the next
+    is shorter than the shortest with probability 1/(n + 1): the fewer there are, the more is added to what was missing.
     """
-    if sending(gaps) != CYCLIC or gaps.counted_ns <= 0:
+    if sending(gaps) != CYCLIC:
         return None
     cycle = gaps.quantile_ns(0.5)
-    for window in WINDOWS_MS:
-        mean, count = window * _MS / cycle, gaps.counted_ns // (window * _MS)
-        if count < LEAST_GAPS // 2:
-            return None
-        room = max(BEYOND * mean, LEAST_BEYOND, _longer(count) * (gaps.crowds[window] - mean))
-        if room <= HIDDEN * mean:
-            return {"frames": int(np.ceil(mean + room)), "ms": window}
+    for row, span_ns in gaps.spans_ns.items():
+        whole, count = row * cycle, gaps.counted // row
+        if whole < WINDOW_NS or span_ns == 0 or count < LEAST_ROWS:
+            continue
+        if whole - _longer(count) * max(whole - span_ns, 0.0) >= LEAST_SHARE * whole:
+            return {"frames": row, "ms": float(f"{LEAST_SHARE * whole * 1e-6:.3g}")}
     return None
 
 

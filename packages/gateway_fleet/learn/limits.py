@@ -69,7 +69,7 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> 
         keys |= _wake(seen, timeout, why)
     if (often := gaps.most(seen.gaps)) is not None:
         keys["most"] = often
-        why.append(f"at most {seen.gaps.crowds[int(often['ms'])]} in {often['ms']:g} ms")
+        why.append(f"{often['frames']:g} gaps in {_ms(seen.gaps.spans_ns[int(often['frames'])])} at least")
     if seen.decoded < seen.frames or any(length < message.length for length in seen.lengths):
         keys["length"] = False
         why.append(

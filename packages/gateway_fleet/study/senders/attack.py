@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from gateway.engine.events import QUALIFIED_FAILED, STRANGER, Events
 from gateway.runtime.assemble import prepare
 from gateway.runtime.injection import Injection, Injector
 from gateway_fleet.learn.proof import restore
+from gateway_fleet.learn.trial import Seeing
 
 #: Kinds: of frames beside those of a message; without its frames; of its values, at its own times.
 FREQUENCY, SILENT, FORGED = ("unknown", "double", "replay", "fuzz", "forge"), "drop", "offset"
@@ -34,7 +36,7 @@ class Found:
         tried: attacks.
         found: of these, those that a fault of the message, or a security event, told.
         soon: of these, within a second.
-        unwatched: values that nothing watches, as ``gateway check`` tells; not among ``tried``.
+        unwatched: values of which ``gateway learn`` tells that no offset is seen; not among ``tried``.
         after_s: time until it was told [s], of each.
         by: first to tell -> how often.
         accused: faults that do not name another sender -> how often they were set while one was there.
@@ -72,10 +74,11 @@ class Bench:
     Args:
         out: configuration that was learned.
         frames: a healthy drive of another seed or time.
+        seeing: what learning said of the signals.
         seed: of the attacks.
     """
 
-    def __init__(self, out: Path, frames: Frames, seed: int) -> None:
+    def __init__(self, out: Path, frames: Frames, seeing: Sequence[Seeing], seed: int) -> None:
         self.config = load_config(out)
         self.parts = prepare(self.config, out)
         self._rng, self._seed, self._count = np.random.default_rng(seed), seed, 0
@@ -92,25 +95,11 @@ class Bench:
             engine.process(piece, lambda _: None)
         self.limited = [c.params.message for c in self.parts.checks if c.params.most is not None]
         self.timed = [c.params.message for c in self.parts.checks if c.params.timeout_ms is not None]
-        self._values = self._watched_values()
+        self._values = self._watched_values(seeing)
 
-    def _watched_values(self) -> list[tuple[str, str, bool, float]]:
-        """Return the signals that move: message, name, whether a fault sees it, spread."""
-        seen = {seen.component.name for some in self.parts.depends.values() for seen in some if seen.power > 0.2}
-        database, found = self.parts.databases[0], []
-        protected = {
-            (c.params.message, part.signal)
-            for c in self.parts.checks
-            for part in (c.params.counter, c.params.crc, c.params.checksum)
-            if part is not None
-        }
-        for message in database:
-            for signal in message.signals:
-                span = abs(float(signal.scale)) * 2.0 ** (signal.length - 2)
-                if signal.length >= 4 and not signal.choices and (message.name, signal.name) not in protected:
-                    name = f"signal {self.config.bus[0].name}.{message.name}.{signal.name}"
-                    found.append((message.name, signal.name, name in seen, span))
-        return found
+    def _watched_values(self, seeing: Sequence[Seeing]) -> list[tuple[str, str, float | None]]:
+        """Return the signals that are watched: message, name, smallest offset that `gateway learn` says it sees."""
+        return [(*each.name.split(".")[1:], each.offset) for each in seeing]  # type: ignore[misc]
 
     def one(self, kind: str, found: Found) -> None:
         """Do one attack at a random time on a random message, and add its outcome."""
@@ -121,9 +110,9 @@ class Bench:
             known = {message.frame_id for message in self.parts.databases[0]}
             name = hex(next(k for k in rng.integers(1, 0x700, 100).tolist() if k not in known))
         elif kind in ("forge", FORGED):
-            message, signal, watched, span = self._values[int(rng.integers(len(self._values)))]
-            name, value = message, span if rng.random() < 0.5 else -span
-            if kind == FORGED and not watched:
+            name, signal, least = self._values[int(rng.integers(len(self._values)))]
+            value = float((least or 1.0) * rng.uniform(1.0, 2.0) * rng.choice((-1.0, 1.0)))
+            if kind == FORGED and least is None:
                 found.unwatched += 1
                 return
             if kind == "forge" and name not in self.limited:

@@ -33,8 +33,12 @@ def senders(*, cars: int, attacks: int, hours: float, logs: tuple[Path, ...], se
     for car in range(cars):
         net = network(seed + car)
         with tempfile.TemporaryDirectory() as folder:
-            out, _ = learned(Path(folder), net, frames_of(net, seed + car, 300.0, LEARNED))
-            _attack(Bench(out, frames_of(net, seed + 100 + car, 300.0, OTHER), seed + car), found, each)
+            out, result = learned(Path(folder), net, frames_of(net, seed + car, 300.0, LEARNED))
+            _attack(
+                Bench(out, frames_of(net, seed + 100 + car, 300.0, OTHER), result.trials.seeing, seed + car),
+                found,
+                each,
+            )
             done = 0.0
             while done < hours / cars:
                 way, done = (HOST if done % 2 else OTHER), done + 1.0
@@ -46,7 +50,7 @@ def senders(*, cars: int, attacks: int, hours: float, logs: tuple[Path, ...], se
             result = learn(Asked("car", (bus,), (log,), out), lambda *_: None)
             write(result.files(out))
             frames = _frames(log)
-            _attack(Bench(out, frames, seed), found, each)
+            _attack(Bench(out, frames, result.trials.seeing, seed), found, each)
     _tell(found, codes, hours, seed, json=json)
     return 0
 

@@ -1,8 +1,9 @@
 """The ROAD dataset of Oak Ridge National Laboratory, where a person has it: real attacks on one car.
 
-Verma et al. 2024, A comprehensive guide to CAN IDS data and introduction of the ROAD dataset, PLOS ONE 19(1). Its folders
-``ambient`` and ``attacks`` have candump logs, and ``attacks/capture_metadata.json`` says of each capture, by its name,
-when frames were injected (``injection_interval``, seconds from its begin, or null) and which (``injection_id``).
+Verma et al. 2024, A comprehensive guide to CAN IDS data and introduction of the ROAD dataset, PLOS ONE 19(1). Its
+folders ``ambient`` and ``attacks`` have candump logs, and ``attacks/capture_metadata.json`` says of each capture, by
+its name, when frames were injected (``injection_interval``, seconds from its begin, or null) and which
+(``injection_id``).
 """
 
 from __future__ import annotations
