@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi.errors import InputError
-from gateway_fdi.jit import kernel
 
 if TYPE_CHECKING:
     import can
@@ -56,14 +55,6 @@ Frames = NDArray[np.void]
 
 #: Payload lengths that CAN FD can carry (ISO 11898-1, DLC 0..15).
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-
-
-@kernel
-def of_a_tester(can_id: int) -> bool:
-    """Return whether an identifier, with its flags, is one of diagnostics: frames come when a tester asks."""
-    if can_id & EXTENDED:
-        return (can_id & ID_MASK) >> 16 in (0x18DA, 0x18DB)
-    return 0x700 <= can_id <= 0x7FF
 
 
 def empty(count: int) -> Frames:

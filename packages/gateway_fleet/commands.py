@@ -173,7 +173,9 @@ def evaluate_learn(
 
 
 def evaluate_senders(
-    logs: Annotated[list[Path] | None, typer.Argument(help="Logs of healthy cars, to be attacked as well.")] = None,
+    files: Annotated[
+        list[Path] | None, typer.Argument(help="Logs of one healthy car more, with databases (.dbc) if there are any.")
+    ] = None,
     cars: Annotated[int, typer.Option(min=0, help="Number of virtual cars.")] = 3,
     attacks: Annotated[int, typer.Option(min=1, help="Number of attacks of each kind.")] = 500,
     hours: Annotated[float, typer.Option(min=0, help="Other healthy drives, together [h].")] = 20.0,
@@ -183,7 +185,7 @@ def evaluate_senders(
     """Evaluate who is seen on the bus: unknown, doubled, replayed, fuzzed, forged and missing frames."""
     from gateway_fleet.study.senders.command import senders as work
 
-    raise typer.Exit(work(cars=cars, attacks=attacks, hours=hours, logs=tuple(logs or ()), seed=seed, json=json))
+    raise typer.Exit(work(cars=cars, attacks=attacks, hours=hours, files=tuple(files or ()), seed=seed, json=json))
 
 
 def evaluate_road(

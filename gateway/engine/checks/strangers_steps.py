@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from gateway.bus.frames import of_a_tester
 from gateway.engine.checks.bus_health import NONE, UNKNOWN, heal_later
 from gateway.engine.events import STRANGER
 from gateway.engine.results import announce, report_result, store_evidence
 from gateway.engine.timers import arm
-from gateway.signals.decode import lookup
+from gateway.signals.decode import lookup, of_a_tester
 from gateway_fdi.jit import kernel
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import of_a_tester
 from gateway.signals.database import Database
+from gateway.signals.decode import of_a_tester
 from gateway_fleet.learn import limits
 from gateway_fleet.learn.answers import absent_lines, answer_lines, answer_notes
 from gateway_fleet.learn.belonging import strangers

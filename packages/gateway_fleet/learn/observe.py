@@ -12,11 +12,11 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
-from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames, of_a_tester
+from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames
 from gateway.config.model import Config
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
-from gateway.signals.decode import lookup
+from gateway.signals.decode import lookup, of_a_tester
 from gateway.signals.payloads import columns, words_of
 from gateway.signals.tables import compile_plan
 from gateway_fleet.learn import observers

@@ -76,6 +76,9 @@ class Bench:
         frames: a healthy drive of another seed or time.
         seeing: what learning said of the signals.
         seed: of the attacks.
+
+    Attributes:
+        values: message, signal, and the smallest offset of it that learning saw; None: it saw none.
     """
 
     def __init__(self, out: Path, frames: Frames, seeing: Sequence[Seeing], seed: int) -> None:
@@ -95,22 +98,20 @@ class Bench:
             engine.process(piece, lambda _: None)
         self.limited = [c.params.message for c in self.parts.checks if c.params.most is not None]
         self.timed = [c.params.message for c in self.parts.checks if c.params.timeout_ms is not None]
-        self._values = self._watched_values(seeing)
-
-    def _watched_values(self, seeing: Sequence[Seeing]) -> list[tuple[str, str, float | None]]:
-        """Return the signals that are watched: message, name, smallest offset that `gateway learn` says it sees."""
-        return [(*each.name.split(".")[1:], each.offset) for each in seeing]  # type: ignore[misc]
+        parted = [(each.name.split("."), each.offset) for each in seeing]
+        self.values = [(parts[1], parts[2], offset) for parts, offset in parted]
 
     def one(self, kind: str, found: Found) -> None:
         """Do one attack at a random time on a random message, and add its outcome."""
         rng, self._count = self._rng, self._count + 1
         at = float(rng.uniform(SETTLED_S, LEAD_S))
-        name, signal, value = "", None, 0.0
+        name, value = "", 0.0
+        signal: str | None = None
         if kind == "unknown":
             known = {message.frame_id for message in self.parts.databases[0]}
             name = hex(next(k for k in rng.integers(1, 0x700, 100).tolist() if k not in known))
         elif kind in ("forge", FORGED):
-            name, signal, least = self._values[int(rng.integers(len(self._values)))]
+            name, signal, least = self.values[int(rng.integers(len(self.values)))]
             value = float((least or 1.0) * rng.uniform(1.0, 2.0) * rng.choice((-1.0, 1.0)))
             if kind == FORGED and least is None:
                 found.unwatched += 1
@@ -123,6 +124,8 @@ class Bench:
         k = int(rng.integers(len(self._windows)))
         asked = Injection(kind, 0, name, signal, value, at, at + ATTACK_S)
         set_ = self._set(asked, k, at)
+        if set_ is None:
+            return
         bus = self.config.bus[0].name
         own: tuple[str, ...] = (f"{bus}.unknown",) if kind == "unknown" else (f"{bus}.{name}.",)
         if kind == FORGED:
@@ -131,25 +134,38 @@ class Bench:
             )
         found.add(set_, own, named=kind in FREQUENCY)
 
-    def _set(self, asked: Injection, k: int, at: float) -> dict[str, float]:
-        """Return the faults that were set since an attack began -> after how long [s]."""
+    def _set(self, asked: Injection, k: int, at: float) -> dict[str, float] | None:
+        """Return the faults that were set since an attack's first frame -> after how long [s]; None: it had none."""
         engine, window, set_ = self.parts.engine, self._windows[k], dict[str, float]()
         restore(engine, self._saved[k], self.config)
         engine.tables.strangers[:] = 0
         start_ns = int(window["t_ns"][0])
+        begin_ns = start_ns + round(at * 1e9)
         rng = np.random.default_rng([self._seed, self._count])
         injector = Injector(asked, self.parts.databases, self.parts.checks, rng, start_ns)
 
+        end_ns = begin_ns + round(ATTACK_S * 1e9)
+        faulty = injector.apply(window)
+        if injector.count == 0:
+            return None
+        onset_ns = _onset_ns(window, faulty)
+
         def hear(events: Events) -> None:
             for event in events:
-                after = (int(event["t_ns"]) - start_ns) * 1e-9 - at
+                after = (int(event["t_ns"]) - onset_ns) * 1e-9
                 if event["kind"] == STRANGER:
                     set_.setdefault(f"{self.config.bus[int(event['bus'])].name}.unknown", after)
                 elif event["kind"] == QUALIFIED_FAILED and after >= 0.0:
                     set_.setdefault(engine.faults[int(event["fault"])].id, after)
 
-        end_ns = start_ns + round((at + ATTACK_S) * 1e9)
-        faulty = injector.apply(window)
         engine.process(faulty[faulty["t_ns"] < end_ns], hear)
         engine.advance(end_ns, hear)
         return set_
+
+
+def _onset_ns(before: Frames, after: Frames) -> int:
+    """Return the stamp of the first frame that an attack has added, changed or taken out."""
+    count = min(len(before), len(after))
+    same = before[:count] == after[:count]
+    at = int(np.argmin(same)) if not same.all() else count - 1
+    return int(min(before["t_ns"][at], after["t_ns"][at]))

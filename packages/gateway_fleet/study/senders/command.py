@@ -18,16 +18,18 @@ from gateway_fleet.learn.learn import Asked, learn, write
 from gateway_fleet.study.learn.drive import Way, frames_of
 from gateway_fleet.study.learn.judge import healthy, learned
 from gateway_fleet.study.learn.network import network
-from gateway_fleet.study.senders.attack import KINDS, Bench, Found
+from gateway_fleet.study.senders.attack import FORGED, KINDS, Bench, Found
 
 #: How frames reach the log that is learned of, other healthy drives, and those of a host that is busy.
 LEARNED, OTHER = Way(lost=0.01, batch_s=0.004), Way(sleeps=1, late=3, batch_s=0.004)
 HOST = replace(OTHER, batch_s=0.1)
 
 
-def senders(*, cars: int, attacks: int, hours: float, logs: tuple[Path, ...], seed: int, json: bool) -> int:
+def senders(*, cars: int, attacks: int, hours: float, files: tuple[Path, ...], seed: int, json: bool) -> int:
     """Attack virtual cars and logs, replay healthy drives; returns the exit code."""
     found = {kind: Found() for kind in KINDS}
+    databases = [path for path in files if path.suffix == ".dbc"]
+    logs = [path for path in files if path not in databases]
     codes: Counter[str] = Counter()
     each = -(-attacks // (cars + len(logs)))
     for car in range(cars):
@@ -46,7 +48,8 @@ def senders(*, cars: int, attacks: int, hours: float, logs: tuple[Path, ...], se
     for log in logs:
         with tempfile.TemporaryDirectory() as folder:
             out = Path(folder) / "car.toml"
-            bus = BusAsked("can0", "virtual:can0", ())
+            names = tuple(str(path.resolve()) for path in databases)
+            bus = BusAsked("can0", "virtual:can0", names, files=names)
             result = learn(Asked("car", (bus,), (log,), out), lambda *_: None)
             write(result.files(out))
             frames = _frames(log)
@@ -56,13 +59,15 @@ def senders(*, cars: int, attacks: int, hours: float, logs: tuple[Path, ...], se
 
 
 def _frames(log: Path) -> Frames:
-    """Return the frames of a log in order: its last third was held out."""
+    """Return the frames of a log in order."""
     frames = np.concatenate(list(read_recording(log)))
     return frames[np.argsort(frames["t_ns"], kind="stable")]
 
 
 def _attack(bench: Bench, found: dict[str, Found], each: int) -> None:
     for kind, mine in found.items():
+        if kind in ("forge", FORGED) and not bench.values:
+            continue
         before = mine.tried + mine.unwatched
         while mine.tried + mine.unwatched < before + each:
             bench.one(kind, mine)
