@@ -47,7 +47,7 @@ from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, i8s, kernel, means, u1
 
 OFF, PASSIVE, ERRORS, GONE, OVERFLOW, SILENT, UNKNOWN, CLOCK_STEPPED = range(8)
 
-#: What is done of unknown identifiers.
+#: Treatment of unknown identifiers.
 NONE, TELL, FAULT = range(3)
 _UNKNOWN = {"none": NONE, "tell": TELL, "fault": FAULT}
 

@@ -1,4 +1,4 @@
-"""Who sends a message: how often it may come, and whether its alive counter runs once.
+"""Senders of a message: how often it may come, and whether its alive counter runs once.
 
 A limit on a single gap would accuse healthy senders: their frames queue, so that two come at once. Over a window it
 does not. Of two senders of one identifier nobody knows whose values are true: none are used, and no other check of the
@@ -55,7 +55,7 @@ class SenderConst(Record):
 
 
 class SenderState(Record):
-    """What was seen of who sends a message."""
+    """State of the checks of a message's senders."""
 
     last_ns: i8 = means("when its last frame came", "ns")
     early: u1 = means("1: the present frame came sooner after it than apart_ns")

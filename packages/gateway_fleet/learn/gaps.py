@@ -33,7 +33,7 @@ class Gaps:
         returns_ns: number of a pause of the bus -> when it came again after it [ns].
         wakes: after how many times the bus woke up, and the latest that it came then [ns].
         counted: gaps whose rows were looked at.
-        spans_ns: number of gaps in a row -> the shortest time that so many took [ns]; 0: there were not so many.
+        spans_ns: number of gaps in a row -> the shortest time that they took [ns]; 0: none was seen.
     """
 
     count: int = 0
