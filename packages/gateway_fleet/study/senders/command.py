@@ -26,35 +26,41 @@ HOST = replace(OTHER, batch_s=0.1)
 
 
 def senders(*, cars: int, attacks: int, hours: float, files: tuple[Path, ...], seed: int, json: bool) -> int:
-    """Attack virtual cars and logs, replay healthy drives; returns the exit code."""
+    """Attack virtual cars and logs, then replay healthy drives; returns the exit code."""
     found = {kind: Found() for kind in KINDS}
     databases = [path for path in files if path.suffix == ".dbc"]
     logs = [path for path in files if path not in databases]
-    codes: Counter[str] = Counter()
     each = -(-attacks // (cars + len(logs)))
-    for car in range(cars):
-        net = network(seed + car)
-        with tempfile.TemporaryDirectory() as folder:
-            out, result = learned(Path(folder), net, frames_of(net, seed + car, 300.0, LEARNED))
-            _attack(
-                Bench(out, frames_of(net, seed + 100 + car, 300.0, OTHER), result.trials.seeing, seed + car),
-                found,
-                each,
-            )
-            done = 0.0
-            while done < hours / cars:
-                way, done = (HOST if done % 2 else OTHER), done + 1.0
-                codes += healthy(out, net, seed + 1000 * (car + 1) + int(done), 3600.0, way)
-    for log in logs:
-        with tempfile.TemporaryDirectory() as folder:
-            out = Path(folder) / "car.toml"
+    codes: Counter[str] = Counter()
+    with tempfile.TemporaryDirectory() as work:
+        outs = []
+        for car in range(cars):
+            folder = Path(work) / str(car)
+            folder.mkdir()
+            net = network(seed + car)
+            out, result = learned(folder, net, frames_of(net, seed + car, 300.0, LEARNED))
+            outs.append((out, net))
+            other = frames_of(net, seed + 100 + car, 300.0, OTHER)
+            _attack(Bench(out, other, result.trials.seeing, seed + car), found, each)
+        for k, log in enumerate(logs):
+            out = Path(work) / f"log{k}.toml"
             names = tuple(str(path.resolve()) for path in databases)
             bus = BusAsked("can0", "virtual:can0", names, files=names)
             result = learn(Asked("car", (bus,), (log,), out), lambda *_: None)
             write(result.files(out))
-            frames = _frames(log)
-            _attack(Bench(out, frames, result.trials.seeing, seed), found, each)
-    _tell(found, codes, hours, seed, json=json)
+            _attack(Bench(out, _frames(log), result.trials.seeing, seed), found, each)
+        rows = _rows(found)
+        if not json:
+            _tell(rows)
+        done = 0
+        while done < hours:
+            out, net = outs[done % len(outs)]
+            codes += healthy(out, net, seed + 1000 + done, 3600.0, HOST if done % 2 else OTHER)
+            done += 1
+            if not json:
+                print(f"{done} h of other healthy drives: {dict(codes) or 'no code'}", flush=True)
+    if json:
+        print(json_text.dumps({"seed": seed, "kinds": rows, "hours": done, "codes": dict(codes)}))
     return 0
 
 
@@ -73,18 +79,19 @@ def _attack(bench: Bench, found: dict[str, Found], each: int) -> None:
             bench.one(kind, mine)
 
 
-def _tell(found: dict[str, Found], codes: Counter[str], hours: float, seed: int, *, json: bool) -> None:
+def _rows(found: dict[str, Found]) -> dict[str, Any]:
     rows: dict[str, Any] = {}
     for kind, mine in found.items():
         times = np.quantile(mine.after_s, (0.5, 0.95)) if mine.after_s else (np.nan, np.nan)
         rows[kind] = vars(mine) | {"after_s": [round(float(s), 3) for s in times]}
-    if json:
-        print(json_text.dumps({"seed": seed, "kinds": rows, "hours": hours, "codes": dict(codes)}))
-        return
+    return rows
+
+
+def _tell(rows: dict[str, Any]) -> None:
     for kind, row in rows.items():
+        half, most = row["after_s"]
         print(
-            f"{kind}: {row['found']} of {row['tried']} found, {row['soon']} within 1 s, half after"
-            f" {row['after_s'][0]} s, 95 % after {row['after_s'][1]} s; {row['unwatched']} not watched;"
-            f" by {dict(row['by'])}; others accused: {dict(row['accused'])}"
+            f"{kind}: {row['found']} of {row['tried']} found, {row['soon']} within 1 s, half after {half} s, 95 % after"
+            f" {most} s; {row['unwatched']} not watched; by {dict(row['by'])}; others accused: {dict(row['accused'])}",
+            flush=True,
         )
-    print(f"{hours:g} h of other healthy drives: {dict(codes) or 'no code'}")
