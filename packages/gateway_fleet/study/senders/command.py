@@ -53,7 +53,7 @@ def senders(*, cars: int, attacks: int, hours: float, files: tuple[Path, ...], s
         if not json:
             _tell(rows)
         done = 0
-        while done < hours:
+        while outs and done < hours:
             out, net = outs[done % len(outs)]
             codes += healthy(out, net, seed + 1000 + done, 3600.0, HOST if done % 2 else OTHER)
             done += 1
