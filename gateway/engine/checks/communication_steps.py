@@ -26,10 +26,17 @@ from gateway.engine.checks.communication import (
     WIDE,
 )
 from gateway.engine.checks.runs import begin_run, go_on, tell_run
-from gateway.engine.checks.senders_steps import accuse, begin_window, follow, is_doubtful, judge_rate
+from gateway.engine.checks.senders_steps import (
+    accuse,
+    begin_window,
+    clears_sender,
+    follow,
+    is_doubtful,
+    judge_rate,
+)
 from gateway.engine.checks.silence import park
 from gateway.engine.gate import sleeps
-from gateway.engine.results import report_result, store_evidence
+from gateway.engine.results import not_tested, report_result, store_evidence
 from gateway.engine.timers import arm
 from gateway.monitors.contract import NOT_TESTED
 from gateway.signals.decode import INVALID_VALUE, OK, TOO_SHORT
@@ -145,6 +152,14 @@ def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
         if c.passed & 0xFF == 0:  # now and then is enough: it cannot change any more
             report_result(T, t_ns, c.fault[RULE], False, float(received), float(computed))
         c.passed += 1
+    cleared = False
+    if c.stride > 0:
+        if wrong or c.blamed == 1:
+            cleared = clears_sender(T, t_ns, c, wrong)
+        c.last_ns = t_ns
+    if cleared:
+        not_tested(T, t_ns, c.fault[CRC])
+        return False
     place = accuse(T, t_ns, c, CRC, wrong, float(received), float(computed))
     store_evidence(T, c.fault[CRC], place, 0, float(received))
     store_evidence(T, c.fault[CRC], place, 1, float(computed))
@@ -340,8 +355,6 @@ def note_arrival(T: Any, t_ns: int, c: Any) -> None:
         if deadline_ns < before_ns:  # after a late frame; the noted time is never later than the deadline
             arm(T, c.timer, deadline_ns)
     if c.stride > 0:
-        c.early = t_ns - c.last_ns < c.apart_ns
-        c.last_ns = t_ns
         c.left -= 1
         if c.left <= 0:
             judge_rate(T, t_ns, c)

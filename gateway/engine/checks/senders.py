@@ -57,8 +57,7 @@ class SenderConst(Record):
 class SenderState(Record):
     """State of the checks of a message's senders."""
 
-    last_ns: i8 = means("when its last frame came", "ns")
-    early: u1 = means("1: the present frame came sooner after it than apart_ns")
+    last_ns: i8 = means("when its checksum was last tested", "ns")
     blamed: u1 = means("1: the last frame's checksum was wrong, and counts against its sender")
     before: i4 = means("detection counter of its checksum before that")
     left: i4 = means("frames until the next stamp is kept")

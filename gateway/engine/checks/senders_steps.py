@@ -27,20 +27,26 @@ def is_doubtful(c: Any) -> bool:
 
 @kernel
 def accuse(T: Any, t_ns: int, c: Any, kind: int, failed: bool, value: float, limit: float) -> int:
-    """Report a result of a message's check, as ``report_result``; no failure while the sender is doubtful.
-
-    A wrong frame between two right ones that have their cycle between them is another sender's: it comes soon after the
-    one, or the other comes soon after it. Then it is taken back.
-    """
-    if failed and (is_doubtful(c) or (c.early == 1 and kind != COUNTER)):
+    """Report a result of a message's check, as ``report_result``; no failure while the sender is doubtful."""
+    if failed and is_doubtful(c):
         not_tested(T, t_ns, c.fault[kind])
         return -1
-    if kind == CRC and c.stride > 0:
-        d = T.debounces[c.fault[kind]]
-        if c.blamed == 1 and c.early == 1 and not failed and d.timed == 0 and d.active == 0:
-            d.counter = c.before
-        c.blamed, c.before = failed, d.counter
     return int(report_result(T, t_ns, c.fault[kind], failed, value, limit))
+
+
+@kernel
+def clears_sender(T: Any, t_ns: int, c: Any, failed: bool) -> bool:
+    """Return whether a wrong checksum is none of the sender's; a right one may take the blame of the last one back.
+
+    A wrong frame between two right ones that have their cycle between them is another sender's: it comes soon after the
+    one, or the other comes soon after it.
+    """
+    early = t_ns - c.last_ns < c.apart_ns
+    d = T.debounces[c.fault[CRC]]
+    if c.blamed == 1 and early and not failed and d.timed == 0 and d.active == 0:
+        d.counter = c.before
+    c.blamed, c.before = failed and not early, d.counter
+    return bool(failed and early)
 
 
 @kernel

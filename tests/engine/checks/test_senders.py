@@ -113,3 +113,19 @@ def test_a_frame_of_another_length_is_told_and_not_used():
     assert value == 100
     _, seen, value = run(rows)
     assert "length" not in failed(seen)
+
+
+@pytest.mark.parametrize("phase", [0.1, 0.4, 0.6, 0.9])
+def test_wrong_checksums_between_right_frames_are_not_the_senders(phase):
+    """Payloads by chance beside a healthy sender: its rate is told, its checksum never; a broken sender's is."""
+    seed = 7300
+    rng = np.random.default_rng(seed)
+    fuzz = [
+        (round((300.0 + PERIOD * (k + phase)) * MS), bytes(rng.integers(0, 256, 8, np.uint8).tolist()))
+        for k in range(40)
+    ]
+    _, seen, _ = run(merged(healthy(120), fuzz), most=MOST)
+    assert failed(seen) == {"early"}, f"seed {seed}"
+    broken = [frame(PERIOD * k, k, corrupt=k > 60) for k in range(100)]
+    _, seen, _ = run(broken, most=MOST)
+    assert failed(seen) == {"crc"}
