@@ -5,7 +5,6 @@ from __future__ import annotations
 import json as json_text
 import tempfile
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,10 @@ from gateway_fleet.study.learn.judge import healthy, learned
 from gateway_fleet.study.learn.network import network
 from gateway_fleet.study.senders.attack import FORGED, KINDS, Bench, Found
 
-#: How frames reach the log that is learned of, other healthy drives, and those of a host that is busy.
+#: How frames reach the log that is learned of, the drive that is attacked, and other healthy drives: as the bus has
+#: them, and by a host that is late.
 LEARNED, OTHER = Way(lost=0.01, batch_s=0.004), Way(sleeps=1, late=3, batch_s=0.004)
-HOST = replace(OTHER, batch_s=0.1)
+HEALTHY = (Way(sleeps=1, batch_s=0.004), Way(sleeps=1, batch_s=0.1))
 
 
 def senders(*, cars: int, attacks: int, hours: float, files: tuple[Path, ...], seed: int, json: bool) -> int:
@@ -55,7 +55,7 @@ def senders(*, cars: int, attacks: int, hours: float, files: tuple[Path, ...], s
         done = 0
         while outs and done < hours:
             out, net = outs[done % len(outs)]
-            codes += healthy(out, net, seed + 1000 + done, 3600.0, HOST if done % 2 else OTHER)
+            codes += healthy(out, net, seed + 1000 + done, 3600.0, HEALTHY[done % 2])
             done += 1
             if not json:
                 print(f"{done} h of other healthy drives: {dict(codes) or 'no code'}", flush=True)
