@@ -135,6 +135,12 @@ class EventPrinter:
         text = f"{event['dtc']} {event['state']}, status 0x{event['status']:02X}"
         self._lines.print(f"{self._time(event)}  {mark}  {text}", mark=mark, colour="bold")
 
+    def _on_security(self, event: dict[str, Any]) -> None:
+        mark = f"security {event['kind']}"
+        data = "  ".join(f"{name} {value}" for name, value in event["context"].items())
+        text = f"{event['sensor']}, {event['count']} times  {data}".rstrip()
+        self._lines.print(f"{self._time(event)}  {mark}  {text}", mark=mark, colour="bold red")
+
     def _on_clear(self, event: dict[str, Any]) -> None:
         gone = ", ".join(event["faults"]) or "no entry was there"
         self._lines.print(f"{self._time(event)}  cleared: {gone}")

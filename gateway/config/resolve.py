@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from gateway.answers.layout import AnswerLayout, j1979, layouts_for, read_layouts
 from gateway.answers.pages import AnswerBus, answer_bus
 from gateway.config.codes import codes_of_messages, network_codes
+from gateway.config.known import bus_instances
 from gateway.config.model import Config, MonitorConfig
 from gateway.config.monitor_types import monitor_of
 from gateway.config.names import Names
@@ -121,7 +122,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
         notes=tuple(notes),
         codes=codes.given,
         answers=answers,
-        buses=tuple(BusInstance(bus.name, bus.health) for bus in config.buses),
+        buses=bus_instances(config),
         freeze_frames=_freeze_frames(config, names),
         shown=_shown(config, names),
         debounces={fault: settings.debounce.asked for fault, settings in config.fault.items()},

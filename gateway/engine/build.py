@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.bus.frames import EXTENDED
 from gateway.engine import emission
 from gateway.engine.buckets import Bucket
 from gateway.engine.checks import bus_health, clock_health, communication
@@ -16,6 +17,8 @@ from gateway.engine.checks.bus_health import BusInstance, Health, Silence
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.checks.communication import Check, CheckInstance
 from gateway.engine.checks.silence import silence_of
+from gateway.engine.checks.strangers import MOST as MOST_STRANGERS
+from gateway.engine.checks.strangers import Stranger, known_table
 from gateway.engine.consistency import assert_consistent
 from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceRow, configure
@@ -108,6 +111,7 @@ def build_engine(
         "triggers": np.asarray(triggers, np.int32),
         "checks": check_rows,
         "health": health,
+        **_strangers(databases, buses, made, pgn),
     }
     tables = _tables(plan, made, verdicts, crcs, ring=table(ring, EVENT), **own, **watched)
     assert_consistent(tables)
@@ -350,6 +354,19 @@ def _health(
         faults += bus_health.fill(rows[k], bus, k, code, len(faults), silence)
     faults += clock_health.fill(rows[-1], clock, len(faults))
     return rows
+
+
+def _strangers(
+    databases: Sequence[tuple[int, Database]], buses: Sequence[BusInstance], made: _Handlers, pgn: Collection[int]
+) -> dict[str, Any]:
+    """Return what the buses know, and room for identifiers that they do not."""
+    known = [(k, bus.known, bus.groups) for k, bus in enumerate(buses)]
+    for each in made.emitted:
+        flag = EXTENDED if each.message.is_extended_frame else 0
+        known.append((each.bus, (each.message.frame_id | flag,), ()))
+    watching = any(bus.params.watched and bus.params.unknown != "none" for bus in buses)
+    keys, rows = known_table(databases if watching else (), known if watching else (), pgn)
+    return {"known_keys": keys, "known_rows": rows, "strangers": table(MOST_STRANGERS + 1, Stranger)}
 
 
 def _watches(cycles: Sequence[CycleWatch], vectors: Any, plan: DecodePlan) -> dict[str, Any]:

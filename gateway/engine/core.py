@@ -353,7 +353,7 @@ class Engine:
         """Start the supervision of all messages again: frames of theirs were not given to the engine."""
         checks, now_ns = self.tables.checks, self.now_ns
         watched = checks["timeout_ns"] > 0
-        checks["seen"] = 0
+        checks["seen"] = checks["filled"] = 0
         checks["deadline_ns"][watched] = now_ns + checks["timeout_ns"][watched]
         checks["silent_ns"][watched] = checks["parked_ns"][watched] = 0
         self.tables.health["heard_ns"], self.tables.health["silence"] = now_ns, SPOKEN

@@ -26,6 +26,10 @@ MONITOR_OFF = 8
 #: Why a monitor is off that changed the number of its results itself, as the handlers have it; no status of a kernel.
 MISCOUNTED = 4094
 
+#: An identifier that nobody knows has come, once or ten times as often as when it was told last; ``fault`` is its place
+#: among the strangers.
+STRANGER = 9
+
 #: Slips of a monitor's author that the loop puts right, as bits of ``slips`` of its handler.
 NO_NUMBER, NO_FAULT, TOO_MANY, TOO_SOON = 1, 2, 4, 8
 

@@ -20,7 +20,15 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import LOSS
-from gateway.engine.checks.bus_health import SILENT, WHOLE, on_timer, tells_loss, watch_clock
+from gateway.engine.checks.bus_health import (
+    SILENT,
+    UNKNOWN,
+    WHOLE,
+    heal_later,
+    on_timer,
+    tells_loss,
+    watch_clock,
+)
 from gateway.engine.checks.bus_health_steps import (
     on_error_frame,
     on_sign_of_life,
@@ -35,6 +43,7 @@ from gateway.engine.checks.communication_steps import (
     take_timeout,
 )
 from gateway.engine.checks.silence import judge_silence
+from gateway.engine.checks.strangers_steps import on_stranger
 from gateway.engine.debounce import qualify_by_time
 from gateway.engine.emission import emit
 from gateway.engine.events import (
@@ -335,8 +344,8 @@ def accepted(T: Any, t_ns: int, row: int, length: int, words: Any) -> int:
 
 
 @kernel
-def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) -> None:
-    """Handle one frame: vector table, decode, check, mailbox, monitors."""
+def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any, own: int) -> None:
+    """Handle one frame, ``own``: a monitor sent it: vector table, decode, check, mailbox, monitors."""
     clock = T.clock[0]
     if can_id & _ERROR:
         on_error_frame(T, t_ns, bus, can_id, int(np.int64(words[0])))
@@ -347,6 +356,8 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) 
     row = lookup(T.keys, T.rows, bus, can_id)
     if row < 0:
         clock.unknown += 1
+        if own == 0:
+            on_stranger(T, t_ns, bus, can_id, length, words)
         return
     verdict = accepted(T, t_ns, row, length, words)
     if verdict != ACCEPT:
@@ -398,7 +409,11 @@ def advance(T: Any, t_ns: int) -> None:
         clock.started = 1
         clock.now_ns = t_ns
         for k in range(T.health.shape[0]):
-            T.health[k].heard_ns = t_ns
+            h = T.health[k]
+            h.heard_ns = t_ns
+            if h.fault[UNKNOWN] >= 0:
+                heal_later(h, UNKNOWN, t_ns)
+                arm(T, h.timer, h.deadline_ns)
         for k in range(T.checks.shape[0]):
             c = T.checks[k]
             if c.timeout_ns > 0:
@@ -420,7 +435,7 @@ def take(T: Any, frame: Any, words: Any, own: int) -> None:
     decoded = clock.decoded
     if own == 0 and frame["can_id"] & _ERROR == 0:
         on_sign_of_life(T, frame["t_ns"], frame["bus"])
-    dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], frame["length"], words)
+    dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], frame["length"], words, own)
     if own == 1:
         clock.decoded = decoded
 

@@ -156,6 +156,7 @@ class ClockState(Record):
     crc_failed: i8 = means("frames whose checksum is wrong")
     repeated: i8 = means("frames whose alive counter stands still")
     wrong_sequence: i8 = means("frames of E2E out of sequence, not used")
+    doubtful: i8 = means("frames not used because another sender is among them")
     window_rejected: i8 = means("right frames of E2E not used, too few of the last ones were right")
     timeouts: i8 = means("messages that stayed away")
     results_lost: i8 = means("results that there was no room for")
@@ -181,6 +182,7 @@ class Tables(NamedTuple):
     Timers: a row for each, and the ``heap`` of what is noted of them (see engine.timers).
     Buckets: a row for each fault, its results since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
+    Strangers: ``known_keys`` and ``known_rows``, what the buses know, and a row for each unknown identifier.
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     Samples: ``samplers`` of the monitors that step once a sample, the messages that are ``sampled``, the inputs that
     these have ``carried``; ``held``: the parts that have come of unfinished samples.
@@ -225,6 +227,9 @@ class Tables(NamedTuple):
     reports: NDArray[np.void]
     timers: NDArray[np.void]
     heap: NDArray[np.void]
+    known_keys: NDArray[np.uint64]
+    known_rows: NDArray[np.int32]
+    strangers: NDArray[np.void]
     clock: NDArray[np.void]
 
 

@@ -13,6 +13,7 @@ from gateway.faults.catalogue import Catalogue, as_dict
 from gateway.faults.recorder import Recorder
 from gateway.runtime.explainer import Explainer
 from gateway.runtime.reports import Reports
+from gateway.runtime.security import Security
 from gateway.runtime.upkeep import Upkeep
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.identifiers import Identifiers
@@ -42,13 +43,13 @@ def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
 
 def counters(
     engine: Engine,
-    speakers: tuple[BusServers, Asking],
+    speakers: tuple[BusServers, Asking, Security],
     upkeep: Upkeep,
     recorder: Recorder | None,
     reports: Reports,
     explainer: Explainer,
 ) -> dict[str, int]:
-    """Return what was counted, by name: of frames, requests, the fault memory, and other processes' reports."""
+    """Return what was counted, by name: of frames, requests, security, the fault memory, and others' reports."""
     found = engine.counters()
     for name, count in (pair for each in speakers for pair in each.counters().items()):
         found[name] = found.get(name, 0) + count

@@ -98,6 +98,7 @@ class Gateway(Passage):
         self.memory.succeed(old.memory)
         self._outbox.succeed(old._outbox)
         self._doubts.succeed(old._doubts)
+        self.security.succeed(old.security)
         self._causes.succeed(old._causes)
         self._explainer.succeed(old._explainer)
         self._meter.succeed(old._meter)
@@ -140,6 +141,8 @@ class Gateway(Passage):
         if self._causes.pending:
             self._causes.look(t_ns)
         self._explainer.finish(t_ns)
+        self._strangers.finish(self.engine.wall_ns(t_ns))
+        self.security.pass_time(self.engine.wall_ns(t_ns), final=True)
         self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self._outbox.settle(t_ns, self._verdicts.take, final=True)
         if self.memory.unsaved:
@@ -222,7 +225,12 @@ class Gateway(Passage):
             seconds,
             self._verdicts.count,
             counters(
-                self.engine, (self.servers, self.asking), self._upkeep, self._recorder, self.reports, self._explainer
+                self.engine,
+                (self.servers, self.asking, self.security),
+                self._upkeep,
+                self._recorder,
+                self.reports,
+                self._explainer,
             ),
             buses=bus_errors(self.config, self.engine),
             monitors=self.engine.readout(),

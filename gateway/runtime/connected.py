@@ -20,7 +20,9 @@ from gateway.runtime.outbox import Outbox
 from gateway.runtime.proofs import Proofs
 from gateway.runtime.reception import Reception
 from gateway.runtime.reports import Reports
+from gateway.runtime.security import Security
 from gateway.runtime.standing import Standing
+from gateway.runtime.strangers import Strangers
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.usage_meter import UsageMeter
 from gateway.runtime.vehicle import Vehicle
@@ -118,6 +120,9 @@ class Connected:
         names = [bus.name for bus in self.config.buses]
         self._doubts = Doubts(self.engine, self.parts.checks, self.parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
+        self.security = Security(self._outbox.tell)
+        checks = {check.name for check in self.parts.checks}
+        self._strangers = Strangers(self.engine, names, checks, self.security)
         parts = self.parts
         known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
         self._causes = Causes(self.engine, known, parts.checks)
@@ -140,6 +145,7 @@ class Connected:
             self._doubts,
             self._causes,
             self._explainer.failed,
+            self._strangers,
         )
         self._explainer.note_changes = self._verdicts.note_changes
         self._vehicle.connect(self._outbox.note, self._verdicts.take)

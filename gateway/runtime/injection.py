@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import Frames
+from gateway.bus.frames import ID_MASK, Frames
+from gateway.common.times import NEVER
 from gateway.engine.checks.communication import CheckInstance
+from gateway.runtime.added import ALONE, BESIDE, Added
 from gateway.signals.changing import ChangedMessage, ChangedSignal
 from gateway.signals.database import Database
 from gateway.signals.protection.params import protection_for
@@ -27,8 +29,10 @@ FRAME_KINDS = ("drop", "repeat", "freeze", "flip")
 #: Of a signal: it stays; something is added; it is multiplied; it has one value; something is added and taken off in
 #: turn.
 SIGNAL_KINDS = ("stuck", "offset", "scale", "value", "jump")
-#: Of these, those that want a number.
-_NUMBERED = ("offset", "scale", "value", "jump")
+#: Of another sender beside the message's own (see gateway.runtime.added).
+ADDED_KINDS = (*BESIDE, ALONE)
+#: Of these, those that want a number; and kinds of another sender that may have one.
+_NUMBERED, _MAY = ("offset", "scale", "value", "jump", "forge"), ("replay", ALONE)
 
 _NUMBER = r"[0-9]+(?:\.[0-9]+)?"
 _TEXT = re.compile(
@@ -45,11 +49,11 @@ class Injection:
     """A fault that is put into frames.
 
     Attributes:
-        kind: of FRAME_KINDS or SIGNAL_KINDS.
+        kind: of FRAME_KINDS, SIGNAL_KINDS or ADDED_KINDS.
         bus: index of the bus.
-        message: its name.
+        message: its name; of ``unknown`` the identifier, as 0x3A1.
         signal: its name, None for a fault of the frame.
-        value: added, or the signal's own; signal's unit.
+        value: added, or the signal's own; signal's unit. Of a replay how old it is [s], of ``unknown`` a second.
         from_s, to_s: when, from the log's first frame on [s]; to_s None: to its end.
     """
 
@@ -78,23 +82,20 @@ def parse_injection(text: str, names: Sequence[str], databases: Sequence[Databas
     if found is None:
         raise InputError(USAGE, key=key, value=text)
     kind = found["kind"]
-    kinds = (*FRAME_KINDS, *SIGNAL_KINDS)
+    kinds = (*FRAME_KINDS, *SIGNAL_KINDS, *ADDED_KINDS)
     if kind not in kinds:
         raise InputError(f"the kinds are {', '.join(kinds)}{nearest(kind, kinds)}; {USAGE}", key=key, value=text)
     bus, parts = _bus_of(found["target"].split("."), names)
-    of_signal = kind in SIGNAL_KINDS
+    of_signal = kind in SIGNAL_KINDS or kind == "forge"
     if len(parts) != (2 if of_signal else 1):
         wanted = "Message.Signal" if of_signal else "Message"
         what = "signal" if of_signal else "whole message"
         raise InputError(f"{kind} is a fault of a {what}, {wanted}; {USAGE}", key=key, value=text)
-    if (found["value"] is not None) != (kind in _NUMBERED):
+    if (found["value"] is not None) != (kind in _NUMBERED) and kind not in _MAY:
         wanted = "wants a" if kind in _NUMBERED else "has no"
         raise InputError(f"{kind} {wanted} value; {USAGE}", key=key, value=text)
     try:
-        bus = _having(parts[0], bus, databases)
-        databases[bus].message(parts[0])
-        if of_signal:
-            databases[bus].signal(parts[0], parts[1])
+        bus = _refused_or_bus(kind, bus, parts, databases)
         numbers = [float(found[name]) if found[name] else None for name in ("value", "first", "last")]
     except InputError as error:
         raise InputError(error.message, key=key, value=text) from error
@@ -103,7 +104,27 @@ def parse_injection(text: str, names: Sequence[str], databases: Sequence[Databas
     value, first, last = numbers
     if last is not None and last <= (first or 0.0):
         raise InputError("it ends before it begins", key=key, value=text)
+    if kind in _MAY and value is not None and not 0.0 < value < 1e6:
+        raise InputError("a number above 0", key=key, value=text)
     return Injection(kind, bus, parts[0], parts[1] if of_signal else None, value or 0.0, first or 0.0, last)
+
+
+def _refused_or_bus(kind: str, bus: int, parts: Sequence[str], databases: Sequence[Database]) -> int:
+    """Return the bus of a target.
+
+    Raises:
+        InputError: it has no such message or signal.
+        ValueError: the target of ``unknown`` is no identifier.
+    """
+    if kind == ALONE:
+        if not 0 <= int(parts[0], 0) <= ID_MASK:
+            raise InputError("an identifier has 29 bits", value=parts[0])
+        return max(bus, 0)
+    bus = _having(parts[0], bus, databases)
+    databases[bus].message(parts[0])
+    if len(parts) == 2:
+        databases[bus].signal(parts[0], parts[1])
+    return bus
 
 
 def _bus_of(parts: list[str], names: Sequence[str]) -> tuple[int, list[str]]:
@@ -135,7 +156,7 @@ class Injector:
 
     Attributes:
         bus: index of the bus.
-        count: frames that it has changed or taken out.
+        count: frames that it has changed, taken out or added.
     """
 
     def __init__(
@@ -149,15 +170,18 @@ class Injector:
     ) -> None:
         self._asked, self._rng, self._start_ns = asked, rng, start_ns
         self.bus, self.count = asked.bus, 0
+        self._added = Added(rng)
+        self._signal = self._change = self._message = None
+        self._held, self._turn = np.nan, 1.0
+        if asked.kind == ALONE:
+            return
         mine = [check for check in checks if (check.bus, check.params.message) == (asked.bus, asked.message)]
         database = databases[asked.bus]
         protection = protection_for(database.message(asked.message), mine[0].params) if mine else Protection()
         self._message = ChangedMessage(asked.bus, database, asked.message, protection, pgn)
-        self._signal = None
         if asked.signal is not None:
             self._signal = ChangedSignal(asked.bus, database, asked.message, asked.signal)
         self._change = _OF_FRAME[asked.kind](rng) if asked.kind in _OF_FRAME else None
-        self._held, self._turn = np.nan, 1.0
 
     def apply(self, frames: Frames) -> Frames:
         """Return the frames with the fault in them."""
@@ -165,10 +189,20 @@ class Injector:
             return frames
         if self._start_ns is None:
             self._start_ns = int(frames["t_ns"][0])
+        from_ns = self._start_ns + round(self._asked.from_s * 1e9)
+        to_ns = NEVER if self._asked.to_s is None else self._start_ns + round(self._asked.to_s * 1e9)
+        if self._message is None:
+            can_id = int(self._asked.message, 0)
+            frames, count = self._added.alone(frames, self.bus, can_id, self._asked.value, from_ns, to_ns)
+            self.count += count
+            return frames
         mine = self._message.among(frames)
-        hit = mine & (frames["t_ns"] >= self._start_ns + round(self._asked.from_s * 1e9))
-        if self._asked.to_s is not None:
-            hit &= frames["t_ns"] < self._start_ns + round(self._asked.to_s * 1e9)
+        hit = mine & (frames["t_ns"] >= from_ns) & (frames["t_ns"] < to_ns)
+        if self._asked.kind in BESIDE:
+            more = (frames[mine], hit[mine], self._asked.value, self._forge)
+            frames, count = self._added.beside(self._asked.kind, frames, *more)
+            self.count += count
+            return frames
         self.count += int(hit.sum())
         if self._asked.kind == "drop":
             return frames[~hit]
@@ -183,9 +217,14 @@ class Injector:
             self._change(frames[k : k + 1], bool(hit[k]))
         return frames
 
+    def _forge(self, frames: Frames) -> None:
+        """Give the signal in frames of its message another value."""
+        self._change_signal(frames, np.arange(len(frames)), np.ones(len(frames), np.bool_))
+
     def _change_signal(self, frames: Frames, places: NDArray[np.intp], hit: NDArray[np.bool_]) -> None:
         """Give the signal in frames of its message the values that the fault gives it, where it is hit."""
         assert self._signal is not None
+        assert self._message is not None
         mine = frames[places]
         now = self._signal.values(mine)
         carries = ~np.isnan(now)  # else the frame does not carry the signal
@@ -212,7 +251,7 @@ class Injector:
             return np.full(len(now), value)
         if kind == "scale":
             return now * value
-        if kind == "offset":
+        if kind in ("offset", "forge"):
             return now + value
         turns = np.cumsum(where)  # the first one down, then in turn
         signs = self._turn * np.where(turns % 2 == 1, -1.0, 1.0)

@@ -149,6 +149,8 @@ class Passage(Connected):
 
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
+        if self.config.buses[bus].health.unknown != "none":
+            return None
         found: list[int] = []
         for of in (self.engine.plan.identifiers, self.servers.identifiers_on, self.asking.identifiers_on):
             more = of(bus)
@@ -161,6 +163,7 @@ class Passage(Connected):
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
         self._proofs.look()
+        self.security.pass_time(self.engine.wall_ns(self.engine.now_ns))
         self._interventions.serve_requests()
         self._upkeep.tend()
 

@@ -16,6 +16,7 @@ from gateway.engine.events import (
     QUALIFIED_FAILED,
     QUALIFIED_PASSED,
     RESULT_CHANGED,
+    STRANGER,
     Events,
 )
 from gateway.faults.catalogue import FaultDefinition
@@ -29,6 +30,7 @@ from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
 from gateway.runtime.outbox import Outbox
+from gateway.runtime.strangers import Strangers
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_events
 
@@ -51,6 +53,7 @@ class Verdicts:
         doubts: rules that no frame passes.
         causes: of the faults.
         on_failure: takes id and time, of the engine, of each fault that fails.
+        strangers: tells of other senders.
 
     Attributes:
         count: events until now.
@@ -68,11 +71,12 @@ class Verdicts:
         doubts: Doubts,
         causes: Causes,
         on_failure: Callable[[str, int], None],
+        strangers: Strangers,
     ) -> None:
         self._config, self._parts, self._engine, self._catalogue = config, parts, parts.engine, parts.catalogue
         self._memory, self._controls, self._recorder = memory, controls, recorder
         self._outbox, self._off, self._doubts = outbox, off, doubts
-        self._causes, self._on_failure = causes, on_failure
+        self._causes, self._on_failure, self._strangers = causes, on_failure, strangers
         self._index = {definition.id: k for k, definition in enumerate(parts.catalogue)}
         self.count = 0
 
@@ -110,7 +114,11 @@ class Verdicts:
         if kind == MONITOR_OFF:
             self._outbox.note(self._off.on_event(event, self._bus_name(int(event["bus"]))))
             return
+        if kind == STRANGER:
+            self._strangers.on_stranger(int(event["fault"]), int(event["t_ns"]))
+            return
         if kind == QUALIFIED_FAILED:
+            self._strangers.on_failure(event)
             self._doubts.seek(int(event["fault"]), int(event["t_ns"]))
             fault = self._catalogue[int(event["fault"])].id
             self._on_failure(fault, int(event["t_ns"]) - self._engine.offset_ns)

@@ -48,6 +48,7 @@ LISTED = {
     "injected",
     "reporter",
     "ecu_dtc",
+    "security",
 }
 
 #: State of the switches where none has been used.
@@ -135,6 +136,7 @@ class Hub:
         self.counters: dict[str, int] = {}
         self.reporters: list[dict[str, Any]] = []
         self.ecus: list[dict[str, Any]] = []
+        self.security: dict[tuple[str, str], dict[str, Any]] = {}  # the last event of each sensor and kind
         self.monitoring: dict[str, Any] = dict(ALL_ON)
         self.messages: list[dict[str, Any]] = []
         self.history = History(0)
@@ -301,6 +303,8 @@ class Hub:
             return  # ticks say more of it, and there may be thousands a second
         event = dict(message["event"], number=next(self._number))
         event["t_ms"] = event.get("t_ns", 0) / 1e6
+        if event["event"] == "security":
+            self.security[event["sensor"], event["kind"]] = event
         if event["event"] in LISTED:
             self.events.append(event)
         self._stale.set()

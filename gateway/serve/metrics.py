@@ -52,6 +52,7 @@ class Metrics(Collector):
         yield from self._buses()
         yield from self._reporters()
         yield from self._ecus()
+        yield from self._security()
         decoded = self._hub.counters
         for name, text in (
             ("frames", "Frames taken in."),
@@ -138,6 +139,13 @@ class Metrics(Collector):
             there.add_metric([each["ecu"], each["dtc"]], float(each["there"]))
         if self._hub.ecus or self._hub.memory["ecu_dtcs"]:
             yield from (requests, ends, there)
+
+    def _security(self) -> Iterator[Metric]:
+        found = CounterMetricFamily("gateway_security_events", "Security events.", labels=["sensor", "kind"])
+        for event in self._hub.security.values():
+            found.add_metric([event["sensor"], event["kind"]], float(event["total"]))
+        if self._hub.security:
+            yield found
 
     def _buses(self) -> Iterator[Metric]:
         state = GaugeMetricFamily("gateway_bus_open", "Whether the bus is open.", labels=["bus"])

@@ -7,6 +7,7 @@
 | ``BASE/causes`` | yes | causes of the faults that are there now: a list, the most important first |
 | ``BASE/dtc/FAULT`` | yes | an entry of the fault memory as JSON; gone when it is cleared |
 | ``BASE/ecu/NAME/dtc/DTC`` | yes | a DTC of another ECU as JSON; gone when it went |
+| ``BASE/security/SENSOR/KIND`` | yes | the last security event of a sensor and kind as JSON |
 | ``BASE/signal/NAME`` | no | a chosen signal, at a limited rate |
 
 It only tells: there is no topic by which a broker could ask for anything.
@@ -142,6 +143,8 @@ class Publisher:
         for each in self._hub.memory["ecu_dtcs"]:
             if each["there"]:
                 made[f"{self.base}/ecu/{topic_part(each['ecu'])}/dtc/{topic_part(each['dtc'])}"] = line(each)
+        for event in self._hub.security.values():
+            made[f"{self.base}/security/{topic_part(event['sensor'])}/{topic_part(event['kind'])}"] = line(event)
         return made
 
     def _tell_states(self) -> None:

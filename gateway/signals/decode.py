@@ -92,6 +92,14 @@ def lookup(keys: Any, rows: Any, bus: int, can_id: int) -> int:
 
 
 @kernel
+def of_a_tester(can_id: int) -> bool:
+    """Return whether an identifier, with its flags, is one of diagnostics: frames come when a tester asks."""
+    if can_id & 0x80000000:
+        return (can_id & 0x1FFFFFFF) >> 16 in (0x18DA, 0x18DB)
+    return 0x700 <= can_id <= 0x7FF
+
+
+@kernel
 def ieee(bits: Any, exponent_bits: int, mantissa_bits: int) -> float:
     """Return the value of an IEEE 754 binary16, binary32 or binary64 pattern."""
     top = (1 << exponent_bits) - 1

@@ -203,29 +203,36 @@ def signal_row(signal: Signal) -> Any:
     return row
 
 
-def _by_pgn(message: Message, whole_bus: bool) -> bool:
+def by_pgn(message: Message, whole_bus: bool) -> bool:
+    """Return whether a message matches by its PGN, ``whole_bus``: all of its bus do."""
     return message.is_extended_frame and (whole_bus or message.protocol == "j1939")
 
 
 def _hash(
-    messages: Sequence[tuple[int, Message]], by_pgn: Sequence[bool]
+    messages: Sequence[tuple[int, Message]], by_group: Sequence[bool]
 ) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
-    capacity = 8
-    while capacity < 2 * len(messages) + 1:
-        capacity *= 2
-    keys = np.zeros(capacity, np.uint64)
-    rows = np.full(capacity, -1, np.int32)
-    for row, (bus, message) in enumerate(messages):
+    made: dict[int, Message] = {}
+    for (bus, message), group in zip(messages, by_group, strict=True):
         can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        key = pgn_key(bus, can_id) if by_pgn[row] else exact_key(bus, can_id)
+        key = int(pgn_key(bus, can_id) if group else exact_key(bus, can_id))
+        if key in made:
+            raise InputError(f"has the identifier of {made[key].name}: 0x{message.frame_id:X}", key=message.name)
+        made[key] = message
+    return hash_table(list(made))
+
+
+def hash_table(keys: Sequence[int]) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
+    """Return the open-addressed table of different keys, for ``find``: keys, and the place of each in the sequence."""
+    capacity = 8
+    while capacity < 2 * len(keys) + 1:
+        capacity *= 2
+    slots, rows = np.zeros(capacity, np.uint64), np.full(capacity, -1, np.int32)
+    for row, key in enumerate(keys):
         at = int(hashed(np.uint64(key), capacity - 1))
         while rows[at] >= 0:
-            if keys[at] == key:
-                other = messages[rows[at]][1].name
-                raise InputError(f"has the identifier of {other}: 0x{message.frame_id:X}", key=message.name)
             at = (at + 1) % capacity
-        keys[at], rows[at] = key, row
-    return keys, rows
+        slots[at], rows[at] = key, row
+    return slots, rows
 
 
 def compile_plan(
@@ -261,8 +268,8 @@ def compile_plan(
     rows = _Rows(np.zeros(len(chosen), MESSAGE))
     for row, (bus, message) in enumerate(chosen):
         rows.add(row, bus, message, asked[bus, message.name])
-    by_pgn = [_by_pgn(message, bus in pgn) for bus, message in chosen]
-    keys, places = _hash(chosen, by_pgn)
+    by_group = [by_pgn(message, bus in pgn) for bus, message in chosen]
+    keys, places = _hash(chosen, by_group)
     signals = np.asarray(rows.signals, SIGNAL) if rows.signals else np.zeros(0, SIGNAL)
     return DecodePlan(
         keys,
@@ -274,7 +281,7 @@ def compile_plan(
         tuple(rows.units),
         np.asarray(rows.slot_message, np.int32),
         tuple((bus, message.name) for bus, message in chosen),
-        tuple(by_pgn),
+        tuple(by_group),
         rows.positions,
     )
 

@@ -172,6 +172,32 @@ def evaluate_learn(
     raise typer.Exit(work(cars=cars, seconds=seconds, hours=hours, ways=names, seed=seed, database=database, json=json))
 
 
+def evaluate_senders(
+    files: Annotated[
+        list[Path] | None, typer.Argument(help="Logs of one healthy car more, with databases (.dbc) if there are any.")
+    ] = None,
+    cars: Annotated[int, typer.Option(min=0, help="Number of virtual cars.")] = 3,
+    attacks: Annotated[int, typer.Option(min=1, help="Number of attacks of each kind.")] = 500,
+    hours: Annotated[float, typer.Option(min=0, help="Other healthy drives, together [h].")] = 20.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
+    json: Json = False,
+) -> None:
+    """Evaluate who is seen on the bus: unknown, doubled, replayed, fuzzed, forged and missing frames."""
+    from gateway_fleet.study.senders.command import senders as work
+
+    raise typer.Exit(work(cars=cars, attacks=attacks, hours=hours, files=tuple(files or ()), seed=seed, json=json))
+
+
+def evaluate_road(
+    folder: Annotated[Path, typer.Argument(help="Folder of the ROAD dataset, with ambient and attacks in it.")],
+    json: Json = False,
+) -> None:
+    """Evaluate who is seen on the bus, by the attacks of the ROAD dataset."""
+    from gateway_fleet.study.senders.road import road as work
+
+    raise typer.Exit(work(folder, json=json))
+
+
 def evaluate_cause(
     seeds: Annotated[int, typer.Option(min=0, help="Number of runs of each fault; 0: none.")] = 3,
     pairs: Annotated[int, typer.Option(min=0, help="Number of runs with two faults; 0: none.")] = 200,

@@ -7,6 +7,8 @@ PLUGIN = Plugin(
     commands={
         "learn": "gateway_fleet.commands:learn",
         "calibrate": "gateway_fleet.commands:calibrate",
+        "evaluate senders": "gateway_fleet.commands:evaluate_senders",
+        "evaluate road": "gateway_fleet.commands:evaluate_road",
         "evaluate learn": "gateway_fleet.commands:evaluate_learn",
         "evaluate cause": "gateway_fleet.commands:evaluate_cause",
         "fleet run": "gateway_fleet.commands:fleet_run",

@@ -14,6 +14,7 @@ from gateway.bus.frames import ERROR
 from gateway.engine.adopt import adopt
 from gateway.engine.checks.bus_health import BusInstance, Health, HealthPlace, HealthState
 from gateway.engine.checks.communication import COUNTED_IN, Check, CheckConst, CheckPlace, CheckRun, CheckState
+from gateway.engine.checks.senders import SenderConst, SenderState
 from gateway.engine.debounce import DebounceConst, DebouncePlace, DebounceRow, DebounceState
 from gateway.engine.emission import Emit, EmitConst, EmitPlace, EmitState
 from gateway.engine.events import QUALIFIED_FAILED
@@ -241,8 +242,8 @@ def _constant(row, path):
 
 def test_every_state_of_a_check_is_counted_in_something():
     states = [name for names in COUNTED_IN for name in names]
-    assert sorted(states) == sorted(CheckState.dtype.names)
-    row = np.zeros(1, CheckConst.dtype)[0]
+    assert sorted(states) == sorted((*CheckState.dtype.names, *SenderState.dtype.names))
+    row = np.zeros(1, Check.dtype)[0]
     for constants in COUNTED_IN.values():
         for path in constants:
             _constant(row, path)
@@ -251,7 +252,7 @@ def test_every_state_of_a_check_is_counted_in_something():
 def test_every_field_of_the_engine_s_records_is_said_to_be_one_thing():
     for whole, *parts in (
         (DebounceRow, DebouncePlace, DebounceConst, DebounceState),
-        (Check, CheckPlace, CheckConst, CheckState, CheckRun),
+        (Check, CheckPlace, CheckConst, SenderConst, CheckState, SenderState, CheckRun),
         (Health, HealthPlace, HealthState),
         (Watch, WatchPlace, WatchConst, WatchState),
         (Emit, EmitPlace, EmitConst, EmitState),

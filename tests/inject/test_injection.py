@@ -174,3 +174,53 @@ def test_what_is_no_fault_is_one_clear_line(car, text, word):
     assert told.value.key == "--inject"
     assert told.value.value == text
     assert word in str(told.value)
+
+
+@pytest.mark.parametrize("kind", ["double", "replay", "fuzz"])
+def test_frames_of_another_sender_come_beside_those_of_the_message(car, kind):
+    """In order of time, by batches of any size, none of the others changed."""
+    frames = frames_of(random.Random(5))
+    out, injector = changed(car, Injection(kind, 0, "Car", None, 0.3, 0.5, 1.5), frames)
+    assert injector.count == 100
+    assert (np.diff(out["t_ns"]) >= 0).all()
+    assert len(out) == len(frames) + 100
+    assert [payload(f) for f in mine(out, 0x200)] == [payload(f) for f in mine(frames, 0x200)]
+    theirs = np.isin(mine(out)["t_ns"], frames["t_ns"], invert=True)
+    added = mine(out)[theirs]
+    assert [payload(f) for f in mine(out)[~theirs]] == [payload(f) for f in mine(frames)]
+    before = [payload(frame) for frame in mine(frames)]
+    if kind == "double":
+        assert [payload(f) for f in added] == before[50:150]
+    elif kind == "replay":
+        assert [payload(f) for f in added] == before[20:120]
+    else:
+        assert len({payload(f) for f in added} - set(before)) == 100
+
+
+def test_a_forged_frame_has_one_signal_changed_and_its_protection_right(car):
+    from gateway.signals.protection.params import protection_for
+    from gateway_fleet.learn.judged import Payloads, judged
+
+    checks = [CheckInstance(Params.model_validate({"message": "Car", **CRC}), 0, "b.Car")]
+    frames = frames_of(random.Random(6))
+    out, _ = changed(car, Injection("forge", 0, "Car", "Speed", -20.0, 0.5, 1.5), frames, checks)
+    added = mine(out)[np.isin(mine(out)["t_ns"], frames["t_ns"], invert=True)]
+    twin = car[1].get_message_by_name("Car")
+    was = [twin.decode(payload(f), decode_choices=False) for f in mine(frames)[50:150]]
+    now = [twin.decode(payload(f), decode_choices=False) for f in added]
+    wanted = [max(each["Speed"] - 20.0, -50.0) for each in was]
+    assert [each["Speed"] for each in now] == pytest.approx(wanted, abs=0.06)
+    words = np.ascontiguousarray(added["data"]).view("<u8").reshape(len(added), 8)
+    asked = protection_for(car[0].message("Car"), checks[0].params)
+    assert judged(Payloads(words, added["length"].astype(np.int64)), asked).good.all()
+
+
+def test_an_unknown_identifier_comes_at_its_rate(car):
+    frames = frames_of(random.Random(7))
+    asked = parse_injection("unknown 0x3A1=50 @0.5..1.5", ["b"], [car[0]])
+    out, injector = changed(car, asked, frames)
+    assert injector.count == len(mine(out, 0x3A1)) == 50
+    assert (np.diff(mine(out, 0x3A1)["t_ns"]) == 20_000_000).all()
+    for wrong in ("unknown SPEED", "unknown 0x3A1=0", "unknown 0x3A1=-3", "unknown 0xFFFFFFFFF", "forge Car=3"):
+        with pytest.raises(InputError):
+            parse_injection(wrong, ["b"], [car[0]])

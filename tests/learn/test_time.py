@@ -12,7 +12,7 @@ from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway_bench.wire.replayed import through
 from gateway_fleet.cli.learn import learn_car
-from gateway_fleet.learn.gaps import CYCLIC, Gaps, lost_share, sending, timeout_ms
+from gateway_fleet.learn.gaps import CYCLIC, Gaps, lost_share, most, sending, timeout_ms
 from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.limits import _ended
 from gateway_fleet.learn.lines import CHECK
@@ -130,3 +130,46 @@ def test_a_message_has_ended_that_stopped_three_of_its_longest_gaps_before_its_l
     seen = SimpleNamespace(ended_s=ended_s, gaps=SimpleNamespace(largest_ns=10**9))
     assert _ended(seen) is ended
     assert not _ended(SimpleNamespace(ended_s=1.9, gaps=SimpleNamespace(largest_ns=10**7))), "two seconds at least"
+
+
+def crowded(stamps, limit):
+    """Return whether more frames than the limit come in one of its windows."""
+    row = int(limit["frames"])
+    return bool(((stamps[row:] - stamps[:-row]) < limit["ms"] * MS).any())
+
+
+@pytest.mark.parametrize("period", [0.01, 0.024, 0.1, 0.5, 1.0])
+def test_the_rate_of_a_cyclic_message_is_limited_with_room_for_queues_and_none_for_a_second_sender(period):
+    seed = 4711
+    rng = np.random.default_rng(seed)
+    sent = np.arange(round(max(120.0, 60 * period) / period)) * period
+    late = np.where(rng.random(len(sent)) < 0.1, rng.uniform(0.0, min(0.05, period), len(sent)), 0.0)
+    stamps = np.rint(np.maximum.accumulate(sent + late) * 1e9).astype(np.int64)
+    gaps = Gaps()
+    for part in np.array_split(stamps, 7):
+        gaps.add(part)
+    limit = most(gaps)
+    assert limit is not None
+    assert not crowded(stamps, limit), f"seed {seed}"
+    host = stamps + rng.integers(0, 200 * MS, len(stamps))  # a host that is up to 0.2 s late
+    assert not crowded(np.sort(host), limit), f"seed {seed}"
+    both = np.sort(np.concatenate([stamps, stamps + round(0.3e9 * period)]))
+    assert crowded(both, limit), f"seed {seed}"
+    kept = Gaps.of(gaps.data())
+    assert most(kept) == limit
+    kept.join(gaps)
+    assert most(kept)["frames"] == limit["frames"]
+
+
+def test_no_rate_is_limited_where_nothing_says_it():
+    """Frames on change, too few of them, and what an earlier version kept."""
+    rng = np.random.default_rng(4712)
+    gaps = Gaps()
+    gaps.add(np.cumsum(rng.exponential(0.05e9, 2000)).astype(np.int64))
+    assert most(gaps) is None
+    few = Gaps()
+    few.add(np.arange(12) * 1000 * MS)
+    assert most(few) is not None, "six rows of two"
+    data = few.data()
+    del data["spans_ns"], data["counted"]
+    assert most(Gaps.of(data)) is None

@@ -10,9 +10,10 @@ from learning import asked, drive, quiet
 
 from gateway.bus.frames import EXTENDED
 from gateway.config.load import load_config
+from gateway.signals.decode import of_a_tester
 from gateway_fleet.learn.judged import Payloads
 from gateway_fleet.learn.learn import learn, write
-from gateway_fleet.learn.unknown import message_of, of_a_tester, with_counter
+from gateway_fleet.learn.unknown import message_of, with_counter
 from gateway_fleet.study.learn.drive import Way
 from gateway_fleet.study.learn.judge import healthy, judged
 from gateway_fleet.study.learn.network import Network, network
@@ -103,7 +104,7 @@ def test_a_log_alone_makes_a_configuration_that_runs_and_is_updated(tmp_path, ru
     assert checks["ID_140"]["counter"] == {"signal": "BYTE6_COUNTER"}
     assert checks["ID_140"]["checksum"]["signal"] == "byte 7"
     assert 100.0 <= checks["ID_140"]["timeout_ms"] <= 200.0
-    assert "length" not in checks["ID_140"]
+    assert checks["ID_140"]["length"] == 8, "the only one that came"
     assert checks["ID_333"]["length"] is False, "it came shorter"
     own = {message.name: message for message in load_file(tmp_path / "car.learned.can0.dbc").messages}
     assert (own["ID_18FF0142x"].frame_id, own["ID_18FF0142x"].is_extended_frame) == (0x18FF0142, True)

@@ -16,6 +16,7 @@ from gateway.live.status import _described
 from gateway.runtime.app import Gateway
 from gateway.serve.hub import Hub
 from gateway.serve.metrics import Metrics
+from gateway.serve.mqtt import BrokerSettings, Publisher
 from gateway_fdi.common.resources import shipped
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -58,6 +59,19 @@ def test_metrics_say_what_is(hub):
     assert found["gateway_bus_load_ratio", ("bus", "powertrain")] == pytest.approx(0.1)
     assert found["gateway_bus_frames_lost_total", ("bus", "powertrain")] == 2.0
     assert ("gateway_test_ratio", fault) not in samples(metrics.text()), "the worst since the last scrape"
+
+
+def test_security_events_are_metrics_states_of_a_broker_and_listed(hub):
+    told = {"event": "security", "t_ns": 10**9, "sensor": "powertrain.3A1", "kind": "unknown"}
+    for count, total in ((1, 1), (99, 100)):
+        hub._on_event({"event": {**told, "count": count, "total": total, "context": {"frames": total}}}, b"")
+    assert (
+        samples(Metrics(hub).text())["gateway_security_events_total", ("kind", "unknown"), ("sensor", "powertrain.3A1")]
+        == 100.0
+    )
+    states = Publisher(hub, BrokerSettings("nowhere"), "car").states()
+    assert json.loads(states["gateway/car/security/powertrain.3A1/unknown"])["total"] == 100
+    assert [event["total"] for event in hub.events] == [1, 100]
 
 
 def test_labels_are_those_of_the_catalogue(hub):

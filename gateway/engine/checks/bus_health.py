@@ -5,14 +5,15 @@ It judges the kernel's error frames, and the frames by which the gateway tells t
 off before.
 
 Failure type bytes (SAE J2012): 88 bus off, 08 bus signal or message failure, 81 invalid serial data received, 31 no
-signal, 04 system internal failure (the gateway's own queue), 87 missing message (of everybody, see ``silence``).
+signal, 04 system internal failure (the gateway's own queue), 87 missing message (of everybody, see ``silence``), 55 not
+configured (an identifier that nobody has, see ``strangers``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -44,7 +45,11 @@ from gateway.engine.instances import FaultSlot
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
 from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, i8s, kernel, means, u1
 
-OFF, PASSIVE, ERRORS, GONE, OVERFLOW, SILENT, CLOCK_STEPPED = range(7)
+OFF, PASSIVE, ERRORS, GONE, OVERFLOW, SILENT, UNKNOWN, CLOCK_STEPPED = range(8)
+
+#: Treatment of unknown identifiers.
+NONE, TELL, FAULT = range(3)
+_UNKNOWN = {"none": NONE, "tell": TELL, "fault": FAULT}
 
 _AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_down=True)
 
@@ -103,6 +108,15 @@ FAULTS = (
         " awake ([power] awake)",
         tested="silent [ms]",
     ),
+    Fault(
+        "unknown",
+        "U0001-55",
+        "an identifier that nobody of this bus has: a device was added, or a frame is of another bus",
+        ("identifier", "bytes 0 to 3", "bytes 4 to 7", "length [byte]", "bus that knows it"),
+        Debounce(failed_after=3, passed_after=1, jump_down=True),
+        remedy="find the device that sends it; if it belongs here: its database, or [bus.health] known",
+        tested="frames of it",
+    ),
 )
 
 #: Bases of the DTCs of the first bus, the second, ... (SAE J2012: high speed CAN, then vehicle communication buses A
@@ -154,6 +168,14 @@ class Params(MonitorParams):
         le=3.6e6,
         description="after such a silence each message has this time to come [ms]; its timeout at least",
     )
+    unknown: Literal["none", "tell", "fault"] = Field(
+        "none",
+        description="identifiers that neither a database, a server, a tester nor an ECU that is asked has: told as a"
+        " security event; a fault, too",
+    )
+    known: tuple[Annotated[int, Field(ge=0, le=0x1FFFFFFF)], ...] = Field(
+        (), description="further identifiers that belong here; above 0x7FF: of 29 bits"
+    )
 
 
 class HealthPlace(Record):
@@ -161,6 +183,7 @@ class HealthPlace(Record):
 
     fault: Annotated[i4s, len(FAULTS) + len(OWN_FAULTS)] = means("the engine's index of each fault; -1: not judged")
     timer: i4 = means("its timer")
+    unknown: u1 = means("NONE, TELL or FAULT")
     most: i8 = means("errors in window_ns that are too many; of the gateway itself, us that the clock may be off")
     window_ns: i8 = means(unit="ns")
     quiet_ns: i8 = means("it is silent as a whole after so long without a frame; 0: not judged", "ns")
@@ -209,8 +232,8 @@ def faults_of(code: str) -> tuple[Fault, ...]:
 
 
 @kernel
-def _wait(h: Any, fault: int, t_ns: int) -> None:
-    """Let a fault heal after a window of silence from now."""
+def heal_later(h: Any, fault: int, t_ns: int) -> None:
+    """Let a fault of a bus heal after a window of silence from now."""
     h.until[fault] = t_ns + h.window_ns
     h.deadline_ns = min(h.deadline_ns, h.until[fault])
 
@@ -231,7 +254,7 @@ def _note_condition(h: Any, t_ns: int, word: int) -> None:
         h.lost += lost
         h.value, h.limit = lost, 0.0
         h.evidence[0] = h.lost
-        _wait(h, OVERFLOW, t_ns)
+        heal_later(h, OVERFLOW, t_ns)
 
 
 @kernel
@@ -251,7 +274,7 @@ def _note_controller(h: Any, t_ns: int, controller: int, heard: int) -> int:
         heard = LOSS
     if controller & (RX_OVERFLOW | TX_OVERFLOW):
         h.failed |= 1 << OVERFLOW
-        _wait(h, OVERFLOW, t_ns)
+        heal_later(h, OVERFLOW, t_ns)
     return heard
 
 
@@ -303,7 +326,7 @@ def note(h: Any, t_ns: int, can_id: int, word: int) -> int:
             h.value, h.limit = h.count, h.most
             h.evidence[0], h.evidence[1] = classes, (word >> 16) & 0xFF
             h.evidence[2] = (word >> 24) & 0xFF
-            _wait(h, ERRORS, t_ns)
+            heal_later(h, ERRORS, t_ns)
     return heard
 
 
@@ -334,14 +357,14 @@ def note_step(h: Any, t_ns: int, step_s: float, steps: int) -> None:
     h.failed, h.passed = 1 << CLOCK_STEPPED, 0
     h.value, h.limit = abs(step_s), h.most * 1e-6
     h.evidence[0], h.evidence[1], h.evidence[2] = step_s, steps, 0.0
-    _wait(h, CLOCK_STEPPED, t_ns)
+    heal_later(h, CLOCK_STEPPED, t_ns)
 
 
 @kernel
 def watch_clock(h: Any, t_ns: int) -> None:
     """Begin to watch the clock: each window without a step is a passed test."""
     if h.fault[CLOCK_STEPPED] >= 0:
-        _wait(h, CLOCK_STEPPED, t_ns)
+        heal_later(h, CLOCK_STEPPED, t_ns)
 
 
 @kernel
@@ -376,10 +399,19 @@ class Silence(NamedTuple):
 
 @dataclass(frozen=True)
 class BusInstance:
-    """A bus, and how its health is judged."""
+    """A bus, and how its health is judged.
+
+    Attributes:
+        name: of it.
+        params: its settings.
+        known: identifiers (with EXTENDED) that belong to it beside those of its databases.
+        groups: identifiers whose whole parameter group (J1939) does.
+    """
 
     name: str
     params: Params = field(default_factory=Params)
+    known: tuple[int, ...] = ()
+    groups: tuple[int, ...] = ()
 
 
 def fill(row: Any, bus: BusInstance, index: int, code: str, first_fault: int, silence: Silence) -> list[FaultSlot]:
@@ -391,12 +423,11 @@ def fill(row: Any, bus: BusInstance, index: int, code: str, first_fault: int, si
     row["fault"] = -1
     if not p.watched:
         return []
-    faults = faults_of(code)
-    if silence.quiet_ns == 0:
-        faults = faults[:SILENT]
-    else:
+    row["unknown"] = _UNKNOWN[p.unknown]
+    kinds = [*range(SILENT), *[SILENT] * (silence.quiet_ns > 0), *[UNKNOWN] * (p.unknown == "fault")]
+    if silence.quiet_ns > 0:
         row["bad"] = 1 << SILENT  # the first frame disproves it
     row["quiet_ns"], row["gap_ns"] = silence
     row["wake_ns"] = round(p.wake_ms * 1e6)
-    row["fault"][: len(faults)] = first_fault + np.arange(len(faults))
-    return [FaultSlot(f"{bus.name}.{fault.name}", fault, index) for fault in faults]
+    row["fault"][kinds] = first_fault + np.arange(len(kinds))
+    return [FaultSlot(f"{bus.name}.{faults_of(code)[kind].name}", faults_of(code)[kind], index) for kind in kinds]

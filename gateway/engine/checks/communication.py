@@ -6,7 +6,8 @@ that corrupt data cannot look like a physical fault. A jump of the counter (fram
 but the frame's data are good and are used (AUTOSAR E2E: OKSOMELOST against REPEATED).
 
 Failure type bytes (SAE J2012): 87 missing message, 82 alive counter incorrect, 83 protection
-calculation incorrect, 81 invalid serial data received, 29 signal invalid, 56 invalid configuration.
+calculation incorrect, 81 invalid serial data received, 29 signal invalid, 56 invalid configuration, 37 signal
+frequency too high, 62 signal compare failure.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from pydantic import Field
 
 from gateway.common.times import NEVER
+from gateway.engine.checks import senders
+from gateway.engine.checks.senders import EARLY_FAULT, SECOND_FAULT, Most, SenderConst, SenderState
 from gateway.engine.instances import FaultSlot
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
 from gateway.signals.bits import field_of, mask_of
@@ -26,13 +29,13 @@ from gateway.signals.protection import protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables
 from gateway.signals.tables import DecodePlan, SignalRef
-from gateway_fdi.errors import under
+from gateway_fdi.errors import InputError, under
 from gateway_fdi.jit import Record, i4, i4s, i8, means, u1, u8, u8s
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
 
-TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE = range(6)
+TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE, EARLY, SECOND = range(8)
 
 #: Verdict on a frame: its data may be used.
 ACCEPT = 0
@@ -71,7 +74,7 @@ FAULTS = (
     Fault(
         "length",
         "U0401-81",
-        "frame shorter than its message",
+        "frame shorter than its message, or of another length than it may have",
         ("length [byte]",),
         Debounce(failed_after=2, passed_after=50),
         remedy="check the sender's software against the database",
@@ -93,6 +96,8 @@ FAULTS = (
         Debounce(failed_after=1, passed_after=1, jump_down=True),
         remedy="see the event `protection`, or the log: they name rules that fit; correct [[bus.check]]",
     ),
+    EARLY_FAULT,
+    SECOND_FAULT,
 )
 
 #: Evidence for a checksum's rule is counted in half bits (see ``weigh_rule``). From this much on the rule is the
@@ -129,7 +134,15 @@ class Params(MonitorParams, ProtectionParams):
         description="time that it has to come after the bus was silent, or asleep, and since the gateway listens [ms];"
         " default: that of the bus, and the timeout",
     )
-    length: bool = Field(True, description="judge frames shorter than the message")
+    most: Most | None = Field(
+        None, description="how often it may come: `early`, and where its counter runs twice `second_sender`"
+    )
+    length: bool | int = Field(
+        True,
+        ge=0,
+        le=64,
+        description="judge frames shorter than the message; a number: frames of any other length [byte]",
+    )
     value: bool = Field(
         True,
         description="judge floating-point signals that are used: NaN, infinite, far outside of their range",
@@ -166,6 +179,7 @@ class CheckConst(Record):
     wake_ns: i8 = means("time to come after the bus was silent as a whole", "ns")
     first_ns: i8 = means("time to come since there is something to hear", "ns")
     length: i4 = means("least length", "byte")
+    only_length: i4 = means("the one length that it may have; 0: any", "byte")
     cycle_ns: i8 = means("of E2E's state machine: so long without a frame is no new data; 0: not looked at", "ns")
     rule: i8 = means("digest of the checksum's rule; 0: there is none")
     protection: ProtectionConst = means("checksum, alive counter, header")
@@ -200,7 +214,10 @@ _COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus"
 #: Each state of a check, and the constants it is counted in: a reload keeps it where these are as they were.
 COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
     ("deadline_ns", "silent_ns", "losses", "parked_ns", "parks", "asleep"): ("timeout_ns",),
-    ("last_counter", "unread", "seen"): _COUNTER,
+    ("last_counter", "unread", "seen", "other_counter", "other_seen", "odd", "twice"): _COUNTER,
+    ("left", "at", "filled", "stamps", "crowded", "last_ns", "blamed", "before"): (
+        "most_ns", "stride", "slots",
+    ),
     ("passed", "weighed", "proof", "misfits", "samples", "lengths"): ("rule",),
     # A window saw right and wrong frames. Its sizes and limits are asked at the next frame.
     ("window", "came_ns", "ok", "wrong"): (
@@ -244,11 +261,15 @@ _NEAR += (
     "run",
     "run_since_ns",
     "run_until_ns",
+    "stride",
+    "left",
+    "last_ns",
+    "blamed",
     "protection",
 )
 
 
-class Check(CheckState, CheckConst, CheckPlace, CheckRun, near=_NEAR):
+class Check(CheckState, SenderState, CheckConst, SenderConst, CheckPlace, CheckRun, near=_NEAR):
     """The checks of one message."""
 
 
@@ -320,9 +341,11 @@ def fill(
         p.timeout_ms is not None,
         asked.counter is not None,
         summed,
-        p.length,
+        p.length is not False,
         p.value and bool(plan.messages[plan.message(check.bus, p.message)]["floats"]),
         summed,
+        p.most is not None,
+        p.most is not None and asked.counter is not None,
     )
     slots: list[FaultSlot] = []
     for kind, is_wanted in enumerate(wanted):
@@ -332,6 +355,11 @@ def fill(
             slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
     row["bus"] = check.bus
     row["length"] = message.length
+    row["only_length"] = 0 if isinstance(p.length, bool) else p.length
+    if 0 < row["only_length"] < message.length:
+        text = f"{message.name} has {message.length} bytes: no frame of this length is one"
+        raise InputError(text, key=f"{_key(check)}.length", value=p.length)
+    senders.fill(row, p.most)
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
     row["wake_ns"] = round(max(p.timeout_ms or 0, wake_ms if p.wake_ms is None else p.wake_ms) * 1e6)
     row["first_ns"] = round(max(p.timeout_ms or 0, p.wake_ms or 0) * 1e6)

@@ -26,9 +26,17 @@ from gateway.engine.checks.communication import (
     WIDE,
 )
 from gateway.engine.checks.runs import begin_run, go_on, tell_run
+from gateway.engine.checks.senders_steps import (
+    accuse,
+    begin_window,
+    clears_sender,
+    follow,
+    is_doubtful,
+    judge_rate,
+)
 from gateway.engine.checks.silence import park
 from gateway.engine.gate import sleeps
-from gateway.engine.results import report_result, store_evidence
+from gateway.engine.results import not_tested, report_result, store_evidence
 from gateway.engine.timers import arm
 from gateway.monitors.contract import NOT_TESTED
 from gateway.signals.decode import INVALID_VALUE, OK, TOO_SHORT
@@ -111,6 +119,7 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
         if c.bus != bus:
             continue
         c.seen = 0
+        begin_window(c)
         deadline_ns = t_ns + (c.first_ns if condition == RUNNING else c.timeout_ns)
         if c.timeout_ns <= 0 or (condition != RUNNING and (c.deadline_ns >= deadline_ns or c.losses >= MOST_LOSSES)):
             continue
@@ -143,7 +152,15 @@ def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
         if c.passed & 0xFF == 0:  # now and then is enough: it cannot change any more
             report_result(T, t_ns, c.fault[RULE], False, float(received), float(computed))
         c.passed += 1
-    place = report_result(T, t_ns, c.fault[CRC], wrong, float(received), float(computed))
+    cleared = False
+    if c.stride > 0:
+        if wrong or c.blamed == 1:
+            cleared = clears_sender(T, t_ns, c, wrong)
+        c.last_ns = t_ns
+    if cleared:
+        not_tested(T, t_ns, c.fault[CRC])
+        return False
+    place = accuse(T, t_ns, c, CRC, wrong, float(received), float(computed))
     store_evidence(T, c.fault[CRC], place, 0, float(received))
     store_evidence(T, c.fault[CRC], place, 1, float(computed))
     store_evidence(T, c.fault[CRC], place, 2, float(max(verdict - FRAME_CHECKSUM, 0)))
@@ -205,9 +222,11 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
     p = c.protection
     received = counter_of(words, p)
     step = counter_step(c, received)
+    if c.stride > 0:
+        step = follow(T, t_ns, c, received, step)
     # The counters of rejected frames went by unread; those frames were not lost.
     jumped = step < 0 or step > p.max_step + c.unread
-    place = report_result(T, t_ns, c.fault[COUNTER], jumped or step == 0, float(step), float(p.max_step))
+    place = accuse(T, t_ns, c, COUNTER, jumped or step == 0, float(step), float(p.max_step))
     store_evidence(T, c.fault[COUNTER], place, 0, float(step))
     store_evidence(T, c.fault[COUNTER], place, 1, float(c.last_counter))
     store_evidence(T, c.fault[COUNTER], place, 2, float(received))
@@ -302,8 +321,15 @@ def report_arrival(T: Any, t_ns: int, c: Any, length: int, status: int) -> None:
     if c.fault[TIMEOUT] >= 0:
         report_result(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
     if c.fault[LENGTH] >= 0:
-        place = report_result(T, t_ns, c.fault[LENGTH], status == TOO_SHORT, length, c.length)
+        wrong = status == TOO_SHORT or is_odd_length(c, length)
+        place = accuse(T, t_ns, c, LENGTH, wrong, length, c.only_length if c.only_length > 0 else c.length)
         store_evidence(T, c.fault[LENGTH], place, 0, length)
+
+
+@kernel
+def is_odd_length(c: Any, length: int) -> bool:
+    """Return whether a frame has another length than the one that it may have."""
+    return bool(c.only_length > 0 and length != c.only_length)
 
 
 @kernel
@@ -315,6 +341,23 @@ def is_usual(T: Any, c: Any, words: Any, length: int, status: int) -> bool:
     if clock.held == 1 or clock.gate_changes != c.gate_changes:
         return False
     return bool(c.counted == 0 or counter_step(c, counter_of(words, c.protection)) == c.usual_step)
+
+
+@kernel
+def note_arrival(T: Any, t_ns: int, c: Any) -> None:
+    """Take that a frame of a message has come: its time starts again, and it counts for its rate."""
+    if c.timeout_ns > 0:
+        deadline_ns, before_ns = t_ns + c.timeout_ns, c.deadline_ns
+        c.deadline_ns = deadline_ns
+        c.silent_ns = 0
+        c.losses = 0
+        c.parks = 0
+        if deadline_ns < before_ns:  # after a late frame; the noted time is never later than the deadline
+            arm(T, c.timer, deadline_ns)
+    if c.stride > 0:
+        c.left -= 1
+        if c.left <= 0:
+            judge_rate(T, t_ns, c)
 
 
 @kernel
@@ -330,19 +373,12 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         status: of the decoder.
         bad: place of a signal that carries no value, -1: none.
     """
-    if c.timeout_ns > 0:
-        deadline_ns, before_ns = t_ns + c.timeout_ns, c.deadline_ns
-        c.deadline_ns = deadline_ns
-        c.silent_ns = 0
-        c.losses = 0
-        c.parks = 0
-        if deadline_ns < before_ns:  # after a late frame; the noted time is never later than the deadline
-            arm(T, c.timer, deadline_ns)
+    note_arrival(T, t_ns, c)
     usual = is_usual(T, c, words, length, status)
     if not usual:
         end_run(T, c)
         report_arrival(T, t_ns, c, length, status)
-        if status not in (OK, INVALID_VALUE):
+        if status not in (OK, INVALID_VALUE) or is_odd_length(c, length):
             c.unread += 1
             return REJECT
     if usual or c.presence < 0 or T.present[c.presence] == 1:
@@ -360,6 +396,9 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
             return ACCEPT
         if c.fault[COUNTER] >= 0 and not counter_fits(T, t_ns, c, words):
             return REJECT
+    if is_doubtful(c):
+        T.clock[0].doubtful += 1
+        return REJECT
     if c.fault[VALUE] >= 0:
         value = T.values[bad] if bad >= 0 else 0.0
         place = report_result(T, t_ns, c.fault[VALUE], bad >= 0, value, 0.0)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.engine.buckets import note_alike
-from gateway.engine.checks.communication import COUNTER, CRC, RULE
+from gateway.engine.checks.communication import COUNTER, CRC, EARLY, RULE
 from gateway.engine.debounce import is_settled
 from gateway.engine.gate import is_lasting
 from gateway_fdi.jit import kernel
@@ -23,9 +23,9 @@ from gateway_fdi.jit import kernel
 def begin_run(T: Any, c: Any, length: int) -> None:
     """See whether a run may begin, after a frame of that length [byte] has passed all checks of its message."""
     c.steady = 0
-    if c.presence >= 0 or c.protection.windowed == 1:
+    if c.presence >= 0 or c.protection.windowed == 1 or c.odd > 0 or c.twice > 0:
         return
-    for kind in range(c.fault.shape[0]):
+    for kind in range(EARLY):  # a window is reported by itself
         if kind not in (CRC, RULE) and c.fault[kind] >= 0:
             d = T.debounces[c.fault[kind]]
             if not is_settled(d) or (d.gated == 1 and not is_lasting(T, d)):
@@ -56,7 +56,7 @@ def tell_run(c: Any, debounces: Any, buckets: Any) -> None:
     """Tell the buckets of a message's run; its next frame begins another one."""
     if c.run == 0:
         return
-    for kind in range(c.fault.shape[0]):
+    for kind in range(EARLY):
         fault = c.fault[kind]
         if fault >= 0 and kind not in (CRC, RULE):
             d = debounces[fault]

@@ -17,6 +17,8 @@ _POWERS = {
     "crc": (0.3, 0.1, 0.02),
     "length": (0.3, 0.1, 0.01),
     "value": (0.3, 0.1, 0.01),
+    "early": (0.1, 0.02, 0.001),
+    "second_sender": (0.01, 0.01, 0.001),
 }
 #: Fault of a bus -> probability that it fails if the bus is at fault.
 _HEALTH = {"bus_off": 0.5, "bus_passive": 0.5, "bus_errors": 0.5, "bus_lost": 0.9, "bus_silent": 0.99}
@@ -29,6 +31,8 @@ def of_check(check: CheckInstance, fault: str, network: Network) -> Iterator[See
     if fault == "rule":
         yield Seen(component("model", network.names[check.bus], name, "checksum"), 0.9, "its rule, as configured")
         return
+    if fault in ("early", "second_sender"):
+        yield Seen(network.second_sender(check.bus, name), 0.9, "another one sends it, too")
     of_message, of_sender, of_bus = _POWERS[fault]
     yield Seen(message, of_message, "the message itself")
     for sender in network.senders(check.bus, name):
@@ -40,5 +44,7 @@ def of_bus(bus: int, fault: str, network: Network) -> Iterator[Seen]:
     """Yield what the health of a bus depends on."""
     if fault in _HEALTH:
         yield Seen(network.bus(bus), _HEALTH[fault], "the bus itself")
+    elif fault == "unknown":
+        yield Seen(component("stranger", network.names[bus]), 0.9, "a sender that does not belong to the bus")
     else:
         yield Seen(component("gateway", "queues"), 0.9, "the gateway did not read in time")

@@ -61,7 +61,8 @@ def dependences(
         for part in (check.params.counter, check.params.crc, check.params.checksum)
         if part is not None and part.signal is not None
     }
-    network = Network([bus.name for bus in buses], dict(enumerate(databases)), protections)
+    limited = {(check.bus, check.params.message) for check in checks if check.params.most is not None}
+    network = Network([bus.name for bus in buses], dict(enumerate(databases)), protections, limited)
     found: dict[str, tuple[Seen, ...]] = {}
     for m in monitors:
         found |= {f"{m.name}.{name}": seen for name, seen in of_monitor(m, network).items()}

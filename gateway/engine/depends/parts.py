@@ -18,6 +18,8 @@ CONNECTED = 0.3
 #: Of a fault of the message that carries the value, and of its sender: few of their faults make values wrong that
 #: arrive, and pass all checks.
 OF_MESSAGE, OF_SENDER = 0.02, 0.02
+#: Of a second sender of the message: values of both come in turn, until it is told.
+OF_SECOND = 0.3
 #: Senders of databases that do not know the sender.
 _NOBODY = ("XXX", "Vector__XXX")
 
@@ -48,12 +50,18 @@ class Network:
         names: of the buses.
         databases: of each bus.
         protections: signals that are checksums and counters of their messages.
+        limited: messages (bus, name) of which a second sender is told.
     """
 
     def __init__(
-        self, names: Sequence[str], databases: Mapping[int, Database], protections: Collection[SignalRef] = ()
+        self,
+        names: Sequence[str],
+        databases: Mapping[int, Database],
+        protections: Collection[SignalRef] = (),
+        limited: Collection[tuple[int, str]] = (),
     ) -> None:
         self.names, self.databases, self._protections = tuple(names), databases, frozenset(protections)
+        self._limited = frozenset(limited)
 
     def bus(self, bus: int) -> Component:
         """Return a bus."""
@@ -66,6 +74,10 @@ class Network:
         except InputError:  # of a monitor's own message, from another database
             return []
         return [component("ecu", self.names[bus], name) for name in found if name not in _NOBODY]
+
+    def second_sender(self, bus: int, message: str) -> Component:
+        """Return what sends a message beside its own sender."""
+        return component("second sender", self.names[bus], message)
 
     def message(self, bus: int, message: str) -> Component:
         """Return a message."""
@@ -83,6 +95,8 @@ class Network:
         yield Seen(self.message(ref.bus, ref.message), OF_MESSAGE * power, f"carries {ref.signal}")
         for sender in self.senders(ref.bus, ref.message):
             yield Seen(sender, OF_SENDER * power, f"sends {ref.message}")
+        if (ref.bus, ref.message) in self._limited:
+            yield Seen(self.second_sender(ref.bus, ref.message), OF_SECOND * power, "another one sends it, too")
 
 
 def strongest(seen: Iterable[Seen]) -> tuple[Seen, ...]:

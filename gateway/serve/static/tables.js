@@ -89,6 +89,7 @@ export function textOf(event) {
     case "diagnosis": return told(event.groups);
     case "symptoms": return `symptoms ${event.state}: ${event.faults.join(", ")}`;
     case "ecu_dtc": return `ECU ${event.ecu}: ${event.dtc} ${event.state}`;
+    case "security": return `security: ${event.kind} (${event.count}) seen by ${event.sensor}`;
     case "clear": return `cleared: ${event.faults.join(", ") || "no entry was there"}`;
     case "cycle": return `operation cycle ${event.cycle} ${event.state} (${event.number})`;
     case "intervention": return `${event.protocol === "local" ? "this machine" : `tester ${event.protocol}`}: ${event.action}${event.outcome === "done" ? "" : ", refused"}`;

@@ -29,6 +29,7 @@ PRIORS = {
     "ecu": 3e-4,
     "bus": 1e-4,
     "model": 1e-4,
+    "second sender": 1e-4,
 }
 #: Of any other kind.
 OTHER_PRIOR = 3e-4

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.signals.database import Database
+from gateway.signals.decode import of_a_tester
 from gateway_fleet.learn import limits
 from gateway_fleet.learn.answers import absent_lines, answer_lines, answer_notes
 from gateway_fleet.learn.belonging import strangers
@@ -45,6 +46,9 @@ def derive(
     seconds = earlier_s + sum(log.seconds for log in observation.logs)
     taken: dict[int, set[str]] = {}
     buses = [bus.name for bus in asked if not bus.of_answers]
+    for bus, can_id in observation.foreign:
+        if bus < len(buses) and not of_a_tester(can_id):
+            learned.known.setdefault(buses[bus], set()).add(can_id)
     everything = observation
     heard = {key: seen for key, seen in observation.seen.items() if not asked[key[0]].of_answers}
     observation = replace(observation, seen=heard)
@@ -60,7 +64,7 @@ def derive(
         line = limits.check_line(buses[bus], seen, found[key], note)
         if several and "counter" not in line.keys and found[key].counter is None:
             learned.notes.append(f"{buses[bus]}.{name}: its gaps look as if two senders sent it")
-        if not seen.unknown or set(line.keys) - {"message", "length"} or "length" not in line.keys:
+        if not seen.unknown or set(line.keys) - {"message", "length"} or line.keys.get("length") is not False:
             learned.add(line)
     speeds = [drives(observation, bus) for bus in range(len(buses))]
     for key, seen in observation.seen.items():

@@ -17,6 +17,8 @@ FIRST_NS = 1_000
 BINS = 1200  # to 5.7 h
 #: The longest gaps that are kept as they are.
 LONGEST = 8
+#: Numbers of gaps in a row whose shortest sum is kept.
+ROWS = tuple(2**k for k in range(1, 11))
 
 
 @dataclass
@@ -30,6 +32,8 @@ class Gaps:
         last_ns: stamp of the latest frame in this log; None: none yet.
         returns_ns: number of a pause of the bus -> when it came again after it [ns].
         wakes: after how many times the bus woke up, and the latest that it came then [ns].
+        counted: gaps whose rows were looked at.
+        spans_ns: number of gaps in a row -> the shortest time that they took [ns]; 0: none was seen.
     """
 
     count: int = 0
@@ -38,10 +42,14 @@ class Gaps:
     last_ns: int | None = None
     returns_ns: dict[int, int] = field(default_factory=dict)
     wakes: tuple[int, int] = (0, 0)
+    counted: int = 0
+    spans_ns: dict[int, int] = field(default_factory=lambda: dict.fromkeys(ROWS, 0))
+    _recent: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def begin(self) -> None:
         """Begin with another log: the time between is no gap."""
         self.last_ns = None
+        self._recent = np.zeros(0, np.int64)
 
     def stamps(self, t_ns: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the stamps of frames, with the one before them."""
@@ -49,6 +57,7 @@ class Gaps:
 
     def add(self, t_ns: NDArray[np.int64], none: NDArray[np.bool_] | None = None) -> None:
         """Add the stamps of frames, in order; ``none``: which gaps of :meth:`stamps` are none of this message."""
+        self._count(t_ns)
         gaps = np.diff(self.stamps(t_ns))
         self.last_ns = int(t_ns[-1])
         if none is not None:
@@ -61,8 +70,25 @@ class Gaps:
         top = np.sort(gaps)[-LONGEST:]
         self.longest_ns = sorted([*self.longest_ns, *(int(gap) for gap in top)], reverse=True)[:LONGEST]
 
+    def _count(self, t_ns: NDArray[np.int64]) -> None:
+        """Look for the shortest rows of gaps that end with these frames; an old stamp counts where it came."""
+        stamps = np.maximum.accumulate(np.concatenate([self._recent, t_ns]))
+        self.counted += len(t_ns)
+        for row in ROWS:
+            if len(stamps) > row:
+                self._shorter(row, int((stamps[row:] - stamps[:-row]).min()))
+        self._recent = stamps[-ROWS[-1] :]
+
+    def _shorter(self, row: int, span_ns: int) -> None:
+        before = self.spans_ns[row]
+        self.spans_ns[row] = span_ns if before == 0 else min(before, span_ns)
+
     def join(self, other: Gaps) -> None:
         """Add the gaps of other logs."""
+        self.counted += other.counted
+        for row, span_ns in other.spans_ns.items():
+            if span_ns:
+                self._shorter(row, span_ns)
         self.count += other.count
         self.bins += other.bins
         self.longest_ns = sorted([*self.longest_ns, *other.longest_ns], reverse=True)[:LONGEST]
@@ -96,6 +122,8 @@ class Gaps:
             "bins": {str(k): int(self.bins[k]) for k in used},
             "longest_ns": self.longest_ns,
             "wakes": list(self.wakes),
+            "counted": self.counted,
+            "spans_ns": [[row, span_ns] for row, span_ns in self.spans_ns.items()],
         }
 
     @classmethod
@@ -106,6 +134,8 @@ class Gaps:
             made.bins[int(k)] = count
         times, latest_ns = data.get("wakes", (0, 0))
         made.wakes = int(times), int(latest_ns)
+        made.counted = int(data.get("counted", 0))  # earlier versions did not look
+        made.spans_ns |= {int(row): int(span_ns) for row, span_ns in data.get("spans_ns", ())}
         return made
 
 
@@ -217,6 +247,30 @@ def _rounded(value: float) -> float:
     """Round up to two digits, as people write."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 1)
     return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")
+
+
+#: Shortest time of the row of gaps that is limited [ns]; share of it that such a row must take at least, and number of
+#: rows that it takes to say so.
+WINDOW_NS, LEAST_SHARE, LEAST_ROWS = 1_000_000_000, 0.75, 5
+
+
+def most(gaps: Gaps) -> dict[str, float] | None:
+    """Return how often a cyclic message may come, as ``most`` of its check; None where nothing says it.
+
+    A second sender halves the time of a row of gaps, queues shorten it by their length, so that a limit of three
+    quarters of a second stands a host that is a quarter of a second late. Of n rows that follow one law the next
+    is shorter than the shortest with probability 1/(n + 1): the fewer there are, the more is added to what was missing.
+    """
+    if sending(gaps) != CYCLIC:
+        return None
+    cycle = gaps.quantile_ns(0.5)
+    for row, span_ns in gaps.spans_ns.items():
+        whole, count = row * cycle, gaps.counted // row
+        if whole < WINDOW_NS or span_ns == 0 or count < LEAST_ROWS:
+            continue
+        if whole - _longer(count) * max(whole - span_ns, 0.0) >= LEAST_SHARE * whole:
+            return {"frames": row, "ms": float(f"{LEAST_SHARE * whole * 1e-6:.3g}")}
+    return None
 
 
 #: After a few wake-ups a message may come later than ever by this factor; the bus's own time to wake is this [ms].

@@ -260,7 +260,10 @@ def _by_log(progress: Progress, said: str) -> Callable[[Path, int, float], None]
 
 def _widen(asked: Asked, result: Result, proof: Replayed, before: Counter[tuple[tuple[str, str, str], str]]) -> bool:
     """Widen what alarmed; returns whether anything was changed."""
-    changed = False
+    changed = bool(proof.strangers)
+    for bus, can_id in sorted(proof.strangers):
+        result.learned.known.setdefault(asked.buses[bus].name, set()).add(can_id)
+        result.changes.append(f"{asked.buses[bus].name}: 0x{can_id & ID_MASK:X} came in what was held out: known")
     for fault, alarm in sorted(proof.alarms.items()):
         owned = owner(result.learned, fault, asked.buses)
         if owned is None:

@@ -67,6 +67,9 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> 
     if timeout is not None:
         keys["timeout_ms"] = timeout
         keys |= _wake(seen, timeout, why)
+    if (often := gaps.most(seen.gaps)) is not None:
+        keys["most"] = often
+        why.append(f"{often['frames']:g} gaps in {_ms(seen.gaps.spans_ns[int(often['frames'])])} at least")
     if seen.decoded < seen.frames or any(length < message.length for length in seen.lengths):
         keys["length"] = False
         why.append(
@@ -75,6 +78,8 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> 
     elif seen.unknown and seen.frames < SHOWN:
         keys["length"] = False
         why.append("too few for a length")
+    elif len(seen.lengths) == 1 and seen.frames >= SHOWN:
+        keys["length"] = next(iter(seen.lengths))
     if found.claim is not None:
         keys |= found.claim.keys
         name = found.claim.protection.name

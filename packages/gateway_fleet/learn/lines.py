@@ -50,10 +50,12 @@ class Learned:
     Attributes:
         lines: by their places, in the order of the file.
         notes: things left out, and why; one line each.
+        known: bus -> identifiers, with their flags, that came and have no message.
     """
 
     lines: dict[tuple[str, str, str], Line] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    known: dict[str, set[int]] = field(default_factory=dict)
 
     def add(self, line: Line) -> None:
         """Add a line."""

@@ -16,7 +16,7 @@ from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames
 from gateway.config.model import Config
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
-from gateway.signals.decode import lookup
+from gateway.signals.decode import lookup, of_a_tester
 from gateway.signals.payloads import columns, words_of
 from gateway.signals.tables import compile_plan
 from gateway_fleet.learn import observers
@@ -25,7 +25,7 @@ from gateway_fleet.learn.gaps import WAKE_MS, Gaps
 from gateway_fleet.learn.pauses import Pauses, tell_wakes
 from gateway_fleet.learn.samples import Samples
 from gateway_fleet.learn.snapshots import Snapshots
-from gateway_fleet.learn.unknown import MOST, message_of, of_a_tester
+from gateway_fleet.learn.unknown import MOST, message_of
 
 
 @dataclass

@@ -46,6 +46,7 @@ class Replayed:
         frames, seconds: of what was held out.
         windows: frames of each log after its cut, in even time, to put faults into.
         before: engine as it was at the cut, of each window.
+        strangers: (bus, identifier with its flags) that came and that nothing knows.
         config: that was replayed.
         parts: built of it.
     """
@@ -57,6 +58,7 @@ class Replayed:
     seconds: float = 0.0
     windows: list[Frames] = field(default_factory=list)
     before: list[Engine] = field(default_factory=list)
+    strangers: set[tuple[int, int]] = field(default_factory=set)
 
 
 def replayed(
@@ -112,6 +114,8 @@ def _replay(
                 window.append(part)
                 kept += len(part)
         progress(log.path, len(frames), done)
+    rows = engine.tables.strangers
+    result.strangers |= {(int(row["bus"]), int(row["can_id"])) for row in rows[rows["count"] > 0]}
     if held and cut is not None:
         result.seconds += max(0, last_ns - cut) * 1e-9
         result.windows.append(np.concatenate(window) if window else empty(0))

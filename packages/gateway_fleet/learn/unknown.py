@@ -23,8 +23,6 @@ from gateway_fleet.learn.judged import Payloads
 MOST = 1000
 #: Frames that show a length.
 SHOWN = 100
-#: Identifiers that diagnostics have: frames come when a tester asks, so that no time says that one is missing.
-DIAGNOSTIC, DIAGNOSTIC_EXTENDED = range(0x700, 0x800), (0x18DA, 0x18DB)
 #: The lowest bit of a counter changes in more than this share of the frames, whatever is lost.
 TURNS = 0.5
 #: Fields of one byte that may count: two bits and more.
@@ -36,13 +34,6 @@ ALIKE = 0.99
 def database_path(out: Path, bus: str) -> Path:
     """Return where the messages of a bus lie that no database has, beside a configuration."""
     return out.with_suffix(f".learned.{bus}.dbc")
-
-
-def of_a_tester(can_id: int) -> bool:
-    """Return whether an identifier, with its flags, is one of diagnostics."""
-    if can_id & EXTENDED:
-        return (can_id & ID_MASK) >> 16 in DIAGNOSTIC_EXTENDED
-    return can_id in DIAGNOSTIC
 
 
 def message_of(can_id: int, taken: Collection[str]) -> Message:

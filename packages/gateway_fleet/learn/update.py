@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -82,12 +82,19 @@ def _joined(old: Line, new: Line) -> Line:
                 why += f"; {name} of earlier logs"
         if "timeout_ms" in keys and "timeout_ms" in old.keys:
             keys["timeout_ms"] = max(keys["timeout_ms"], old.keys["timeout_ms"])
+        if "most" in keys and "most" in old.keys:
+            keys["most"] = max(keys["most"], old.keys["most"], key=_often)
         for name in ("length", "value"):
-            if old.keys.get(name) is False:
-                keys[name] = False
+            if isinstance(old.keys.get(name), bool):
+                keys[name] = old.keys[name]
     if new.table == SIGNAL:
         _widest(keys, old)
     return Line(new.bus, new.table, new.name, keys, why)
+
+
+def _often(most: Mapping[str, float]) -> float:
+    """Return the rate of a limit [1/ms]."""
+    return most["frames"] / most["ms"]
 
 
 def _widest(keys: dict[str, Any], old: Line) -> None:

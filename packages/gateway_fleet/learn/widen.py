@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,7 @@ from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line, inline
 from gateway_fleet.learn.proof import Alarm
 
 #: Kind of a message's fault -> key that is taken out, or said to be off.
-_OUT = {"counter": "counter", "timeout": "timeout_ms"}
+_OUT = {"counter": "counter", "timeout": "timeout_ms", "early": "most", "second_sender": "most"}
 #: Factor by which a limit is widened.
 WIDER = 2.0
 
@@ -65,6 +66,10 @@ def _changed(keys: dict[str, Any], kind: str, alarm: Alarm, again: bool) -> str:
     if kind == "timeout" and not again:
         keys["timeout_ms"] = short(WIDER * max(alarm.value, keys["timeout_ms"]), 2)
         return f"timeout {inline(keys['timeout_ms'])} ms"
+    if kind == "early" and not again:
+        frames = math.ceil(1.25 * keys["most"]["frames"] * max(alarm.value / alarm.threshold, 1.0))
+        keys["most"] = keys["most"] | {"frames": frames}
+        return f"{frames} frames"
     if kind in ("low", "high") and not again:
         low, high = keys["plausible"]
         room = high - low
@@ -91,6 +96,9 @@ def _taken_out(keys: dict[str, Any], kind: str) -> str:
     if kind == "counter" and "e2e" in keys:
         del keys["e2e"]
         return "protection taken out"
+    if kind == "length" and keys.get(kind, True) is not True:
+        keys[kind] = True
+        return "any that is long enough"
     if kind in ("length", "value"):
         keys[kind] = False
         return "off"

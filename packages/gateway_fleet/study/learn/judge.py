@@ -140,7 +140,7 @@ def healthy(out: Path, net: Network, seed: int, seconds: float, way: Way) -> Cou
 
 
 def codes_of(out: Path, frames: Frames) -> Counter[str]:
-    """Return the codes that frames set, fault -> how often."""
+    """Return the codes that frames set, fault -> how often; and identifiers that are told as unknown."""
     engine = prepare(load_config(out), out).engine
     codes: Counter[str] = Counter()
 
@@ -151,4 +151,6 @@ def codes_of(out: Path, frames: Frames) -> Counter[str]:
 
     for part in np.array_split(frames, max(len(frames) // 5000, 1)):
         engine.process(part, hear)
+    for can_id in engine.tables.strangers["can_id"][engine.tables.strangers["count"] > 0]:
+        codes[f"unknown 0x{can_id:X}"] += 1
     return codes

@@ -1,0 +1,126 @@
+"""Tests of who sends a message: its rate over a window, and counters that run twice."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.engine.checks.communication import COUNTER, CRC, EARLY, SECOND
+from gateway.engine.results import not_tested, report_result, store_evidence
+from gateway_fdi.jit import kernel
+
+#: A frame that goes on the other count speaks for two senders as much as this number that go on the same one speaks
+#: against it. By chance a lost frame looks so once in the counter's modulus.
+CHANGE = 8
+#: From here on they are two, and from half of it values are doubted: four changes, two changes.
+TWO = 4 * CHANGE
+#: Frames for which another count is remembered.
+REMEMBERED = 64
+
+
+@kernel
+def is_doubtful(c: Any) -> bool:
+    """Return whether nobody knows if a message's frames are its sender's."""
+    if c.twice >= TWO // 2:
+        return True
+    return bool(c.crowded == 1 and (c.fault[COUNTER] < 0 or c.odd > 0))
+
+
+@kernel
+def accuse(T: Any, t_ns: int, c: Any, kind: int, failed: bool, value: float, limit: float) -> int:
+    """Report a result of a message's check, as ``report_result``; no failure while the sender is doubtful."""
+    if failed and is_doubtful(c):
+        not_tested(T, t_ns, c.fault[kind])
+        return -1
+    return int(report_result(T, t_ns, c.fault[kind], failed, value, limit))
+
+
+@kernel
+def clears_sender(T: Any, t_ns: int, c: Any, failed: bool) -> bool:
+    """Return whether a wrong checksum is none of the sender's; a right one may take the blame of the last one back.
+
+    A wrong frame between two right ones that have their cycle between them is another sender's: it comes soon after the
+    one, or the other comes soon after it.
+    """
+    early = t_ns - c.last_ns < c.apart_ns
+    d = T.debounces[c.fault[CRC]]
+    if c.blamed == 1 and early and not failed and d.timed == 0 and d.active == 0:
+        d.counter = c.before
+    c.blamed, c.before = failed and not early, d.counter
+    return bool(failed and early)
+
+
+@kernel
+def begin_window(c: Any) -> None:
+    """Forget the frames of the window: some were not heard, or came late together."""
+    c.left, c.at, c.filled = 1, 0, 0
+    c.other_seen, c.odd, c.twice = 0, 0, 0
+
+
+@kernel(inlined=False)
+def judge_rate(T: Any, t_ns: int, c: Any) -> None:
+    """Keep a stamp, and judge the window that ends with it; a window that passes is reported once.
+
+    The oldest stamp is that of the frame ``stride * slots`` before this one: if both are in one window, one frame more
+    than the limit is.
+    """
+    span_ns, full = t_ns - c.stamps[c.at], c.filled == c.slots
+    c.left = c.stride
+    c.stamps[c.at] = t_ns
+    c.at = (c.at + 1) % c.slots
+    c.filled = min(c.filled + 1, c.slots)
+    if not full:
+        return
+    most = c.stride * c.slots
+    failed = span_ns < c.most_ns
+    if not failed and c.at != 0:
+        return
+    c.crowded = failed
+    if failed:  # the next window has no frame of this one
+        c.steady, c.filled = 0, 1
+        c.stamps[0], c.at = t_ns, 1 % c.slots
+    rate = most * (c.most_ns / max(span_ns, 1))
+    place = report_result(T, t_ns, c.fault[EARLY], failed, rate, float(most))
+    store_evidence(T, c.fault[EARLY], place, 0, float(most + 1))
+    store_evidence(T, c.fault[EARLY], place, 1, span_ns * 1e-6)
+    if c.fault[SECOND] >= 0 and c.twice == 0:
+        report_result(T, t_ns, c.fault[SECOND], False, 0.0, TWO / CHANGE)
+
+
+@kernel
+def goes_on(c: Any, before: int, received: int) -> int:
+    """Return by how much a counter went on from one before, 0: not by what it may."""
+    p = c.protection
+    step = (received - before) % p.modulus
+    return int(step) if step <= p.max_step + c.unread else 0
+
+
+@kernel
+def follow(T: Any, t_ns: int, c: Any, received: int, step: int) -> int:
+    """Tell two counts apart; returns by how much the counter rose on the count that the frame goes on.
+
+    Args:
+        T: the tables.
+        t_ns: now.
+        c: its record of CHECK.
+        received: alive counter of the frame.
+        step: by how much it rose since the last frame.
+    """
+    if step < 0 or c.seen == 0:
+        return step
+    own = goes_on(c, c.last_counter, received)
+    other = goes_on(c, c.other_counter, received) if c.other_seen == 1 and c.odd > 0 else 0
+    if other > 0 and (own == 0 or other < own):
+        c.other_counter, c.odd = c.last_counter, REMEMBERED
+        c.twice = min(c.twice + CHANGE, TWO)
+        if c.twice == TWO:
+            place = report_result(T, t_ns, c.fault[SECOND], True, TWO / CHANGE, TWO / CHANGE)
+            store_evidence(T, c.fault[SECOND], place, 0, float(received))
+            store_evidence(T, c.fault[SECOND], place, 1, float(c.other_counter))
+        return other
+    if own > 0:
+        c.twice, c.odd = max(c.twice - 1, 0), max(c.odd - 1, 0)
+    else:
+        c.odd = REMEMBERED
+        if step != 0:
+            c.other_counter, c.other_seen = c.last_counter, 1
+    return step

@@ -1,0 +1,171 @@
+"""Another sender's frames, one attack at a time, put into parts of a healthy drive that nothing was learned from."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gateway.bus.frames import Frames
+from gateway.config.load import load_config
+from gateway.engine.core import Engine
+from gateway.engine.events import QUALIFIED_FAILED, STRANGER, Events
+from gateway.runtime.assemble import prepare
+from gateway.runtime.injection import Injection, Injector
+from gateway_fleet.learn.proof import restore
+from gateway_fleet.learn.trial import Seeing
+
+#: Kinds: of frames beside those of a message; without its frames; of its values, at its own times.
+FREQUENCY, SILENT, FORGED = ("unknown", "double", "replay", "fuzz", "forge"), "drop", "offset"
+KINDS = (*FREQUENCY, SILENT, FORGED)
+#: Length of a part, its time before the attack at most and at least, and the attack's own [s].
+PART_S, LEAD_S, SETTLED_S, ATTACK_S = 12.0, 7.0, 5.5, 4.0
+#: Faults that name another sender.
+SENDERS = ("early", "second_sender", "unknown")
+SECOND_NS = 1_000_000_000
+
+
+@dataclass
+class Found:
+    """Outcome of the attacks of one kind.
+
+    Attributes:
+        tried: attacks.
+        found: of these, those that a fault of the message, or a security event, told.
+        soon: of these, within a second.
+        unwatched: values of which ``gateway learn`` tells that no offset is seen; not among ``tried``.
+        after_s: time until it was told [s], of each.
+        by: first to tell -> how often.
+        accused: faults that do not name another sender -> how often they were set while one was there.
+    """
+
+    tried: int = 0
+    found: int = 0
+    soon: int = 0
+    unwatched: int = 0
+    after_s: list[float] = field(default_factory=list)
+    by: Counter[str] = field(default_factory=Counter)
+    accused: Counter[str] = field(default_factory=Counter)
+
+    def add(self, set_: dict[str, float], own: tuple[str, ...], *, named: bool) -> None:
+        """Take the faults that were set, and after how long; ``own``: beginnings of those that tell an attack.
+
+        ``named``: they tell it only where they name another sender.
+        """
+        self.tried += 1
+        right = {name: s for name, s in set_.items() if name.startswith(own)}
+        if named:
+            right = {name: s for name, s in right.items() if name.rpartition(".")[2] in SENDERS}
+            self.accused.update(name.rpartition(".")[2] for name in set_ if name.rpartition(".")[2] not in SENDERS)
+        if right:
+            first = min(right, key=lambda name: right[name])
+            self.found += 1
+            self.soon += right[first] <= 1.0
+            self.after_s.append(right[first])
+            self.by[first.rpartition(".")[2]] += 1
+
+
+class Bench:
+    """Puts attacks into parts of a drive.
+
+    Args:
+        out: configuration that was learned.
+        frames: a healthy drive of another seed or time.
+        seeing: what learning said of the signals.
+        seed: of the attacks.
+
+    Attributes:
+        values: message, signal, and the smallest offset of it that learning saw; None: it saw none.
+    """
+
+    def __init__(self, out: Path, frames: Frames, seeing: Sequence[Seeing], seed: int) -> None:
+        self.config = load_config(out)
+        self.parts = prepare(self.config, out)
+        self._rng, self._seed, self._count = np.random.default_rng(seed), seed, 0
+        self._windows: list[Frames] = []
+        self._saved: list[Engine] = []
+        engine = prepare(self.config, out).engine
+        start = int(frames["t_ns"][0])
+        edges = np.arange(start, int(frames["t_ns"][-1]), round(PART_S * 1e9))
+        for piece in np.split(frames, np.searchsorted(frames["t_ns"], edges[1:])):
+            if piece["t_ns"][-1] - piece["t_ns"][0] > (LEAD_S + ATTACK_S) * 1e9:
+                self._windows.append(piece)
+                self._saved.append(prepare(self.config, out).engine)
+                restore(self._saved[-1], engine, self.config)
+            engine.process(piece, lambda _: None)
+        self.limited = [c.params.message for c in self.parts.checks if c.params.most is not None]
+        self.timed = [c.params.message for c in self.parts.checks if c.params.timeout_ms is not None]
+        parted = [(each.name.split("."), each.offset) for each in seeing]
+        self.values = [(parts[1], parts[2], offset) for parts, offset in parted]
+
+    def one(self, kind: str, found: Found) -> None:
+        """Do one attack at a random time on a random message, and add its outcome."""
+        rng, self._count = self._rng, self._count + 1
+        at = float(rng.uniform(SETTLED_S, LEAD_S))
+        name, value = "", 0.0
+        signal: str | None = None
+        if kind == "unknown":
+            known = {message.frame_id for message in self.parts.databases[0]}
+            name = hex(next(k for k in rng.integers(1, 0x700, 100).tolist() if k not in known))
+        elif kind in ("forge", FORGED):
+            name, signal, least = self.values[int(rng.integers(len(self.values)))]
+            value = float((least or 1.0) * rng.uniform(1.0, 2.0) * rng.choice((-1.0, 1.0)))
+            if kind == FORGED and least is None:
+                found.unwatched += 1
+                return
+            if kind == "forge" and name not in self.limited:
+                return
+        else:
+            some = self.timed if kind == SILENT else self.limited
+            name = some[int(rng.integers(len(some)))]
+        k = int(rng.integers(len(self._windows)))
+        asked = Injection(kind, 0, name, signal, value, at, at + ATTACK_S)
+        set_ = self._set(asked, k, at)
+        if set_ is None:
+            return
+        bus = self.config.bus[0].name
+        own: tuple[str, ...] = (f"{bus}.unknown",) if kind == "unknown" else (f"{bus}.{name}.",)
+        if kind == FORGED:
+            own = tuple(
+                fault for fault, some in self.parts.depends.items() if any(name in each.component.name for each in some)
+            )
+        found.add(set_, own, named=kind in FREQUENCY)
+
+    def _set(self, asked: Injection, k: int, at: float) -> dict[str, float] | None:
+        """Return the faults that were set since an attack's first frame -> after how long [s]; None: it had none."""
+        engine, window, set_ = self.parts.engine, self._windows[k], dict[str, float]()
+        restore(engine, self._saved[k], self.config)
+        engine.tables.strangers[:] = 0
+        start_ns = int(window["t_ns"][0])
+        begin_ns = start_ns + round(at * 1e9)
+        rng = np.random.default_rng([self._seed, self._count])
+        injector = Injector(asked, self.parts.databases, self.parts.checks, rng, start_ns)
+
+        end_ns = begin_ns + round(ATTACK_S * 1e9)
+        faulty = injector.apply(window)
+        if injector.count == 0:
+            return None
+        onset_ns = _onset_ns(window, faulty)
+
+        def hear(events: Events) -> None:
+            for event in events:
+                after = (int(event["t_ns"]) - onset_ns) * 1e-9
+                if event["kind"] == STRANGER:
+                    set_.setdefault(f"{self.config.bus[int(event['bus'])].name}.unknown", after)
+                elif event["kind"] == QUALIFIED_FAILED and after >= 0.0:
+                    set_.setdefault(engine.faults[int(event["fault"])].id, after)
+
+        engine.process(faulty[faulty["t_ns"] < end_ns], hear)
+        engine.advance(end_ns, hear)
+        return set_
+
+
+def _onset_ns(before: Frames, after: Frames) -> int:
+    """Return the stamp of the first frame that an attack has added, changed or taken out."""
+    count = min(len(before), len(after))
+    same = before[:count] == after[:count]
+    at = int(np.argmin(same)) if not same.all() else count - 1
+    return int(min(before["t_ns"][at], after["t_ns"][at]))
