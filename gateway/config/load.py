@@ -153,7 +153,12 @@ def config_of(data: dict[str, Any], path: Path) -> Config:
     if wrong:
         raise InputErrors(wrong)
     buses = tuple(
-        bus.model_copy(update={"database": tuple(beside_or_shipped(folder, file) for file in bus.database)})
+        bus.model_copy(
+            update={
+                "database": tuple(beside_or_shipped(folder, file) for file in bus.database),
+                "check": tuple(check.lie_in(folder) for check in bus.check),
+            }
+        )
         for bus in config.bus
     )
     ecus = tuple(

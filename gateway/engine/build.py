@@ -337,6 +337,7 @@ def _checks(
         vectors[plan.message(check.bus, check.params.message)]["check"] = k
         wake_ms = buses[check.bus].params.wake_ms if check.bus < len(buses) else 0.0
         faults += communication.fill(rows[k], check, plan, databases[check.bus], len(faults), crcs, wake_ms=wake_ms)
+    communication.connect_synced(rows, checks)
     return rows
 
 

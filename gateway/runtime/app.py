@@ -228,7 +228,7 @@ class Gateway:
             t_ns: now.
         """
         self._upkeep.pause()
-        self._proofs.look()
+        self._proofs.look(final=True)
         sent = self.poll(t_ns)  # answers that were promised
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
@@ -305,7 +305,7 @@ class Gateway:
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self._meter.stop()
-        self._proofs.look()
+        self._proofs.look(final=True)
         if self._causes.pending:
             self._causes.look(t_ns)
         self._explainer.finish(t_ns)

@@ -26,6 +26,7 @@ from gateway.engine.checks.communication import (
     WIDE,
 )
 from gateway.engine.checks.runs import begin_run, go_on, tell_run
+from gateway.engine.checks.secured_steps import FORGED, UNKNOWN, judge_secured, take_freshness
 from gateway.engine.checks.silence import park
 from gateway.engine.gate import sleeps
 from gateway.engine.results import report_result, store_evidence
@@ -110,7 +111,7 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
         c = T.checks[k]
         if c.bus != bus:
             continue
-        c.seen = 0
+        c.seen = c.synced = 0
         deadline_ns = t_ns + (c.first_ns if condition == RUNNING else c.timeout_ns)
         if c.timeout_ns <= 0 or (condition != RUNNING and (c.deadline_ns >= deadline_ns or c.losses >= MOST_LOSSES)):
             continue
@@ -122,11 +123,33 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
 
 @kernel
 def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
-    """Test a frame's checksum; returns whether its data may be used.
+    """Test a frame's checksum; returns whether its data may be used."""
+    received, computed, verdict = judge_frame(words, length, c.protection, T.crc_tables)
+    return take_checksum(T, t_ns, c, words, length, received, computed, verdict)
+
+
+@kernel
+def is_authentic(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
+    """Test MAC and freshness value of a frame that SecOC secures; returns whether its data may be used."""
+    verdict, received, computed, value = judge_secured(T, c, words)
+    if verdict == UNKNOWN:
+        T.clock[0].unsynchronised += 1
+        return False
+    wrong = FRAME_CHECKSUM if verdict == FORGED else FRAME_OK
+    used = take_checksum(T, t_ns, c, words, length, received, computed, wrong)
+    if verdict == FORGED:
+        return False
+    return take_freshness(T, t_ns, c, value, verdict) and used
+
+
+@kernel
+def take_checksum(
+    T: Any, t_ns: int, c: Any, words: Any, length: int, received: Any, computed: Any, verdict: int
+) -> bool:
+    """Take a judgement of a frame's checksum; returns whether its data may be used.
 
     Until the rule is proven, wrong frames are rejected, but the sender is not accused: it is the rule that is doubted.
     """
-    received, computed, verdict = judge_frame(words, length, c.protection, T.crc_tables)
     wrong = verdict != FRAME_OK
     if wrong:
         T.clock[0].crc_failed += 1
@@ -348,7 +371,10 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
     if usual or c.presence < 0 or T.present[c.presence] == 1:
         if not usual and c.protection.windowed == 1:
             advance_missed_cycles(T, t_ns, c)
-        if (c.summed == 1 if usual else c.fault[CRC] >= 0) and not checksum_fits(T, t_ns, c, words, length):
+        if c.protection.secured == 1:
+            if not is_authentic(T, t_ns, c, words, length):
+                return REJECT
+        elif (c.summed == 1 if usual else c.fault[CRC] >= 0) and not checksum_fits(T, t_ns, c, words, length):
             if usual:  # it has come, and is long enough; its counter is not read
                 end_run(T, c)
                 report_arrival(T, t_ns, c, length, status)
@@ -358,7 +384,7 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
                 take_counter(c, counter_of(words, c.protection))
             go_on(T, t_ns, c)
             return ACCEPT
-        if c.fault[COUNTER] >= 0 and not counter_fits(T, t_ns, c, words):
+        if c.fault[COUNTER] >= 0 and c.protection.secured == 0 and not counter_fits(T, t_ns, c, words):
             return REJECT
     if c.fault[VALUE] >= 0:
         value = T.values[bad] if bad >= 0 else 0.0
