@@ -26,7 +26,7 @@ from gateway.signals.protection import protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables
 from gateway.signals.tables import DecodePlan, SignalRef
-from gateway_fdi.errors import under
+from gateway_fdi.errors import InputError, under
 from gateway_fdi.jit import Record, i4, i4s, i8, means, u1, u8, u8s
 
 if TYPE_CHECKING:

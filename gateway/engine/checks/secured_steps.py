@@ -89,9 +89,9 @@ def judged_by_epoch(T: Any, c: Any, words: Any) -> Any:
         return UNKNOWN, np.uint64(0)
     below, one = np.uint64(f.message + f.flag), np.uint64(1)
     flag = truncated_of(words, f) & mask(int(f.flag))
-    latest = master.fresh - one
+    latest = np.int64(master.fresh - one)
     for k in range(len(_ASIDE) + 1):  # the last: the master has just begun another trip
-        epoch = master.trial if k == len(_ASIDE) else latest + np.uint64(_ASIDE[k] & 0xFFFFFFFFFFFFFFFF)
+        epoch = master.trial if k == len(_ASIDE) else np.uint64(max(latest + _ASIDE[k], 0))
         if epoch & mask(int(f.flag)) != flag:
             continue
         least = max(c.fresh, epoch << below)
@@ -137,7 +137,10 @@ def judge_secured(T: Any, c: Any, words: Any) -> Any:
         verdict, value = judged_by_epoch(T, c, words)
     else:
         verdict, value = judged_by_count(T, c, words)
-    return verdict, read_bits(words, p.field), mac_of(words, value, p.checksum, T.crc_tables), value
+    received = computed = read_bits(words, p.field)
+    if verdict == FORGED:
+        computed = mac_of(words, value, p.checksum, T.crc_tables)
+    return verdict, received, computed, value
 
 
 @kernel
