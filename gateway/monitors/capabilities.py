@@ -170,6 +170,17 @@ class Parts:
 
 
 @dataclass(frozen=True)
+class Numbered:
+    """A monitor that has to know which of its messages a step is for.
+
+    Attributes:
+        field: of its constants: the engine writes there, in the order of ``triggers``, what ``u.trigger`` is for each.
+    """
+
+    field: str
+
+
+@dataclass(frozen=True)
 class Notes:
     """Description of a monitor for ``gateway check``.
 
@@ -303,6 +314,7 @@ Capability = (
     | Calibration
     | CusumCalibration
     | Notes
+    | Numbered
     | Parts
     | Quantities
     | Readout
@@ -319,6 +331,7 @@ C = TypeVar(
     Calibration,
     CusumCalibration,
     Notes,
+    Numbered,
     Parts,
     Quantities,
     Readout,

@@ -1,0 +1,205 @@
+"""Clocks of senders: a periodic message whose clock becomes another one has another sender (see :mod:`gateway_fdi.clock`).
+
+It is a suspicion, not a fault, unless a code is configured. One message that changes names itself. If many change at
+once, nobody knows which of them: the median that they are compared with may be that of the new sender.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import nan
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from gateway.monitors import contract
+from gateway.monitors.contract import (
+    TIMER,
+    Connection,
+    Debounce,
+    Fault,
+    Monitor,
+    MonitorParams,
+    Notes,
+    Numbered,
+    Out,
+    Readout,
+    report,
+)
+from gateway_fdi import clock
+from gateway_fdi.clock import Clock, close_window, is_steady, judge, sort, take
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, labels, means
+
+#: Messages of one monitor, and how many have to be steady, so that the receiver's own clock can be told from theirs.
+MOST, FEWEST = 64, 5
+#: An innovation that is older than this says nothing of the receiver's clock now.
+FRESH_S = 5.0
+
+
+class Params(MonitorParams):
+    """Keys of the table ``[[monitor]]``."""
+
+    messages: tuple[str, ...] = Field(min_length=FEWEST, max_length=MOST, description="periodic messages of one bus")
+    code: str | None = Field(
+        None, pattern=r"^[PCBU][0-3][0-9A-F]{3}$", description="base code of a DTC; default: no DTC, it is told alone"
+    )
+    learn_s: float = Field(60.0, ge=10, le=3600, description="a message is only listened to for this time [s]")
+    memory_s: float = Field(120.0, ge=10, le=3600, description="skews are forgotten with this time constant [s]")
+    noise_ms: float = Field(0.1, gt=0, le=100, description="least noise of the times of frames [ms]")
+    drift: float = Field(2.0, gt=0, description="deviation that is borne for ever, in units of the noise")
+    limit_s: float = Field(60.0, gt=0, description="of the CUSUM: time for which one unit more is borne [s]")
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        for k, name in enumerate(self.messages):
+            if name in self.messages[:k]:
+                raise ValueError(f"messages: {name} is there twice")
+        return self
+
+
+class State(Record):
+    """What a step leaves for the next."""
+
+    clock: Annotated[list[Clock], MOST] = means("of each message")
+    heard_s: Annotated[f8s, MOST] = means("end of the last window that was followed, counted from the first frame", "s")
+    alarmed: Annotated[i8s, MOST] = means("whether its clock has changed")
+    scratch: Annotated[f8s, MOST] = means("innovations, to be sorted", "s")
+    began_ns: i8 = means("first frame; 0: none has come", "ns")
+    suspicions: i8 = means("how often a clock has changed")
+    suspected: f8 = means("place of the message that changed last, from 1; 0: none has, or many have")
+    suspected_ns: i8 = means("when that was", "ns")
+    steady: i8 = means("messages that are judged")
+
+
+class Const(clock.Const):
+    """What stays."""
+
+    messages: i8 = means("how many")
+    coded: i8 = means("1: it is reported as a fault")
+    rows: Annotated[i8s, MOST] = means("number of each message, as the cause of a step has it")
+
+
+class Evidence(Record):
+    """What is kept with a result."""
+
+    message: f8 = means("place among messages, from 1; 0: several changed at once")
+    period: f8 = means("its period", "ms")
+    deviation: f8 = means("of its last window from what was expected", "ms")
+    steady: f8 = means("messages that are judged")
+
+
+@kernel
+def common_of(s: Any, c: Any, own: int, now_s: float) -> float:
+    """Return the median of the other messages' latest innovations, NaN if there are too few of them."""
+    count = 0
+    for k in range(c.messages):
+        if k != own and is_steady(s.clock[k]) and now_s - s.heard_s[k] < FRESH_S:
+            s.scratch[count] = s.clock[k].innovation
+            count += 1
+    if count < FEWEST - 1:
+        return nan
+    sort(s.scratch, count)
+    middle = count // 2
+    return float(s.scratch[middle] if count % 2 == 1 else 0.5 * (s.scratch[middle - 1] + s.scratch[middle]))
+
+
+@kernel
+def tell(s: Any, c: Any, out: Any, k: int, t_ns: int, ratio: float) -> None:
+    """Take a judgement of a message, count a new suspicion, and report it."""
+    new = ratio >= 1.0 and s.alarmed[k] == 0
+    s.alarmed[k] = 1 if ratio >= 1.0 else 0
+    alarmed = steady = 0
+    for j in range(c.messages):
+        alarmed += s.alarmed[j]
+        steady += 1 if is_steady(s.clock[j]) else 0
+    s.steady = steady
+    named = float(k + 1) if 3 * alarmed <= steady else 0.0
+    if new:
+        s.suspicions += 1
+        s.suspected = named
+        s.suspected_ns = t_ns
+    if c.coded == 1 and (ratio >= 1.0 or alarmed == 0):
+        evidence = report(out, 0, ratio >= 1.0, ratio, 1.0)
+        evidence.message = named
+        evidence.period = s.clock[k].period * 1e3
+        evidence.deviation = s.clock[k].innovation * 1e3
+        evidence.steady = steady
+
+
+@kernel
+def step(s: State, c: Const, u: contract.Inputs, out: Out[Evidence, Record]) -> None:
+    """Take the time of one frame."""
+    if u.trigger == TIMER:
+        return
+    k = 0
+    while k < c.messages and c.rows[k] != u.trigger:
+        k += 1
+    if k == c.messages:
+        return
+    if s.began_ns == 0:
+        s.began_ns = u.t_ns
+    one = s.clock[k]
+    if not take(one, u.t_ns, c.floor_s):
+        return
+    dt = close_window(one, c)
+    if dt <= 0.0:
+        return
+    now_s = (u.t_ns - s.began_ns) * 1e-9
+    s.heard_s[k] = now_s
+    common = common_of(s, c, k, now_s)
+    if np.isnan(common) or not is_steady(one):
+        return
+    tell(s, c, out, k, u.t_ns, judge(one, c, common, dt))
+
+
+def faults(p: Params) -> tuple[Fault, ...]:
+    """Return what it reports: nothing without a code."""
+    if p.code is None:
+        return ()
+    return (
+        Fault(
+            "sender",
+            f"{p.code}-62",
+            "the clock of a message's sender has become another one: it may have been replaced",
+            labels(Evidence),
+            Debounce(failed_after=1, passed_after=1),
+            remedy="find out which ECU sends it; look for a device that was added",
+            tested="CUSUM over its limit",
+        ),
+    )
+
+
+def prepare(p: Params, s: State, c: Const) -> None:
+    """Fill state and constants before the first step."""
+    c.messages, c.coded = len(p.messages), p.code is not None
+    c.memory_s, c.learn_s, c.floor_s = p.memory_s, p.learn_s, p.noise_ms * 1e-3
+    c.kappa, c.limit = p.drift, p.limit_s
+    c.rows[:] = -1
+
+
+def connect(_: Params) -> Mapping[str, Connection]:
+    """Return no input: when its messages come is all that it wants."""
+    return {}
+
+
+def _notes(p: Params) -> tuple[str, ...]:
+    how = f"with the DTC {p.code}-62" if p.code else "without a DTC"
+    return (f"clocks of {len(p.messages)} messages; another sender of one is a suspicion, told {how}",)
+
+
+MONITOR = Monitor(
+    type="sender_clock",
+    api=2,
+    params=Params,
+    state=State,
+    const=Const,
+    inputs=contract.Inputs,
+    evidence=Evidence,
+    step=step,
+    connect=connect,
+    prepare=prepare,
+    faults=faults,
+    triggers=lambda p: p.messages,
+    capabilities=(Readout(("steady", "suspicions", "suspected")), Notes(_notes), Numbered("rows")),
+)
