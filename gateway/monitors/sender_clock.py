@@ -7,10 +7,8 @@ once, nobody knows which of them: the median that they are compared with may be 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import nan
 from typing import Annotated, Any, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from gateway.monitors import contract
@@ -33,7 +31,7 @@ from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, labels, means
 
 #: Messages of one monitor, and how many have to be steady, so that the receiver's own clock can be told from theirs.
 MOST, FEWEST = 64, 5
-#: An innovation that is older than this says nothing of the receiver's clock now.
+#: A walk that is older than this says nothing of the receiver's clock now.
 FRESH_S = 5.0
 
 
@@ -44,11 +42,11 @@ class Params(MonitorParams):
     code: str | None = Field(
         None, pattern=r"^[PCBU][0-3][0-9A-F]{3}$", description="base code of a DTC; default: no DTC, it is told alone"
     )
-    learn_s: float = Field(60.0, ge=10, le=3600, description="a message is only listened to for this time [s]")
-    memory_s: float = Field(120.0, ge=10, le=3600, description="skews are forgotten with this time constant [s]")
-    noise_ms: float = Field(0.1, gt=0, le=100, description="least noise of the times of frames [ms]")
-    drift: float = Field(2.0, gt=0, description="deviation that is borne for ever, in units of the noise")
-    limit_s: float = Field(60.0, gt=0, description="of the CUSUM: time for which one unit more is borne [s]")
+    learn_s: float = Field(120.0, ge=10, le=3600, description="a message is only listened to for this time [s]")
+    memory_s: float = Field(600.0, ge=10, le=36000, description="skews are forgotten with this time constant [s]")
+    noise_ms: float = Field(0.1, gt=0, le=100, description="noise of the times of frames [ms]")
+    drift_ppm: float = Field(15.0, gt=0, le=1000, description="change of a skew that is borne for ever [1e-6]")
+    limit_ms: float = Field(5.0, gt=0, le=1000, description="how far a phase may walk beyond that [ms]")
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
@@ -64,7 +62,8 @@ class State(Record):
     clock: Annotated[list[Clock], MOST] = means("of each message")
     heard_s: Annotated[f8s, MOST] = means("end of the last window that was followed, counted from the first frame", "s")
     alarmed: Annotated[i8s, MOST] = means("whether its clock has changed")
-    scratch: Annotated[f8s, MOST] = means("innovations, to be sorted", "s")
+    scratch: Annotated[f8s, MOST] = means("walks, to be sorted", "s")
+    common: f8 = means("how far the receiver's clock has walked", "s")
     began_ns: i8 = means("first frame; 0: none has come", "ns")
     suspicions: i8 = means("how often a clock has changed")
     suspected: f8 = means("place of the message that changed last, from 1; 0: none has, or many have")
@@ -85,23 +84,24 @@ class Evidence(Record):
 
     message: f8 = means("place among messages, from 1; 0: several changed at once")
     period: f8 = means("its period", "ms")
-    deviation: f8 = means("of its last window from what was expected", "ms")
+    walked: f8 = means("how far its phase has walked beyond its clock", "ms")
     steady: f8 = means("messages that are judged")
 
 
 @kernel
-def common_of(s: Any, c: Any, own: int, now_s: float) -> float:
-    """Return the median of the other messages' latest innovations, NaN if there are too few of them."""
+def note_common(s: Any, c: Any, now_s: float) -> bool:
+    """Find how far the receiver's clock has walked, by the median of the messages; returns whether there are enough."""
     count = 0
     for k in range(c.messages):
-        if k != own and is_steady(s.clock[k]) and now_s - s.heard_s[k] < FRESH_S:
-            s.scratch[count] = s.clock[k].innovation
+        if is_steady(s.clock[k]) and now_s - s.heard_s[k] < FRESH_S:
+            s.scratch[count] = s.clock[k].walk - s.clock[k].own
             count += 1
-    if count < FEWEST - 1:
-        return nan
+    if count < FEWEST:
+        return False
     sort(s.scratch, count)
     middle = count // 2
-    return float(s.scratch[middle] if count % 2 == 1 else 0.5 * (s.scratch[middle - 1] + s.scratch[middle]))
+    s.common = s.scratch[middle] if count % 2 == 1 else 0.5 * (s.scratch[middle - 1] + s.scratch[middle])
+    return True
 
 
 @kernel
@@ -120,10 +120,10 @@ def tell(s: Any, c: Any, out: Any, k: int, t_ns: int, ratio: float) -> None:
         s.suspected = named
         s.suspected_ns = t_ns
     if c.coded == 1 and (ratio >= 1.0 or alarmed == 0):
-        evidence = report(out, 0, ratio >= 1.0, ratio, 1.0)
+        evidence = report(out, 0, ratio >= 1.0, ratio * c.limit_s * 1e3, c.limit_s * 1e3)
         evidence.message = named
         evidence.period = s.clock[k].period * 1e3
-        evidence.deviation = s.clock[k].innovation * 1e3
+        evidence.walked = ratio * c.limit_s * 1e3
         evidence.steady = steady
 
 
@@ -140,17 +140,16 @@ def step(s: State, c: Const, u: contract.Inputs, out: Out[Evidence, Record]) -> 
     if s.began_ns == 0:
         s.began_ns = u.t_ns
     one = s.clock[k]
-    if not take(one, u.t_ns, c.floor_s):
-        return
-    dt = close_window(one, c)
-    if dt <= 0.0:
+    if not take(one, u.t_ns, c.noise_s, s.common):
         return
     now_s = (u.t_ns - s.began_ns) * 1e-9
-    s.heard_s[k] = now_s
-    common = common_of(s, c, k, now_s)
-    if np.isnan(common) or not is_steady(one):
+    enough = note_common(s, c, now_s)
+    dt = close_window(one, c, s.common)
+    if dt <= 0.0:
         return
-    tell(s, c, out, k, u.t_ns, judge(one, c, common, dt))
+    s.heard_s[k] = now_s
+    if enough and is_steady(one):
+        tell(s, c, out, k, u.t_ns, judge(one, c, dt))
 
 
 def faults(p: Params) -> tuple[Fault, ...]:
@@ -165,7 +164,7 @@ def faults(p: Params) -> tuple[Fault, ...]:
             labels(Evidence),
             Debounce(failed_after=1, passed_after=1),
             remedy="find out which ECU sends it; look for a device that was added",
-            tested="CUSUM over its limit",
+            tested="walk of its phase [ms]",
         ),
     )
 
@@ -173,8 +172,8 @@ def faults(p: Params) -> tuple[Fault, ...]:
 def prepare(p: Params, s: State, c: Const) -> None:
     """Fill state and constants before the first step."""
     c.messages, c.coded = len(p.messages), p.code is not None
-    c.memory_s, c.learn_s, c.floor_s = p.memory_s, p.learn_s, p.noise_ms * 1e-3
-    c.kappa, c.limit = p.drift, p.limit_s
+    c.memory_s, c.learn_s, c.noise_s = p.memory_s, p.learn_s, p.noise_ms * 1e-3
+    c.kappa, c.limit_s = p.drift_ppm * 1e-6, p.limit_ms * 1e-3
     c.rows[:] = -1
 
 

@@ -1,14 +1,14 @@
-"""The clock of a sender, from the times at which its periodic message comes: phase, skew, and whether either has changed.
+"""The clock of a sender, from the times at which its periodic message comes: phase, skew, and whether the skew has changed.
 
 After Cho and Shin, "Fingerprinting Electronic Control Units for Vehicle Intrusion Detection" (USENIX Security 2016): recursive
-least squares give the skew, a CUSUM of their innovations tells that it has changed. Three things are other than there,
-because stamps of a host and frames that queue would accuse healthy senders:
+least squares give the skew, a CUSUM tells that it has changed. Four things are other than there, because frames that queue and
+stamps of a host would accuse healthy senders:
 
 - The offset is not a mean over frames but a low quantile of them: a frame can only be late. Frame i of period T comes at
 
       a_i = t0 + n_i T + x(t) + w_i,   w_i >= 0 (queue, host),   n_i = round((a_i - t0 - x) / T)
 
-  A window of W frames gives one y, the lower quartile of a_i - t0 - n_i T. Lost frames raise n by more than one, so they shift nothing.
+  A window of W frames gives one y, the lower quartile of a_i - t0 - n_i T. Lost frames raise n by more than one, and shift nothing.
 - The regression is y = x + v with x' = S, the skew S constant but for what is forgotten with the time constant tau. It is written
   with the origin at the latest window, h = (1, 0), dt since the one before, so that nothing grows:
 
@@ -17,19 +17,25 @@ because stamps of a host and frames that queue would accuse healthy senders:
       (x, S) <- (x, S) + K e       P <- P - K h' P
 
   which is recursive least squares with the weights exp(-age / tau), P in units of the noise's variance.
-- The innovation counts less the median of the other messages' latest ones: what moves all of them is the receiver's clock.
+- What moves all messages is the receiver's clock: m, the median of what each has walked, sum(e - r_before) with the residual
+  r = e (1 - h K), less a base of its own, which follows slowly. A window is of a_i - m; the regression gets it back.
+- The CUSUM is not of innovations but of how far the phase has walked beyond its skew since the window before,
 
-The CUSUM is that of :mod:`gateway_fdi.cusum`, of z = (e - median) / (sigma sqrt(1 + h P h)), to either side, weighted with dt:
+      d = y - m - x - (r - m at the window before)
 
-      up <- max(0, up + (z - kappa) dt),  down <- max(0, down - (z + kappa) dt)      [s]
+  because two senders of nearly one period meet for minutes: a frame is late by the burst that it waits for at once, and comes back
+  slowly, with the clock of that burst. Such a walk is as long as a burst at most; that of another clock has no end. To either
+  side, with :func:`gateway_fdi.cusum.grown`:
 
-A phase that jumps is no sign of another sender: ECUs that reset, and messages that are sent on change, jump. There the phase is
-found again, the skew is kept, and the test goes on.
+      up <- max(0, up + d - kappa dt),  down <- max(0, down - d - kappa dt)      [s]
+
+A jump, |d| beyond the fastest walk that is looked for and beyond STEP, is no sign of another sender: ECUs reset, frames queue, and messages
+that are sent on change begin their period again. There the phase is found again, the skew is kept, and the test goes on.
 """
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import exp
 from typing import Annotated, Any
 
 import numpy as np
@@ -41,12 +47,16 @@ from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 WINDOW, QUARTILE = 16, 3
 #: Gaps that the period is learned of.
 FIRST = 64
-#: Part of a period that a window may scatter over, or the phase jump by, and still be followed.
+#: Fastest walk that is looked for, and least jump that counts as one.
+FASTEST, STEP = 5e-4, 5e-4
+#: Part of a period that a window may scatter over.
 STEADY = 0.2
 #: Standard deviation of a skew that is not known yet.
 UNKNOWN_SKEW = 2e-3
 #: A gap that is longer than this, and than this many periods, leaves the frames uncounted.
 GAP_S, GAP_PERIODS = 2.0, 20.0
+#: Time constant with which what a message has walked alone is taken to be its own.
+BASE_S = 60.0
 #: Windows before an innovation says anything.
 SETTLED = 8
 
@@ -56,9 +66,9 @@ class Const(Record):
 
     memory_s: f8 = means("time constant with which the past is forgotten", "s")
     learn_s: f8 = means("time that a message is only listened to", "s")
-    floor_s: f8 = means("least noise that is taken for granted", "s")
-    kappa: f8 = means("drift of the CUSUM, in units of the noise")
-    limit: f8 = means("of the CUSUM", "s")
+    noise_s: f8 = means("standard deviation of a window's offset", "s")
+    kappa: f8 = means("drift of the CUSUM: a change of the skew that is borne for ever")
+    limit_s: f8 = means("of the CUSUM: how far the phase may walk", "s")
 
 
 class Clock(Record):
@@ -78,9 +88,12 @@ class Clock(Record):
     window: Annotated[f8s, WINDOW] = means("their offsets from the expected one", "s")
     windows: i8 = means("windows that were followed")
     jumps: i8 = means("windows that were not: the phase jumped, or they scatter")
-    sigma: f8 = means("scale of the innovations", "s")
-    innovation: f8 = means("of the last window", "s")
-    tested_s: f8 = means("time that it has been tested for", "s")
+    walked: f8 = means("d: from the window before to the last one, beyond its skew", "s")
+    residual: f8 = means("r: what the regression left of the last window", "s")
+    before: f8 = means("the same, less the receiver's clock then", "s")
+    walk: f8 = means("sum of what it has walked, with the receiver's clock", "s")
+    own: f8 = means("what of it is its own", "s")
+    known_s: f8 = means("time that it has been followed for", "s")
     up: f8 = means("CUSUM of a clock that is slower", "s")
     down: f8 = means("CUSUM of a clock that is faster", "s")
 
@@ -119,13 +132,14 @@ def unknown_phase(c: Clock, noise: float) -> float:
 
 
 @kernel
-def take(c: Clock, t_ns: int, noise: float) -> bool:
+def take(c: Clock, t_ns: int, noise: float, common: float) -> bool:
     """Take a frame's time; returns whether it ends a window.
 
     Args:
         c: the message.
         t_ns: when it came.
-        noise: least noise [s].
+        noise: of a window [s].
+        common: how far the receiver's clock has walked [s].
     """
     if c.seen <= FIRST:
         learn_period(c, t_ns)
@@ -142,8 +156,8 @@ def take(c: Clock, t_ns: int, noise: float) -> bool:
         c.offset += late  # from here on, until the window says it better
         c.p00 += unknown_phase(c, noise)
         c.filled = 0
-        late = 0.0
-    c.window[c.filled] = late
+        late = common
+    c.window[c.filled] = late - common
     c.filled += 1
     return bool(c.filled == WINDOW)
 
@@ -160,8 +174,14 @@ def sort(values: Any, count: int) -> None:
 
 
 @kernel
-def close_window(c: Clock, const: Const) -> float:
-    """Take a window into the regression; returns the time since the one before [s], 0 where it was not followed."""
+def close_window(c: Clock, const: Const, common: float) -> float:
+    """Take a window into the regression; returns the time since the one before [s], 0 where it was not followed.
+
+    Args:
+        c: the message.
+        const: limits.
+        common: how far the receiver's clock has walked [s].
+    """
     c.filled = 0
     sort(c.window, WINDOW)
     now_s = (c.last_ns - c.first_ns) * 1e-9
@@ -172,13 +192,24 @@ def close_window(c: Clock, const: Const) -> float:
     c.p00 = (c.p00 + dt * (2.0 * c.p01 + dt * c.p11)) * weight
     c.p01 = (c.p01 + dt * c.p11) * weight
     c.p11 *= weight
-    if c.window[WINDOW - 1 - QUARTILE] - e > STEADY * c.period or abs(e) > STEADY * c.period:
+    walked = e - c.before
+    if c.window[WINDOW - 1 - QUARTILE] - e > STEADY * c.period or abs(walked) > max(STEP, FASTEST * dt):
         c.jumps += 1
-        c.offset += e
-        c.p00 += unknown_phase(c, const.floor_s)
+        c.offset += e + common
+        c.p00 += unknown_phase(c, const.noise_s)
+        c.residual = c.walked = 0.0
+        c.before = -common
+        c.own = c.walk - common
         return 0.0
-    c.innovation = e / sqrt(1.0 + c.p00)
+    c.walked = walked
+    e += common
+    c.walk += e - c.residual
+    if c.windows <= SETTLED:
+        c.own = c.walk - common
+    c.own += (c.walk - common - c.own) * min(max(dt, 0.0) / BASE_S, 1.0)
     share = 1.0 / (1.0 + c.p00)
+    c.residual = share * e
+    c.before = c.residual - common
     c.offset += c.p00 * share * e
     c.skew += c.p01 * share * e
     c.p11 -= c.p01 * share * c.p01
@@ -191,29 +222,23 @@ def close_window(c: Clock, const: Const) -> float:
 @kernel
 def is_steady(c: Clock) -> bool:
     """Return whether a message is periodic enough to be judged."""
-    return bool(c.windows > SETTLED and c.jumps <= 2 + c.windows // 50)
+    return bool(c.windows > SETTLED and 50 * c.jumps <= c.windows)
 
 
 @kernel
-def judge(c: Clock, const: Const, common: float, dt: float) -> float:
-    """Take an innovation less what is common to all into the CUSUM; returns it in units of its limit.
+def judge(c: Clock, const: Const, dt: float) -> float:
+    """Take how far the phase has walked into the CUSUM; returns it in units of its limit.
 
     Args:
         c: the message.
         const: limits.
-        common: of the others' innovations [s].
-        dt: time that it stands for [s].
+        dt: since the window before [s].
     """
-    d = c.innovation - common
     if c.windows <= SETTLED:
         return 0.0
-    share = max(1.0 / (c.windows - SETTLED), min(dt / const.memory_s, 1.0))
-    c.sigma += share * (min(abs(d), max(4.0 * c.sigma, const.floor_s)) - c.sigma)
-    c.tested_s += dt
-    if c.tested_s < const.learn_s:
+    c.known_s += dt
+    if c.known_s < const.learn_s:
         return 0.0
-    z = d / max(1.25 * c.sigma, const.floor_s)  # of a normal noise 1.25 mean moduli are one standard deviation
-    held = min(dt, 4.0)  # one late window is no proof
-    c.up = grown(c.up, (z - const.kappa) * held, 2.0 * const.limit)
-    c.down = grown(c.down, (-z - const.kappa) * held, 2.0 * const.limit)
-    return float(max(c.up, c.down) / const.limit)
+    c.up = grown(c.up, c.walked - const.kappa * dt, 2.0 * const.limit_s)
+    c.down = grown(c.down, -c.walked - const.kappa * dt, 2.0 * const.limit_s)
+    return float(max(c.up, c.down) / const.limit_s)
