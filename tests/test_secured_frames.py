@@ -168,7 +168,12 @@ def master(value, key=KEY):
 
 
 THREE = 'profile = 3, data_id = 0x12, key = "key", sync = "FV"'
-FV = '[[bus.check]]\nmessage = "FV"\nlost = "U0102"\ninvalid = "U0403"\nsecoc = { profile = "sync", data_id = 0x99, key = "key" }\n'
+FV = """[[bus.check]]
+message = "FV"
+lost = "U0102"
+invalid = "U0403"
+secoc = { profile = "sync", data_id = 0x99, key = "key" }
+"""
 
 
 @pytest.fixture

@@ -1,7 +1,8 @@
-"""Clocks of senders: a periodic message whose clock becomes another one has another sender (see :mod:`gateway_fdi.clock`).
+"""Clocks of senders: a periodic message whose clock changes has another sender (see :mod:`gateway_fdi.clock`).
 
-It is a suspicion, not a fault, unless a code is configured. One message that changes names itself. If many change at
-once, nobody knows which of them: the median that they are compared with may be that of the new sender.
+It is a suspicion, not a fault, unless a code is configured. A message that changes alone names itself. Where more
+than a third change together it is the receiver's clock, or that of an ECU that sends so many: this is counted, and
+nobody is suspected.
 """
 
 from __future__ import annotations
@@ -66,8 +67,9 @@ class State(Record):
     common: f8 = means("how far the receiver's clock has walked", "s")
     began_ns: i8 = means("first frame; 0: none has come", "ns")
     suspicions: i8 = means("how often a clock has changed")
-    suspected: f8 = means("place of the message that changed last, from 1; 0: none has, or many have")
+    suspected: i8 = means("place of the message that changed last, from 1; 0: none has")
     suspected_ns: i8 = means("when that was", "ns")
+    together: i8 = means("how often more than a third changed at once")
     steady: i8 = means("messages that are judged")
 
 
@@ -82,7 +84,7 @@ class Const(clock.Const):
 class Evidence(Record):
     """What is kept with a result."""
 
-    message: f8 = means("place among messages, from 1; 0: several changed at once")
+    message: f8 = means("place among messages, from 1")
     period: f8 = means("its period", "ms")
     walked: f8 = means("how far its phase has walked beyond its clock", "ms")
     steady: f8 = means("messages that are judged")
@@ -105,26 +107,40 @@ def note_common(s: Any, c: Any, now_s: float) -> bool:
 
 
 @kernel
+def change_together(s: Any, c: Any) -> bool:
+    """Return whether more than a third of the messages have walked by half the limit: their CUSUMs begin anew then."""
+    walked = 0
+    s.steady = 0
+    for k in range(c.messages):
+        s.steady += 1 if is_steady(s.clock[k]) else 0
+        walked += 1 if s.alarmed[k] == 0 and max(s.clock[k].up, s.clock[k].down) > 0.5 * c.limit_s else 0
+    if 3 * walked <= s.steady:
+        return False
+    s.together += 1
+    for k in range(c.messages):
+        if s.alarmed[k] == 0:
+            s.clock[k].up = s.clock[k].down = 0.0
+    return True
+
+
+@kernel
 def tell(s: Any, c: Any, out: Any, k: int, t_ns: int, ratio: float) -> None:
     """Take a judgement of a message, count a new suspicion, and report it."""
-    new = ratio >= 1.0 and s.alarmed[k] == 0
-    s.alarmed[k] = 1 if ratio >= 1.0 else 0
-    alarmed = steady = 0
+    failed = ratio >= 1.0
+    if failed and s.alarmed[k] == 0:
+        s.suspicions += 1
+        s.suspected = k + 1
+        s.suspected_ns = t_ns
+    s.alarmed[k] = 1 if failed else 0
+    alarmed = 0
     for j in range(c.messages):
         alarmed += s.alarmed[j]
-        steady += 1 if is_steady(s.clock[j]) else 0
-    s.steady = steady
-    named = float(k + 1) if 3 * alarmed <= steady else 0.0
-    if new:
-        s.suspicions += 1
-        s.suspected = named
-        s.suspected_ns = t_ns
-    if c.coded == 1 and (ratio >= 1.0 or alarmed == 0):
-        evidence = report(out, 0, ratio >= 1.0, ratio * c.limit_s * 1e3, c.limit_s * 1e3)
-        evidence.message = named
+    if c.coded == 1 and (failed or alarmed == 0):
+        evidence = report(out, 0, failed, ratio * c.limit_s * 1e3, c.limit_s * 1e3)
+        evidence.message = k + 1
         evidence.period = s.clock[k].period * 1e3
         evidence.walked = ratio * c.limit_s * 1e3
-        evidence.steady = steady
+        evidence.steady = s.steady
 
 
 @kernel
@@ -148,8 +164,12 @@ def step(s: State, c: Const, u: contract.Inputs, out: Out[Evidence, Record]) -> 
     if dt <= 0.0:
         return
     s.heard_s[k] = now_s
-    if enough and is_steady(one):
-        tell(s, c, out, k, u.t_ns, judge(one, c, dt))
+    if not enough or not is_steady(one):
+        return
+    ratio = judge(one, c, dt)
+    if ratio > 0.5 and change_together(s, c):
+        return
+    tell(s, c, out, k, u.t_ns, ratio)
 
 
 def faults(p: Params) -> tuple[Fault, ...]:
@@ -200,5 +220,5 @@ MONITOR = Monitor(
     prepare=prepare,
     faults=faults,
     triggers=lambda p: p.messages,
-    capabilities=(Readout(("steady", "suspicions", "suspected")), Notes(_notes), Numbered("rows")),
+    capabilities=(Readout(("steady", "suspicions", "suspected", "together")), Notes(_notes), Numbered("rows")),
 )

@@ -1,15 +1,14 @@
 """Checksums' rules that have been proven: the fault memory keeps them, so that the next ignition knows them.
 
 A sender whose checksum breaks over night is to be accused itself, not the rule that it has fitted for years. A digest
-of the rule is kept: another rule has to be proven first. With it goes the freshness value of SecOC, so that what was sent
-before a restart is not new after it.
+of the rule is kept: another rule has to be proven first. With it goes the freshness value of SecOC, so that what was
+sent before a restart is not new after it.
 """
 
 from __future__ import annotations
 
 from gateway.engine.core import Engine
 from gateway.faults.memory import FaultMemory
-
 
 #: By how much a freshness value rises before it is kept again: each time is a change of the file. At the end all are.
 STEP = 1024

@@ -1,36 +1,39 @@
-"""The clock of a sender, from the times at which its periodic message comes: phase, skew, and whether the skew has changed.
+"""The clock of a sender, from the times at which its periodic message comes: phase, skew, a change of the skew.
 
-After Cho and Shin, "Fingerprinting Electronic Control Units for Vehicle Intrusion Detection" (USENIX Security 2016): recursive
-least squares give the skew, a CUSUM tells that it has changed. Four things are other than there, because frames that queue and
-stamps of a host would accuse healthy senders:
+After Cho and Shin, "Fingerprinting Electronic Control Units for Vehicle Intrusion Detection" (USENIX Security 2016):
+recursive least squares give the skew, a CUSUM tells that it has changed. Four things are other than there, because
+frames that queue and stamps of a host would accuse healthy senders:
 
-- The offset is not a mean over frames but a low quantile of them: a frame can only be late. Frame i of period T comes at
+- The offset is no mean over frames but a low quantile of them: a frame can only be late. Frame i of period T comes at
 
       a_i = t0 + n_i T + x(t) + w_i,   w_i >= 0 (queue, host),   n_i = round((a_i - t0 - x) / T)
 
-  A window of W frames gives one y, the lower quartile of a_i - t0 - n_i T. Lost frames raise n by more than one, and shift nothing.
-- The regression is y = x + v with x' = S, the skew S constant but for what is forgotten with the time constant tau. It is written
-  with the origin at the latest window, h = (1, 0), dt since the one before, so that nothing grows:
+  A window of W frames gives one y, the lower quartile of a_i - t0 - n_i T. Lost frames raise n by more than one, and
+  shift nothing.
+- The regression is y = x + v with x' = S, the skew S constant but for what is forgotten with the time constant tau. It
+  is written with the origin at the latest window, h = (1, 0), dt since the one before, so that nothing grows:
 
       x <- x + S dt                P <- F P F' exp(dt / tau),  F = (1 dt; 0 1)
       e = y - x                    K = P h / (h P h + 1)
       (x, S) <- (x, S) + K e       P <- P - K h' P
 
   which is recursive least squares with the weights exp(-age / tau), P in units of the noise's variance.
-- What moves all messages is the receiver's clock: m, the median of what each has walked, sum(e - r_before) with the residual
-  r = e (1 - h K), less a base of its own, which follows slowly. A window is of a_i - m; the regression gets it back.
+- What moves all messages is the receiver's clock: m, the median of what each has walked, sum(e - r_before) with the
+  residual r = e (1 - h K), less what is its own of it, which follows slowly. A window is of a_i - m; the regression
+  gets m back.
 - The CUSUM is not of innovations but of how far the phase has walked beyond its skew since the window before,
 
       d = y - m - x - (r - m at the window before)
 
-  because two senders of nearly one period meet for minutes: a frame is late by the burst that it waits for at once, and comes back
-  slowly, with the clock of that burst. Such a walk is as long as a burst at most; that of another clock has no end. To either
-  side, with :func:`gateway_fdi.cusum.grown`:
+  because two senders of nearly one period meet for minutes: a frame is late by the burst that it waits for at once, and
+  comes back slowly, with the clock of that burst. Such a walk is as long as a burst at most; that of another clock has
+  no end. To either side, with :func:`gateway_fdi.cusum.grown`:
 
       up <- max(0, up + d - kappa dt),  down <- max(0, down - d - kappa dt)      [s]
 
-A jump, |d| beyond the fastest walk that is looked for and beyond STEP, is no sign of another sender: ECUs reset, frames queue, and messages
-that are sent on change begin their period again. There the phase is found again, the skew is kept, and the test goes on.
+A jump, |d| beyond the fastest walk that is looked for and beyond STEP, is no sign of another sender: ECUs reset,
+frames queue, and messages that are sent on change begin their period again. There the phase is found again, the skew
+is kept, and the test goes on.
 """
 
 from __future__ import annotations

@@ -377,7 +377,8 @@ def fill(
     for ref in _deciding(check, message, asked):
         row["presence"] = plan.position(*ref)
     protection.fill(row["protection"], asked, crcs)
-    row["fresh"] = row["protection"]["fresh"]["start"] if asked.freshness is not None and not asked.freshness.sync else 0
+    if asked.freshness is not None and not asked.freshness.sync:
+        row["fresh"] = asked.freshness.start
     return slots
 
 

@@ -123,7 +123,9 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
 
 @kernel
 def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
-    """Test a frame's checksum; returns whether its data may be used."""
+    """Test a frame's checksum, of SecOC MAC and freshness; returns whether its data may be used."""
+    if c.protection.secured == 1:
+        return is_authentic(T, t_ns, c, words, length)
     received, computed, verdict = judge_frame(words, length, c.protection, T.crc_tables)
     return take_checksum(T, t_ns, c, words, length, received, computed, verdict)
 
@@ -226,6 +228,8 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
     where the protection is strict, as E2E's profiles are beyond their largest step (WRONG_SEQUENCE).
     """
     p = c.protection
+    if p.secured == 1:  # its freshness was tested with the MAC
+        return True
     received = counter_of(words, p)
     step = counter_step(c, received)
     # The counters of rejected frames went by unread; those frames were not lost.
@@ -371,10 +375,7 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
     if usual or c.presence < 0 or T.present[c.presence] == 1:
         if not usual and c.protection.windowed == 1:
             advance_missed_cycles(T, t_ns, c)
-        if c.protection.secured == 1:
-            if not is_authentic(T, t_ns, c, words, length):
-                return REJECT
-        elif (c.summed == 1 if usual else c.fault[CRC] >= 0) and not checksum_fits(T, t_ns, c, words, length):
+        if (c.summed == 1 if usual else c.fault[CRC] >= 0) and not checksum_fits(T, t_ns, c, words, length):
             if usual:  # it has come, and is long enough; its counter is not read
                 end_run(T, c)
                 report_arrival(T, t_ns, c, length, status)
@@ -384,7 +385,7 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
                 take_counter(c, counter_of(words, c.protection))
             go_on(T, t_ns, c)
             return ACCEPT
-        if c.fault[COUNTER] >= 0 and c.protection.secured == 0 and not counter_fits(T, t_ns, c, words):
+        if c.fault[COUNTER] >= 0 and not counter_fits(T, t_ns, c, words):
             return REJECT
     if c.fault[VALUE] >= 0:
         value = T.values[bad] if bad >= 0 else 0.0

@@ -1,9 +1,10 @@
 """SecOC of a received frame: which freshness value its MAC is right for, if for any.
 
-Only a value that is greater than the last right one is new. A truncated one may stand for several: the next, then as many
-further as the configuration lets. Where frames may have passed unheard (at the start, after losses on our side) the next ones
-are looked for farther, some at each frame, and nobody is accused meanwhile: the data are not used, that is all. A value that
-was found so far away counts once a second frame confirms it: chance finds one in ``2**bits`` tries.
+Only a value that is greater than the last right one is new. A truncated one may stand for several: the next, then as
+many further as the configuration lets. Where frames may have passed unheard (at the start, after losses on our side)
+the next ones are looked for farther, some at each frame, and nobody is accused meanwhile: the data are not used, that
+is all. A value that was found so far away counts once a second frame confirms it: chance finds one in ``2**bits``
+tries.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from gateway_fdi.jit import kernel
 #: What a frame is: its MAC is right for a new value, for one that was seen or is older, for none that was tried; or it
 #: cannot be told yet, because too little is known of the sender's values.
 NEW, OLD, FORGED, UNKNOWN = range(4)
-#: Further values that are tried at a frame where frames may have passed unheard, and after how many the MAC is taken to be wrong.
+#: Further values that are tried at a frame where frames may have passed unheard, and after how many its MAC is wrong.
 SEARCHED = 64
 MOST_SEARCHED = 1 << 16
 #: By how much a sender's and the master's reset counter may differ: a reset is on its way.
@@ -65,7 +66,7 @@ def sought_new(c: Any, words: Any, least: Any, epoch: Any, tries: int, tables: A
 
 @kernel
 def sought_old(c: Any, words: Any, tables: Any) -> Any:
-    """Return whether a payload's MAC is right for a value that is not new: a recent one, or one of a sender that began anew."""
+    """Return whether a payload's MAC is right for an older value: a recent one, or one of a sender that began anew."""
     f = c.protection.fresh
     step, received = mask(int(f.truncated)) + np.uint64(1), truncated_of(words, f)
     value = next_value(f, received, c.fresh)

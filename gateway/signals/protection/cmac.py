@@ -1,8 +1,8 @@
 """AES-128 (FIPS 197) and CMAC (NIST SP 800-38B, RFC 4493), as kernels: SecOC's MAC is computed in the loop.
 
-A call of a library for each frame would leave the loop, and end the pump; here it is a checksum as others are. The price: the
-table of a round is looked up by secret bytes, so that a process on the same processor's cache could learn of the key by
-timing. Nothing else of a library's care is lost: there is no padding, no nonce, no decryption.
+A call of a library for each frame would leave the loop, and end the pump; here it is a checksum as others are. The
+price: the table of a round is looked up by secret bytes, so that a process on the same processor's cache could learn
+of the key by timing. Nothing else of a library's care is lost: there is no padding, no nonce, no decryption.
 
 A block is four columns, most significant byte first. One table, T[x] = (2s, s, s, 3s) with s = S[x], makes a round's
 substitution and mixing; its bits 8 to 15 are the substitution alone, for the last round.
@@ -68,7 +68,7 @@ def rounds_table() -> NDArray[np.uint64]:
 
 @cache
 def key_table(key: bytes) -> NDArray[np.uint64]:
-    """Return a key's row among the tables, shape (256,): round keys (FIPS 197, 5.2), CMAC's subkeys (SP 800-38B, 6.1)."""
+    """Return a key's row of the tables, shape (256,): round keys (FIPS 197, 5.2), CMAC's subkeys (SP 800-38B, 6.1)."""
     table = rounds_table()
     columns = [int.from_bytes(key[k : k + 4], "big") for k in range(0, BLOCK, 4)]
     constant = 1

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from gateway.signals.bits import Field, mask_of, placed, read_bits, write_bits
 from gateway.signals.protection.checksum import Checksum, ChecksumConst, checksum_of, fill_checksum
-from gateway.signals.protection.cmac import Mac, key_table, mac_of, rounds_table
-from gateway.signals.protection.crc import KNOWN, Crc, table_of
+from gateway.signals.protection.cmac import key_table, mac_of, rounds_table
+from gateway.signals.protection.crc import KNOWN, table_of
 from gateway.signals.protection.freshness import FreshConst, Freshness, count_of, fill_freshness, made_value
 from gateway_fdi.jit import Record, i4, i4s, i8, kernel, means, u1, u8s
 

@@ -1,8 +1,9 @@
 """AUTOSAR's Secure Onboard Communication: a message's MAC and freshness value, by the specification's profiles.
 
-PRS_SecOcProtocol, R23-11. A secured message is its authentic part, then the freshness value's lowest bits, then the MAC's
-highest, most significant bit first, then zero bits to the byte's end. The MAC is a CMAC (AES-128) over the data id of 16 bits,
-the authentic part and the whole freshness value; a value that ends within a byte has zero bits after it.
+PRS_SecOcProtocol, R23-11. A secured message is its authentic part, then the freshness value's lowest bits, then the
+MAC's highest, most significant bit first, then zero bits to the byte's end. The MAC is a CMAC (AES-128) over the data
+id of 16 bits, the authentic part and the whole freshness value; a value that ends within a byte has zero bits after
+it.
 """
 
 from __future__ import annotations
@@ -43,13 +44,16 @@ PROFILES: dict[int | str, _Lengths] = {
 }
 
 
+_KINDS = {3: SYNCED, "sync": SYNC}
+
+
 class SecocCheck(StrictModel):
     """A message that SecOC secures."""
 
     profile: Literal[1, 2, 3, "sync"] = Field(description="1, 2 or 3; sync: the freshness master's message")
     key: Path = Field(description="file with the AES-128 key, 32 hex digits, mode 0600; relative to this file's folder")
     data_id: int = Field(ge=0, le=0xFFFF, description="goes into the MAC")
-    freshness: int | None = Field(None, ge=0, le=64, description="bits of the whole value; default: 64, 0 with profile 2")
+    freshness: int | None = Field(None, ge=0, le=64, description="bits of the whole value; default: 64, profile 2: 0")
     truncated: int | None = Field(None, ge=0, le=64, description="lowest bits that are sent; default: the profile's")
     mac: int | None = Field(None, ge=16, le=64, description="highest bits that are sent; default: the profile's")
     authentic: int | None = Field(
@@ -84,7 +88,7 @@ class SecocCheck(StrictModel):
         if truncated > bits:
             raise ValueError(f"truncated: {truncated} of {bits} bits")
         if self.profile == 3 and not (self._counted > 0 and self.flag <= truncated <= self.flag + self._counted):
-            raise ValueError("freshness: trip, reset, message counter and flag; truncated: the flag and bits of the message counter")
+            raise ValueError("truncated: the reset flag and bits of the message counter, which freshness has room for")
         if self.start is not None and self.start >> (self.trip + self.reset if self.sync else bits):
             raise ValueError(f"start has more than {self.trip + self.reset if self.sync else bits} bits")
         return self
@@ -121,11 +125,18 @@ class SecocCheck(StrictModel):
         epoch = 1 << self.reset | 1
         start = self.start if self.start is not None else epoch if self.profile in (3, "sync") else 0
         fresh = Freshness(
-            kind=SYNCED if self.profile == 3 else SYNC if self.profile == "sync" else COUNTER,
-            bits=bits, truncated=truncated, field=_bits_at(8 * authentic, truncated) if truncated else None, start=start,
-            reset=self.reset, flag=self.flag, message=self._counted if self.profile == 3 else 0, sync=self.sync or "",
-            attempts=self.attempts, per_sync=self.per_sync,
-        )  # fmt: skip
+            kind=_KINDS.get(self.profile, COUNTER),
+            bits=bits,
+            truncated=truncated,
+            field=_bits_at(8 * authentic, truncated) if truncated else None,
+            start=start,
+            reset=self.reset,
+            flag=self.flag,
+            message=self._counted if self.profile == 3 else 0,
+            sync=self.sync or "",
+            attempts=self.attempts,
+            per_sync=self.per_sync,
+        )
         field = _bits_at(8 * authentic + truncated, mac)
         unused = 8 * tail - truncated - mac
         constants = [(_bits_at(8 * (authentic + tail) - unused, unused), 0, "unused bits")] if unused else []
