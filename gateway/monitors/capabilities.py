@@ -206,6 +206,23 @@ class Sampled:
     of: Callable[[Any], Sampling | Sequence[Sampling]]
 
 
+@dataclass(frozen=True)
+class Suspects:
+    """A monitor that suspects, which is no fault: its suspicions are told, and that is all.
+
+    Attributes:
+        count: field of the state: how many there were.
+        which: field: what the last one is of, from 1.
+        when_ns: field: when that was [ns].
+        names: parameters -> names of what ``which`` counts.
+    """
+
+    count: str
+    which: str
+    when_ns: str
+    names: Callable[[Any], Sequence[str]]
+
+
 #: Share of a part in a fault that says no more than that one of several parts is wrong: others mostly say which.
 VAGUE = 0.1
 #: Share of each other part in a fault that is told by tests behind it: several parts together may look like it.
@@ -322,6 +339,7 @@ Capability = (
     | Residuals
     | Sampled
     | SensorCalibration
+    | Suspects
     | Warnings
 )
 C = TypeVar(
@@ -339,5 +357,6 @@ C = TypeVar(
     Residuals,
     Sampled,
     SensorCalibration,
+    Suspects,
     Warnings,
 )

@@ -48,6 +48,7 @@ from gateway.monitors.capabilities import (
     Residuals,
     Sampled,
     SensorCalibration,
+    Suspects,
     Warnings,
 )
 from gateway.monitors.sampling import MOST_MESSAGES
@@ -80,6 +81,7 @@ __all__ = [
     "Residuals",
     "Sampled",
     "SensorCalibration",
+    "Suspects",
     "Warnings",
 ]
 

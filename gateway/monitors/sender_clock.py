@@ -24,6 +24,7 @@ from gateway.monitors.contract import (
     Numbered,
     Out,
     Readout,
+    Suspects,
     report,
 )
 from gateway_fdi import clock
@@ -220,5 +221,10 @@ MONITOR = Monitor(
     prepare=prepare,
     faults=faults,
     triggers=lambda p: p.messages,
-    capabilities=(Readout(("steady", "suspicions", "suspected", "together")), Notes(_notes), Numbered("rows")),
+    capabilities=(
+        Readout(("steady", "suspicions", "suspected", "together")),
+        Notes(_notes),
+        Numbered("rows"),
+        Suspects("suspicions", "suspected", "suspected_ns", lambda p: p.messages),
+    ),
 )

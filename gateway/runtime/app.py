@@ -39,6 +39,7 @@ from gateway.runtime.proofs import Proofs
 from gateway.runtime.reception import Reception, refuse_unless_frames
 from gateway.runtime.reports import Reports
 from gateway.runtime.standing import Standing
+from gateway.runtime.suspicions import Suspicions
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import (
     summary_event,
@@ -179,6 +180,7 @@ class Gateway:
         names = [bus.name for bus in self.config.buses]
         self._doubts = Doubts(self.engine, self._parts.checks, self._parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
+        self._suspicions = Suspicions(self.engine)
         parts = self._parts
         known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
         self._causes = Causes(self.engine, known, parts.checks)
@@ -265,6 +267,7 @@ class Gateway:
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.buses) if bus.name in indices}
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
         self._proofs.recall()
+        self._suspicions.succeed()
         self.controls.go_on()
         self.asking.succeed(old.asking, buses)  # it sends requests back, whose answers the servers take
         self.servers.succeed(old.servers, buses)
@@ -305,6 +308,7 @@ class Gateway:
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self._meter.stop()
+        self._suspicions.look()
         self._proofs.look(final=True)
         if self._causes.pending:
             self._causes.look(t_ns)
@@ -469,6 +473,7 @@ class Gateway:
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
         self._proofs.look()
+        self._suspicions.look()
         self._interventions.serve_requests()
         self._upkeep.tend()
 

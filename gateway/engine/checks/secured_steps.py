@@ -92,7 +92,7 @@ def judged_by_epoch(T: Any, c: Any, words: Any) -> Any:
     flag = truncated_of(words, f) & mask(int(f.flag))
     latest = np.int64(master.fresh - one)
     for k in range(len(_ASIDE) + 1):  # the last: the master has just begun another trip
-        epoch = master.trial if k == len(_ASIDE) else np.uint64(max(latest + _ASIDE[k], 0))
+        epoch = master.trial if k == len(_ASIDE) else np.uint64(max(int(latest) + _ASIDE[k], 0))
         if epoch & mask(int(f.flag)) != flag:
             continue
         least = max(c.fresh, epoch << below)

@@ -45,6 +45,8 @@ PROFILES: dict[int | str, _Lengths] = {
 
 
 _KINDS = {3: SYNCED, "sync": SYNC}
+#: Keys of profile 3; of the master's message two of them.
+_OF_SYNCED = {"sync", "trip", "reset", "flag", "per_sync"}
 
 
 class SecocCheck(StrictModel):
@@ -75,11 +77,10 @@ class SecocCheck(StrictModel):
 
     @model_validator(mode="after")
     def _fits_its_profile(self) -> Self:
-        master = {"trip", "reset", "start"} if self.profile == "sync" else set()
-        own = {3: {"sync", "trip", "reset", "flag", "per_sync"}}.get(self.profile, master)  # type: ignore[call-overload]
-        foreign = {"sync", "trip", "reset", "flag", "per_sync"} - own & self.model_fields_set
-        if foreign & self.model_fields_set:
-            raise ValueError(f"profile {self.profile} has no {', '.join(sorted(foreign & self.model_fields_set))}")
+        own = {"trip", "reset"} if self.profile == "sync" else _OF_SYNCED if self.profile == 3 else set()
+        foreign = (_OF_SYNCED - own) & self.model_fields_set
+        if foreign:
+            raise ValueError(f"profile {self.profile} has no {', '.join(sorted(foreign))}")
         if self.profile == 3 and self.sync is None:
             raise ValueError("profile 3 needs sync, the message that has trip and reset counter")
         if self.profile == "sync" and {"freshness", "truncated"} & self.model_fields_set:
