@@ -1,7 +1,7 @@
 """Clocks of senders: a periodic message whose clock changes has another sender (see :mod:`gateway_fdi.clock`).
 
 It is a suspicion, not a fault, unless a code is configured. A message that changes alone names itself. Where more
-than a third change together it is the receiver's clock, or that of an ECU that sends so many: this is counted, and
+than a third change together it is the receiver's clock, or that of an ECU that sends that many: this is counted, and
 nobody is suspected.
 """
 
@@ -35,6 +35,8 @@ from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, labels, means
 MOST, FEWEST = 64, 5
 #: A walk that is older than this says nothing of the receiver's clock now.
 FRESH_S = 5.0
+#: Part of the limit from which on a suspicion has ended.
+RELEASED = 0.5
 
 
 class Params(MonitorParams):
@@ -59,7 +61,7 @@ class Params(MonitorParams):
 
 
 class State(Record):
-    """What a step leaves for the next."""
+    """Memory of the monitor."""
 
     clock: Annotated[list[Clock], MOST] = means("of each message")
     heard_s: Annotated[f8s, MOST] = means("end of the last window that was followed, counted from the first frame", "s")
@@ -75,7 +77,7 @@ class State(Record):
 
 
 class Const(clock.Const):
-    """What stays."""
+    """Its limits."""
 
     messages: i8 = means("how many")
     coded: i8 = means("1: it is reported as a fault")
@@ -83,7 +85,7 @@ class Const(clock.Const):
 
 
 class Evidence(Record):
-    """What is kept with a result."""
+    """Values that are kept with a result."""
 
     message: f8 = means("place among messages, from 1")
     period: f8 = means("its period", "ms")
@@ -94,8 +96,9 @@ class Evidence(Record):
 @kernel
 def note_common(s: Any, c: Any, now_s: float) -> bool:
     """Find how far the receiver's clock has walked, by the median of the messages; returns whether there are enough."""
-    count = 0
+    count = s.steady = 0
     for k in range(c.messages):
+        s.steady += 1 if is_steady(s.clock[k]) else 0
         if is_steady(s.clock[k]) and now_s - s.heard_s[k] < FRESH_S:
             s.scratch[count] = s.clock[k].walk - s.clock[k].own
             count += 1
@@ -109,11 +112,9 @@ def note_common(s: Any, c: Any, now_s: float) -> bool:
 
 @kernel
 def change_together(s: Any, c: Any) -> bool:
-    """Return whether more than a third of the messages have walked by half the limit: their CUSUMs begin anew then."""
+    """Return whether more than a third of the messages have walked by half the limit: their CUSUMs begin again then."""
     walked = 0
-    s.steady = 0
     for k in range(c.messages):
-        s.steady += 1 if is_steady(s.clock[k]) else 0
         walked += 1 if s.alarmed[k] == 0 and max(s.clock[k].up, s.clock[k].down) > 0.5 * c.limit_s else 0
     if 3 * walked <= s.steady:
         return False
@@ -127,7 +128,7 @@ def change_together(s: Any, c: Any) -> bool:
 @kernel
 def tell(s: Any, c: Any, out: Any, k: int, t_ns: int, ratio: float) -> None:
     """Take a judgement of a message, count a new suspicion, and report it."""
-    failed = ratio >= 1.0
+    failed = ratio >= (1.0 if s.alarmed[k] == 0 else RELEASED)
     if failed and s.alarmed[k] == 0:
         s.suspicions += 1
         s.suspected = k + 1

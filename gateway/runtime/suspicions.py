@@ -13,9 +13,10 @@ _log = get_logger(__name__)
 
 
 class Note(Protocol):
-    """Takes a suspicion: when, of the wall clock [ns], which monitor, its kind, data beside it, for how many it stands."""
+    """Takes a suspicion: time of the wall clock [ns], monitor, kind, data beside it, how many it stands for."""
 
-    def __call__(self, t_ns: int, sensor: str, event: str, context: Mapping[str, Any], count: int = 1) -> None: ...
+    def __call__(self, t_ns: int, sensor: str, event: str, context: Mapping[str, Any], count: int = 1) -> None:
+        """Take it."""
 
 
 def logged(t_ns: int, sensor: str, event: str, context: Mapping[str, Any], count: int = 1) -> None:

@@ -32,8 +32,9 @@ frames that queue and stamps of a host would accuse healthy senders:
       up <- max(0, up + d - kappa dt),  down <- max(0, down - d - kappa dt)      [s]
 
 A jump, |d| beyond the fastest walk that is looked for and beyond STEP, is no sign of another sender: ECUs reset,
-frames queue, and messages that are sent on change begin their period again. There the phase is found again, the skew
-is kept, and the test goes on.
+frames queue, and messages that are sent on change begin their period again. It only takes back what was walked the
+other way, as the waits for bursts do again and again. The phase is found again, the skew is kept, and the test goes
+on.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ SETTLED = 8
 
 
 class Const(Record):
-    """What the clocks are judged by."""
+    """Limits of the clocks."""
 
     memory_s: f8 = means("time constant with which the past is forgotten", "s")
     learn_s: f8 = means("time that a message is only listened to", "s")
@@ -198,6 +199,8 @@ def close_window(c: Clock, const: Const, common: float) -> float:
     walked = e - c.before
     if c.window[WINDOW - 1 - QUARTILE] - e > STEADY * c.period or abs(walked) > max(STEP, FASTEST * dt):
         c.jumps += 1
+        c.up = max(0.0, c.up + min(walked, 0.0))
+        c.down = max(0.0, c.down - max(walked, 0.0))
         c.offset += e + common
         c.p00 += unknown_phase(c, const.noise_s)
         c.residual = c.walked = 0.0

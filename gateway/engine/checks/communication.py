@@ -108,7 +108,7 @@ SECURED = {
     COUNTER: Fault(
         "freshness",
         "U0401-82",
-        "MAC is right, but for a freshness value that was seen or is older: replayed, or the sender began anew",
+        "MAC is right, but for a freshness value that was seen or is older: replayed, or the sender began again",
         ("received", "least that is new"),
         Debounce(failed_after=2, passed_after=50),
         remedy="look who else sends this identifier; where the sender's counter was set back, give another `start`",

@@ -21,7 +21,7 @@ from gateway.signals.protection.freshness import COUNTER as COUNTED
 from gateway.signals.protection.freshness import SYNC, SYNCED, mask, next_value, truncated_of
 from gateway_fdi.jit import kernel
 
-#: What a frame is: its MAC is right for a new value, for one that was seen or is older, for none that was tried; or it
+#: Kinds of frames: the MAC is right for a new value, for one that was seen or is older, for none that was tried; or it
 #: cannot be told yet, because too little is known of the sender's values.
 NEW, OLD, FORGED, UNKNOWN = range(4)
 #: Further values that are tried at a frame where frames may have passed unheard, and after how many its MAC is wrong.
@@ -66,7 +66,7 @@ def sought_new(c: Any, words: Any, least: Any, epoch: Any, tries: int, tables: A
 
 @kernel
 def sought_old(c: Any, words: Any, tables: Any) -> Any:
-    """Return whether a payload's MAC is right for an older value: a recent one, or one of a sender that began anew."""
+    """Return whether a payload's MAC is right for an older value: a recent one, or one of a sender that began again."""
     f = c.protection.fresh
     step, received = mask(int(f.truncated)) + np.uint64(1), truncated_of(words, f)
     value = next_value(f, received, c.fresh)

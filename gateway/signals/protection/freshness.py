@@ -2,7 +2,7 @@
 
 Three kinds. COUNTER: a number that each frame raises. SYNC: the message of the freshness master, trip counter and
 reset counter, sent whole. SYNCED: trip, reset and message counter and the reset flag, the reset counter's lowest bits
-(SWS_SecureOnboardCommunication, annex on freshness management; JASPAR): the message counter begins anew with each
+(SWS_SecureOnboardCommunication, annex on freshness management; JASPAR): the message counter begins again with each
 reset.
 
 A value is kept as one unsigned number, its parts most significant first, so that later ones are greater.
