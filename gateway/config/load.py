@@ -164,7 +164,12 @@ def placed(config: Config, path: Path | None, folder: Path | None = None) -> Con
     if wrong:
         raise InputErrors(wrong)
     buses = tuple(
-        bus.model_copy(update={"database": tuple(beside_or_shipped(folder, file) for file in bus.database)})
+        bus.model_copy(
+            update={
+                "database": tuple(beside_or_shipped(folder, file) for file in bus.database),
+                "check": tuple(check.lie_in(folder) for check in bus.check),
+            }
+        )
         for bus in config.bus
     )
     ecus = tuple(

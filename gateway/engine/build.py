@@ -42,7 +42,7 @@ from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, HEALTH, timers_of
 from gateway.engine.wiring import Wired, wire
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_emission, checked_faults
-from gateway.monitors.contract import RESULTS
+from gateway.monitors.contract import RESULTS, Numbered
 from gateway.monitors.sampling import MOST_MESSAGES
 from gateway.signals.database import Database
 from gateway.signals.protection import protection
@@ -219,6 +219,7 @@ def _handlers(
         row = made.rows[k]
         state, const = table(1, m.monitor.state), table(1, m.monitor.const)
         _prepare(m, state.view(np.recarray)[0], const.view(np.recarray)[0])
+        _number(m, plan, const)
         made.states.append(state)
         made.consts.append(const)
         row["state"], row["const"] = state.ctypes.data, const.ctypes.data
@@ -235,6 +236,14 @@ def _handlers(
     for row in made.rows:
         row["inputs_address"] = made.pool.ctypes.data + 8 * int(row["inputs"])
     return made
+
+
+def _number(m: MonitorInstance, plan: DecodePlan, const: Any) -> None:
+    """Tell a monitor the numbers of its messages, if it wants them."""
+    numbered = m.monitor.capability(Numbered)
+    if numbered is not None and m.monitor.triggers is not None:
+        for k, name in enumerate(m.monitor.triggers(m.params)):
+            const[0][numbered.field][k] = plan.message(m.bus, name)
 
 
 def _connect(row: Any, m: MonitorInstance, wired: Wired, plan: DecodePlan, made: _Handlers) -> int:
@@ -341,6 +350,7 @@ def _checks(
         vectors[plan.message(check.bus, check.params.message)]["check"] = k
         wake_ms = buses[check.bus].params.wake_ms if check.bus < len(buses) else 0.0
         faults += communication.fill(rows[k], check, plan, databases[check.bus], len(faults), crcs, wake_ms=wake_ms)
+    communication.connect_synced(rows, checks)
     return rows
 
 

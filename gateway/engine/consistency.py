@@ -16,6 +16,7 @@ def assert_consistent(t: Tables) -> None:
     assert len(t.vectors) == messages
     assert (t.vectors["first"] + t.vectors["count"] <= len(t.triggers)).all()
     assert (t.vectors["check"] < len(t.checks)).all()
+    assert (t.checks["sync"] < len(t.checks)).all()
     assert (t.vectors["first_watch"] + t.vectors["watches"] <= len(t.watches)).all()
     assert ((t.triggers >= 0) & (t.triggers < max(len(t.handlers), 1))).all()
     assert ((t.slots >= 0) & (t.slots < slots)).all()

@@ -353,7 +353,7 @@ class Engine:
         """Start the supervision of all messages again: frames of theirs were not given to the engine."""
         checks, now_ns = self.tables.checks, self.now_ns
         watched = checks["timeout_ns"] > 0
-        checks["seen"] = checks["filled"] = 0
+        checks["seen"] = checks["filled"] = checks["synced"] = 0
         checks["deadline_ns"][watched] = now_ns + checks["timeout_ns"][watched]
         checks["silent_ns"][watched] = checks["parked_ns"][watched] = 0
         self.tables.health["heard_ns"], self.tables.health["silence"] = now_ns, SPOKEN
@@ -416,6 +416,21 @@ class Engine:
         for fault, k in self._rules.items():
             if self.faults[fault].id == rule:
                 self.tables.checks[k]["proof"] = PROVEN
+
+    def freshness(self) -> dict[str, int]:
+        """Return the least freshness values that are new, of those of :meth:`rules` that are SecOC's."""
+        checks = self.tables.checks
+        return {
+            self.faults[fault].id: int(checks[k]["fresh"])
+            for fault, k in self._rules.items()
+            if checks[k]["protection"]["fresh"]["bits"]
+        }
+
+    def take_freshness(self, rule: str, least: int) -> None:
+        """Take no freshness value of one of :meth:`rules` to be new that is less: an engine before saw more."""
+        for fault, k in self._rules.items():
+            if self.faults[fault].id == rule and least > int(self.tables.checks[k]["fresh"]):
+                self.tables.checks[k]["fresh"] = least
 
     def error_counters(self, bus: int) -> dict[str, int]:
         """Return the error frames of a bus by class, and the frames lost in its queues."""

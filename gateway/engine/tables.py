@@ -158,6 +158,7 @@ class ClockState(Record):
     wrong_sequence: i8 = means("frames of E2E out of sequence, not used")
     doubtful: i8 = means("frames not used because another sender is among them")
     window_rejected: i8 = means("right frames of E2E not used, too few of the last ones were right")
+    unsynchronised: i8 = means("frames of SecOC not used, their freshness not known yet")
     timeouts: i8 = means("messages that stayed away")
     results_lost: i8 = means("results that there was no room for")
     results_unknown: i8 = means("results of a fault that the monitor does not have")

@@ -364,6 +364,14 @@ class FaultMemory(Readable):
         """Keep the digest of a rule that has been proven, with the next commit; 0: none."""
         self._held.set_fact(f"proven.{rule}", digest)
 
+    def freshness(self, rule: str) -> int:
+        """Return the least freshness value that is new by a rule of SecOC, as it was kept last; 0: none was."""
+        return self._held.fact(f"freshness.{rule}") & 0xFFFFFFFFFFFFFFFF
+
+    def keep_freshness(self, rule: str, least: int) -> None:
+        """Keep the least freshness value that is new, of 64 bits, with the next commit."""
+        self._held.set_fact(f"freshness.{rule}", least - (least >> 63 << 64))
+
     def fold_statistics(self) -> None:
         """Take over what the debounce has counted since the last time."""
         if self._statistics is None:

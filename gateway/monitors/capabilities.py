@@ -170,6 +170,17 @@ class Parts:
 
 
 @dataclass(frozen=True)
+class Numbered:
+    """A monitor that has to know which of its messages a step is for.
+
+    Attributes:
+        field: of its constants: the engine writes there, in the order of ``triggers``, what ``u.trigger`` is for each.
+    """
+
+    field: str
+
+
+@dataclass(frozen=True)
 class Notes:
     """Description of a monitor for ``gateway check``.
 
@@ -193,6 +204,23 @@ class Sampled:
     """
 
     of: Callable[[Any], Sampling | Sequence[Sampling]]
+
+
+@dataclass(frozen=True)
+class Suspects:
+    """A monitor that suspects, which is no fault: its suspicions are told, and that is all.
+
+    Attributes:
+        count: field of the state: how many there were.
+        which: field: what the last one is of, from 1.
+        when_ns: field: when that was [ns].
+        names: parameters -> names of what ``which`` counts.
+    """
+
+    count: str
+    which: str
+    when_ns: str
+    names: Callable[[Any], Sequence[str]]
 
 
 #: Share of a part in a fault that says no more than that one of several parts is wrong: others mostly say which.
@@ -303,6 +331,7 @@ Capability = (
     | Calibration
     | CusumCalibration
     | Notes
+    | Numbered
     | Parts
     | Quantities
     | Readout
@@ -310,6 +339,7 @@ Capability = (
     | Residuals
     | Sampled
     | SensorCalibration
+    | Suspects
     | Warnings
 )
 C = TypeVar(
@@ -319,6 +349,7 @@ C = TypeVar(
     Calibration,
     CusumCalibration,
     Notes,
+    Numbered,
     Parts,
     Quantities,
     Readout,
@@ -326,5 +357,6 @@ C = TypeVar(
     Residuals,
     Sampled,
     SensorCalibration,
+    Suspects,
     Warnings,
 )

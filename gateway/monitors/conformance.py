@@ -30,6 +30,7 @@ from gateway.monitors.contract import (
     Inputs,
     Monitor,
     MonitorParams,
+    Numbered,
     Readout,
     Sampled,
     SampledInputs,
@@ -173,6 +174,9 @@ def _wrong_capabilities(monitor: Monitor[Any]) -> Iterator[tuple[str, str]]:
             yield f"the state has no field {name!r}{nearest(name, known)}", "capabilities"
         elif monitor.state.dtype[name].shape or monitor.state.dtype[name].names is not None:
             yield f"the state's field {name!r} is not one number", "capabilities"
+    numbered = monitor.capability(Numbered)
+    if numbered is not None and (numbered.field not in (monitor.const.dtype.names or ()) or monitor.triggers is None):
+        yield f"the constants have no field {numbered.field!r}, or the monitor has no triggers", "capabilities"
     if (monitor.capability(Sampled) is None) == issubclass(monitor.inputs, SampledInputs):
         yield "the capability Sampled and inputs that derive from SampledInputs go together", "inputs"
     if monitor.capability(Readout) is not None and len(set(monitor.readout)) < len(monitor.readout):

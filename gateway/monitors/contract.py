@@ -37,6 +37,7 @@ from gateway.monitors.capabilities import (
     LastResult,
     Measured,
     Notes,
+    Numbered,
     Parts,
     Quantities,
     Quantity,
@@ -47,6 +48,7 @@ from gateway.monitors.capabilities import (
     Residuals,
     Sampled,
     SensorCalibration,
+    Suspects,
     Warnings,
 )
 from gateway.monitors.sampling import MOST_MESSAGES
@@ -68,6 +70,7 @@ __all__ = [
     "LastResult",
     "Measured",
     "Notes",
+    "Numbered",
     "Parts",
     "Quantities",
     "Quantity",
@@ -78,6 +81,7 @@ __all__ = [
     "Residuals",
     "Sampled",
     "SensorCalibration",
+    "Suspects",
     "Warnings",
 ]
 

@@ -73,7 +73,7 @@ class Gateway(Passage):
             t_ns: now.
         """
         self._upkeep.pause()
-        self._proofs.look()
+        self._proofs.look(final=True)
         sent = self.poll(t_ns)  # answers that were promised
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
@@ -106,6 +106,7 @@ class Gateway(Passage):
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.buses) if bus.name in indices}
         adopt(self.engine, old.engine, buses, self._cycles_from(old))
         self._proofs.recall()
+        self._suspicions.succeed()
         self.controls.go_on()
         self.asking.succeed(old.asking, buses)  # it sends requests back, whose answers the servers take
         self.servers.succeed(old.servers, buses)
@@ -137,7 +138,8 @@ class Gateway(Passage):
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self._meter.stop()
-        self._proofs.look()
+        self._suspicions.look()
+        self._proofs.look(final=True)
         if self._causes.pending:
             self._causes.look(t_ns)
         self._explainer.finish(t_ns)

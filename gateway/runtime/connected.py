@@ -23,6 +23,7 @@ from gateway.runtime.reports import Reports
 from gateway.runtime.security import Security
 from gateway.runtime.standing import Standing
 from gateway.runtime.strangers import Strangers
+from gateway.runtime.suspicions import Suspicions
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.usage_meter import UsageMeter
 from gateway.runtime.vehicle import Vehicle
@@ -123,6 +124,7 @@ class Connected:
         self.security = Security(self._outbox.tell)
         checks = {check.name for check in self.parts.checks}
         self._strangers = Strangers(self.engine, names, checks, self.security)
+        self._suspicions = Suspicions(self.engine, self.security.note)
         parts = self.parts
         known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
         self._causes = Causes(self.engine, known, parts.checks)

@@ -88,7 +88,7 @@ class Doubts:
             "bus": self._names[check.bus],
             "message": message.name,
             "rule": asked.name,
-            "fits": [*modes, *fitting(message, asked.field, payloads)],
+            "fits": [] if asked.freshness is not None else [*modes, *fitting(message, asked.field, payloads)],
             "differs": differing(asked, payloads),
         }
 

@@ -163,6 +163,7 @@ class Passage(Connected):
         """Do what other processes asked the fault memory for (``gateway faults clear``)."""
         self._upkeep.look(self.engine.now_ns)
         self._proofs.look()
+        self._suspicions.look()
         self.security.pass_time(self.engine.wall_ns(self.engine.now_ns))
         self._interventions.serve_requests()
         self._upkeep.tend()

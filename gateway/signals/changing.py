@@ -20,10 +20,10 @@ from gateway.signals.protection.protection import (
     Protection,
     ProtectionConst,
     Tables,
-    counter_of,
     fill,
     protect,
     protect_again,
+    sent_before,
 )
 from gateway.signals.tables import SignalRef, compile_plan
 
@@ -54,14 +54,24 @@ class ChangedMessage:
         tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
         fill(rows[0], protection, tables)
         self.protection, self.tables = rows.view(np.recarray)[0], tables.array()
+        self._least = 0
+
+    @property
+    def counts(self) -> bool:
+        """Whether its frames have an alive counter or a freshness value."""
+        return bool(self.protection.has_counter or (self.protection.secured and self.protection.fresh.bits))
 
     def among(self, frames: Frames) -> NDArray[np.bool_]:
         """Return which frames are of the message, shape (n,)."""
         return np.asarray(message_rows(frames, self._plan) == 0, np.bool_)
 
     def sent_before(self, words: Words) -> int:
-        """Return how many frames its counter says were sent before, modulo its range; 0 without a counter."""
-        return int(counter_of(words, self.protection)) - int(self.protection.first)
+        """Return how many frames were sent before, as :func:`gateway.signals.protection.protection.sent_before`.
+
+        Of SecOC each frame is to be asked of, in order: what is sent is the end of a longer number.
+        """
+        self._least = int(sent_before(words, self.protection, self._least))
+        return self._least
 
     def renew(self, words: Words, length: int, sent: int | None = None) -> None:
         """Put the checksum right over a payload that was changed; ``sent``: with another counter."""
@@ -72,7 +82,8 @@ class ChangedMessage:
     def renew_all(self, words: Words, lengths: NDArray[np.int64], where: NDArray[np.bool_]) -> None:
         """Put the checksums right over payloads, shape (frames, 8), where they were changed."""
         if self.protection.has_checksum:
-            protect_again(words, lengths, where.view(np.uint8), self.protection, self.tables)
+            kept = where.view(np.uint8)
+            self._least = int(protect_again(words, lengths, kept, self.protection, self.tables, self._least))
 
 
 class ChangedSignal:

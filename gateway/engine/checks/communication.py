@@ -12,7 +12,7 @@ frequency too high, 62 signal compare failure.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -100,6 +100,35 @@ FAULTS = (
     SECOND_FAULT,
 )
 
+#: Of a message that SecOC secures, instead of those of its checksum and counter.
+SECURED = {
+    CRC: Fault(
+        "mac",
+        "U0401-83",
+        "MAC is wrong for every freshness value that the frame may have: forged, or made with another key",
+        ("received", "computed"),
+        Debounce(failed_after=2, passed_after=50),
+        remedy="look who else sends this identifier; check whether the sender, or its key, was changed",
+    ),
+    COUNTER: Fault(
+        "freshness",
+        "U0401-82",
+        "MAC is right, but for a freshness value that was seen or is older: replayed, or the sender began again",
+        ("received", "least that is new"),
+        Debounce(failed_after=2, passed_after=50),
+        remedy="look who else sends this identifier; where the sender's counter was set back, give another `start`",
+        tested="freshness value",
+    ),
+    RULE: Fault(
+        "rule",
+        "U0401-56",
+        "no frame ever passed: key, data id, lengths or first freshness value are not the sender's",
+        ("frames", "received", "computed", "constant of the header"),
+        Debounce(failed_after=1, passed_after=1, jump_down=True),
+        remedy="correct secoc of [[bus.check]]: key, data_id, freshness, start",
+    ),
+}
+
 #: Evidence for a checksum's rule is counted in half bits (see ``weigh_rule``). From this much on the rule is the
 #: sender's: any frames give it by chance once in 2**20 times.
 PROVEN = 40
@@ -157,8 +186,8 @@ class Params(MonitorParams, ProtectionParams):
         return None if window is None else window.cycle_ms or self.timeout_ms
 
     def fault_of(self, kind: int) -> Fault:
-        """Return one of :data:`FAULTS` with the DTC it has for this message."""
-        fault = FAULTS[kind]
+        """Return one of :data:`FAULTS`, or of :data:`SECURED`, with the DTC it has for this message."""
+        fault = FAULTS[kind] if self.secoc is None else SECURED.get(kind, FAULTS[kind])
         base = self.lost if kind == TIMEOUT else self.invalid
         return replace(fault, dtc=f"{base}-{fault.dtc.rpartition('-')[2]}")
 
@@ -169,6 +198,7 @@ class CheckPlace(Record):
     fault: Annotated[i4s, len(FAULTS)] = means("the engine's index of each fault; -1: not asked for")
     presence: i4 = means("place of a multiplexed signal of the protection among the message's; -1: always there")
     timer: i4 = means("its timer")
+    sync: i4 = means("of SecOC: place of the check of the freshness master's message; -1: it needs none")
     bus: u1 = means("number of the bus")
 
 
@@ -207,6 +237,10 @@ class CheckState(Record):
     wrong: u8 = means("bit k: its checksum was not")
     samples: Annotated[u8s, SAMPLES, 8] = means("payloads of misfits")
     lengths: Annotated[i4s, SAMPLES] = means("lengths of misfits", "byte")
+    fresh: u8 = means("of SecOC: the least freshness value that is new")
+    trial: u8 = means("the same by a single frame, to be confirmed; of the master: its value before the last trip")
+    sought: i8 = means("values that were looked for since one was right")
+    synced: u1 = means("1: none of its frames passed unheard since its value was right")
 
 
 _COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus", "protection.first")
@@ -219,6 +253,7 @@ COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
         "most_ns", "stride", "slots",
     ),
     ("passed", "weighed", "proof", "misfits", "samples", "lengths"): ("rule",),
+    ("fresh", "trial", "sought", "synced"): ("rule",),
     # A window saw right and wrong frames. Its sizes and limits are asked at the next frame.
     ("window", "came_ns", "ok", "wrong"): (
         "rule", *_COUNTER, "protection.max_step", "protection.strict", "protection.windowed",
@@ -339,7 +374,7 @@ def fill(
     summed = asked.checksum is not None
     wanted = (
         p.timeout_ms is not None,
-        asked.counter is not None,
+        asked.counter is not None or (asked.freshness is not None and asked.freshness.bits > 0),
         summed,
         p.length is not False,
         p.value and bool(plan.messages[plan.message(check.bus, p.message)]["floats"]),
@@ -366,8 +401,33 @@ def fill(
     row["cycle_ns"] = round((p.cycle_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
     row["rule"] = protection.digest(asked, message.frame_id)
-    row["presence"] = -1
+    row["presence"] = row["sync"] = -1
     for ref in _deciding(check, message, asked):
         row["presence"] = plan.position(*ref)
     protection.fill(row["protection"], asked, crcs)
+    if asked.freshness is not None and not asked.freshness.sync:
+        row["fresh"] = asked.freshness.start
     return slots
+
+
+def connect_synced(rows: Any, checks: Sequence[CheckInstance]) -> None:
+    """Tell the checks of messages whose freshness a master synchronises where the check of its message is.
+
+    Raises:
+        InputError: it is not checked, or its counters have other lengths.
+    """
+    for k, check in enumerate(checks):
+        asked = check.params.secoc
+        if asked is None or asked.sync is None:
+            continue
+        of = [j for j, other in enumerate(checks) if (other.bus, other.params.message) == (check.bus, asked.sync)]
+        master = checks[of[0]].params.secoc if of else None
+        with under(_key(check)):
+            if master is None or master.profile != "sync":
+                text = 'this bus has no check of a message of that name with secoc = { profile = "sync", ... }'
+                raise InputError(text, key="secoc.sync", value=asked.sync)
+            for name in ("trip", "reset"):
+                if getattr(master, name) != getattr(asked, name):
+                    text = f"{asked.sync} has {getattr(master, name)} bits"
+                    raise InputError(text, key=f"secoc.{name}", value=getattr(asked, name))
+        rows[k]["sync"] = of[0]

@@ -26,6 +26,7 @@ from gateway.engine.checks.communication import (
     WIDE,
 )
 from gateway.engine.checks.runs import begin_run, go_on, tell_run
+from gateway.engine.checks.secured_steps import FORGED, UNKNOWN, judge_secured, take_freshness
 from gateway.engine.checks.senders_steps import (
     accuse,
     begin_window,
@@ -118,7 +119,7 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
         c = T.checks[k]
         if c.bus != bus:
             continue
-        c.seen = 0
+        c.seen = c.synced = 0
         begin_window(c)
         deadline_ns = t_ns + (c.first_ns if condition == RUNNING else c.timeout_ns)
         if c.timeout_ns <= 0 or (condition != RUNNING and (c.deadline_ns >= deadline_ns or c.losses >= MOST_LOSSES)):
@@ -131,11 +132,35 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
 
 @kernel
 def checksum_fits(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
-    """Test a frame's checksum; returns whether its data may be used.
+    """Test a frame's checksum, of SecOC MAC and freshness; returns whether its data may be used."""
+    if c.protection.secured == 1:
+        return is_authentic(T, t_ns, c, words, length)
+    received, computed, verdict = judge_frame(words, length, c.protection, T.crc_tables)
+    return take_checksum(T, t_ns, c, words, length, received, computed, verdict)
+
+
+@kernel
+def is_authentic(T: Any, t_ns: int, c: Any, words: Any, length: int) -> bool:
+    """Test MAC and freshness value of a frame that SecOC secures; returns whether its data may be used."""
+    verdict, received, computed, value = judge_secured(T, c, words)
+    if verdict == UNKNOWN:
+        T.clock[0].unsynchronised += 1
+        return False
+    wrong = FRAME_CHECKSUM if verdict == FORGED else FRAME_OK
+    used = take_checksum(T, t_ns, c, words, length, received, computed, wrong)
+    if verdict == FORGED:
+        return False
+    return take_freshness(T, t_ns, c, value, verdict) and used
+
+
+@kernel
+def take_checksum(
+    T: Any, t_ns: int, c: Any, words: Any, length: int, received: Any, computed: Any, verdict: int
+) -> bool:
+    """Take a judgement of a frame's checksum; returns whether its data may be used.
 
     Until the rule is proven, wrong frames are rejected, but the sender is not accused: it is the rule that is doubted.
     """
-    received, computed, verdict = judge_frame(words, length, c.protection, T.crc_tables)
     wrong = verdict != FRAME_OK
     if wrong:
         T.clock[0].crc_failed += 1
@@ -220,6 +245,8 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
     where the protection is strict, as E2E's profiles are beyond their largest step (WRONG_SEQUENCE).
     """
     p = c.protection
+    if p.secured == 1:  # its freshness was tested with the MAC
+        return True
     received = counter_of(words, p)
     step = counter_step(c, received)
     if c.stride > 0:

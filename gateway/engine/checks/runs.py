@@ -23,7 +23,7 @@ from gateway_fdi.jit import kernel
 def begin_run(T: Any, c: Any, length: int) -> None:
     """See whether a run may begin, after a frame of that length [byte] has passed all checks of its message."""
     c.steady = 0
-    if c.presence >= 0 or c.protection.windowed == 1 or c.odd > 0 or c.twice > 0:
+    if c.presence >= 0 or c.protection.windowed == 1 or c.odd > 0 or c.twice > 0 or c.protection.secured == 1:
         return
     for kind in range(EARLY):  # a window is reported by itself
         if kind not in (CRC, RULE) and c.fault[kind] >= 0:

@@ -13,10 +13,11 @@ from typing import Annotated, Any
 import numpy as np
 
 from gateway.signals.bits import mask_of
+from gateway.signals.protection.cmac import Mac
 from gateway.signals.protection.crc import Crc, register_of
 from gateway_fdi.jit import Record, i4, i8, kernel, means, u1, u1s, u8, u8s
 
-NONE, CRC, SUM, XOR = range(4)
+NONE, CRC, SUM, XOR, MAC = range(5)
 
 #: Bytes that go in before or after a payload at most.
 MOST_EXTRA = 8
@@ -33,6 +34,8 @@ class Checksum:
 
     Attributes:
         crc: the polynomial; None: a sum, or an exclusive or.
+        mac: a MAC instead (see :mod:`gateway.signals.protection.cmac`).
+        fresh: bits of the freshness value that it is computed over, too.
         xor: exclusive or instead of a sum.
         nibbles: of half bytes instead of bytes.
         first: byte that it begins with.
@@ -62,12 +65,14 @@ class Checksum:
     plus_length: bool = False
     negative: bool = False
     xorout: int = 0
+    mac: Mac | None = None
+    fresh: int = 0
 
 
 class ChecksumConst(Record):
     """A checksum as the kernel computes it."""
 
-    kind: u1 = means("CRC, SUM or XOR")
+    kind: u1 = means("CRC, SUM, XOR or MAC")
     width: u1 = means("of the result", "bit")
     reflected: u1 = means("bytes go in with their least significant bit first")
     turned: u1 = means("the result's bits are reversed")
@@ -78,7 +83,9 @@ class ChecksumConst(Record):
     listed: u1 = means("where a byte of the list goes in: NOWHERE, BEFORE, AFTER")
     before: u1 = means("how many bytes go in before")
     after: u1 = means("how many bytes go in after")
-    table: i4 = means("place of its table among the tables of CRCs")
+    fresh: u1 = means("of the freshness value that goes in after the payload", "bit")
+    table: i4 = means("place of its table among the tables of CRCs; of a MAC: of its key")
+    box: i4 = means("place of a MAC's round table among them")
     first: i4 = means("byte that it begins with")
     last: i4 = means("-1: the frame's length")
     plus: i8 = means("added to a sum, or first value of an exclusive or")
@@ -91,14 +98,15 @@ class ChecksumConst(Record):
     list_bytes: Annotated[u1s, LIST] = means("the list: the byte of the counter's value goes in")
 
 
-def fill_checksum(row: Any, asked: Checksum, field: Any, table: int) -> None:
+def fill_checksum(row: Any, asked: Checksum, field: Any, table: int, box: int = 0) -> None:
     """Fill a record of :class:`ChecksumConst`.
 
     Args:
         row: zeroed.
         asked: the checksum.
         field: where it lies, a record of :class:`gateway.signals.bits.Field`.
-        table: place of its table, for a CRC.
+        table: place of its table, for a CRC; of its key, for a MAC.
+        box: place of a MAC's round table.
     """
     assert len(asked.before) <= MOST_EXTRA
     assert len(asked.after) <= MOST_EXTRA
@@ -115,6 +123,9 @@ def fill_checksum(row: Any, asked: Checksum, field: Any, table: int) -> None:
     if asked.by_counter:
         row["listed"] = AFTER if asked.list_after else BEFORE
         row["list_bytes"] = asked.by_counter
+    if asked.mac is not None:
+        row["kind"], row["table"], row["box"], row["fresh"] = MAC, table, box, asked.fresh
+        return
     if asked.crc is None:
         row["kind"] = XOR if asked.xor else SUM
         row["plus"], row["plus_length"], row["negative"] = asked.plus, asked.plus_length, asked.negative

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
@@ -13,6 +14,7 @@ from gateway.signals.protection.crc import KNOWN, Crc
 from gateway.signals.protection.e2e import Header, protection_of
 from gateway.signals.protection.protection import Counter, Protection, Window
 from gateway.signals.protection.rules import OTHERS, RULES, Frame, rule_of
+from gateway.signals.protection.secoc import SecocCheck
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError, nearest, under
 
@@ -25,6 +27,9 @@ Byte = Annotated[int, Field(ge=0, le=0xFF)]
 #: Names that databases of cars give to checksums and counters (opendbc's convention first), ending so.
 CHECKSUMS = ("CHECKSUM", "CHKSUM", "CHKSM", "CRC")
 COUNTERS = ("COUNTER", "ALIVE", "CNT", "FRAMECNT")
+#: Keys of which a protection with a checksum has one, and all that say how a message is protected.
+CHECKSUM_KEYS = ("crc", "checksum", "e2e", "secoc")
+KEYS = (*CHECKSUM_KEYS, "protection", "counter")
 
 
 class CounterCheck(StrictModel):
@@ -229,20 +234,29 @@ class ProtectionParams(StrictModel):
     crc: CrcCheck | None = None
     checksum: ChecksumText | None = Field(None, description='a carmaker\'s rule ("toyota"), sum, or xor')
     e2e: E2eCheck | None = Field(None, description="AUTOSAR E2E profile")
+    secoc: SecocCheck | None = Field(None, description="AUTOSAR SecOC: MAC and freshness value")
     protection: Literal["auto"] | None = Field(
         None, description="auto: as names and attributes in the database say; gateway check prints what was taken"
     )
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Self:
-        given = [name for name in ("crc", "checksum", "e2e") if getattr(self, name) is not None]
+        given = [name for name in CHECKSUM_KEYS if getattr(self, name) is not None]
         if len(given) > 1:
             raise ValueError(f"{' and '.join(given)}: a message has one of them")
         if self.protection is not None and (given or self.counter is not None):
             raise ValueError("protection = auto takes what the database says; give it, or the rest")
-        if self.e2e is not None and self.counter is not None:
-            raise ValueError("e2e has a counter of its own")
+        if self.counter is not None and (self.e2e is not None or self.secoc is not None):
+            raise ValueError("e2e has a counter of its own, secoc a freshness value")
         return self
+
+    def lie_in(self, folder: Path) -> Self:
+        """Return it with the file of its key relative to a folder."""
+        if self.secoc is None:
+            return self
+        return self.model_copy(
+            update={"secoc": self.secoc.model_copy(update={"key": folder / self.secoc.key.expanduser()})}
+        )
 
 
 #: Bytes that a database does not describe, least significant one first.
@@ -306,6 +320,9 @@ def protection_for(message: Message, asked: ProtectionParams) -> Protection:
     if asked.e2e is not None:
         with under("e2e"):
             return asked.e2e.protection(message)
+    if asked.secoc is not None:
+        with under("secoc"):
+            return asked.secoc.protection(message)
     counter = None if asked.counter is None else _counter(message, asked.counter)
     for table in ("crc", "checksum"):
         over = getattr(getattr(asked, table), "over", None)

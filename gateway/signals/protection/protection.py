@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from gateway.signals.bits import Field, mask_of, placed, read_bits, write_bits
 from gateway.signals.protection.checksum import Checksum, ChecksumConst, checksum_of, fill_checksum
-from gateway.signals.protection.crc import KNOWN, Crc, table_of
+from gateway.signals.protection.cmac import key_table, mac_of, rounds_table
+from gateway.signals.protection.crc import KNOWN, table_of
+from gateway.signals.protection.freshness import FreshConst, Freshness, count_of, fill_freshness, made_value
 from gateway_fdi.jit import Record, i4, i4s, i8, kernel, means, u1, u8s
 
 #: Constants that a header has, at most.
@@ -63,6 +65,7 @@ class Protection:
         strict: a frame out of sequence is not used (E2E), else it is used and reported.
         window: state machine over the frames; None: each frame is judged alone.
         name: of the rule, for people.
+        freshness: of SecOC, whose checksum is a MAC; None: it is none.
     """
 
     checksum: Checksum | None = None
@@ -72,6 +75,7 @@ class Protection:
     strict: bool = False
     window: Window | None = None
     name: str = ""
+    freshness: Freshness | None = None
 
 
 def digest(asked: Protection, can_id: int) -> int:
@@ -89,6 +93,8 @@ def digest(asked: Protection, can_id: int) -> int:
     counter = asked.counter.field.item() if asked.counter is not None and asked.checksum.by_counter else None
     constants = [(field.item(), value) for field, value, _ in asked.constants]
     rule = repr((can_id, asked.checksum, asked.field.item(), constants, counter))
+    if asked.checksum.mac is not None:
+        rule += asked.checksum.mac.check + repr(asked.freshness)
     return int.from_bytes(hashlib.sha256(rule.encode()).digest()[:8], "little") >> 1 or 1
 
 
@@ -104,6 +110,7 @@ class ProtectionConst(Record):
     first: i8 = means("first value of the counter")
     max_step: i4 = means("largest step of the counter that is not a failure")
     has_checksum: u1 = means("1: there is a checksum")
+    secured: u1 = means("1: the checksum is a MAC (SecOC)")
     field: Field = means("of the checksum")
     checksum: ChecksumConst = means("how it is computed")
     window: Annotated[i4s, 3] = means("frames looked back at: starting, valid, invalid")
@@ -114,23 +121,37 @@ class ProtectionConst(Record):
     header: Annotated[list[Field], MOST_CONSTANTS] = means("the same, one by one")
     expected: Annotated[u8s, MOST_CONSTANTS] = means("values of these")
     owned: Annotated[u8s, 8] = means("all bits that the protection makes")
+    fresh: FreshConst = means("freshness value of SecOC")
 
 
 class Tables:
-    """The tables of the CRCs that are in use."""
+    """The tables that are in use: of the CRCs, of MACs' keys, and of AES's rounds."""
 
     def __init__(self) -> None:
-        self._places: dict[tuple[int, int, bool], int] = {}
+        self._places: dict[tuple[int, int, bool] | bytes, int] = {}
 
-    def place(self, crc: Crc) -> int:
-        """Return the place of a CRC's table, making room for it."""
-        return self._places.setdefault((crc.width, crc.poly, crc.refin), len(self._places))
+    def place(self, asked: Checksum) -> int:
+        """Return the place of a CRC's or a MAC's table, making room for it; of others 0."""
+        if asked.mac is not None:
+            return self._places.setdefault(asked.mac.key, len(self._places))
+        crc = asked.crc
+        return 0 if crc is None else self._places.setdefault((crc.width, crc.poly, crc.refin), len(self._places))
+
+    def box(self, asked: Checksum) -> int:
+        """Return the place of the table of AES's rounds, making room for it where a checksum is a MAC."""
+        return 0 if asked.mac is None else self._places.setdefault(b"", len(self._places))
 
     def array(self) -> NDArray[np.uint64]:
-        """Return all of them, shape (CRCs, 256)."""
+        """Return all of them, shape (tables, 256)."""
         known = KNOWN["crc8_sae_j1850"]
         keys = list(self._places) or [(known.width, known.poly, known.refin)]
-        return np.stack([table_of(*key) for key in keys])
+        return np.stack([_table(key) for key in keys])
+
+
+def _table(key: tuple[int, int, bool] | bytes) -> NDArray[np.uint64]:
+    if isinstance(key, tuple):
+        return table_of(*key)
+    return key_table(key) if key else rounds_table()
 
 
 def fill(row: Any, asked: Protection, tables: Tables) -> None:
@@ -138,8 +159,11 @@ def fill(row: Any, asked: Protection, tables: Tables) -> None:
     if asked.checksum is not None:
         row["has_checksum"] = 1
         row["field"] = asked.field
-        crc = asked.checksum.crc
-        fill_checksum(row["checksum"], asked.checksum, asked.field, 0 if crc is None else tables.place(crc))
+        made = asked.checksum
+        fill_checksum(row["checksum"], made, asked.field, tables.place(made), tables.box(made))
+        row["secured"] = made.mac is not None
+    if asked.freshness is not None:
+        fill_freshness(row["fresh"], asked.freshness)
     if asked.counter is not None:
         counter = asked.counter
         row["has_counter"] = 1
@@ -159,6 +183,7 @@ def fill(row: Any, asked: Protection, tables: Tables) -> None:
     row["is_constant"] = np.frombuffer(mask.to_bytes(64, "little"), "<u8")
     mask |= 0 if asked.checksum is None else mask_of(asked.field)
     mask |= 0 if asked.counter is None else mask_of(asked.counter.field)
+    mask |= 0 if asked.freshness is None or asked.freshness.field is None else mask_of(asked.freshness.field)
     row["owned"] = np.frombuffer(mask.to_bytes(64, "little"), "<u8")
 
 
@@ -192,6 +217,12 @@ def protect(words: Any, length: int, counter: int, p: Any, tables: Any) -> None:
     """
     for k in range(8):
         words[k] = (words[k] & ~p.owned[k]) | p.constant[k]
+    if p.secured == 1:
+        fresh = made_value(p.fresh, counter)
+        if p.fresh.truncated > 0:
+            write_bits(words, p.fresh.field, fresh)
+        write_bits(words, p.field, mac_of(words, fresh, p.checksum, tables))
+        return
     value = np.int64(0)
     if p.has_counter == 1:
         value = p.first + counter % p.modulus
@@ -216,7 +247,21 @@ def protect_all(words: Any, lengths: Any, p: Any, tables: Any, sent: int) -> Non
 
 
 @kernel
-def protect_again(words: Any, lengths: Any, where: Any, p: Any, tables: Any) -> None:
+def sent_before(words: Any, p: Any, least: int) -> int:
+    """Return how many frames a payload says that its sender had sent before.
+
+    Args:
+        words: payload, shape (8,).
+        p: record of :class:`ProtectionConst`.
+        least: of SecOC, what it was at the frame before; else it is modulo the counter's range.
+    """
+    if p.secured == 1:
+        return count_of(words, p.fresh, least)
+    return counter_of(words, p) - int(p.first)
+
+
+@kernel
+def protect_again(words: Any, lengths: Any, where: Any, p: Any, tables: Any, least: int) -> int:
     """Protect frames of one message that were changed, each with the counter that it has.
 
     Args:
@@ -225,7 +270,11 @@ def protect_again(words: Any, lengths: Any, where: Any, p: Any, tables: Any) -> 
         where: uint8, shape (frames,), 0: the frame stays as it is.
         p: record of :class:`ProtectionConst`.
         tables: of the CRCs.
+        least: as of :func:`sent_before`, of the frame before these; returned is that of the last one.
     """
     for k in range(words.shape[0]):
+        if where[k] != 0 or p.secured == 1:
+            least = sent_before(words[k], p, least)
         if where[k] != 0:
-            protect(words[k], lengths[k], counter_of(words[k], p) - p.first, p, tables)
+            protect(words[k], lengths[k], least, p, tables)
+    return least

@@ -177,6 +177,7 @@ class _OfSignal(_Fault):
         changed = []
         for k, active in zip(mine, hit, strict=True):
             words, length = words_of(frames[k]), int(frames[k]["length"])
+            self._message.sent_before(words)  # of SecOC it is asked of each frame
             now = self._signal.value(words, length)
             if np.isnan(now):
                 continue  # this frame does not carry it
@@ -195,7 +196,7 @@ class _OfProtection(_Fault):
         super().__init__(fault, condition)
         self._message = sender.message(str(fault.target))
         row = self._message.protection
-        if not (row.has_counter if fault.kind == "counter" else row.has_checksum):
+        if not (self._message.counts if fault.kind == "counter" else row.has_checksum):
             raise InputError(f"its protection has no {fault.kind}", value=fault.message)
         self._good: int | None = None  # the counter in the last frame before
         self._wrong = 0
@@ -270,7 +271,7 @@ class _Babbling(_Fault):
             self._extra += int(more)
             words = words_of(frame)
             sent = self._message.sent_before(words) + self._extra
-            self._message.renew(words, int(frame["length"]), sent if self._message.protection.has_counter else None)
+            self._message.renew(words, int(frame["length"]), sent if self._message.counts else None)
             frame["data"] = words.view(np.uint8)
         frames = np.concatenate([frames[~mine], every])
         return frames[np.argsort(frames["t_ns"], kind="stable")]
@@ -296,7 +297,7 @@ class _BusOff(_Fault):
     def __init__(self, fault: MessageFault, condition: Condition | None, sender: Sender) -> None:
         super().__init__(fault, condition)
         counted = [message.name for message in sender.database if sender.has(message.name)]
-        self._messages = [one for one in map(sender.message, counted) if one.protection.has_counter]
+        self._messages = [one for one in map(sender.message, counted) if one.counts]
         self._unsent = [0] * len(self._messages)
 
     def apply(self, frames: Frames, end_ns: int) -> Frames:

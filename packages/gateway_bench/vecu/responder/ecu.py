@@ -17,7 +17,7 @@ from gateway.signals.columns import limits
 from gateway.signals.database import Database
 from gateway.signals.decode import SIGNED, UNSIGNED
 from gateway.signals.protection.auto import automatic
-from gateway.signals.protection.params import ProtectionParams, protection_for
+from gateway.signals.protection.params import KEYS, ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
 from gateway_bench.vecu.conditions import Condition
 from gateway_bench.vecu.contract import Run, Running, VirtualEcu
@@ -41,7 +41,7 @@ STEP_NS = 1_000_000
 def _protection(
     reply: Reply, message: Message, database: Database, checked: Mapping[str, ProtectionParams]
 ) -> Protection:
-    given = any(getattr(reply, name) is not None for name in ("crc", "checksum", "e2e", "protection", "counter"))
+    given = any(getattr(reply, name) is not None for name in KEYS)
     if given and reply.protection == "auto":
         return protection_for(message, automatic(message, database.file_of(message.name))[0])
     return protection_for(message, reply if given else usual(checked, message, database))

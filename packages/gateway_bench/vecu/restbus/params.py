@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from gateway.signals.protection.params import ProtectionParams
+from gateway.signals.protection.params import KEYS, ProtectionParams
 from gateway_bench.vecu.contract import EcuParams
 from gateway_bench.vecu.restbus.courses import Short, rising
 
@@ -22,7 +22,7 @@ class RestbusMessage(ProtectionParams):
     @property
     def protected(self) -> bool:
         """Whether it says how it is protected."""
-        return any(getattr(self, name) is not None for name in ("crc", "checksum", "e2e", "protection", "counter"))
+        return any(getattr(self, name) is not None for name in KEYS)
 
 
 class RestbusParams(EcuParams):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gateway.signals.database import Database
 from gateway.signals.protection.auto import automatic
-from gateway.signals.protection.params import ProtectionParams, protection_for
+from gateway.signals.protection.params import CHECKSUM_KEYS, ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
 from gateway.signals.tables import sticks_out
 from gateway_bench.vecu.restbus.params import RestbusMessage, RestbusParams
@@ -22,8 +22,6 @@ _log = get_logger(__name__)
 
 #: As many messages are named in a line of the log.
 _NAMED = 8
-#: Keys of which a protection with a checksum has one.
-_CHECKSUMS = ("crc", "checksum", "e2e")
 
 
 @dataclass(frozen=True)
@@ -126,10 +124,10 @@ def usual(checked: Mapping[str, ProtectionParams], message: Message, database: D
         database: of its bus.
     """
     given = checked.get(message.name)
-    if given is not None and any(getattr(given, name) is not None for name in _CHECKSUMS):
+    if given is not None and any(getattr(given, name) is not None for name in CHECKSUM_KEYS):
         return given
     found, _ = automatic(message, database.file_of(message.name))
-    says = any(getattr(found, name) is not None for name in (*_CHECKSUMS, "counter"))
+    says = any(getattr(found, name) is not None for name in (*CHECKSUM_KEYS, "counter"))
     return found if says or given is None else given
 
 
