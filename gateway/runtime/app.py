@@ -7,7 +7,6 @@ tests all drive this same class.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from gateway.bus.frames import FRAME, Frames, empty, joined
 from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
-from gateway.engine.core import Engine
 from gateway.engine.depends.derive import Dependences
 from gateway.faults.beside import Writer
 from gateway.faults.cases import cases_of
@@ -36,6 +34,7 @@ from gateway.runtime.explainer import Explainer
 from gateway.runtime.interventions import Interventions
 from gateway.runtime.outbox import Listener, Outbox
 from gateway.runtime.proofs import Proofs
+from gateway.runtime.quiet import EVERYTHING, Quiet
 from gateway.runtime.reception import Reception, refuse_unless_frames
 from gateway.runtime.reports import Reports
 from gateway.runtime.standing import Standing
@@ -59,27 +58,6 @@ from gateway_fdi.errors import GatewayError
 log = get_logger(__name__)
 
 _NO_FRAMES = empty(0)
-
-
-@dataclass(frozen=True)
-class Quiet:
-    """A gateway in which nothing waits: what a pump must know of it. Times are of the engine [ns].
-
-    Attributes:
-        engine: to be fed.
-        before_ns: frames from this time on are to come by :meth:`Gateway.feed`.
-        due_ns: when a server, or a recording, is due, by the engine's time.
-        prompt_ns: when a server is due, by the bus's own time.
-        heard: identifiers (with EXTENDED) whose frames are to come by :meth:`Gateway.feed`.
-        may_send: whether what monitors send goes to the bus.
-    """
-
-    engine: Engine
-    before_ns: int
-    due_ns: int
-    prompt_ns: int
-    heard: frozenset[int]
-    may_send: bool
 
 
 class Gateway:
@@ -157,8 +135,7 @@ class Gateway:
         servers += [self._vehicle] if config.answered else []
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
         connect_routes(self.servers, self.asking)
-        served, asked = self.servers.heard, self.asking.heard
-        self._heard = None if served is None or asked is None else served | asked
+        self._heard = self.servers.heard.also(self.asking.heard)
         self._connect()
 
     def _may_ask(self, bus: int) -> bool:
@@ -369,15 +346,15 @@ class Gateway:
                 sent += [*self._outbox.take_early(), made]
         return joined(sent)
 
-    def quiet(self) -> Quiet | None:
-        """Return what a pump must know to feed the engine in place of :meth:`feed`; None: something waits."""
-        before_ns = self._reception.before_ns
-        if self._closed or before_ns is None or self._heard is None or not (self._outbox.empty and self._settled):
-            return None
+    def quiet(self) -> Quiet:
+        """Return what a pump must know to feed the engine in place of :meth:`feed`."""
+        settled = self._outbox.empty and self._settled and not self._closed
+        before_ns = self._reception.before_ns if settled else None
         due_ns = self.servers.next_ns
         if self._recorder is not None:
             due_ns = min(due_ns, self._recorder.due_ns + 1)
-        return Quiet(self.engine, before_ns, due_ns, self.next_ns, self._heard, self.controls.send)
+        before_ns = EVERYTHING if before_ns is None else before_ns
+        return Quiet(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, settled)
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`tell`."""
@@ -437,13 +414,6 @@ class Gateway:
     def next_ns(self) -> int:
         """Time at which :meth:`poll` has something to do."""
         return min(self.servers.next_prompt_ns, self.asking.next_ns)
-
-    @property
-    def due_ns(self) -> int:
-        """Time at which :meth:`advance` has something to do; while it waits for a write or the like: the past."""
-        if not (self._outbox.empty and self._idle):
-            return -1
-        return min(self.engine.due_ns, self.servers.next_ns, self.engine.pause_ns)
 
     @property
     def databases(self) -> Sequence[Database]:
