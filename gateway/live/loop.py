@@ -287,6 +287,8 @@ class Live:
     def _hand_in(self, parts: Sequence[tuple[Frames, bool]], read_ns: int, *, final: bool = False) -> bool:
         """Feed what links gave, with steps of the wall clock among it; returns whether there was anything due."""
         self._more = any(more for _, more in parts)
+        if not (self._pump.holding or self._clock.untold or any(len(frames) for frames, _ in parts)):
+            return False
         steps = self._take_steps(final=final) if self._clock.untold else empty(0)
         return self._finish_pass(self._pump.hand_in(parts, steps, read_ns, self._gateway.quiet(), final=final))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,15 @@ BATCH, ROW = 256, 1024
 #: Frames that it takes down before Python must read them; those that it holds back.
 TAKEN, HELD = 16_384, 2_048
 _CELLS = FRAME.itemsize // 8
+
+
+def _places(kind: Any) -> dict[str, int]:
+    return {name: field[1] // 8 for name, field in kind.dtype.fields.items()}
+
+
+#: Places of fields in records of cells: a record and its field take ten times as long to reach, for each turn.
+_ORDER, _SIDE = _places(pumping.State), _places(pumping.Side)
+_NONE = empty(0)
 
 
 @dataclass(frozen=True)
@@ -78,15 +88,17 @@ class Pump:
         most = HELD + (buses + 1) * ROW
         self._merged, self._held, self._taken = empty(most), empty(HELD), empty(max(TAKEN, most))
         self._since, self._held_since = np.zeros(most, np.int64), np.zeros(HELD, np.int64)
-        self._state = np.zeros(1, pumping.State.dtype).view(np.recarray)
-        self._sides = np.zeros(buses + 1, pumping.Side.dtype).view(np.recarray)
-        self._sides["headers"][:buses] = [self._room.headers(k) for k in range(buses)]
-        self._sides["fd"] = -1
+        state: Any = np.zeros(1, pumping.State.dtype)
+        sides: Any = np.zeros(buses + 1, pumping.Side.dtype)
+        sides["headers"][:buses] = [self._room.headers(k) for k in range(buses)]
+        sides["fd"] = -1
+        self._orders = memoryview(state.view(np.int64))
+        self._sides = [memoryview(side.view(np.int64)) for side in sides.reshape(-1, 1)]
+        self._records = state.view(np.recarray), sides.view(np.recarray)
         self._polls = np.zeros(buses + 1, np.int64)
         self._heard: Heard | None = None
         self._flags = np.zeros(2048, np.uint8)
         self._engine, self._cells = engine, None if engine is None else engine.cells
-        state = self._state[0]
         state["never"] = NEVER
         if self._cells is not None:
             cells = self._cells
@@ -96,6 +108,7 @@ class Pump:
             state["frames_at"], state["cells_at"], state["start_at"], state["until_at"] = frames, same[0], start, until
         for name, place in {} if engine is None else engine.clock_places.items():
             state[f"{name}_at"] = place
+        self._merged_at = self._merged.ctypes.data
         self._connect(NOTHING)
 
     def _connect(self, heard: Heard) -> None:
@@ -109,7 +122,7 @@ class Pump:
         if self._engine is not None:
             clock, outbox = self._engine.clock_cells, np.asarray(self._engine.tables.outbox)
         self.memory = pumping.Pumped(
-            self._state, self._sides, self._polls, room.messages, room.control, room.gaps, self._frames,
+            *self._records, self._polls, room.messages, room.control, room.gaps, self._frames,
             _of(self._frames), _of(self._merged), self._since, _of(self._held), self._held_since, _of(self._taken),
             nothing if cells is None else cells.arguments, nothing if cells is None else cells.results, clock,
             _of(outbox), np.zeros(9, np.uint64), self._flags,
@@ -120,11 +133,16 @@ class Pump:
     @property
     def holding(self) -> int:
         """Frames that are held back: an earlier one of another bus may still come."""
-        return int(self._state[0]["held"])
+        return self._orders[_ORDER["held"]]
 
     def is_far_ahead(self, bus: int) -> bool:
         """Return whether so many frames of a bus wait for those of others that it is not to be read now."""
-        return bool(self._sides[bus]["waiting"] >= pumping.MOST_WAITING)
+        return self._sides[bus][_SIDE["waiting"]] >= pumping.MOST_WAITING
+
+    def _order(self, **values: int) -> None:
+        """Write fields of the state."""
+        for name, value in values.items():
+            self._orders[_ORDER[name]] = value
 
     def run(
         self,
@@ -151,30 +169,29 @@ class Pump:
             waits: whether it may wait.
             may_send: whether it may send what monitors send, which nobody takes down then.
         """
-        self._tell(quiet, may_send=may_send)
-        state = self._state[0]
-        state["offset_ns"], state["difference_ns"] = clock.offset_ns, clock.difference_ns
-        state["tolerance_ns"] = clock.tolerance_ns
+        offset_ns = clock.offset_ns
         if not clock.of_system:  # one that tests move: the system's tells only how long it waits
-            state["offset_ns"] = time.time_ns() - clock.now()
-        state["leave_ns"], state["grace_ns"], state["waits"] = leave_ns, grace_ns, waits
+            offset_ns = time.time_ns() - clock.now()
         received: list[tuple[int, Bus, Raw]] = []
         for k, (fd, bus) in enumerate(buses):
             raw = None if bus is None or not clock.of_system else bus.raw
             self._polls[k] = (-1 if fd is None else fd) & 0xFFFFFFFF
-            self._sides[k]["fd"] = -1
+            self._sides[k][_SIDE["fd"]] = -1
             if bus is not None and raw is not None:
-                self._sides[k]["fd"], self._sides[k]["lost"] = raw.fileno(), raw.lost
+                self._sides[k][_SIDE["fd"]], self._sides[k][_SIDE["lost"]] = raw.fileno(), raw.lost
                 received.append((k, bus, raw))
         self._polls[self._buses] = door & 0xFFFFFFFF
-        state["sockets"], state["handed"], state["final"] = len(received), 0, 0
-        why = int(self._pump())
+        self._order(
+            offset_ns=offset_ns, difference_ns=clock.difference_ns, tolerance_ns=clock.tolerance_ns,
+            leave_ns=leave_ns, grace_ns=grace_ns, waits=waits, sockets=len(received), handed=0, final=0,
+        )  # fmt: skip
+        why = self._entered(quiet, may_send=may_send)
         for k, bus, raw in received:
             side = self._sides[k]
-            gaps = int(side["gaps"]) if why in (pumping.RAW, pumping.STEPPED) else 0
-            raw.lost = int(side["lost"])
-            raw.note(int(side["received"]), int(side["rejected"]), self._room.gaps[k, :gaps])
-            bus.statistics.sent += int(side["sent"])
+            gaps = side[_SIDE["gaps"]] if why in (pumping.RAW, pumping.STEPPED) else 0
+            raw.lost = side[_SIDE["lost"]]
+            raw.note(side[_SIDE["received"]], side[_SIDE["rejected"]], self._room.gaps[k, :gaps])
+            bus.statistics.sent += side[_SIDE["sent"]]
         return self._left(why)
 
     def hand_in(
@@ -189,7 +206,6 @@ class Pump:
             quiet: the gateway.
             final: whether nothing is held back, but for frames of a bus that has more.
         """
-        self._tell(quiet, may_send=False)
         for k, (frames, more) in enumerate([*parts, (steps, False)]):
             side, count = self._sides[k], len(frames)
             assert count <= ROW, "a link gives a batch at a time"
@@ -197,36 +213,44 @@ class Pump:
                 mine, times = self._frames[k, :count], frames["t_ns"]
                 rough = self._buses > 1 and (times[1:] < times[:-1]).any()
                 _of(mine)[:] = _of(frames[np.argsort(times, kind="stable")] if rough else np.ascontiguousarray(frames))
-                side["last_ns"] = mine[-1]["t_ns"]
-            side["count"], side["more"], side["fd"] = count, more, -1
-        state = self._state[0]
-        state["read_ns"], state["handed"], state["final"] = read_ns, 1, final
-        why = int(self._pump())
-        self._sides["count"] = 0
+                side[_SIDE["last_ns"]] = int(mine[-1]["t_ns"])
+            side[_SIDE["count"]], side[_SIDE["more"]], side[_SIDE["fd"]] = count, more, -1
+        self._order(read_ns=read_ns, handed=1, final=final)
+        why = self._entered(quiet, may_send=False)
+        for side in self._sides:
+            side[_SIDE["count"]] = 0
         return self._left(why)
 
-    def _tell(self, quiet: Quiet, *, may_send: bool) -> None:
-        """Say what the gateway wants."""
+    def _entered(self, quiet: Quiet, *, may_send: bool) -> int:
+        """Say what the gateway wants, and enter the kernel; returns why it has left."""
         if quiet.heard != self._heard:
             self._connect(quiet.heard)
-        state = self._state[0]
-        state["before_ns"] = EVERYTHING if self._cells is None else quiet.before_ns
-        state["server_ns"], state["prompt_ns"] = quiet.due_ns, quiet.prompt_ns
-        state["may_send"] = may_send and quiet.may_send
+        before_ns = EVERYTHING if self._cells is None else quiet.before_ns
+        self._order(
+            before_ns=before_ns, server_ns=quiet.due_ns, prompt_ns=quiet.prompt_ns, may_send=may_send and quiet.may_send
+        )
+        return int(self._pump())
 
     def _left(self, why: int) -> Left:
-        state = self._state[0]
-        count, start = int(state["count"]), int(state["start"])
+        orders, sides = self._orders, self._sides[: self._buses]
+        count, start = orders[_ORDER["count"]], orders[_ORDER["start"]]
         raw: tuple[tuple[Frames, bool], ...] = ()
-        batch, sides = empty(0), self._sides[: self._buses]
+        batch = _NONE
         if why in (pumping.RAW, pumping.STEPPED):
-            raw = tuple((self._frames[k, : side["count"]], bool(side["more"])) for k, side in enumerate(sides))
+            raw = tuple(
+                (self._frames[k, : side[_SIDE["count"]]], bool(side[_SIDE["more"]])) for k, side in enumerate(sides)
+            )
         elif why >= pumping.WANTED:
-            joined = int(state["batch"]) == self._merged.ctypes.data
+            joined = orders[_ORDER["batch"]] == self._merged_at
             batch = (self._merged if joined else self._frames[0])[:count]
-        begun = why >= pumping.EVENTS
-        taken = self._taken[: int(state["took"])]
-        received = tuple((sides["fd"] >= 0).tolist()) if state["passes"] else ()
+        received = tuple(side[_SIDE["fd"]] >= 0 for side in sides) if orders[_ORDER["passes"]] else ()
         return Left(
-            why, taken, received, raw, batch, start if begun else -1, int(state["read_ns"]), bool(state["knocked"])
+            why,
+            self._taken[: orders[_ORDER["took"]]],
+            received,
+            raw,
+            batch,
+            start if why >= pumping.EVENTS else -1,
+            orders[_ORDER["read_ns"]],
+            bool(orders[_ORDER["knocked"]]),
         )

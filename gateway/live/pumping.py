@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.can_structs import fill_struct, settle
 from gateway.bus.frames import ERROR, EXTENDED, OWN
-from gateway_fdi.jit import Record, i4, i8, i8s, kernel, means
+from gateway_fdi.jit import Record, i8, i8s, kernel, means
 from gateway_fdi.jit.system import call_bound, clock_gettime, poll, recvmmsg, send
 
 #: Reasons to leave for Python. Nothing was received since the last batch that was fed:
@@ -60,7 +60,7 @@ _DENSE_NS = 1_000_000
 class Side(Record):
     """One bus, or the places where the wall clock was set."""
 
-    fd: i4 = means("its socket; -1: Python receives")
+    fd: i8 = means("its socket; -1: Python receives")
     headers: i8 = means("address of the headers of its messages")
     lost: i8 = means("the socket's count of lost frames, modulo 2**32")
     count: i8 = means("frames received in this pass")
@@ -309,11 +309,12 @@ def _look(P: Any, s: Any, cells: Any) -> int:
     """Return why a batch cannot be fed here, -1: it can."""
     if s.took + s.count > P.taken.shape[0]:
         return FULL
+    handed = s.handed == 1 or P.sides.shape[0] > 2  # what a single socket gives has nothing rare among it
     for k in range(s.count):
         if np.int64(cells[k, 0]) >= s.before_ns:
             return AHEAD
         can_id = np.int64(cells[k, 1] & np.uint64(0xFFFFFFFF))
-        if can_id == ERROR or np.int64(cells[k, 1] >> np.uint64(40)) & OWN != 0:
+        if handed and (can_id == ERROR or np.int64(cells[k, 1] >> np.uint64(40)) & OWN != 0):
             return CONDITION
         if can_id & EXTENDED:
             for e in range(P.extended.shape[0]):
