@@ -298,10 +298,12 @@ def send_at(
     frames: list[bytes],
     more: Sequence[socket.socket] = (),
     every_s: float = EVERY_S,
+    rest_s: float = 0.0,
 ) -> dict:
     """Send frames at a rate; returns how many, how many found the queue full, and the times to DTC frames [ms].
 
-    The message k goes to the socket k of all, modulo their number; DTC frames come from the first.
+    The message k goes to the socket k of all, modulo their number; DTC frames come from the first. With ``rest_s`` it
+    sleeps between two looks [s].
     """
     socks = [sock, *more]
     for each in socks:
@@ -311,6 +313,8 @@ def send_at(
     next_wrong, asked, waiting = every_s, 0.0, -1  # message whose DTC is waited for
     times, spans = [], []
     while (now := time.perf_counter() - begun) < seconds:
+        if rest_s:
+            time.sleep(rest_s)
         due = int(now * rate)
         while sent < due:
             datagram = frames[sent % len(frames)]
@@ -381,7 +385,9 @@ def pairs(count: int) -> tuple[list[socket.socket], list[socket.socket]]:
     return [ours for ours, _ in made], [theirs for _, theirs in made]
 
 
-def measure(side: object, interface: str | None, memory: bool, rate: float, seconds: float, buses: int = 0) -> dict:
+def measure(
+    side: object, interface: str | None, memory: bool, rate: float, seconds: float, buses: int = 0, rest_s: float = 0
+) -> dict:
     """Run one receiver at one rate; with a number of buses, frames without faults on so many of them."""
     context = multiprocessing.get_context("fork")
     with tempfile.TemporaryDirectory() as name:
@@ -404,7 +410,7 @@ def measure(side: object, interface: str | None, memory: bool, rate: float, seco
         child.start()
         if not ready.wait(300):
             raise SystemExit("the receiver did not start")
-        found = send_at(theirs, rate, seconds, datagrams(), more, math.inf if buses else EVERY_S)
+        found = send_at(theirs, rate, seconds, datagrams(), more, math.inf if buses else EVERY_S, rest_s)
         end.set()
         found |= out.get(timeout=60)
         child.join(20)
@@ -497,10 +503,12 @@ def show_tables(options: argparse.Namespace) -> None:
     sides, rows = [SIDES[name] for name in SIDES if name in only], []
     progress(f"{machine}; over {options.interface or 'a unix socket'}; sender on another core")
     if sides:
-        progress(f"{'frame to DTC frame':64}{'lost':>8}{'DTCs':>6}{'p50':>9}{'p99':>9}{'p99.9':>9} ms{'CPU us/frame':>14}")
+        progress(
+            f"{'frame to DTC frame':64}{'lost':>8}{'DTCs':>6}{'p50':>9}{'p99':>9}{'p99.9':>9} ms{'CPU us/frame':>14}"
+        )
     for rate in options.rates:
         for name, side, memory in sides:
-            found = measure(side, options.interface, memory, rate, options.seconds)
+            found = measure(side, options.interface, memory, rate, options.seconds, rest_s=options.rest)
             row = latency_row(f"{name}: {rate}/s", found, options.seconds)
             rows.append(row)
             progress(
@@ -524,6 +532,7 @@ def main() -> None:
     parser.add_argument("--rates", type=int, nargs="+", default=[4000, 20_000, 80_000])
     parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--only", nargs="+", choices=[*SIDES, "sustained"], help="only these rows")
+    parser.add_argument("--rest", type=float, default=0.0, help="the sender's sleep between two looks [s], on one core")
     parser.add_argument("--interface", help="SocketCAN interface instead of a unix socket")
     parser.add_argument(
         "--buses", type=int, nargs="+", help="only the CPU of a frame, with so many buses in turn, no faults"
