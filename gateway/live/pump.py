@@ -136,7 +136,7 @@ class Pump:
         return self._orders[_ORDER["held"]]
 
     def is_far_ahead(self, bus: int) -> bool:
-        """Return whether so many frames of a bus wait for those of others that it is not to be read now."""
+        """Return whether a bus is not to be read now: enough of its frames wait for those of others."""
         return self._sides[bus][_SIDE["waiting"]] >= pumping.MOST_WAITING
 
     def _order(self, **values: int) -> None:

@@ -2,8 +2,8 @@
 
 One pass waits for the sockets, receives, puts stamps on the engine's time, joins buses in order of time, takes the
 frames down for those who read them later, runs the engine and sends what its monitors send. It repeats that until there
-is something that only Python can do, and says what: one of the reasons below. What only Python can receive it hands in:
-frames of a bus that is no socket, and of a socket where they have something unusual among them. They are joined, and
+is something that only Python can do, and says what: one of the reasons below. Frames that only Python can receive are
+handed in: those of a bus that is no socket, and of a socket where something unusual is among them. They are joined, and
 fed, as all others are.
 
 It is the one kernel that waits, and reads clocks.
@@ -40,7 +40,7 @@ SENDING = 11  # a monitor sends, and a queue is full, or somebody takes down wha
 SERVER = 12  # the time of a server, or of a recording, has come
 FAILED = 13  # the loop of the engine has failed
 
-#: A frame of several buses is held back for so long after its stamp: an earlier one of another bus may still come [ns].
+#: Time for which a frame of several buses is held back: an earlier one of another bus may still come [ns].
 SETTLE_NS = 200_000
 #: No frame is held back longer than this [ns]: clocks of interfaces may differ.
 LONGEST_NS = 5_000_000
@@ -267,7 +267,7 @@ def _hold(P: Any, s: Any, due: int, total: int) -> None:
 def _join(P: Any, s: Any) -> None:
     """Put what the buses gave, and what was held back, into one order of time.
 
-    What is too new to be sure that no earlier frame of another bus will still come is held back; of one bus nothing is.
+    A frame that is too new to be sure that no earlier one of another bus will still come is held back; of one bus none.
     """
     total, held = 0, 0
     until, more = s.read_ns - SETTLE_NS, False

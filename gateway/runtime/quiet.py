@@ -1,4 +1,4 @@
-"""What the pump of a live gateway must know, before each time that it feeds the engine."""
+"""The state of a gateway as the pump of the live loop must know it, each time before it feeds the engine."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ class J1939Server(BusServer):
             self._dm1.succeed(old._dm1)
 
     def identifiers(self, bus: int) -> list[int] | None:
-        """Whoever is on its bus may send it something."""
+        """Any sender on its bus may mean it."""
         return None if bus == self.endpoint.bus else []
 
     def wanted(self, frames: Frames) -> NDArray[np.bool_]:
