@@ -160,7 +160,6 @@ def turn_path(frames, batch):
         with suppress(BlockingIOError):
             while theirs.recv(72):
                 pass
-    live.close()
     link.close()
     theirs.close()
     gateway.close()

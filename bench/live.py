@@ -4,8 +4,10 @@ Both get the same frames from a process of their own, as ``struct can_frame``: o
 raw socket, or (``--interface vcan0``) over SocketCAN. 16 messages with alive counter and CRC, each frame checked and
 decoded. Every 20 ms one frame has a wrong CRC: a DTC frame must follow, and the next good frame heals it.
 
-    python bench/live.py [--rates 4000 20000 80000] [--seconds 5] [--interface vcan0] [--buses 1 8] [--parts] [--json]
+    python bench/live.py [--rates 4000 80000] [--seconds 4] [--only durable sustained ...] [--interface vcan0]
+                         [--buses 1 8] [--parts] [--json]
 
+Each figure is told when it is measured; all take less than two minutes, of which the sustained rates take half.
 ``--parts`` shows where a verdict's time goes, beside what the disk takes to keep one block that was there before.
 """
 
@@ -19,6 +21,7 @@ import os
 import platform
 import select
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -48,6 +51,8 @@ MESSAGES = 16
 BASE = 0x300
 DTC_ID = 0x6F0
 EVERY_S = 0.02
+#: The sustained rate is sought from here, and not below there [frames/s].
+FIRST_RATE, LEAST_RATE = 64_000.0, 250.0
 #: Receive buffer, as ``rcvbuf`` of a SocketCAN URI: what is lost is lost when this is full.
 BUFFER = 4 << 20
 
@@ -293,10 +298,12 @@ def send_at(
     frames: list[bytes],
     more: Sequence[socket.socket] = (),
     every_s: float = EVERY_S,
+    rest_s: float = 0.0,
 ) -> dict:
     """Send frames at a rate; returns how many, how many found the queue full, and the times to DTC frames [ms].
 
-    The message k goes to the socket k of all, modulo their number; DTC frames come from the first.
+    The message k goes to the socket k of all, modulo their number; DTC frames come from the first. With ``rest_s`` it
+    sleeps between two looks [s].
     """
     socks = [sock, *more]
     for each in socks:
@@ -306,6 +313,8 @@ def send_at(
     next_wrong, asked, waiting = every_s, 0.0, -1  # message whose DTC is waited for
     times, spans = [], []
     while (now := time.perf_counter() - begun) < seconds:
+        if rest_s:
+            time.sleep(rest_s)
         due = int(now * rate)
         while sent < due:
             datagram = frames[sent % len(frames)]
@@ -376,7 +385,9 @@ def pairs(count: int) -> tuple[list[socket.socket], list[socket.socket]]:
     return [ours for ours, _ in made], [theirs for _, theirs in made]
 
 
-def measure(side: object, interface: str | None, memory: bool, rate: float, seconds: float, buses: int = 0) -> dict:
+def measure(
+    side: object, interface: str | None, memory: bool, rate: float, seconds: float, buses: int = 0, rest_s: float = 0
+) -> dict:
     """Run one receiver at one rate; with a number of buses, frames without faults on so many of them."""
     context = multiprocessing.get_context("fork")
     with tempfile.TemporaryDirectory() as name:
@@ -399,7 +410,7 @@ def measure(side: object, interface: str | None, memory: bool, rate: float, seco
         child.start()
         if not ready.wait(300):
             raise SystemExit("the receiver did not start")
-        found = send_at(theirs, rate, seconds, datagrams(), more, math.inf if buses else EVERY_S)
+        found = send_at(theirs, rate, seconds, datagrams(), more, math.inf if buses else EVERY_S, rest_s)
         end.set()
         found |= out.get(timeout=60)
         child.join(20)
@@ -412,22 +423,25 @@ def measure(side: object, interface: str | None, memory: bool, rate: float, seco
 
 
 def sustained(side: object, interface: str | None, memory: bool, seconds: float) -> float:
-    """Return a rate at which no frame is lost, a sixteenth below one at which some are [frames/s]."""
+    """Return a rate at which no frame is lost, an eighth at most below one at which some are [frames/s]."""
 
     def reached(rate: float) -> float:
         found = measure(side, interface, memory, rate, seconds)
         done = found["sent"] / seconds
         return 0.0 if found["lost_all"] or done < 0.9 * rate else done
 
-    good, rate, best = 0.0, 250.0, 0.0
-    while done := reached(rate):
-        good, rate, best = rate, 2 * rate, done
-    for _ in range(4):
-        middle = (good + rate) / 2
+    rate, bad = FIRST_RATE, math.inf
+    while not (best := reached(rate)):
+        bad, rate = rate, rate / 4
+        if rate < LEAST_RATE:
+            return 0.0
+    good = rate
+    while bad > 1.125 * good:
+        middle = 2 * good if bad == math.inf else (good + bad) / 2
         if done := reached(middle):
             good, best = middle, done
         else:
-            rate = middle
+            bad = middle
     return best
 
 
@@ -457,10 +471,68 @@ def show_buses(options: argparse.Namespace) -> None:
             print(f"{rate:>7}/s, {buses} buses: {cpu} us of CPU a frame, lost {sum(run['lost_all'] for run in runs)}")
 
 
+#: What receives, by its name of ``--only``: how tables have it, the process, whether its memory is on the disk.
+SIDES = {
+    "durable": ("gateway, memory durable", our_side, True),
+    "process": ("gateway, memory in process", our_side, False),
+    "computes": ("gateway, in process, beside a thread that computes", partial(our_side, beside=True), False),
+    "python-can": ("python-can Notifier + cantools", their_side, False),
+}
+
+
+def latency_row(name: str, found: dict, seconds: float) -> dict:
+    """Return a row of the table of latencies."""
+    p50, p99, p999 = np.percentile(np.asarray(found["times"] or [np.nan]), [50, 99, 99.9])
+    return {
+        "name": name,
+        "per_second": round(found["sent"] / seconds),
+        "lost": found["lost_all"],
+        "dtcs": len(found["times"]),
+        "cpu_us": round(found["cpu_us"], 1),
+        "p50_ms": round(float(p50), 3),
+        "p99_ms": round(float(p99), 3),
+        "p99.9_ms": round(float(p999), 3),
+    }
+
+
+def show_tables(options: argparse.Namespace) -> None:
+    """Print latencies at each rate, then sustained rates, each as soon as it is known."""
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    progress = partial(print, file=sys.stderr if options.json else sys.stdout, flush=True)
+    only = options.only or [*SIDES, "sustained"]
+    sides, rows = [SIDES[name] for name in SIDES if name in only], []
+    progress(f"{machine}; over {options.interface or 'a unix socket'}; sender on another core")
+    if sides:
+        progress(
+            f"{'frame to DTC frame':64}{'lost':>8}{'DTCs':>6}{'p50':>9}{'p99':>9}{'p99.9':>9} ms{'CPU us/frame':>14}"
+        )
+    for rate in options.rates:
+        for name, side, memory in sides:
+            found = measure(side, options.interface, memory, rate, options.seconds, rest_s=options.rest)
+            row = latency_row(f"{name}: {rate}/s", found, options.seconds)
+            rows.append(row)
+            progress(
+                f"{row['name']:64}{row['lost']:>8,}{row['dtcs']:>6}{row['p50_ms']:>9}"
+                f"{row['p99_ms']:>9}{row['p99.9_ms']:>9}{row['cpu_us']:>17}"
+            )
+    against = 0.0
+    for key in ("python-can", "durable", "process") if "sustained" in only else ():
+        name, side, memory = SIDES[key]
+        rate = sustained(side, options.interface, memory, 1.0)
+        against = against or max(rate, 1.0)
+        row = {"name": f"{name}: sustained", "per_second": round(rate), "ratio": round(rate / against, 1)}
+        rows.append(row | {"against": f"{SIDES['python-can'][0]}: sustained"})
+        progress(f"{row['name']:48}{row['per_second']:>10,} frames/s{row['ratio']:>8.1f}x")
+    if options.json:
+        print(json.dumps({"rows": rows, "machine": machine}, indent=2))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rates", type=int, nargs="+", default=[4000, 20_000, 80_000])
-    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--rates", type=int, nargs="+", default=[4000, 80_000])
+    parser.add_argument("--seconds", type=float, default=4.0)
+    parser.add_argument("--only", nargs="+", choices=[*SIDES, "sustained"], help="only these rows")
+    parser.add_argument("--rest", type=float, default=0.0, help="the sender's sleep between two looks [s], on one core")
     parser.add_argument("--interface", help="SocketCAN interface instead of a unix socket")
     parser.add_argument(
         "--buses", type=int, nargs="+", help="only the CPU of a frame, with so many buses in turn, no faults"
@@ -470,56 +542,10 @@ def main() -> None:
     options = parser.parse_args()
     if options.parts:
         show_parts(options)
-        return
-    if options.buses:
+    elif options.buses:
         show_buses(options)
-        return
-    sides = [
-        ("gateway, memory durable", our_side, True),
-        ("gateway, memory in process", our_side, False),
-        ("gateway, in process, beside a thread that computes", partial(our_side, beside=True), False),
-        ("python-can Notifier + cantools", their_side, False),
-    ]
-    rows = []
-    for name, side, memory in sides[:2] + sides[-1:]:
-        rate = sustained(side, options.interface, memory, min(options.seconds, 2.0))
-        rows.append({"name": f"{name}: sustained", "per_second": round(rate)})
-    against = rows[-1]["name"]
-    for row in rows:
-        row["ratio"] = round(row["per_second"] / max(rows[-1]["per_second"], 1), 1)
-        row["against"] = against
-    for rate in options.rates:
-        for name, side, memory in sides:
-            found = measure(side, options.interface, memory, rate, options.seconds)
-            times = np.asarray(found["times"] or [np.nan])
-            p50, p99, p999 = np.percentile(times, [50, 99, 99.9])
-            rows.append(
-                {
-                    "name": f"{name}: {rate}/s",
-                    "per_second": round(found["sent"] / options.seconds),
-                    "lost": found["lost_all"],
-                    "dtcs": len(found["times"]),
-                    "cpu_us": round(found["cpu_us"], 1),
-                    "p50_ms": round(float(p50), 3),
-                    "p99_ms": round(float(p99), 3),
-                    "p99.9_ms": round(float(p999), 3),
-                }
-            )
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    if options.json:
-        print(json.dumps({"rows": rows, "machine": machine}, indent=2))
-        return
-    print(f"{machine}; over {options.interface or 'a unix socket'}; sender on another core")
-    for row in rows:
-        if "p50_ms" not in row:
-            print(f"{row['name']:48}{row['per_second']:>10,} frames/s{row['ratio']:>8.1f}x")
-    print(f"{'frame to DTC frame':64}{'lost':>8}{'DTCs':>6}{'p50':>9}{'p99':>9}{'p99.9':>9} ms{'CPU us/frame':>14}")
-    for row in rows:
-        if "p50_ms" in row:
-            print(
-                f"{row['name']:64}{row['lost']:>8,}{row['dtcs']:>6}{row['p50_ms']:>9}"
-                f"{row['p99_ms']:>9}{row['p99.9_ms']:>9}{row['cpu_us']:>17}"
-            )
+    else:
+        show_tables(options)
 
 
 if __name__ == "__main__":

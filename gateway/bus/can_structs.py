@@ -212,8 +212,9 @@ class Room:
         return int(self.messages[socket_].ctypes.data)
 
     def receive_into(self, frames: Frames) -> None:
-        """Have structs received into frames, shape (sockets, most)."""
-        rows = np.arange(frames.size, dtype=np.uintp).reshape(frames.shape)
+        """Have structs received into frames, shape (sockets, >= most): the first of each row."""
+        sockets, most = self.vectors.shape
+        rows = np.arange(sockets, dtype=np.uintp)[:, None] * frames.shape[1] + np.arange(most, dtype=np.uintp)
         self.vectors["base"] = frames.ctypes.data + rows * FRAME.itemsize + 8
 
 

@@ -59,7 +59,6 @@ def record(
             links[-1].start()
         taps = [tap for tap in (sink, writer) if tap is not None]
         live = Live(nobody, links, printer, taps=taps, clock=clock)
-        stack.callback(live.close)
         say(f"recording {', '.join(uris)} to {out or ring}")
         notifier.ready(f"recording {', '.join(uris)}")
         live.run(ending, on_turn=notifier.alive)

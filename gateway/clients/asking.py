@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from gateway.answers.weave import NEGATIVE, Weaver
-from gateway.bus.frames import EXTENDED, Frames, empty, has_none_of, joined, payload, put
-from gateway.clients.dm1 import Dm1Listener
+from gateway.bus.frames import EXTENDED, Frames, empty, joined, payload, put
+from gateway.bus.heard import Heard
+from gateway.clients.dm1 import MASKS, Dm1Listener
 from gateway.clients.dtcs import READ_DTCS, details_of, told_by
 from gateway.clients.ecu import MS, Ask, EcuClient
 from gateway.clients.line import Line
@@ -70,6 +71,7 @@ class Asking:
         may_ask: whether a bus may be asked now: it lives, the vehicle is awake, nobody has switched communication off.
 
     Attributes:
+        heard: what it listens to, on any bus.
         told: what answers say of DTCs, in the order of the frames TELLS.
         alter: changes frames with answers among them, as a fault of an ECU would; None: nobody does.
     """
@@ -103,25 +105,21 @@ class Asking:
             for can_id in FUNCTIONAL:
                 self._functional.setdefault((client.bus, can_id), []).append(ecu)
         places = self._heard.keys() | self._functional.keys() | self._groups.keys()
-        self._known = frozenset(can_id for _, can_id in places)
-        self._ids = np.asarray(sorted(self._known), np.uint32)
+        known = frozenset(can_id for _, can_id in places)
+        self.heard = Heard(known, frozenset() if dm1 is None else MASKS)
+        self._ids = np.asarray(sorted(known), np.uint32)
         self._places = places
         self.next_ns = 0 if self._apart_ns else NEVER
 
-    @property
-    def heard(self) -> frozenset[int] | None:
-        """The identifiers (with EXTENDED) that it listens to on any bus; None: to all, as DM1 has many."""
-        return self._known if self._dm1 is None else None
-
     def identifiers_on(self, bus: int) -> list[int] | None:
-        """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""
+        """Return the identifiers (with EXTENDED) that it listens to on a bus; None: they are too many to list."""
         if self._dm1 is not None and bus in self._dm1.buses:
             return None
         return [can_id for index, can_id in self._places if index == bus]
 
     def hear(self, frames: Frames) -> Frames:
         """Take frames in order of time; returns them with those of the answers that they complete."""
-        if self._dm1 is None and (not self._known or has_none_of(frames, self._known)):
+        if self.heard.has_none_of(frames):
             return frames
         mine = np.isin(frames["can_id"], self._ids)
         told = np.zeros(len(frames), np.bool_) if self._dm1 is None else self._dm1.among(frames)

@@ -14,6 +14,8 @@ from gateway.j1939.transport import Transport
 
 DM1 = 0xFECA
 _GROUPS = (DM1, TP_CM | GLOBAL, TP_DT | GLOBAL)
+#: The same as values and masks of identifiers, of any sender.
+MASKS = frozenset((EXTENDED | group << 8, EXTENDED | 0x3FFFF << 8) for group in _GROUPS)
 #: Bit of a status that an active DTC has: it fails now.
 ACTIVE = 0x01
 

@@ -205,7 +205,6 @@ class Daemon:
         self._watchdog.end()
         self._close_doors()
         self._doors.close()
-        self._live.close()
         for link in self._live.links:
             link.close()
         if self._ring is not None:

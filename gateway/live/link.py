@@ -103,10 +103,10 @@ class Link:
 
     @property
     def due_s(self) -> float:
-        """How long until it wants :meth:`attend` at the latest [s]."""
+        """How long until it wants :meth:`attend`, and :meth:`receive`, at the latest [s]."""
         if self._bus is None:
             return max(self._next_try - self._monotonic(), 0.0)
-        if self._ending:
+        if self._ending or self._told:
             return 0.0
         return 0.001 if len(self._transmitter) else float("inf")
 
@@ -177,10 +177,10 @@ class Link:
     @property
     def pumped(self) -> Bus | None:
         """The bus, of whose socket a pump may receive now; None: only :meth:`receive` may."""
-        plain = self._bus is not None and not self._ending and not self._told and not len(self._transmitter)
-        return (
-            self._bus if plain and self._bus is not None and self._bus.raw is not None and self.stamps.plain else None
-        )
+        bus = self._bus
+        if bus is None or bus.raw is None or self._ending or self._told or len(self._transmitter):
+            return None
+        return bus if self.stamps.plain else None
 
     def _joined(self, parts: list[Frames]) -> Frames:
         frames = np.concatenate([empty(0), *parts])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-import selectors
+import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,9 +19,8 @@ from gateway.engine.core import Engine
 from gateway.live import pumping
 from gateway.live.clock import Clock
 from gateway.live.link import Link
-from gateway.live.merge import Merger
-from gateway.live.pump import HELD, Left, Pump
-from gateway.runtime.passage import Quiet
+from gateway.live.pump import Left, Pump
+from gateway.runtime.quiet import Quiet
 from gateway_fdi.common.log import get_logger
 
 #: Without traffic, the engine's time lags the clock by this, so that a frame that is still on its
@@ -37,9 +36,7 @@ REPORT_S = 1.0
 KEEP_S = 10.0
 #: How long a thread of Python that computes may have the interpreter, while a verdict waits for it [s].
 SWITCH_S = 0.00005
-#: Batches taken from a bus before the others, and the rest of the work, have their turn.
-TURN = 16
-#: The same, when there is no next turn: more than any queue holds.
+#: Batches taken from a bus when there is no next turn: more than any queue holds.
 LAST_TURN = 4096
 
 log = get_logger(__name__)
@@ -59,14 +56,6 @@ class Fed(Protocol):
     def engine(self) -> Engine | None:
         """Its engine, which a pump may feed; None: there is none."""
 
-    @property
-    def next_ns(self) -> int:
-        """Time at which :meth:`poll` has something to do."""
-
-    @property
-    def due_ns(self) -> int:
-        """Time at which :meth:`advance` has something to do; of what waits for something else than time: the past."""
-
     def feed(self, frames: Frames) -> Frames:
         """Take a batch; returns the frames to send."""
 
@@ -79,8 +68,8 @@ class Fed(Protocol):
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return what it listens to; None: to all."""
 
-    def quiet(self) -> Quiet | None:
-        """Return what a pump must know to feed its engine; None: something waits, or there is no engine."""
+    def quiet(self) -> Quiet:
+        """Return what a pump must know to feed its engine."""
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed."""
@@ -171,10 +160,7 @@ class Live:
         self._taps = list(taps)
         self._clock, self._tick_s, self._monotonic = clock, tick_s, monotonic
         self._offset_ns = clock.told_offset_ns  # of what the taps have got
-        self._selector = selectors.DefaultSelector()
-        self._watched: dict[int, Link | None] = {}
-        self._merger = Merger()
-        self._pump: Pump | None = None
+        self._more = True  # whether there may be frames that no descriptor tells
         self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
         self._poll = self._keep = 0.0
         self._held: dict[int, list[Frames]] = {}  # taken from links, and not fed
@@ -198,18 +184,11 @@ class Live:
         self._unsettled = True
 
     def _choose(self) -> None:
-        """Say which frames are wanted: a tap wants all there are. Have a pump for this gateway, if it can have one."""
-        engine = self._gateway.engine
-        self._pump = None
-        if engine is not None and engine.cells is not None and self._clock.of_system and self._links:
-            self._pump = Pump(engine, engine.cells, len(self._links))
+        """Say which frames are wanted: a tap wants all there are. Have a pump for this gateway."""
+        self._pump = Pump(self._gateway.engine, len(self._links))
         for link in self._links:
             ids = None if self._taps else self._gateway.identifiers_on(link.index)
             link.listen_to(ids, echo=bool(self._taps))
-
-    def close(self) -> None:
-        """Stop waiting for buses; they stay open."""
-        self._selector.close()
 
     def run(self, stop: Callable[[], bool], *, on_turn: Callable[[], None] | None = None) -> None:
         """Feed the gateway until told to stop.
@@ -230,15 +209,20 @@ class Live:
 
     def turn(self) -> None:
         """Wait for frames or for time to pass, and do what is due."""
-        for link in self._links:
-            if link.due_s <= 0.001:
+        due_s = min((link.due_s for link in self._links), default=math.inf)
+        if due_s <= 0.001:
+            for link in self._links:
                 link.attend()
-        self._watch()
-        left = self._pumped()
-        busy = self._wait() if left is None else left.why not in (pumping.TIME, pumping.DOOR)
-        fed = left is not None and self._finish_pass(left)
-        if left is None or left.why == pumping.BUS:
-            fed |= self._read_one(self._links[0]) if len(self._links) == 1 else self._read_all()
+        fed = busy = False
+        self._knocked = read = True
+        if not (self._more or self._held or self._clock.untold or due_s <= 0):
+            left = self._pumped(due_s)
+            idle, self._knocked = left.why in (pumping.TIME, pumping.DOOR), left.knocked
+            # Before time passes for the monitors: a frame that nobody has told of must not be overtaken.
+            read = left.why == pumping.BUS or (idle and any(link.pumped is None for link in self._links))
+            busy, fed = not idle, self._finish_pass(left)
+        if read:
+            fed |= self._read()
         if not fed and not busy:
             # Only now: frames that still wait in a queue must not be overtaken. With traffic,
             # its own time stamps move the clock.
@@ -255,22 +239,17 @@ class Live:
             self._report(now)
             self._poll = now + POLL_S
 
-    def _pumped(self) -> Left | None:
-        """Feed the gateway without Python while nothing waits; None: something does, or a bus is no socket."""
-        if self._pump is None or self._held or self._unsettled or self._clock.untold:
-            return None
+    def _pumped(self, due_s: float) -> Left:
+        """Have the pump wait, receive and feed until it has something for Python; ``due_s``: when a link is due."""
         quiet = self._gateway.quiet()
-        buses = [bus for link in self._links if (bus := link.pumped) is not None]
-        if quiet is None or len(buses) < len(self._links) or len(self._merger) > HELD:
-            return None
         watched = self._door is not None and self._door.listening()
-        patience_s = min(self._tick_s if watched else POLL_S, max(self._poll - self._monotonic(), 0.0))
+        patience_s = self._tick_s if watched or not quiet.idle else POLL_S
+        patience_s = max(min(patience_s, due_s, self._poll - self._monotonic()), 0.0)
         return self._pump.run(
-            buses,
+            [(link.fileno(), link.pumped) for link in self._links],
             -1 if self._door is None else self._door.fileno(),
             self._clock,
             quiet,
-            self._merger,
             leave_ns=self._clock.now() + round(patience_s * 1e9),
             grace_ns=GRACE_NS,
             waits=bool(self._tick_s),
@@ -279,79 +258,39 @@ class Live:
 
     def _finish_pass(self, left: Left) -> bool:
         """Do what a pump has left to Python; returns whether there were frames."""
-        self._knocked = left.knocked
         if len(left.taken):
             self._take_down(left.taken)
             self._gateway.took(left.taken)
             self._send(self._gateway.tell())
+        links = list(zip(self._links, left.received, strict=True)) if left.received else []
         if left.raw:
-            parts = [link.take(*each) for link, each in zip(self._links, left.raw, strict=True)]
-            frames = self._with_steps(parts[0][0]) if len(parts) == 1 else self._joined(parts, left.read_ns)
-            if len(frames):
-                self._feed(frames)
+            took = zip(links, left.raw, strict=True)
+            parts = [link.take(*raw) if received else self._receive(link) for (link, received), raw in took]
+            self._hand_in(parts, left.read_ns)
             return True
-        for link in self._links:
-            link.stamps.looked(left.read_ns)
+        for link, received in links:
+            if received:
+                link.stamps.looked(left.read_ns)
         if left.start >= 0:
             self._send(self._gateway.resume(left.batch, left.start))
         elif len(left.batch):
             self._feed(left.batch)
         return bool(len(left.taken) or len(left.batch))
 
-    def _watch(self) -> None:
-        """Wait for the descriptors that the links have now: a bus that came back has a new one."""
-        wanted: dict[int, Link | None] = {fd: link for link in self._links if (fd := link.fileno()) is not None}
-        if self._door is not None:
-            wanted[self._door.fileno()] = None
-        if wanted == self._watched:
-            return
-        # A descriptor may have been closed, and its number given out again: all are registered again.
-        self._selector.close()
-        self._selector = selectors.DefaultSelector()
-        for fd in wanted:
-            self._selector.register(fd, selectors.EVENT_READ)
-        self._watched = wanted
+    def _read(self, *, final: bool = False) -> bool:
+        """Receive from all buses, and feed what is due; returns whether there was anything."""
+        read_ns = self._clock.now()
+        far = self._pump.is_far_ahead
+        parts = [(empty(0), True) if far(k) else self._receive(link) for k, link in enumerate(self._links)]
+        return self._hand_in(parts, read_ns, final=final)
 
-    def _wait(self) -> bool:
-        """Wait until there is something to do; returns whether a bus is readable."""
-        now = self._clock.now()
-        soon = (self._gateway.next_ns - now) / 1e9
-        waits = [self._patience_s(now), soon, *(link.due_s for link in self._links)]
-        if self._merger.holding:
-            waits.append(0.0005)
-        if self._held:
-            waits.append(0.0)
-        ready = self._selector.select(max(min(waits), 0.0))
-        if self._door is None:
-            return bool(ready)
-        door = self._door.fileno()
-        buses = sum(key.fd != door for key, _ in ready)
-        self._knocked = buses < len(ready)
-        return bool(buses)
-
-    def _patience_s(self, now_ns: int) -> float:
-        """Return how long only the buses and their answers need the loop [s].
-
-        A turn for nothing costs half a millisecond on a slow processor: not the next tick is waited for, but the next
-        timer.
-        """
-        if not self._tick_s or (self._door is not None and self._door.listening()):
-            return self._tick_s
-        due_s = (self._gateway.due_ns + GRACE_NS - now_ns) / 1e9
-        return min(max(due_s, self._tick_s), POLL_S)
-
-    def _read_one(self, link: Link) -> bool:
-        """Feed what one bus has, without holding anything back; returns whether there was any."""
-        any_fed = False
-        for _ in range(TURN):
-            frames, more = self._receive(link)
-            frames = self._with_steps(frames)
-            if len(frames):
-                self._feed(frames)
-                any_fed = True
-            if not more:
-                break
-        return any_fed
+    def _hand_in(self, parts: Sequence[tuple[Frames, bool]], read_ns: int, *, final: bool = False) -> bool:
+        """Feed what links gave, with steps of the wall clock among it; returns whether there was anything due."""
+        self._more = any(more for _, more in parts)
+        if not (self._pump.holding or self._clock.untold or any(len(frames) for frames, _ in parts)):
+            return False
+        steps = self._take_steps(final=final) if self._clock.untold else empty(0)
+        return self._finish_pass(self._pump.hand_in(parts, steps, read_ns, self._gateway.quiet(), final=final))
 
     def _take_steps(self, *, final: bool = False) -> Frames:
         """Return a frame for each step of the wall clock whose place among the frames is known.
@@ -367,20 +306,14 @@ class Live:
             told.append(step_frame(step.t_ns, step.step_ns // 1000))
         return np.concatenate(told)
 
-    def _with_steps(self, frames: Frames) -> Frames:
-        for step in self._take_steps() if self._clock.untold else ():
-            later = np.flatnonzero(frames["t_ns"] >= step["t_ns"])
-            at = int(later[0]) if len(later) else len(frames)
-            told = np.asarray([step], frames.dtype)
-            frames = np.concatenate([frames[:at], told, frames[at:]])
-        return frames
-
     def _receive(self, link: Link) -> tuple[Frames, bool]:
         """Return the next frames of a link, first those that are held."""
-        held = self._held.pop(id(link), None)
-        if held is None:
+        held = self._held.get(id(link))
+        if not held:
             return link.receive()
-        frames = np.concatenate(held)
+        frames = held.pop(0)
+        if not held:
+            del self._held[id(link)]
         frames["bus"] = link.index  # it may have changed since
         return frames, True
 
@@ -397,33 +330,14 @@ class Live:
 
     def drain(self) -> None:
         """Feed all that has come until now; nothing is held back."""
-        self._read_all(final=True)
+        for _ in range(LAST_TURN):
+            self._read(final=True)
+            if not (self._more or self._pump.holding):
+                break
 
     def finish(self) -> None:
         """Let the gateway put down what its successor is to find; nothing must be fed to it any more."""
         self._send(self._gateway.finish(self._clock.now()))
-
-    def _read_all(self, *, final: bool = False) -> bool:
-        """Feed what several buses have, in order of time; returns whether there was any."""
-        read_ns = self._clock.now()
-        parts: list[tuple[Frames, bool]] = []
-        for link in self._links:
-            pieces: list[Frames] = []
-            more = True
-            while more and len(pieces) < (LAST_TURN if final else TURN):
-                frames, more = self._receive(link)
-                pieces.append(frames.copy())
-            parts.append((np.concatenate(pieces), more))
-        frames = self._joined(parts, read_ns, final=final)
-        if len(frames):
-            self._feed(frames)
-        return bool(len(frames))
-
-    def _joined(self, parts: list[tuple[Frames, bool]], read_ns: int, *, final: bool = False) -> Frames:
-        """Return what is due of what several buses gave, in order of time, with steps of the wall clock among it."""
-        if self._clock.untold:
-            parts.insert(0, (self._take_steps(final=final), False))
-        return self._merger.take(parts, read_ns, final=final)
 
     def _take_down(self, frames: Frames) -> Frames:
         """Give frames to those who read them, and return those that did not come from here."""

@@ -2,8 +2,9 @@
 
 One pass waits for the sockets, receives, puts stamps on the engine's time, joins buses in order of time, takes the
 frames down for those who read them later, runs the engine and sends what its monitors send. It repeats that until there
-is something that only Python can do, and says what: one of the reasons below. Rare things are never done here: a batch
-with anything unusual is handed over as it was received, and goes the way of :mod:`gateway.live.loop`.
+is something that only Python can do, and says what: one of the reasons below. Frames that only Python can receive are
+handed in: those of a bus that is no socket, and of a socket where something unusual is among them. They are joined, and
+fed, as all others are.
 
 It is the one kernel that waits, and reads clocks.
 """
@@ -17,14 +18,13 @@ from numpy.typing import NDArray
 
 from gateway.bus.can_structs import fill_struct, settle
 from gateway.bus.frames import ERROR, EXTENDED, OWN
-from gateway.live.merge import LONGEST_NS, SETTLE_NS
-from gateway_fdi.jit import Record, i4, i8, i8s, kernel, means
+from gateway_fdi.jit import Record, i8, i8s, kernel, means
 from gateway_fdi.jit.system import call_bound, clock_gettime, poll, recvmmsg, send
 
 #: Reasons to leave for Python. Nothing was received since the last batch that was fed:
 TIME = 0  # time has come: an engine's or a server's timer, or the loop's own look
 DOOR = 1  # another descriptor is readable: status socket, reports
-BUS = 2  # a bus wants attention: it is gone, or its socket tells an error
+BUS = 2  # a bus is Python's to read: it is no socket, its socket tells an error, or Python has to do with it
 INTERRUPTED = 3  # a signal came
 #: Frames were received, and are handed over as they are:
 RAW = 4  # with something rare among them: an error frame of no class, our own frame, frames lost in a queue, no order
@@ -33,11 +33,19 @@ STEPPED = 5  # the wall clock was set
 WANTED = 6  # one is for a server
 AHEAD = 7  # a time comes among them before which all must be done: a diagnosis, a look of the usage meter
 FULL = 8  # no room to take them down
+CONDITION = 9  # something rare is among them that was handed in: a bus came or went, our own frame
 #: The engine has begun with the batch:
-EVENTS = 9  # it has something to tell that does not wait for the next reason, as first passes do
-SENDING = 10  # a monitor sends, and a queue is full, or somebody takes down what is sent
-SERVER = 11  # the time of a server, or of a recording, has come
-FAILED = 12  # the loop of the engine has failed
+EVENTS = 10  # it has something to tell that does not wait for the next reason, as first passes do
+SENDING = 11  # a monitor sends, and a queue is full, or somebody takes down what is sent
+SERVER = 12  # the time of a server, or of a recording, has come
+FAILED = 13  # the loop of the engine has failed
+
+#: Time for which a frame of several buses is held back: an earlier one of another bus may still come [ns].
+SETTLE_NS = 200_000
+#: No frame is held back longer than this [ns]: clocks of interfaces may differ.
+LONGEST_NS = 5_000_000
+#: Frames of one bus that wait for those of others; then it is not read until these have come.
+MOST_WAITING = 256
 
 _POLLIN = 1
 _DONTWAIT = 0x40
@@ -50,13 +58,16 @@ _DENSE_NS = 1_000_000
 
 
 class Side(Record):
-    """One bus."""
+    """One bus, or the places where the wall clock was set."""
 
-    fd: i4 = means("its socket")
+    fd: i8 = means("its socket; -1: Python receives")
     headers: i8 = means("address of the headers of its messages")
     lost: i8 = means("the socket's count of lost frames, modulo 2**32")
     count: i8 = means("frames received in this pass")
     gaps: i8 = means("places in it before which frames were lost")
+    more: i8 = means("1: it may have more than these")
+    last_ns: i8 = means("time of the latest frame received", "ns")
+    waiting: i8 = means("its frames that are held back")
     joined: i8 = means("of these frames, those that are in the common order")
     received: i8 = means("frames received since the pump was entered")
     rejected: i8 = means("messages that were no frames since then")
@@ -77,6 +88,9 @@ class State(Record):
     grace_ns: i8 = means("time that the engine's timers lag the clock without traffic", "ns")
     may_send: i8 = means("1: frames of monitors are sent here")
     waits: i8 = means("1: it may wait")
+    sockets: i8 = means("buses of which it receives")
+    handed: i8 = means("1: frames are handed in, nothing is received")
+    final: i8 = means("1: nothing is held back")
     # The engine: its entry, places in its cells and in its clock.
     entry: i8 = means("address of the engine's loop")
     arguments_at: i8 = means("address of its arguments")
@@ -108,12 +122,13 @@ class State(Record):
 class Pumped(NamedTuple):
     """Memory of the pump, in one argument.
 
-    ``state`` has one row, ``sides`` one a bus. ``polls`` are struct pollfd, one a bus and one for all other
-    descriptors. ``messages``, ``control``, ``gaps``, ``frames`` and the same in ``cells`` have a row a bus (see
-    :class:`gateway.bus.can_structs.RawReceiver`). ``merged`` and ``since`` take the frames of several buses, and the
-    time at which each was received; ``held`` and ``held_since`` those that wait. ``taken`` are the frames for those who
-    read them later. ``clock`` is the engine's, ``outbox`` its outbox in cells, ``wire`` room for one
-    struct canfd_frame. ``heard`` are the identifiers of 11 bits that servers want, as flags, ``extended`` those of 29.
+    ``state`` has one row, ``sides`` one a bus and one for steps of the wall clock. ``polls`` are struct pollfd, one a
+    bus and one for all other descriptors. ``messages``, ``control`` and ``gaps`` have a row a bus (see
+    :class:`gateway.bus.can_structs.RawReceiver`), ``frames``, and the same in ``cells``, a row a side. ``merged`` and
+    ``since`` take the frames of several buses, and the time at which each was received; ``held`` and ``held_since``
+    those that wait. ``taken`` are the frames for those who read them later. ``clock`` is the engine's, ``outbox`` its
+    outbox in cells, ``wire`` room for one struct canfd_frame. ``heard`` are the identifiers of 11 bits that servers
+    want, as flags, ``extended`` those of 29: value, and mask of the bits that count.
     """
 
     state: NDArray[np.void]
@@ -156,15 +171,17 @@ def _was_set(s: Any, wall_ns: int) -> bool:
 def _wait(P: Any, s: Any, now_ns: int) -> int:
     """Wait for the sockets, and for time to pass; returns a reason to leave, -1: frames wait, or a door is open."""
     until = min(s.leave_ns, s.prompt_ns)
-    deadline_ns = P.clock[s.deadline_at]
-    if deadline_ns < s.never - s.grace_ns:
-        until = min(until, deadline_ns + s.grace_ns)
+    due_ns = min(P.clock[s.deadline_at], s.server_ns)
+    if s.before_ns > 0:
+        due_ns = min(due_ns, s.before_ns)
+    if due_ns < s.never - s.grace_ns:
+        until = min(until, due_ns + s.grace_ns)
     if s.held > 0:
         until = min(until, now_ns + (LONGEST_NS if s.gap_ns < _DENSE_NS else 500_000))
     wait_ms = 0
     if s.waits == 1 and until > now_ns:
         wait_ms = (until - now_ns + 999_999) // 1_000_000
-    buses = P.sides.shape[0]
+    buses = P.sides.shape[0] - 1
     for k in range(buses + 1):
         P.polls[k] = (P.polls[k] & 0xFFFFFFFF) | (_POLLIN << 32)
     ready = poll(P.polls.ctypes.data, buses + 1, wait_ms)
@@ -172,23 +189,29 @@ def _wait(P: Any, s: Any, now_ns: int) -> int:
         return INTERRUPTED
     s.knocked = P.polls[buses] >> 48 != 0
     if ready == 0:
-        return -1 if s.held > 0 else TIME
+        if s.held == 0:
+            return TIME
+        return -1 if s.sockets > 0 else BUS
     for b in range(buses):
         told = P.polls[b] >> 48
-        if told not in (0, _POLLIN):
+        if told not in (0, _POLLIN) or (told != 0 and P.sides[b].fd < 0):
             return BUS
-    return -1
+    return -1 if s.sockets > 0 else DOOR
 
 
 @kernel
-def _receive(P: Any, b: int, wall_ns: int, want: bool) -> int:
+def _receive(P: Any, s: Any, b: int, wall_ns: int, want: bool) -> int:
     """Receive what a bus has; returns 0, RAW where something of it is rare, BUS where its socket tells an error."""
     side = P.sides[b]
     side.count = 0
     side.gaps = 0
+    side.more = 0
+    if side.waiting >= MOST_WAITING:
+        side.more = 1
+        return 0
     if not want:
         return 0
-    got = recvmmsg(side.fd, side.headers, P.frames.shape[1], _DONTWAIT, 0)
+    got = recvmmsg(side.fd, side.headers, P.messages.shape[1], _DONTWAIT, 0)
     if got < 0:
         return BUS
     kept, rejected, lost, gaps = settle(P.messages[b], P.control[b], P.gaps[b], P.frames[b], got, b, wall_ns, side.lost)
@@ -202,29 +225,61 @@ def _receive(P: Any, b: int, wall_ns: int, want: bool) -> int:
         rare = rare or np.int64(frame["can_id"]) == ERROR or np.int64(frame["flags"]) & OWN != 0
         rare = rare or frame["t_ns"] < last_ns
         last_ns = frame["t_ns"]
+    if kept > 0:
+        side.last_ns = last_ns - s.offset_ns
+    if got == P.messages.shape[1]:
+        side.more = 1
     return RAW if rare else 0
 
 
 @kernel
+def _next(P: Any, s: Any, held: int) -> int:
+    """Return which side has the earliest frame: its index, -1: those held back from ``held`` on, -2: none has.
+
+    Of equal times those held back are the first, then the steps of the clock.
+    """
+    sides = P.sides.shape[0]
+    best, best_ns = -2, np.int64(0)
+    if held < s.held:
+        best, best_ns = -1, np.int64(P.held[held, 0])
+    for j in range(sides):
+        b = (j + sides - 1) % sides
+        at = P.sides[b].joined
+        if at < P.sides[b].count:
+            t_ns = np.int64(P.cells[b, at, 0])
+            if best == -2 or t_ns < best_ns:
+                best, best_ns = b, t_ns
+    return best
+
+
+@kernel
+def _hold(P: Any, s: Any, due: int, total: int) -> None:
+    """Hold back the merged frames from ``due`` on."""
+    for k in range(due, total):
+        for j in range(10):
+            P.held[k - due, j] = P.merged[k, j]
+        P.held_since[k - due] = P.since[k]
+        P.sides[np.int64((P.merged[k, 1] >> np.uint64(32)) & np.uint64(0xFF))].waiting += 1
+    s.held = total - due
+
+
+@kernel
 def _join(P: Any, s: Any) -> None:
-    """Put what the buses gave, and what was held back, into one order of time (see ``gateway.live.merge``)."""
-    buses, total, held = P.sides.shape[0], 0, 0
-    until = s.read_ns - SETTLE_NS
-    for b in range(buses):
-        P.sides[b].joined = 0
-        count = P.sides[b].count
-        if count == P.frames.shape[1]:
-            until = min(until, np.int64(P.cells[b, count - 1, 0]))
+    """Put what the buses gave, and what was held back, into one order of time.
+
+    A frame that is too new to be sure that no earlier one of another bus will still come is held back; of one bus none.
+    """
+    total, held = 0, 0
+    until, more = s.read_ns - SETTLE_NS, False
+    if s.final == 1 or P.sides.shape[0] == 2:
+        until = s.never
+    for b in range(P.sides.shape[0]):
+        side = P.sides[b]
+        side.joined = side.waiting = 0
+        if side.more == 1 and P.sides.shape[0] > 2:
+            until, more = min(until, side.last_ns), True
     while True:
-        best, best_ns = -2, np.int64(0)
-        if held < s.held:
-            best, best_ns = -1, np.int64(P.held[held, 0])
-        for b in range(buses):
-            at = P.sides[b].joined
-            if at < P.sides[b].count:
-                t_ns = np.int64(P.cells[b, at, 0])
-                if best == -2 or t_ns < best_ns:
-                    best, best_ns = b, t_ns
+        best = _next(P, s, held)
         if best == -2:
             break
         if best == -1:
@@ -239,14 +294,13 @@ def _join(P: Any, s: Any) -> None:
         total += 1
     due = 0
     for k in range(total):
-        if np.int64(P.merged[k, 0]) <= until or P.since[k] < s.read_ns - LONGEST_NS:
+        t_ns = np.int64(P.merged[k, 0])
+        # A frame that is not of the future is late only because another bus has more to read.
+        late = P.since[k] < s.read_ns - LONGEST_NS and (not more or t_ns > s.read_ns)
+        if t_ns <= until or late:
             due = k + 1
     due = max(due, total - P.held.shape[0])
-    for k in range(due, total):
-        for j in range(10):
-            P.held[k - due, j] = P.merged[k, j]
-        P.held_since[k - due] = P.since[k]
-    s.held = total - due
+    _hold(P, s, due, total)
     s.batch, s.count = P.merged.ctypes.data, due
 
 
@@ -255,13 +309,16 @@ def _look(P: Any, s: Any, cells: Any) -> int:
     """Return why a batch cannot be fed here, -1: it can."""
     if s.took + s.count > P.taken.shape[0]:
         return FULL
+    handed = s.handed == 1 or P.sides.shape[0] > 2  # what a single socket gives has nothing rare among it
     for k in range(s.count):
         if np.int64(cells[k, 0]) >= s.before_ns:
             return AHEAD
         can_id = np.int64(cells[k, 1] & np.uint64(0xFFFFFFFF))
+        if handed and (can_id == ERROR or np.int64(cells[k, 1] >> np.uint64(40)) & OWN != 0):
+            return CONDITION
         if can_id & EXTENDED:
             for e in range(P.extended.shape[0]):
-                if P.extended[e] == can_id:
+                if can_id & P.extended[e, 1] == P.extended[e, 0]:
                     return WANTED
         elif P.heard[can_id & 0x7FF] != 0:
             return WANTED
@@ -278,6 +335,8 @@ def _transmit(P: Any, s: Any) -> bool:
     while clock[s.taken_at] < last:
         row = P.outbox[clock[s.taken_at]]
         side = P.sides[np.int64((row[1] >> np.uint64(32)) & np.uint64(0xFF))]
+        if side.fd < 0:
+            return False
         size = fill_struct(row, P.wire)
         if send(side.fd, P.wire.ctypes.data, size, _DONTWAIT | _NOSIGNAL) != size:
             return False
@@ -325,18 +384,48 @@ def _feed(P: Any, s: Any, cells: Any) -> int:
 
 
 @kernel
+def _pass_on(P: Any, s: Any) -> int:
+    """Join what the buses have given, and feed what is due; returns a reason to leave, -1: there is none."""
+    if P.sides.shape[0] == 2 and P.sides[1].count == 0:
+        s.batch, s.count = P.cells.ctypes.data, P.sides[0].count
+        return _feed(P, s, P.cells[0]) if s.count > 0 else -1
+    _join(P, s)
+    return _feed(P, s, P.merged) if s.count > 0 else -1
+
+
+@kernel
+def _receive_all(P: Any, s: Any, wall_ns: int) -> int:
+    """Receive what the buses have, and put their stamps on the engine's time; returns a reason to leave, -1: none."""
+    why, total = 0, 0
+    for b in range(P.sides.shape[0] - 1):
+        why = max(why, _receive(P, s, b, wall_ns, P.polls[b] >> 48 != 0))
+        total += P.sides[b].count
+    if _was_set(s, _read_clock(_REALTIME, s)):
+        return STEPPED
+    if why > 0:
+        return RAW if total > 0 or why == RAW else BUS
+    for b in range(P.sides.shape[0] - 1):
+        for k in range(P.sides[b].count):
+            P.cells[b, k, 0] = np.uint64(np.int64(P.cells[b, k, 0]) - s.offset_ns)
+    return -1
+
+
+@kernel
 def pump(P: Any) -> int:
     """Pass frames from the sockets to the engine until there is a reason to leave, which is returned.
+
+    Frames that are handed in are passed on, which is all: what is left then is TIME.
 
     Args:
         P: a :class:`Pumped`.
     """
     s = P.state[0]
     s.took = s.passes = s.count = s.start = s.knocked = 0
-    buses = P.sides.shape[0]
-    for b in range(buses):
+    for b in range(P.sides.shape[0]):
         side = P.sides[b]
         side.received = side.rejected = side.sent = 0
+    if s.handed == 1:
+        return max(_pass_on(P, s), TIME)
     wall_ns = _read_clock(_REALTIME, s)
     while True:
         now_ns = wall_ns - s.offset_ns
@@ -349,28 +438,12 @@ def pump(P: Any) -> int:
         s.passes += 1
         wall_ns = _read_clock(_REALTIME, s)
         s.gap_ns, s.read_ns = wall_ns - s.offset_ns - s.read_ns, wall_ns - s.offset_ns
-        total = 0
-        for b in range(buses):
-            why = max(why, _receive(P, b, wall_ns, P.polls[b] >> 48 != 0))
-            total += P.sides[b].count
-        wall_ns = _read_clock(_REALTIME, s)
-        if _was_set(s, wall_ns):
-            return STEPPED
-        if why > 0:
-            return RAW if total > 0 or why == RAW else BUS
-        for b in range(buses):
-            for k in range(P.sides[b].count):
-                P.cells[b, k, 0] -= np.uint64(s.offset_ns)
-        why = -1
-        if buses == 1:
-            s.batch, s.count = P.cells.ctypes.data, P.sides[0].count
-            if s.count > 0:
-                why = _feed(P, s, P.cells[0])
-        else:
-            _join(P, s)
-            if s.count > 0:
-                why = _feed(P, s, P.merged)
+        why = _receive_all(P, s, wall_ns)
+        if why >= 0:
+            return why
+        why = _pass_on(P, s)
         if why >= 0:
             return why
         if s.knocked == 1:
             return DOOR
+        wall_ns = _read_clock(_REALTIME, s)

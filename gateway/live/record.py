@@ -9,7 +9,7 @@ import numpy as np
 
 from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.frames import Frames, empty
-from gateway.common.times import NEVER
+from gateway.runtime.quiet import Quiet
 from gateway.runtime.told import clock_event
 
 
@@ -20,7 +20,6 @@ class Nobody:
         tell: takes that as an event.
     """
 
-    next_ns = due_ns = NEVER
     engine = None
 
     def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda _: None) -> None:
@@ -53,8 +52,9 @@ class Nobody:
         """Put nothing down."""
         return empty(0)
 
-    def quiet(self) -> None:
-        """Have no engine that a pump could feed."""
+    def quiet(self) -> Quiet:
+        """Want all frames: there is no engine that a pump could feed."""
+        return Quiet()
 
     def took(self, frames: Frames) -> None:
         """Be asked for nothing: no pump feeds it."""

@@ -99,8 +99,7 @@ class Connected:
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
         self.local = next(each for each in servers if isinstance(each, LocalServer))
         connect_routes(self.servers, self.asking)
-        served, asked = self.servers.heard, self.asking.heard
-        self._heard = None if served is None or asked is None else served | asked
+        self._heard = self.servers.heard.also(self.asking.heard)
         self._connect()
 
     def _may_ask(self, bus: int) -> bool:

@@ -2,38 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from gateway.bus.frames import FRAME, Frames, empty, joined
-from gateway.engine.core import Engine
 from gateway.runtime.connected import Connected
+from gateway.runtime.quiet import EVERYTHING, Quiet
 from gateway.runtime.reception import refuse_unless_frames
 from gateway_fdi.errors import GatewayError
 
 _NO_FRAMES = empty(0)
-
-
-@dataclass(frozen=True)
-class Quiet:
-    """A gateway in which nothing waits: what a pump must know of it. Times are of the engine [ns].
-
-    Attributes:
-        engine: to be fed.
-        before_ns: frames from this time on are to come by :meth:`Gateway.feed`.
-        due_ns: when a server, or a recording, is due, by the engine's time.
-        prompt_ns: when a server is due, by the bus's own time.
-        heard: identifiers (with EXTENDED) whose frames are to come by :meth:`Gateway.feed`.
-        may_send: whether what monitors send goes to the bus.
-    """
-
-    engine: Engine
-    before_ns: int
-    due_ns: int
-    prompt_ns: int
-    heard: frozenset[int]
-    may_send: bool
 
 
 class Passage(Connected):
@@ -71,15 +48,15 @@ class Passage(Connected):
                 sent += [*self._outbox.take_early(), made]
         return joined(sent)
 
-    def quiet(self) -> Quiet | None:
-        """Return what a pump must know to feed the engine in place of :meth:`feed`; None: something waits."""
-        before_ns = self._reception.before_ns
-        if self._closed or before_ns is None or self._heard is None or not (self._outbox.empty and self._settled):
-            return None
+    def quiet(self) -> Quiet:
+        """Return what a pump must know to feed the engine in place of :meth:`feed`."""
+        settled = self._outbox.empty and self._settled and not self._closed
+        before_ns = self._reception.before_ns if settled else None
         due_ns = self.servers.next_ns
         if self._recorder is not None:
             due_ns = min(due_ns, self._recorder.due_ns + 1)
-        return Quiet(self.engine, before_ns, due_ns, self.next_ns, self._heard, self.controls.send)
+        before_ns = EVERYTHING if before_ns is None else before_ns
+        return Quiet(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, settled)
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`tell`."""
@@ -139,13 +116,6 @@ class Passage(Connected):
     def next_ns(self) -> int:
         """Time at which :meth:`poll` has something to do."""
         return min(self.servers.next_prompt_ns, self.asking.next_ns)
-
-    @property
-    def due_ns(self) -> int:
-        """Time at which :meth:`advance` has something to do; while it waits for a write or the like: the past."""
-        if not (self._outbox.empty and self._idle):
-            return -1
-        return min(self.engine.due_ns, self.servers.next_ns, self.engine.pause_ns)
 
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) that it listens to on a bus; None: to all."""

@@ -25,9 +25,11 @@ class BusServer:
     prompt = False
     #: Whether its frames go before all others when a bus does not take all at once.
     urgent = False
+    #: Frames that it takes where :meth:`identifiers` are too many to list; see :class:`gateway.bus.heard.Heard`.
+    masks: frozenset[tuple[int, int]] = frozenset()
 
     def identifiers(self, bus: int) -> list[int] | None:
-        """Return the identifiers (with EXTENDED) it listens to on a bus; None: to anything."""
+        """Return the identifiers (with EXTENDED) it listens to on a bus; None: those of :attr:`masks`."""
         return []
 
     def wanted(self, frames: Frames) -> NDArray[np.bool_] | None:

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from gateway.bus.frames import URGENT, Frames, empty, has_none_of
+from gateway.bus.frames import URGENT, Frames, empty
+from gateway.bus.heard import Heard
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.servers.bus_server import BusServer
@@ -21,6 +22,9 @@ class BusServers:
         servers: each reads no clock: times come with the calls.
         buses: how many the gateway has.
         may_send: whether normal communication is on at present (ISO 14229-1, 0x28).
+
+    Attributes:
+        heard: what they listen to, on any bus.
     """
 
     def __init__(self, servers: Sequence[BusServer], buses: int, may_send: Callable[[], bool]) -> None:
@@ -28,20 +32,11 @@ class BusServers:
         self._may_send = may_send
         self._due = [server.next_ns for server in self.all]
         self._next_due = min(self._due, default=NEVER)
-        self._heard = self._identifiers(buses)
-
-    def _identifiers(self, buses: int) -> frozenset[int] | None:
-        """Return the identifiers that they listen to on any bus; None: one listens to all."""
-        found: set[int] = set()
-        for bus in range(buses):
-            ids = self.identifiers_on(bus)
-            if ids is None:
-                return None
-            found.update(ids)
-        return frozenset(found)
+        ids = [server.identifiers(bus) or [] for server in self.all for bus in range(buses)]
+        self.heard = Heard(frozenset().union(*ids), frozenset().union(*(server.masks for server in self.all)))
 
     def identifiers_on(self, bus: int) -> list[int] | None:
-        """Return the identifiers (with EXTENDED) that they listen to on a bus; None: to all."""
+        """Return the identifiers (with EXTENDED) that they listen to on a bus; None: they are too many to list."""
         found: list[int] = []
         for server in self.all:
             more = server.identifiers(bus)
@@ -62,14 +57,9 @@ class BusServers:
                 server.succeed(other, buses)
             self._set_due(k)
 
-    @property
-    def heard(self) -> frozenset[int] | None:
-        """The identifiers (with EXTENDED) that they listen to on any bus; None: one listens to all."""
-        return self._heard
-
     def indifferent(self, frames: Frames) -> bool:
         """Return whether a batch is for no server by its identifiers alone, as most are; others are cut."""
-        return self._heard is not None and has_none_of(frames, self._heard)
+        return self.heard.has_none_of(frames)
 
     def pieces(self, frames: Frames) -> Iterator[tuple[Frames, np.void, list[int]]]:
         """Cut a batch after each frame that is for a server, which sees the memory as it is then.

@@ -13,6 +13,7 @@ from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live, collect_and_freeze
 from gateway.live.record import Nobody
+from gateway.runtime.quiet import Quiet
 
 
 class Queue(Bus):
@@ -105,7 +106,7 @@ class Door:
         pass
 
 
-def rig(*, echoing=False, taps=()):
+def rig(*, echoing=False, taps=(), tick_s=0.0, door=None):
     queues = []
 
     def opener(uri, index):
@@ -116,7 +117,7 @@ def rig(*, echoing=False, taps=()):
     link = Link("test:queue", 0, "b", opener, clock)
     link.start()
     gateway, events = Talker(), []
-    live = Live(gateway, [link], events.append, taps=taps, clock=clock, tick_s=0.0)
+    live = Live(gateway, [link], events.append, taps=taps, clock=clock, tick_s=tick_s, door=door)
     live.turn()
     return live, gateway, queues[0], events, link
 
@@ -132,49 +133,38 @@ def test_time_does_not_overtake_frames_that_wait():
     os.eventfd_read(queue.fileno())
     live.turn()
     assert gateway.advanced == 1, "without traffic it passes"
-    live.close()
 
 
-def test_a_quiet_bus_is_waited_for_until_the_next_timer():
-    queues = []
+def test_a_quiet_bus_is_waited_for_unless_something_else_is():
+    live, gateway, queue, _, _ = rig(tick_s=0.01, door=Door())
+    os.eventfd_read(queue.fileno())
+    run, left = live._pump.run, []
 
-    def opener(uri, index):
-        queues.append(Queue(uri, index))
-        return queues[-1]
+    def noted(buses, door, clock, quiet, *, leave_ns, **more):
+        left.append(leave_ns - clock.now())
+        return run(buses, door, clock, quiet, leave_ns=0, **more)
 
-    clock = Clock(lambda: 10**18, lambda: 10**9)
-    link = Link("test:queue", 0, "b", opener, clock)
-    link.start()
-    gateway = Talker()
-    door = Door()
-    live = Live(gateway, [link], lambda _: None, clock=clock, tick_s=0.01, door=door)
+    live._pump.run = noted
 
-    def waits(due_ms, *, watched=False):
-        gateway.due_ns, door.watched = 10**18 + due_ms * 10**6, watched
-        live._watch()
-        waited = []
-        select, live._selector.select = live._selector.select, lambda wait: waited.append(wait) or select(0)
+    def waits(*, idle, watched=False):
+        gateway.quiet, live._door.watched = lambda: Quiet(idle=idle), watched
+        live._poll = live._monotonic() + 1.0
         live.turn()
-        live._selector.select = select
-        return waited[0]
+        return round(left[-1] / 1e9, 2)
 
-    assert waits(40) == pytest.approx(0.06), "what is on its way through the kernel must not be overtaken"
-    assert waits(-(10**3)) == pytest.approx(0.01), "something else than time is waited for"
-    assert waits(10**6) == pytest.approx(0.1), "other processes may ask for something"
-    assert waits(10**6, watched=True) == pytest.approx(0.01), "who watches is shown the time"
-    live.close()
+    assert waits(idle=False) == 0.01, "something else than time is waited for"
+    assert waits(idle=True) == 0.1, "other processes may ask for something"
+    assert waits(idle=True, watched=True) == 0.01, "who watches is shown the time"
 
 
 def test_without_taps_the_bus_is_filtered_and_with_them_it_is_not():
     live, _, queue, _, _ = rig()
     assert queue.filters[-1] == [0x10]
-    live.close()
     tap = Tap()
     live, gateway, queue, _, _ = rig(taps=[tap])
     assert queue.filters[-1] is None
     live.replace(gateway, live.links, [])
     assert queue.filters[-1] == [0x10], "the recording has ended"
-    live.close()
 
 
 def test_own_frames_that_come_back_are_for_the_taps_only():
@@ -184,7 +174,6 @@ def test_own_frames_that_come_back_are_for_the_taps_only():
     live.turn()
     assert gateway.got == [ERROR, 0x10, 0x11]
     assert tap.got == [(ERROR, False), (0x10, False), (0x6F0, True), (0x11, False)]
-    live.close()
 
 
 def test_where_they_do_not_come_back_they_are_recorded_as_they_leave():
@@ -197,7 +186,6 @@ def test_where_they_do_not_come_back_they_are_recorded_as_they_leave():
     link.close()
     queue.waiting = []
     live.turn()
-    live.close()
 
 
 def test_lost_frames_are_told_once_a_second_at_most_and_kept():
@@ -216,7 +204,6 @@ def test_lost_frames_are_told_once_a_second_at_most_and_kept():
     live._poll = 0.0
     live.turn()
     assert [e["overflow"] for e in events if e["state"] == "overflow"] == [3, 15]
-    live.close()
 
 
 def test_conditions_of_a_bus_are_events_but_lost_frames_are_not_one_each():
@@ -225,7 +212,6 @@ def test_conditions_of_a_bus_are_events_but_lost_frames_are_not_one_each():
     queue.waiting = [(0x10, 0)]
     live.turn()
     assert [e["state"] for e in events] == ["open"]
-    live.close()
 
 
 def test_where_the_clock_was_set_taps_get_its_stamps_and_who_records_is_told():
@@ -261,7 +247,6 @@ def test_where_the_clock_was_set_taps_get_its_stamps_and_who_records_is_told():
     assert stamps == [(ERROR, 0), (0x10, 0), (ERROR, back), (0x10, back), (ERROR, on), (0x10, on)]
     told = [(e["step_s"], e["t_ns"] - 10**18) for e in events if e["event"] == "clock"]
     assert told == [(-3600.0, 10**12 + 2 * 10**7 + back), (5.0, 10**12 + 3 * 10**7 + on)]
-    live.close()
 
 
 def test_nobody_on_the_bus_sets_our_clock():
@@ -278,7 +263,6 @@ def test_nobody_on_the_bus_sets_our_clock():
     live.turn()
     assert gateway.got == [ERROR, 0x10], "the first is of the opening"
     assert link.statistics.rejected == 1
-    live.close()
 
 
 class Knot:

@@ -5,7 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.bus.frames import empty
-from gateway.live.merge import LONGEST_NS, SETTLE_NS, Merger
+from gateway.live.pump import Pump
+from gateway.live.pumping import LONGEST_NS, MOST_WAITING, SETTLE_NS
+from gateway.runtime.quiet import Quiet
 
 MS = 1_000_000
 
@@ -14,6 +16,20 @@ def batch(bus, *stamps):
     out = empty(len(stamps))
     out["t_ns"], out["bus"] = stamps, bus
     return out
+
+
+class Merger:
+    """A pump without an engine, into which frames are handed."""
+
+    def __init__(self, buses=2):
+        self.pump = Pump(None, buses)
+
+    def take(self, parts, read_ns):
+        return self.pump.hand_in(parts, empty(0), read_ns, Quiet()).batch.copy()
+
+    @property
+    def holding(self):
+        return self.pump.holding
 
 
 def test_a_frame_is_held_until_no_earlier_one_can_come():
@@ -53,7 +69,7 @@ def test_the_order_is_that_of_the_stamps_however_it_is_read(arrivals, waits):
     """Each bus is read up to the time of the reading; what was stamped in the last 0.2 ms may still be on its way."""
     times = np.cumsum([gap for _, gap in arrivals])
     buses = np.array([bus for bus, _ in arrivals])
-    merger, now, seen = Merger(), 0, []
+    merger, now, seen = Merger(3), 0, []
     read = np.zeros(len(times), bool)
     for k, wait in enumerate([*waits, 10**9, 10**9]):
         now += wait
@@ -66,3 +82,21 @@ def test_the_order_is_that_of_the_stamps_however_it_is_read(arrivals, waits):
             parts.append((batch(bus, *times[mine]), False))
         seen += merger.take(parts, now)["t_ns"].tolist()
     assert seen == sorted(times.tolist())
+
+
+def test_a_bus_that_lags_is_waited_for_and_the_others_are_not_read_meanwhile():
+    """After a pause one bus has thousands of frames, another a few that are later: these wait as long as it takes."""
+    merger, now, seen = Merger(), 10**12, []
+    slow, fast = np.arange(0, 40_000_000, 10_000), np.arange(5_000, 40_000_000, 20_000)
+    at = [0, 0]
+    while at[0] < len(slow) or at[1] < len(fast) or merger.holding:
+        now += 2 * MS
+        parts = []
+        for bus, stamps in enumerate((slow, fast)):
+            count = 0 if merger.pump.is_far_ahead(bus) else (100, 256)[bus]
+            mine = stamps[at[bus] : at[bus] + count]
+            at[bus] += len(mine)
+            parts.append((batch(bus, *mine), at[bus] < len(stamps)))
+        seen += merger.take(parts, now)["t_ns"].tolist()
+        assert merger.holding < 2 * MOST_WAITING
+    assert seen == sorted([*slow.tolist(), *fast.tolist()])

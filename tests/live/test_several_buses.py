@@ -122,7 +122,6 @@ def run(config, streams, *, steps_ns, delays_ns):
         live.turn()
     live.drain()
     counters = gateway.engine.counters()
-    live.close()
     for link in links:
         link.close()
     gateway.close()

@@ -28,6 +28,8 @@ from gateway.servers.j1939.claim import Claim, NameParams
 POSITIVE, NEGATIVE, DENIED = 0, 1, 2
 #: Upper bytes of the groups that it takes.
 _PAGES = sorted({pgn >> 8 for pgn in (REQUEST, TP_CM, TP_DT, ADDRESS_CLAIMED)})
+#: The same as values and masks of identifiers, of any sender and receiver.
+MASKS = frozenset((EXTENDED | page << 16, EXTENDED | 0x3FF << 16) for page in _PAGES)
 
 
 class PgnRequest(NamedTuple):

@@ -20,7 +20,7 @@ from gateway.servers.j1939 import messages as dm
 from gateway.servers.j1939.answers import Answers
 from gateway.servers.j1939.dm1 import Dm1Schedule
 from gateway.servers.j1939.dtcs import CodedDtcs
-from gateway.servers.j1939.endpoint import DENIED, NEGATIVE, POSITIVE, J1939Endpoint, PgnRequest
+from gateway.servers.j1939.endpoint import DENIED, MASKS, NEGATIVE, POSITIVE, J1939Endpoint, PgnRequest
 from gateway.servers.j1939.params import J1939Params
 from gateway.servers.tester_control import TesterControl
 
@@ -50,7 +50,7 @@ class J1939Server(BusServer):
     ) -> None:
         self._bus = bus
         self._authority = authority
-        self.endpoint = endpoint
+        self.endpoint, self.masks = endpoint, MASKS
         self._control = control
         self._dtcs = CodedDtcs(memory)
         self._answers = Answers(params, memory, self._dtcs)
@@ -62,7 +62,7 @@ class J1939Server(BusServer):
             self._dm1.succeed(old._dm1)
 
     def identifiers(self, bus: int) -> list[int] | None:
-        """Anything on its bus may be for it."""
+        """Any sender on its bus may mean it."""
         return None if bus == self.endpoint.bus else []
 
     def wanted(self, frames: Frames) -> NDArray[np.bool_]:

@@ -6,11 +6,22 @@ function is that of the C library (POSIX, and Linux' ``recvmmsg``); what it retu
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable
+from functools import cache
 from typing import Any, cast
 
 from gateway_fdi.errors import KernelError
 from gateway_fdi.jit.intrinsics import Intrinsic
+
+
+@cache
+def _in_python(name: str, result: str, arguments: tuple[str, ...]) -> Any:
+    """Return the function for kernels that are plain Python; see :func:`_of_system`."""
+    kinds = {"int32": ctypes.c_int32, "uint32": ctypes.c_uint32, "uint64": ctypes.c_uint64, "intp": ctypes.c_ssize_t}
+    function = getattr(ctypes.CDLL(None), name)
+    function.restype, function.argtypes = kinds[result], [kinds[kind] for kind in arguments]
+    return function
 
 
 def _of_system(name: str, result: str, *arguments: str) -> Callable[..., int]:
@@ -22,8 +33,8 @@ def _of_system(name: str, result: str, *arguments: str) -> Callable[..., int]:
         arguments: names of numba's types of the arguments.
     """
 
-    def python(*_: Any) -> Any:
-        raise KernelError(f"{name}: only compiled kernels call the system")
+    def python(*values: Any) -> Any:
+        return _in_python(name, result, arguments)(*map(int, values))
 
     def build() -> Any:
         from numba import types  # noqa: PLC0415 - only when compiling

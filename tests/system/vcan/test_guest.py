@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from debian import program
+from user_mode import boot, build_ptrace_xsave
 
 HERE = Path(__file__).parent
 #: Kernel -> its lanes, each some files of tests. The clock is one of all lanes: its tests have a kernel of their own.
@@ -32,22 +32,13 @@ KERNELS = {
     "clock": (("test_clock.py",),),
 }
 
-#: What the test kernels need of Debian.
-PACKAGES = ("user-mode-linux", "can-utils", "busybox-static", "iproute2", "gcc", "libc6-dev")
-
 pytestmark = pytest.mark.system
 
 
 @pytest.fixture(scope="module")
 def ptrace_xsave(tmp_path_factory):
     """The library that is loaded before the test kernel's C library."""
-    program("gcc", *PACKAGES)
-    library = tmp_path_factory.mktemp("ptrace") / "ptrace_xsave.so"
-    subprocess.run(
-        ["gcc", "-O2", "-Wall", "-Werror", "-shared", "-fPIC", "-o", library, HERE / "ptrace_xsave.c", "-ldl"],
-        check=True,
-    )
-    return library
+    return build_ptrace_xsave(tmp_path_factory.mktemp("ptrace"))
 
 
 def test_every_file_is_in_a_lane():
@@ -75,39 +66,22 @@ def test_a_tracer_that_knows_half_of_the_registers_writes_them(ptrace_xsave):
 
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_the_vcan_tests_pass_in_a_real_kernel(kernel, tmp_path, ptrace_xsave):
-    linux = program("linux.uml", *PACKAGES)
-    keep = {"PATH", "HOME", "GATEWAY_CACHE_DIR", "XDG_CACHE_HOME", "LANG"}
-    keep |= {"NUMBA_DISABLE_JIT", "GATEWAY_TESTS", "CI"}
+    keep = {"NUMBA_DISABLE_JIT", "GATEWAY_TESTS", "CI"}
     environment = {k: v for k, v in os.environ.items() if k in keep}
-    environment["PATH"] = f"{Path(sys.executable).parent}:/usr/sbin:/sbin:{environment['PATH']}"
     environment["GATEWAY_DEMAND_VCAN"] = "1"
     # In this kernel a page of memory is dear, and so is each import: what the tests there do not need is left out.
     environment["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
     environment["PYTHONPATH"] = os.pathsep.join(
         [str(HERE.parents[1] / "support" / "without"), *filter(None, [os.environ.get("PYTHONPATH")])]
     )
-    (tmp_path / "environment").write_text("".join(f"{k}={shlex.quote(v)}\n" for k, v in environment.items()))
-    lanes = [tmp_path / f"lane{k}" for k in range(len(KERNELS[kernel]))]
-    for lane, files in zip(lanes, KERNELS[kernel], strict=True):
-        lane.mkdir()
-        (lane / "command").write_text(
-            f"cd {shlex.quote(str(HERE.parents[2]))}\n"
-            f"exec python -m pytest -p pytest_timeout -p no:cacheprovider -m vcan --durations=0"
-            f" --basetemp={lane}/inner {shlex.join(str(HERE / file) for file in files)}\n"
-        )
-    booted = subprocess.run(
-        [linux, "mem=2G", "rootfstype=hostfs", "rootflags=/", "rw", f"init={HERE / 'init.sh'}",
-         f"GUEST_WORK={tmp_path}", "con=null", "con0=null,fd:1", "quiet"],
-        env={**os.environ, "LD_PRELOAD": str(ptrace_xsave)},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=1100,
-        check=False,
-    )  # fmt: skip
-    said = "".join((lane / "output").read_text() for lane in lanes if (lane / "output").exists()) or (
-        booted.stdout + booted.stderr
-    )
+    commands = [
+        f"python -m pytest -p pytest_timeout -p no:cacheprovider -m vcan --durations=0"
+        f" --basetemp={tmp_path}/lane{k}/inner {shlex.join(str(HERE / file) for file in files)}"
+        for k, files in enumerate(KERNELS[kernel])
+    ]
+    booted = boot(commands, tmp_path, ptrace_xsave, environment)
+    lanes = [tmp_path / f"lane{k}" for k in range(len(commands))]
+    said = "".join((lane / "output").read_text() for lane in lanes if (lane / "output").exists()) or booted
     print(said)
     for lane in lanes:
         assert (lane / "status").exists(), said
