@@ -127,7 +127,7 @@ class Tables:
         return self._places.setdefault((crc.width, crc.poly, crc.refin), len(self._places))
 
     def array(self) -> NDArray[np.uint64]:
-        """Return all of them, shape (CRCs, 256)."""
+        """Return all of them, shape (CRCs, 8, 256)."""
         known = KNOWN["crc8_sae_j1850"]
         keys = list(self._places) or [(known.width, known.poly, known.refin)]
         return np.stack([table_of(*key) for key in keys])
@@ -188,7 +188,7 @@ def protect(words: Any, length: int, counter: int, p: Any, tables: Any) -> None:
         length: payload length [byte].
         counter: how many frames were sent before; of it the counter is made.
         p: record of :class:`ProtectionConst`.
-        tables: of the CRCs, uint64, shape (CRCs, 256).
+        tables: of the CRCs, uint64, shape (CRCs, 8, 256).
     """
     for k in range(8):
         words[k] = (words[k] & ~p.owned[k]) | p.constant[k]
