@@ -215,10 +215,12 @@ def _hash(
         capacity *= 2
     keys = np.zeros(capacity, np.uint64)
     rows = np.full(capacity, -1, np.int32)
+    # As plain Python: for a number by itself the way to machine code is longer.
+    by_group, by_id, begins = (getattr(each, "py_func", each) for each in (pgn_key, exact_key, hashed))
     for row, (bus, message) in enumerate(messages):
         can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        key = pgn_key(bus, can_id) if by_pgn[row] else exact_key(bus, can_id)
-        at = int(hashed(np.uint64(key), capacity - 1))
+        key = by_group(bus, can_id) if by_pgn[row] else by_id(bus, can_id)
+        at = int(begins(key, capacity - 1))
         while rows[at] >= 0:
             if keys[at] == key:
                 other = messages[rows[at]][1].name
