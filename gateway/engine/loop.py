@@ -217,8 +217,9 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
                 break
         else:
             if h.sampled == 0:
+                cells, slots = T.pool[h.cells :], T.slots[h.first_slot :]
                 for k in range(h.slots):
-                    T.pool[h.cells + k] = T.mailbox[T.slots[h.first_slot + k]]
+                    cells[k] = T.mailbox[slots[k]]
             T.pool_ns[h.inputs] = t_ns
         T.pool_ns[h.inputs + 1] = trigger
         if _enter(T, t_ns, trigger, h):

@@ -72,9 +72,11 @@ def field_at(byte: int, bits: int, *, big: bool = False, shift: int = 0) -> Any:
 
 def placed(row: Any, value: int) -> int:
     """Return a payload as a number, bit 0 of the first byte lowest, that is zero but for a field."""
-    words = np.zeros(8, np.uint64)
-    write_bits(words, row.view(np.recarray) if not hasattr(row, "word") else row, np.uint64(value))
-    return int.from_bytes(words.tobytes(), "little")
+    word, shift = int(row["word"]), int(row["shift"])
+    bits = value & ((1 << int(row["length"])) - 1)
+    if row["big"]:
+        return int.from_bytes((bits << (64 * (7 - word) + shift)).to_bytes(64, "big"), "little")
+    return bits << (64 * word + shift)
 
 
 def mask_of(row: Any) -> int:

@@ -175,8 +175,9 @@ def decode(
     m = messages[row]
     if length < m.length:
         return TOO_SHORT
-    for j in range(m.count):
-        s = signals[m.first + j]
+    mine = signals[m.first : m.first + m.count]
+    for j in range(mine.shape[0]):
+        s = mine[j]
         if s.parent >= 0 and (present[s.parent] == 0 or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)):
             present[j] = 0
             continue
@@ -216,7 +217,8 @@ def void(row: int, messages: Any, signals: Any, values: Any, present: Any) -> No
 def commit(row: int, messages: Any, signals: Any, values: Any, present: Any, mailbox: Any) -> None:
     """Copy the decoded signals that are asked for into the mailbox."""
     m = messages[row]
-    for j in range(m.count):
-        slot = signals[m.first + j].slot
+    mine = signals[m.first : m.first + m.count]
+    for j in range(mine.shape[0]):
+        slot = mine[j].slot
         if slot >= 0 and present[j] == 1:
             mailbox[slot] = values[j]

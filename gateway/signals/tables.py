@@ -212,9 +212,11 @@ def _hash(
     messages: Sequence[tuple[int, Message]], by_group: Sequence[bool]
 ) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
     made: dict[int, Message] = {}
+    # As plain Python: for a number by itself the way to machine code is longer.
+    of_group, of_id = (getattr(each, "py_func", each) for each in (pgn_key, exact_key))
     for (bus, message), group in zip(messages, by_group, strict=True):
         can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        key = int(pgn_key(bus, can_id) if group else exact_key(bus, can_id))
+        key = int(of_group(bus, can_id) if group else of_id(bus, can_id))
         if key in made:
             raise InputError(f"has the identifier of {made[key].name}: 0x{message.frame_id:X}", key=message.name)
         made[key] = message
@@ -227,8 +229,9 @@ def hash_table(keys: Sequence[int]) -> tuple[NDArray[np.uint64], NDArray[np.int3
     while capacity < 2 * len(keys) + 1:
         capacity *= 2
     slots, rows = np.zeros(capacity, np.uint64), np.full(capacity, -1, np.int32)
+    begins = getattr(hashed, "py_func", hashed)
     for row, key in enumerate(keys):
-        at = int(hashed(np.uint64(key), capacity - 1))
+        at = int(begins(np.uint64(key), capacity - 1))
         while rows[at] >= 0:
             at = (at + 1) % capacity
         slots[at], rows[at] = key, row

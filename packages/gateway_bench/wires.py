@@ -1,4 +1,4 @@
-"""Python-can's virtual buses between virtual ECUs, a gateway and a tester, all in one thread.
+"""Python-can's virtual buses between virtual ECUs and a tester, and a gateway, all in one thread.
 
 A frame on a virtual bus has arrived when it is sent. So there is no waiting, and no thread that reads: a second
 one for each end would hand over to this one twice for each frame.
@@ -63,18 +63,13 @@ class _End:
                 found.append(frame)
         return np.concatenate(found) if found else empty(0)
 
-    def ignore(self) -> None:
-        """Let go of all that has arrived."""
-        while self._bus.recv(0) is not None:
-            pass
-
     def close(self) -> None:
         """Close it."""
         self._bus.shutdown()
 
 
 class Wires:
-    """The virtual buses of a configuration, with three ends each: the ECUs', the gateway's and a tester's.
+    """The virtual buses of a configuration, with two ends each: the gateway's, and that of the ECUs and a tester.
 
     Args:
         gateway: whose configuration it is.
@@ -84,20 +79,17 @@ class Wires:
         channels = [f"{bus.name}-{os.getpid()}-{next(_names)}" for bus in gateway.config.bus]
         self._dtc_frame_id = gateway.dtc_frame_id
         self._database = shipped("dbc/gateway.dbc")
-        self._ecus, self._ours, self._testers = (
-            [_End(channel, index) for index, channel in enumerate(channels)] for _ in range(3)
-        )
+        self._others, self._ours = ([_End(channel, index) for index, channel in enumerate(channels)] for _ in range(2))
 
     def carry(self, frames: Frames) -> Frames:
         """Send frames from the ECUs; returns them as the gateway got them, in order of time."""
         if not len(frames):
             return frames
         arrived = []
-        for index, (ecu, ours, tester) in enumerate(zip(self._ecus, self._ours, self._testers, strict=True)):
+        for index, (others, ours) in enumerate(zip(self._others, self._ours, strict=True)):
             mine = frames[frames["bus"] == index]
-            ecu.send(mine)
+            others.send(mine)
             arrived.append(ours.receive(len(mine)))
-            tester.ignore()
         batch = np.concatenate(arrived)
         return batch[np.argsort(batch["t_ns"], kind="stable")]
 
@@ -105,15 +97,15 @@ class Wires:
         """Send frames from the gateway, bus by bus; yields the DTC frames among them as a tester decodes them."""
         if not len(frames):
             return
-        for index, (ecu, ours, tester) in enumerate(zip(self._ecus, self._ours, self._testers, strict=True)):
+        for index, (others, ours) in enumerate(zip(self._others, self._ours, strict=True)):
             ours.send(frames[frames["bus"] == index])
-            ecu.ignore()  # virtual ECUs hear what the gateway sends from their player
-            for frame in tester.passed(self._dtc_frame_id):
+            # The tester's; virtual ECUs hear what the gateway sends from their player.
+            for frame in others.passed(self._dtc_frame_id):
                 report = read_dtc_frame(frame, self._database)
                 if report is not None:
                     yield report
 
     def close(self) -> None:
         """Close all ends."""
-        for end in (*self._ecus, *self._ours, *self._testers):
+        for end in (*self._others, *self._ours):
             end.close()

@@ -43,8 +43,7 @@ def test_a_write_is_really_one(tmp_path, monkeypatch):
 
 
 def test_the_command_has_it_in_json(tmp_path, monkeypatch):
-    monkeypatch.setattr(measure, "EACH_S", 0.01)
-    monkeypatch.setattr(measure, "measure", lambda folder, of=measure.measure: of(folder, 0.01))
+    monkeypatch.setattr(measure.Speed, "measure", staticmethod(lambda folder: measure.measure(folder, 0.01)))
     done = CliRunner().invoke(app, ["doctor", "--bench", "--json", "--memory", str(tmp_path / "f.sqlite")])
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["bench"]["write"]["folder"] == str(tmp_path)

@@ -54,7 +54,7 @@ LOADED = COMMAND.replace("sys.exit(main())", "\ntry: main()\nfinally: print('num
     ],
 )
 def test_the_demos_compile_nothing_and_need_no_cache(scenario):
-    ended = run(LOADED, "demo", scenario)
+    ended = run(LOADED, "demo", scenario, "--speed", "0")
     assert ended.returncode == 0, ended.stderr
     assert ended.stderr == ""
     assert ended.stdout.strip().endswith("False")
@@ -126,7 +126,7 @@ def test_where_no_object_fits_bitcode_is_translated_once(copy, tmp_path):
         for folder in copy.glob(f"**/precompiled/{level}"):
             shutil.rmtree(folder)
     cache = tmp_path / "cache"
-    some = ("demo", "pedal_emergency")
+    some = ("demo", "pedal_emergency", "--speed", "0")
     ended = run(COMMAND, *some, root=copy, cache=cache, GATEWAY_KERNELS="shipped")
     assert ended.returncode == 0, ended.stderr
     first = {path: path.stat().st_mtime_ns for path in (cache / "kernels").iterdir()}

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from gateway.signals.bits import mask_of
+from gateway.signals.bits import mask_of, swapped
 from gateway.signals.protection.cmac import Mac
 from gateway.signals.protection.crc import Crc, register_of
 from gateway_fdi.jit import Record, i4, i8, kernel, means, u1, u1s, u8, u8s
@@ -93,8 +93,8 @@ class ChecksumConst(Record):
     xorout: u8 = means("applied to the result")
     skipped: u8 = means("bit k: byte k of the payload is the checksum's own")
     cleared: Annotated[u8s, 8] = means("bits of the payload that count as zero: the checksum's own")
-    before_bytes: Annotated[u1s, MOST_EXTRA] = means("bytes that go in before")
-    after_bytes: Annotated[u1s, MOST_EXTRA] = means("bytes that go in after")
+    before_bytes: u8 = means("bytes that go in before, the first one lowest")
+    after_bytes: u8 = means("bytes that go in after, the first one lowest")
     list_bytes: Annotated[u1s, LIST] = means("the list: the byte of the counter's value goes in")
 
 
@@ -118,8 +118,8 @@ def fill_checksum(row: Any, asked: Checksum, field: Any, table: int, box: int = 
     row["first"], row["last"] = asked.first, -1 if asked.last is None else asked.last
     row["nibbles"], row["backwards"] = asked.nibbles, asked.backwards
     row["before"], row["after"] = len(asked.before), len(asked.after)
-    row["before_bytes"][: len(asked.before)] = asked.before
-    row["after_bytes"][: len(asked.after)] = asked.after
+    row["before_bytes"] = int.from_bytes(bytes(asked.before), "little")
+    row["after_bytes"] = int.from_bytes(bytes(asked.after), "little")
     if asked.by_counter:
         row["listed"] = AFTER if asked.list_after else BEFORE
         row["list_bytes"] = asked.by_counter
@@ -139,11 +139,23 @@ def fill_checksum(row: Any, asked: Checksum, field: Any, table: int, box: int = 
 
 
 @kernel
-def take_byte(register: Any, byte: Any, reflect: int, table: Any) -> Any:
-    """Return a CRC's register after a byte; uint64 all of them."""
-    if reflect == 1:
-        return (register >> np.uint64(8)) ^ table[(register ^ byte) & np.uint64(0xFF)]
-    return (register << np.uint64(8)) ^ table[(register >> np.uint64(56)) ^ byte]
+def take_bytes(register: Any, word: Any, count: int, reflect: int, table: Any) -> Any:
+    """Return a CRC's register after up to 8 bytes of a word, the lowest first; uint64 all but the count.
+
+    A register is linear in its bits: what each byte changes is looked up by itself, so that none waits for another.
+    """
+    if count == 0:
+        return register
+    index = word ^ (register if reflect == 1 else swapped(register))
+    if count == 8:
+        register = np.uint64(0)
+    elif reflect == 1:
+        register >>= np.uint64(8 * count)
+    else:
+        register <<= np.uint64(8 * count)
+    for k in range(count):
+        register ^= table[count - 1 - k, (index >> np.uint64(8 * k)) & np.uint64(0xFF)]
+    return register
 
 
 @kernel
@@ -158,13 +170,12 @@ def crc_forwards(register: Any, words: Any, p: Any, last: int, table: Any) -> An
     """Return a CRC's register after a payload's bytes, a word at a time."""
     for at in range(p.first >> 3, (last + 7) >> 3):
         begin, end = max(p.first, 8 * at), min(last, 8 * at + 8)
-        word = (words[at] & ~p.cleared[at]) >> np.uint64(8 * (begin - 8 * at))
-        skipped = p.skipped >> np.uint64(begin)
-        for _ in range(begin, end):
-            if skipped & np.uint64(1) == np.uint64(0):
-                register = take_byte(register, word & np.uint64(0xFF), p.reflected, table)
-            word >>= np.uint64(8)
-            skipped >>= np.uint64(1)
+        word = words[at] & ~p.cleared[at]
+        for k in range(begin, end):
+            if (p.skipped >> np.uint64(k)) & np.uint64(1) == np.uint64(1):
+                register = take_bytes(register, word >> np.uint64(8 * (begin & 7)), k - begin, p.reflected, table)
+                begin = k + 1
+        register = take_bytes(register, word >> np.uint64(8 * (begin & 7)), end - begin, p.reflected, table)
     return register
 
 
@@ -174,7 +185,7 @@ def crc_backwards(register: Any, words: Any, p: Any, last: int, table: Any) -> A
     for j in range(p.first, last):
         k = p.first + last - 1 - j
         if (p.skipped >> np.uint64(k)) & np.uint64(1) == np.uint64(0):
-            register = take_byte(register, payload_byte(words, p, k), p.reflected, table)
+            register = take_bytes(register, payload_byte(words, p, k), 1, p.reflected, table)
     return register
 
 
@@ -190,21 +201,19 @@ def reversed_bits(value: Any, width: int) -> Any:
 
 @kernel
 def crc_of(words: Any, length: int, counter: int, p: Any, table: Any) -> Any:
-    """Return a payload's CRC, uint64; arguments as of :func:`checksum_of`, ``table`` of shape (256,)."""
+    """Return a payload's CRC, uint64; arguments as of :func:`checksum_of`, ``table`` of shape (8, 256)."""
     register = np.uint64(p.init)
-    for k in range(p.before):
-        register = take_byte(register, np.uint64(p.before_bytes[k]), p.reflected, table)
+    register = take_bytes(register, p.before_bytes, p.before, p.reflected, table)
     if p.listed == BEFORE:
-        register = take_byte(register, np.uint64(p.list_bytes[counter & 15]), p.reflected, table)
+        register = take_bytes(register, np.uint64(p.list_bytes[counter & 15]), 1, p.reflected, table)
     last = length if p.last < 0 else min(p.last, length)
     if p.backwards == 1:
         register = crc_backwards(register, words, p, last, table)
     else:
         register = crc_forwards(register, words, p, last, table)
     if p.listed == AFTER:
-        register = take_byte(register, np.uint64(p.list_bytes[counter & 15]), p.reflected, table)
-    for k in range(p.after):
-        register = take_byte(register, np.uint64(p.after_bytes[k]), p.reflected, table)
+        register = take_bytes(register, np.uint64(p.list_bytes[counter & 15]), 1, p.reflected, table)
+    register = take_bytes(register, p.after_bytes, p.after, p.reflected, table)
     if p.reflected == 0:
         register >>= np.uint64(64 - p.width)
     if p.turned == 1:
@@ -242,7 +251,7 @@ def checksum_of(words: Any, length: int, counter: int, p: Any, tables: Any) -> A
         length: payload length [byte].
         counter: the payload's own, for a list of data ids.
         p: record of :class:`ChecksumConst`.
-        tables: uint64, shape (CRCs, 256).
+        tables: uint64, shape (CRCs, 8, 256).
     """
     if p.kind == CRC:
         return crc_of(words, length, counter, p, tables[p.table])

@@ -148,7 +148,7 @@ def authenticated_byte(words: Any, value: Any, p: Any, payload: int, k: int) -> 
     """Return byte ``k`` of what a MAC is computed over, uint64: data id, payload, freshness, then CMAC's padding."""
     byte = np.uint64(0xFF)
     if k < p.before:
-        return np.uint64(p.before_bytes[k])
+        return (p.before_bytes >> np.uint64(8 * k)) & byte
     k -= p.before
     if k < payload:
         k += p.first
@@ -168,9 +168,9 @@ def mac_of(words: Any, value: Any, p: Any, tables: Any) -> Any:
         words: payload, 8 little-endian uint64.
         value: its whole freshness value, uint64.
         p: record of :class:`gateway.signals.protection.checksum.ChecksumConst`.
-        tables: uint64, shape (tables, 256).
+        tables: uint64, shape (tables, 8, 256).
     """
-    key, table = tables[p.table], tables[p.box]
+    key, table = tables[p.table, 0], tables[p.box, 0]
     payload = int(p.last - p.first)
     size = int(p.before) + payload + ((int(p.fresh) + 7) >> 3)
     blocks = max((size + 15) >> 4, 1)

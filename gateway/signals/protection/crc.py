@@ -52,12 +52,12 @@ def reflected(value: int, width: int) -> int:
 
 @cache
 def table_of(width: int, poly: int, refin: bool) -> NDArray[np.uint64]:
-    """Return the table that takes a byte in, shape (256,).
+    """Return the tables that take a byte in, and one that 1 to 7 others follow, shape (8, 256).
 
     The register is right-aligned where bytes go in reflected, else left-aligned in 64 bits: so one kernel serves all
     widths, those below 8 bits too.
     """
-    table = np.zeros(256, np.uint64)
+    table = np.zeros((8, 256), np.uint64)
     for byte in range(256):
         if refin:
             register, divisor = byte, reflected(poly, width)
@@ -67,7 +67,11 @@ def table_of(width: int, poly: int, refin: bool) -> NDArray[np.uint64]:
             register, divisor = byte << 56, poly << (64 - width)
             for _ in range(8):
                 register = ((register << 1) & _ALL64) ^ (divisor if register >> 63 else 0)
-        table[byte] = register
+        table[0, byte] = register
+    for k in range(1, 8):
+        before = table[k - 1]
+        rest, out = (before >> 8, before & 0xFF) if refin else (before << 8, before >> 56)
+        table[k] = rest ^ table[0, out]
     return table
 
 

@@ -23,7 +23,7 @@ def judge_frame(words: Any, length: int, p: Any, tables: Any) -> Any:
         words: payload, 8 little-endian uint64, zero beyond its length.
         length: payload length [byte].
         p: record of :class:`gateway.signals.protection.protection.ProtectionConst`.
-        tables: of the CRCs, uint64, shape (CRCs, 256).
+        tables: of the CRCs, uint64, shape (CRCs, 8, 256).
 
     Returns:
         the checksum received and the one computed, uint64, and FRAME_OK or FRAME_CHECKSUM; or, where the checksum is

@@ -142,7 +142,7 @@ class Tables:
         return 0 if asked.mac is None else self._places.setdefault(b"", len(self._places))
 
     def array(self) -> NDArray[np.uint64]:
-        """Return all of them, shape (tables, 256)."""
+        """Return all of them, shape (tables, 8, 256)."""
         known = KNOWN["crc8_sae_j1850"]
         keys = list(self._places) or [(known.width, known.poly, known.refin)]
         return np.stack([_table(key) for key in keys])
@@ -151,7 +151,9 @@ class Tables:
 def _table(key: tuple[int, int, bool] | bytes) -> NDArray[np.uint64]:
     if isinstance(key, tuple):
         return table_of(*key)
-    return key_table(key) if key else rounds_table()
+    table = np.zeros((8, 256), np.uint64)  # a CRC's has as many rows
+    table[0] = key_table(key) if key else rounds_table()
+    return table
 
 
 def fill(row: Any, asked: Protection, tables: Tables) -> None:
@@ -213,7 +215,7 @@ def protect(words: Any, length: int, counter: int, p: Any, tables: Any) -> None:
         length: payload length [byte].
         counter: how many frames were sent before; of it the counter is made.
         p: record of :class:`ProtectionConst`.
-        tables: of the CRCs, uint64, shape (CRCs, 256).
+        tables: of the CRCs, uint64, shape (tables, 8, 256).
     """
     for k in range(8):
         words[k] = (words[k] & ~p.owned[k]) | p.constant[k]

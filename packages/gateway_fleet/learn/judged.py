@@ -45,7 +45,7 @@ def judge_all(words: Any, lengths: Any, p: Any, tables: Any, received: Any, comp
         words: payloads, uint64, shape (frames, 8).
         lengths: int64, shape (frames,) [byte].
         p: record of :class:`gateway.signals.protection.protection.ProtectionConst`.
-        tables: of the CRCs, uint64, shape (CRCs, 256).
+        tables: of the CRCs, uint64, shape (CRCs, 8, 256).
         received: uint64, shape (frames,), takes the checksums that the frames have.
         computed: uint64, shape (frames,), takes those that they should have.
         good: uint8, shape (frames,), takes 1 where checksum and constants are right.

@@ -335,7 +335,7 @@ def _send(s: State, c: Const, t_ns: int, speed_rpm: float, out: Out[Evidence, Ou
 @kernel
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take one frame of intervals, CTW_BASE, CTW_CAM, or the timer of a standing engine."""
-    turns = place.revolutions(s.fast, c.fast)
+    turns = place.revolutions(s.fast, c.fast) if c.cam.edges > 0 else 0
     if u.trigger == TIMER:
         frames.stand(s, c, out)
     elif c.cam.edges > 0 and u.cam_counter >= 0.0 and int(u.cam_counter) != s.cam.counter:

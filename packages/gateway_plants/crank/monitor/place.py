@@ -356,6 +356,8 @@ def tooth_of(s: State, c: Const, index: int) -> int:
 @kernel
 def revolutions(s: State, c: Const) -> int:
     """Return how many turns the engine has made."""
+    if c.turns == 1:  # a division takes as long as a tooth
+        return int(s.revolutions)
     return int(s.revolutions * c.turns + s.index // c.teeth)
 
 
