@@ -15,7 +15,6 @@ cut off at ``most``, so that an alarm ends soon after its cause has.
 
 from __future__ import annotations
 
-from math import log
 from typing import Annotated, Literal, get_args
 
 import numpy as np
@@ -91,16 +90,6 @@ def prepare(
     c.rule, c.threshold = RULES.index(rule), threshold
     c.share, c.drift, c.shift, c.variance = 1.0 - forget, drift, shift, sigma**2
     c.low, c.most, c.window = low, most, window
-
-
-def sprt_bounds(false_alarm: float, missed: float) -> tuple[float, float]:
-    """Return Wald's bounds of the log likelihood ratio: accept below the first, alarm from the second on."""
-    return log(missed / (1.0 - false_alarm)), log((1.0 - missed) / false_alarm)
-
-
-def chi_square_threshold(window: int, false_alarm: float) -> float:
-    """Return the level that white Gaussian noise exceeds with a probability."""
-    return float(chi2_above(false_alarm, window))
 
 
 def assured(seconds: float, alarms: int) -> float:

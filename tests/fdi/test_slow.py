@@ -52,6 +52,15 @@ def test_blocks_are_those_of_a_kalman_filter():
     assert slow.doubt(s, c, wide) == pytest.approx(np.sqrt(wide[:3] @ other.P @ wide[:3]), rel=1e-3)
 
 
+def test_a_block_is_whole_from_its_size_on_until_it_is_dropped():
+    block, h = zeros(1, slow.Block)[0], np.ones(slow.MOST)
+    assert [bool(slow.add(block, h, 2.0, 0.5, 3)) for _ in range(5)] == [False, False, True, True, True]
+    assert (block.sets, block.rest, block.variance, *block.h[:2]) == (5, 10.0, 2.5, 5.0, 5.0)
+    slow.drop(block)
+    assert (block.sets, block.rest, block.variance, block.h.any()) == (0, 0.0, 0.0, False)
+    assert not slow.add(block, h, 2.0, 0.5, 3)
+
+
 @pytest.mark.costly
 def test_what_is_a_little_beyond_its_bound_is_left_and_what_is_far_beyond_is_not_taken():
     """Of a bound of 1: 1.02 is the bound; 2 is a fault, and nothing of it is taken, nor of its group."""

@@ -101,7 +101,9 @@ class Node:
                 target_address=theirs,
                 source_address=ours,
             ),
-            params={"tx_padding": 0x55, "blocksize": 0, "stmin": 0, "max_frame_size": 100_000},
+            # can-isotp's timeouts are of the wall clock, and a machine may be slow.
+            params={"tx_padding": 0x55, "blocksize": 0, "stmin": 0, "max_frame_size": 100_000}
+            | dict.fromkeys(("rx_flowcontrol_timeout", "rx_consecutive_frame_timeout"), 1_000_000),
         )
 
     def take(self, frames):

@@ -37,11 +37,6 @@ class State(Record):
     current: f8 = means("I_q of the last step", "A")
 
 
-def printed_pole(motor: Motor) -> float:
-    """Return the pole of (32) as it is printed [1/s]."""
-    return -motor.friction / motor.inertia + motor.emf / motor.lq
-
-
 def prepare(c: Const, motor: Motor, period: float, pole: float = -700.0) -> None:
     """Fill a record of Const for a continuous pole [1/s], discretised exactly; period [s]."""
     gain = (motor.friction / motor.inertia + pole) * motor.lq / motor.emf
