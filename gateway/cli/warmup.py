@@ -37,8 +37,7 @@ def warmup(*, json: bool) -> int:
     gateway = Gateway(Config.model_validate({"bus": [bus]}))  # a configuration that needs no plant, and no file
     gateway.start(0)
     gateway.engine.fault_detection_counters()  # signals that watchers look at
-    if gateway.engine.cells is not None:
-        Pump(gateway.engine, gateway.engine.cells, 1)
+    Pump(gateway.engine, 1)
     gateway.close()
     Traffic(1).write(empty(1))
     nearness(True, 1.0, 1.0)
