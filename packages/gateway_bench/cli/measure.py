@@ -56,7 +56,7 @@ def _spread(times: NDArray[np.float64]) -> dict[str, float]:
 
 
 def replay(seconds: float = EACH_S) -> dict[str, float]:
-    """Measure a log through the whole gateway of gateway.toml, fault memory in this process; new gateways count in."""
+    """Measure a log through the whole gateway of gateway.toml, fault memory in this process; making gateways counts."""
     frames = _log()
     done, spent, ended = 0, 0.0, time.perf_counter() + seconds
     while not done or time.perf_counter() < ended:
