@@ -116,6 +116,7 @@ def test_what_intervenes_needs_a_token_and_a_lock_that_nobody_can_steal(doors):
         assert who("PUT", "modes/dtcsetting", {"value": "off"})[0] == status
         assert who("POST", "operations/restart-cycle/executions", {})[0] == status
         assert who("PUT", "status/restart")[0] == status
+    assert doors.http("POST", "/api/clear", {"force": True}, "anna")[0] == 401, "the page's rights are not hers"
     lock = client.lock()
     assert nobody.good("GET", "locks")["items"] == [{"id": lock, "owned": False}]
     assert client.good("GET", f"locks/{lock}")["owned"]
