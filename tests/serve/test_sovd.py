@@ -204,7 +204,7 @@ def test_data_are_read_and_configurations_written(doors):
     client.lock()
     assert client("PUT", f"configurations/{key}", {"data": {"raw": new}})[0] == 204
     assert client.good("GET", f"configurations/{key}")["data"]["raw"] == new
-    assert client("PUT", f"configurations/{key}", {"data": {"raw": new + "00"}})[0] == 400
+    assert client("PUT", f"configurations/{key}", {"data": {"raw": new + "00"}})[0] == 409
     assert client("PUT", f"configurations/{key}", {"data": {}})[0] == 400
     assert client("PUT", "configurations/did-F186", {"data": {"raw": "01"}})[0] == 404
 
