@@ -178,10 +178,11 @@ class Guard:
         changes = scope["method"] in CHANGING
         if not changes and not path.startswith(("/api/", "/metrics")) and not _is_sovd(scope):
             return None  # the page itself: it is the same everywhere, and says nothing of this gateway
-        may_control = bool(scope["gateway.who"])
-        if changes:
-            return None if may_control else (401, "the control token is needed")
-        may_read = not self._rights.read_token or _same(_token_of(headers), self._rights.read_token) or may_control
+        who = scope["gateway.who"]
+        if changes:  # the page can override rules of access; clients of SOVD cannot
+            may = bool(who) if _is_sovd(scope) else who == CONTROL
+            return None if may else (401, "the control token is needed")
+        may_read = not self._rights.read_token or _same(_token_of(headers), self._rights.read_token) or bool(who)
         return None if may_read else (401, "a token is needed")
 
 

@@ -116,6 +116,7 @@ def test_what_intervenes_needs_a_token_and_a_lock_that_nobody_can_steal(doors):
         assert who("PUT", "modes/dtcsetting", {"value": "off"})[0] == status
         assert who("POST", "operations/restart-cycle/executions", {})[0] == status
         assert who("PUT", "status/restart")[0] == status
+    assert doors.http("POST", "/api/clear", {"force": True}, "anna")[0] == 401, "the page's rights are not hers"
     lock = client.lock()
     assert nobody.good("GET", "locks")["items"] == [{"id": lock, "owned": False}]
     assert client.good("GET", f"locks/{lock}")["owned"]
@@ -203,7 +204,7 @@ def test_data_are_read_and_configurations_written(doors):
     client.lock()
     assert client("PUT", f"configurations/{key}", {"data": {"raw": new}})[0] == 204
     assert client.good("GET", f"configurations/{key}")["data"]["raw"] == new
-    assert client("PUT", f"configurations/{key}", {"data": {"raw": new + "00"}})[0] == 400
+    assert client("PUT", f"configurations/{key}", {"data": {"raw": new + "00"}})[0] == 409
     assert client("PUT", f"configurations/{key}", {"data": {}})[0] == 400
     assert client("PUT", "configurations/did-F186", {"data": {"raw": "01"}})[0] == 404
 

@@ -27,17 +27,22 @@ class ConfigurationList(Model):
     items: list[ConfigurationItem]
 
 
-class NewValue(Body):
-    """A value as text, or as hexadecimal digits; of the same length as the present one."""
+class NewText(Body):
+    """A value as text, of the same length as the present one."""
 
-    value: str | None = Field(None, pattern=r"^[\x20-\x7e]{1,4000}$")
-    raw: str | None = Field(None, pattern=r"^([0-9A-Fa-f]{2}){1,4000}$")
+    value: str = Field(pattern=r"^[\x20-\x7e]{1,4000}$")
+
+
+class NewBytes(Body):
+    """A value as hexadecimal digits, of the same length as the present one."""
+
+    raw: str = Field(pattern=r"^([0-9A-Fa-f]{2}){1,4000}$")
 
 
 class WriteValue(Body):
     """The new value."""
 
-    data: NewValue
+    data: NewText | NewBytes
 
 
 def _writable(call: Call) -> dict[str, str]:
@@ -64,11 +69,15 @@ async def _read(call: Call) -> ReadValue:
 
 async def _write(call: Call) -> None:
     key, new = _key(call), call.body.data
-    if (new.value is None) == (new.raw is None):
-        raise SovdError(400, "data: give value or raw")
-    data = bytes.fromhex(new.raw) if new.value is None else new.value.encode()
-    one = call.state.component(call.path)
-    await call.state.locks.intervene(call.who, one, b"\x2e" + bytes.fromhex(key.removeprefix("did-")) + data)
+    data = bytes.fromhex(new.raw) if isinstance(new, NewBytes) else new.value.encode()
+    request = b"\x2e" + bytes.fromhex(key.removeprefix("did-")) + data
+    try:
+        await call.state.locks.intervene(call.who, call.state.component(call.path), request)
+    except SovdError as error:
+        if error.status != 400:
+            raise
+        text = f"{error.message}; a value has the length of the present one"
+        raise SovdError(409, text, error.code, error.parameters) from error
 
 
 _PATH = "/components/{component_id}/configurations"
