@@ -17,6 +17,7 @@ from gateway.servers.uds.params import UdsParams
 #: Bytes of an answer's frame.
 _FD, _CLASSIC = "TX_DL=64 (CANFD)", "TX_DL=8"
 _TABLE = "CP_UniqueRespIdTable"
+_NOT_USED = str(0xFFFFFFFF)
 #: Parameters of other classes than those of transports.
 _CLASSES = {"CP_P2Max": "TIMING", "CP_P2Star": "TIMING", "CP_TesterPresentTime": "TESTER_PRESENT"}
 
@@ -50,12 +51,18 @@ def protocols_of(uds: UdsParams, doip: DoipParams | None, name: str) -> list[Pro
         doip: the DoIP server; None: there is none.
         name: of its layer.
     """
-    kind = f"normal segmented {29 if uds.flags & EXTENDED else 11}-bit transmit with FC"
+    bits = 29 if uds.flags & EXTENDED else 11
+    kind = f"normal segmented {bits}-bit transmit with FC"
     table = {
+        "CP_CanPhysReqExtAddr": "0",
         "CP_CanPhysReqFormat": kind,
         "CP_CanPhysReqId": str(uds.request),
-        "CP_CanRespUSDTFormat": kind,
+        "CP_CanRespUSDTExtAddr": "0",
+        "CP_CanRespUSDTFormat": f"normal segmented {bits}-bit receive with FC",
         "CP_CanRespUSDTId": str(uds.response),
+        "CP_CanRespUUDTExtAddr": "0",
+        "CP_CanRespUUDTFormat": f"normal unsegmented {bits}-bit receive",
+        "CP_CanRespUUDTId": _NOT_USED,
         "CP_ECULayerShortName": name,
     }
     can: dict[str, str | Mapping[str, str]] = {"CP_CANFDTxMaxDataLength": _FD if uds.fd else _CLASSIC}
