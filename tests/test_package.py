@@ -11,6 +11,9 @@ from zipfile import ZipFile
 
 import pytest
 
+from gateway import __version__
+from gateway.cli.version import version
+
 ROOT = Path(__file__).parent.parent
 
 
@@ -115,6 +118,11 @@ def test_the_version_is_that_of_the_tag_and_tells_the_commit(tmp_path):
     git("commit", "-m", "one")
     commit = git("rev-parse", "--short=12", "HEAD")
     assert (hooks.version_of(tmp_path), hooks.commit_of(tmp_path)) == (f"1.2.3.dev0+g{commit}", commit)
+    data = {"force_include": {}}
+    hook = hooks.Commit(str(tmp_path), {}, None, None, str(tmp_path), "wheel")
+    hook.initialize("standard", data)
+    ((kept, place),) = data["force_include"].items()
+    assert (Path(kept).read_text(), place) == (f"{commit}\n", "gateway/shipped/COMMIT")
     git("tag", "v1.2.3")
     assert hooks.version_of(tmp_path) == "1.2.3"
     file.write_text('__version__ = "1.2.4"\n')
@@ -122,6 +130,14 @@ def test_the_version_is_that_of_the_tag_and_tells_the_commit(tmp_path):
         hooks.version_of(tmp_path)
     git("tag", "-d", "v1.2.3")
     assert hooks.version_of(tmp_path) == f"1.2.4.dev0+g{commit}.dirty"
+
+
+def test_a_checkout_says_its_commit():
+    ask = ["git", "rev-parse", "--short=12", "HEAD"]
+    head = subprocess.run(ask, cwd=ROOT, capture_output=True, text=True, check=False)
+    if head.returncode or not (ROOT / ".git").exists():
+        pytest.skip("no commit here")
+    assert re.fullmatch(rf"{re.escape(__version__)} \({head.stdout.strip()}(-dirty)?\)", version())
 
 
 @pytest.mark.parametrize(

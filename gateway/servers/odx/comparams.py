@@ -17,15 +17,22 @@ from gateway.servers.uds.params import UdsParams
 #: Bytes of an answer's frame.
 _FD, _CLASSIC = "TX_DL=64 (CANFD)", "TX_DL=8"
 _TABLE = "CP_UniqueRespIdTable"
+_NOT_USED = str(0xFFFFFFFF)
+#: Parameters of other classes than those of transports.
+_CLASSES = {"CP_P2Max": "TIMING", "CP_P2Star": "TIMING", "CP_TesterPresentTime": "TESTER_PRESENT"}
+
+
+#: Parameters of a subset with the gateway's values; those of a table in the order of its columns.
+Values = Mapping[str, str | Mapping[str, str]]
 
 
 class Protocol(NamedTuple):
-    """A protocol: its stack, and its parameters with the gateway's values (a table's in the order of its columns)."""
+    """A protocol: its stack, and the values of each subset."""
 
     name: str
     kind: str
     link: str
-    values: Mapping[str, Mapping[str, str | Mapping[str, str]]]
+    values: Mapping[str, Values]
 
 
 def _times(uds: UdsParams) -> dict[str, str]:
@@ -44,26 +51,25 @@ def protocols_of(uds: UdsParams, doip: DoipParams | None, name: str) -> list[Pro
         doip: the DoIP server; None: there is none.
         name: of its layer.
     """
-    kind = f"normal segmented {29 if uds.flags & EXTENDED else 11}-bit transmit with FC"
+    bits = 29 if uds.flags & EXTENDED else 11
+    kind = f"normal segmented {bits}-bit transmit with FC"
     table = {
+        "CP_CanPhysReqExtAddr": "0",
         "CP_CanPhysReqFormat": kind,
         "CP_CanPhysReqId": str(uds.request),
-        "CP_CanRespUSDTFormat": kind,
+        "CP_CanRespUSDTExtAddr": "0",
+        "CP_CanRespUSDTFormat": f"normal segmented {bits}-bit receive with FC",
         "CP_CanRespUSDTId": str(uds.response),
+        "CP_CanRespUUDTExtAddr": "0",
+        "CP_CanRespUUDTFormat": f"normal unsegmented {bits}-bit receive",
+        "CP_CanRespUUDTId": _NOT_USED,
         "CP_ECULayerShortName": name,
     }
     can: dict[str, str | Mapping[str, str]] = {"CP_CANFDTxMaxDataLength": _FD if uds.fd else _CLASSIC}
     if uds.functional is not None:
         can |= {"CP_CanFuncReqFormat": kind, "CP_CanFuncReqId": str(uds.functional)}
-    times = {"ISO_14229_3": _times(uds)}
-    made = [
-        Protocol(
-            "UDS_on_CAN",
-            "ISO_15765_3_on_ISO_15765_2",
-            "ISO_11898_2_DWCAN",
-            {"ISO_15765_2": can | {_TABLE: table}, **times},
-        )
-    ]
+    values: dict[str, Values] = {"ISO_15765_3": _times(uds), "ISO_15765_2": can | {_TABLE: table}}
+    made = [Protocol("UDS_on_CAN", "ISO_15765_3_on_ISO_15765_2", "ISO_11898_2_DWCAN", values)]
     if doip is not None:
         ip: dict[str, str | Mapping[str, str]] = {
             "CP_DoIPLogicalGatewayAddress": str(doip.address),
@@ -73,7 +79,8 @@ def protocols_of(uds: UdsParams, doip: DoipParams | None, name: str) -> list[Pro
             "CP_DoIPRoutingActivationTimeout": "2000000",
             _TABLE: {"CP_DoIPLogicalEcuAddress": str(doip.address), "CP_ECULayerShortName": name},
         }
-        made.append(Protocol("UDS_on_DoIP", "ISO_14229_5_on_ISO_13400_2", "IEEE_802_3", {"ISO_13400_2": ip, **times}))
+        values = {"ISO_14229_5": _times(uds), "ISO_13400_2": ip}
+        made.append(Protocol("UDS_on_DoIP", "ISO_14229_5_on_ISO_13400_2", "IEEE_802_3", values))
     return made
 
 
@@ -101,7 +108,7 @@ def _outside(kind: str, document: str, target: str, tag: str = "") -> Element:
     return node(tag or f"{kind}-REF", ID_REF=target, DOCREF=document, DOCTYPE=kind)
 
 
-def _subset(name: str, values: Mapping[str, str | Mapping[str, str]]) -> Element:
+def _subset(name: str, values: Values) -> Element:
     numbers, texts = f"{name}.number", f"{name}.text"
 
     def parameter(owner: str, key: str, default: str) -> Element:
@@ -111,11 +118,7 @@ def _subset(name: str, values: Mapping[str, str | Mapping[str, str]]) -> Element
             node("PHYSICAL-DEFAULT-VALUE", default),
             node("DATA-OBJECT-PROP-REF", ID_REF=numbers if default.isdigit() else texts),
             ID=f"{owner}.{key}",
-            PARAM_CLASS="TIMING"
-            if key.startswith(("CP_P2", "CP_TesterPresent"))
-            else "COM"
-            if owner == name
-            else "UNIQUE_ID",
+            PARAM_CLASS=_CLASSES.get(key, "COM" if owner == name else "UNIQUE_ID"),
             CPTYPE="STANDARD",
             CPUSAGE="ECU-COMM",
         )
@@ -161,7 +164,7 @@ def _subset(name: str, values: Mapping[str, str | Mapping[str, str]]) -> Element
         node("COMPLEX-COMPARAMS", *tables) if tables else None,
         node("DATA-OBJECT-PROPS", *dops),
         ID=name,
-        CATEGORY="APPLICATION" if name == "ISO_14229_3" else "TRANSPORT",
+        CATEGORY="APPLICATION" if "CP_P2Max" in values else "TRANSPORT",
     )
 
 
