@@ -64,6 +64,7 @@ class SenderState(Record):
     at: i4 = means("place of the oldest stamp")
     filled: i4 = means("stamps of this window so far")
     stamps: Annotated[i8s, KEPT] = means("of frames", "ns")
+    wraps: i4 = means("windows that passed")
     crowded: u1 = means("1: in the last window came too many")
     other_counter: i8 = means("alive counter of the count that the last frame did not go on")
     other_seen: u1 = means("1: there is another count")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.engine.checks.communication import COUNTER, CRC, EARLY, SECOND
+from gateway.engine.debounce import is_settled
 from gateway.engine.results import not_tested, report_result, store_evidence
 from gateway_fdi.jit import kernel
 
@@ -60,24 +61,31 @@ def begin_window(c: Any) -> None:
 def judge_rate(T: Any, t_ns: int, c: Any) -> None:
     """Keep a stamp, and judge the window that ends with it; a window that passes is reported once.
 
+    Where passes change nothing any more, each eighth is: a healthy message must not cost more than its frames.
+
     The oldest stamp is that of the frame ``stride * slots`` before this one: if both are in one window, one frame more
     than the limit is.
     """
     span_ns, full = t_ns - c.stamps[c.at], c.filled == c.slots
     c.left = c.stride
     c.stamps[c.at] = t_ns
-    c.at = (c.at + 1) % c.slots
+    c.at = c.at + 1 if c.at + 1 < c.slots else 0
     c.filled = min(c.filled + 1, c.slots)
     if not full:
         return
     most = c.stride * c.slots
     failed = span_ns < c.most_ns
-    if not failed and c.at != 0:
-        return
+    if not failed:
+        if c.at != 0:
+            return
+        c.wraps += 1
+        d = T.debounces[c.fault[EARLY]]
+        if c.crowded == 0 and c.wraps & 7 != 0 and is_settled(d) and d.gated == 0 and T.clock[0].held == 0:
+            return
     c.crowded = failed
     if failed:  # the next window has no frame of this one
         c.steady, c.filled = 0, 1
-        c.stamps[0], c.at = t_ns, 1 % c.slots
+        c.stamps[0], c.at = t_ns, 1 if c.slots > 1 else 0
     rate = most * (c.most_ns / max(span_ns, 1))
     place = report_result(T, t_ns, c.fault[EARLY], failed, rate, float(most))
     store_evidence(T, c.fault[EARLY], place, 0, float(most + 1))

@@ -179,7 +179,8 @@ def test_a_bus_that_is_not_watched_is_counted_only(rig):
 
 def test_each_bus_has_dtcs_of_its_own():
     assert [fault.dtc for fault in bus_health.faults_of("U0001")] == [
-        "U0001-88", "U0001-08", "U0001-81", "U0001-31", "U0001-04", "U0001-87"
+        "U0001-88", "U0001-08", "U0001-81", "U0001-31", "U0001-04", "U0001-87",
+        "U0001-55"
     ]  # fmt: skip
     usual = bus_health.Params()
     assert bus_health.codes_of([usual] * len(bus_health.CODES)) == list(bus_health.CODES)
