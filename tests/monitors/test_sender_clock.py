@@ -65,7 +65,7 @@ def test_without_a_code_it_is_told_in_the_log_alone(tmp_path, capsys):
     assert car.of("dtc") == []
     assert not [slot for slot in car.gateway.engine.faults if slot.id.startswith("c.")]
     car.gateway.stop(car.gateway.engine.now_ns)
-    assert "message=M3" in capsys.readouterr().err
+    assert "message=M3" in "".join(capsys.readouterr())
 
 
 def test_mistakes_are_told_in_one_line(tmp_path):
