@@ -52,7 +52,7 @@ WINDOW, QUARTILE = 16, 3
 #: Gaps that the period is learned of.
 FIRST = 64
 #: Fastest walk that is looked for, and least jump that counts as one, in units of the noise.
-FASTEST, STEP = 5e-4, 5.0
+FASTEST, STEP = 1e-3, 5.0
 #: Part of a period that a window may scatter over.
 STEADY = 0.2
 #: Standard deviation of a skew that is not known yet.
