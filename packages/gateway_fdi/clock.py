@@ -197,7 +197,8 @@ def close_window(c: Clock, const: Const, common: float) -> float:
     c.p01 = (c.p01 + dt * c.p11) * weight
     c.p11 *= weight
     walked = e - c.before
-    if c.window[WINDOW - 1 - QUARTILE] - e > STEADY * c.period or abs(walked) > max(STEP * const.noise_s, FASTEST * dt):
+    most = min(max(STEP * const.noise_s, FASTEST * dt), 0.5 * const.limit_s)  # no window decides alone
+    if c.window[WINDOW - 1 - QUARTILE] - e > STEADY * c.period or abs(walked) > most:
         c.jumps += 1
         c.up = max(0.0, c.up + min(walked, 0.0))
         c.down = max(0.0, c.down - max(walked, 0.0))
