@@ -51,8 +51,8 @@ from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 WINDOW, QUARTILE = 16, 3
 #: Gaps that the period is learned of.
 FIRST = 64
-#: Fastest walk that is looked for, and least jump that counts as one.
-FASTEST, STEP = 5e-4, 5e-4
+#: Fastest walk that is looked for, and least jump that counts as one, in units of the noise.
+FASTEST, STEP = 1e-3, 5.0
 #: Part of a period that a window may scatter over.
 STEADY = 0.2
 #: Standard deviation of a skew that is not known yet.
@@ -197,7 +197,8 @@ def close_window(c: Clock, const: Const, common: float) -> float:
     c.p01 = (c.p01 + dt * c.p11) * weight
     c.p11 *= weight
     walked = e - c.before
-    if c.window[WINDOW - 1 - QUARTILE] - e > STEADY * c.period or abs(walked) > max(STEP, FASTEST * dt):
+    most = min(max(STEP * const.noise_s, FASTEST * dt), 0.5 * const.limit_s)  # no window decides alone
+    if c.window[WINDOW - 1 - QUARTILE] - e > STEADY * c.period or abs(walked) > most:
         c.jumps += 1
         c.up = max(0.0, c.up + min(walked, 0.0))
         c.down = max(0.0, c.down - max(walked, 0.0))

@@ -33,6 +33,7 @@ CONFIGS = {
     "redundant_pair": "pedal",
     "redundant_triple": "pedal_three",
     "rule": "signals",
+    "sender_clock": "clocks",
     "signal": "signals",
     "steering_angle": "steering",
     "structural": "motor",
