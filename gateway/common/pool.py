@@ -183,6 +183,7 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
                 n_workers=workers.count,
                 threads_per_worker=1,
                 processes=True,
+                preload=["gateway.common.worker"],
                 host="127.0.0.1",
                 security=Security.temporary(),
                 # Without a dashboard there is still a server, whose usual port another program may have.
