@@ -169,6 +169,7 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
         settings: dict[str, Any] = {
             "distributed.scheduler.allowed-failures": 0,
             "distributed.worker.profile.enabled": False,
+            "distributed.worker.preload": ["gateway.common.worker", *dask.config.get("distributed.worker.preload", [])],
         }
         if workers.dashboard is None:
             # Servers of HTTP are there all the same, and anybody on this machine can ask them.
@@ -183,7 +184,6 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
                 n_workers=workers.count,
                 threads_per_worker=1,
                 processes=True,
-                preload=["gateway.common.worker"],
                 host="127.0.0.1",
                 security=Security.temporary(),
                 # Without a dashboard there is still a server, whose usual port another program may have.
