@@ -169,7 +169,6 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
         settings: dict[str, Any] = {
             "distributed.scheduler.allowed-failures": 0,
             "distributed.worker.profile.enabled": False,
-            "distributed.worker.preload": ["gateway.common.worker", *dask.config.get("distributed.worker.preload", [])],
         }
         if workers.dashboard is None:
             # Servers of HTTP are there all the same, and anybody on this machine can ask them.

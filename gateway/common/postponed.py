@@ -4,8 +4,7 @@ cantools imports its tester, and with it python-can; can-isotp imports python-ca
 does not use these, and python-can looks for every format of logs: with asammdf installed it takes a second of each
 start. So their names are bound as usual, and the module of a name is executed when its first attribute is asked for, by
 :class:`importlib.util.LazyLoader`. Nothing is hidden and nothing made up for: it is the real module at any time. The
-command line and its workers do so in their own processes (:func:`gateway.cli.main`, :mod:`gateway.common.worker`); a
-host that imports the gateway is left alone.
+command line does so in its own process (:func:`gateway.cli.main`); a host that imports the gateway is left alone.
 """
 
 from __future__ import annotations
