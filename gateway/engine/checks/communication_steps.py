@@ -178,7 +178,7 @@ def take_checksum(
             report_result(T, t_ns, c.fault[RULE], False, float(received), float(computed))
         c.passed += 1
     cleared = False
-    if c.stride > 0:
+    if c.stride > 0 and c.protection.secured == 0:
         if wrong or c.blamed == 1:
             cleared = clears_sender(T, t_ns, c, wrong)
         c.last_ns = t_ns

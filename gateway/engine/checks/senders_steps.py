@@ -21,6 +21,8 @@ REMEMBERED = 64
 @kernel
 def is_doubtful(c: Any) -> bool:
     """Return whether nobody knows if a message's frames are its sender's."""
+    if c.protection.secured == 1:  # its MAC says whose they are
+        return False
     if c.twice >= TWO // 2:
         return True
     return bool(c.crowded == 1 and (c.fault[COUNTER] < 0 or c.odd > 0))
