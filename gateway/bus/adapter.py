@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from gateway.bus.base import Bus
 from gateway.bus.frames import Frames, put_message, to_message
+from gateway.host.waker import Waker
 from gateway_fdi.errors import BusError, InputError
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ class PythonCanBus(Bus):
         self._queue: deque[can.Message] = deque()
         self._dropped = 0
         self._lock = threading.Lock()
-        self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._waker = Waker()
         self._error: Exception | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._read, name=f"read {uri}", daemon=True)
@@ -50,7 +49,7 @@ class PythonCanBus(Bus):
                 message = self._bus.recv(0.1)
             except Exception as error:  # any exception of a driver must reach receive()
                 self._error = error
-                os.eventfd_write(self._event, 1)
+                self._waker.wake()
                 return
             if message is None:
                 continue
@@ -63,11 +62,11 @@ class PythonCanBus(Bus):
                     self._dropped += 1
                 self._queue.append(message)
                 if len(self._queue) == 1:
-                    os.eventfd_write(self._event, 1)
+                    self._waker.wake()
 
     def fileno(self) -> int:
         """Return the event that the reader sets."""
-        return self._event
+        return self._waker.fileno()
 
     def receive(self, out: Frames) -> int:
         """Take what the reader has queued."""
@@ -77,11 +76,10 @@ class PythonCanBus(Bus):
             self.losses = [(0, self._dropped)] if self._dropped else []
             self._dropped = 0
         if not rest and self._error is None:
-            with suppress(BlockingIOError):
-                os.eventfd_read(self._event)
+            self._waker.rest()
             with self._lock:
                 if self._queue:  # one came in between
-                    os.eventfd_write(self._event, 1)
+                    self._waker.wake()
         count = 0
         for message in taken:
             try:
@@ -127,4 +125,4 @@ class PythonCanBus(Bus):
         self._ended.set()
         self._thread.join(timeout=2.0)
         self._bus.shutdown()
-        os.close(self._event)
+        self._waker.close()

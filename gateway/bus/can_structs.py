@@ -10,6 +10,7 @@ import ctypes
 import os
 import socket
 import time
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,9 +27,10 @@ _SOL_SOCKET = int(socket.SOL_SOCKET)
 _SO_TIMESTAMPNS, _SO_RXQ_OVFL = 35, 40
 _MSG_CONFIRM = 0x800
 
-_ANCILLARY = socket.CMSG_SPACE(16) + socket.CMSG_SPACE(4)
 _ALIGNED = np.dtype(np.uintp).itemsize
-_TO_DATA = socket.CMSG_LEN(0)
+#: From the begin of ``struct cmsghdr`` to its data; a stamp and a count of lost frames with theirs (CMSG_SPACE).
+_TO_DATA = _ALIGNED + 8
+_ANCILLARY = 2 * _TO_DATA + 16 + _ALIGNED
 
 #: Longest batch that is filled at one call.
 MOST_FRAMES = 1024
@@ -60,8 +62,12 @@ class _Vector(ctypes.Structure):
     _fields_ = (("base", ctypes.c_void_p), ("length", ctypes.c_size_t))
 
 
-_recvmmsg = ctypes.CDLL(None, use_errno=True).recvmmsg
-_recvmmsg.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p]
+@cache
+def _system() -> Any:
+    """Return Linux' recvmmsg(2)."""
+    function = ctypes.CDLL(None, use_errno=True).recvmmsg
+    function.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p]
+    return function
 
 
 @kernel
@@ -265,7 +271,7 @@ class RawReceiver:
         if address != self._into:
             self._vectors["base"] = address + self._steps
             self._into = address
-        count = _recvmmsg(self._sock.fileno(), self._headers, most, socket.MSG_DONTWAIT, None)
+        count = _system()(self._sock.fileno(), self._headers, most, socket.MSG_DONTWAIT, None)
         if count < 0:
             code = ctypes.get_errno()
             error = OSError(code, os.strerror(code))

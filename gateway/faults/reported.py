@@ -5,14 +5,13 @@ AUTOSAR DEM takes them by Dem_SetEventStatus; here they come by a unix socket (d
 
 from __future__ import annotations
 
-import grp
-import pwd
 import re
 from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from gateway.faults.settings import DebounceOverride, DtcText
+from gateway.host import process
 from gateway.monitors.contract import EVIDENCE, Debounce, Fault
 from gateway_fdi.common.tomlfile import StrictModel
 
@@ -119,14 +118,8 @@ def key_of(name: str) -> str:
 
 
 def _uid(name: str | int) -> int | None:
-    try:
-        return name if isinstance(name, int) else pwd.getpwnam(name).pw_uid
-    except KeyError:
-        return None
+    return name if isinstance(name, int) else process.user_named(name)
 
 
 def _gid(name: str | int) -> int | None:
-    try:
-        return name if isinstance(name, int) else grp.getgrnam(name).gr_gid
-    except KeyError:
-        return None
+    return name if isinstance(name, int) else process.group_named(name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import os
+from importlib import import_module
 
 #: Flags for :func:`os.open`: bytes as they are, and no child process has the file.
 RAW = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
@@ -21,6 +22,22 @@ def user() -> int:
 def user_in_words() -> str:
     """Return this process's user for the trace of what was done: "uid 1000", on Windows the user's name."""
     return f"uid {os.getuid()}" if hasattr(os, "getuid") else f"user {getpass.getuser()}"
+
+
+def user_named(name: str) -> int | None:
+    """Return a user's number, None if there is no such user, or the system numbers none."""
+    try:
+        return int(import_module("pwd").getpwnam(name).pw_uid)
+    except (ImportError, KeyError):
+        return None
+
+
+def group_named(name: str) -> int | None:
+    """Return a group's number, None if there is no such group, or the system numbers none."""
+    try:
+        return int(import_module("grp").getgrnam(name).gr_gid)
+    except (ImportError, KeyError):
+        return None
 
 
 def processors() -> int:
