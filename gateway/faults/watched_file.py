@@ -31,7 +31,7 @@ from gateway.faults import chain
 from gateway.faults.lock import keep_from_copying
 from gateway.faults.salvage import FAST
 from gateway.faults.schema import APPLICATION_ID, MAGIC
-from gateway.host.process import RAW
+from gateway.host.process import RAW, read_at
 
 #: Where the header has the application's id (https://www.sqlite.org/fileformat.html).
 _APPLICATION = slice(68, 72)
@@ -149,12 +149,12 @@ class WatchedFile:
 
     def _checksum(self) -> int:
         found = at = 0
-        while part := os.pread(self._file, _CHUNK, at):
+        while part := read_at(self._file, _CHUNK, at):
             found, at = zlib.crc32(part, found), at + len(part)
         return found
 
     def _what_it_is(self) -> str:
-        head = os.pread(self._file, 100, 0)
+        head = read_at(self._file, 100, 0)
         size = os.fstat(self._file).st_size
         if size < self._file_state[2]:
             return f"it was cut off in place: {size} of {self._file_state[2]} bytes are left"
@@ -180,7 +180,7 @@ class WatchedFile:
             copy = Path(folder) / "copy.sqlite"
             with copy.open("wb") as file:
                 at = 0
-                while part := os.pread(self._file, _CHUNK, at):
+                while part := read_at(self._file, _CHUNK, at):
                     at += file.write(part)
             with suppress(FileNotFoundError):
                 shutil.copyfile(self._wal, f"{copy}-wal")

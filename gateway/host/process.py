@@ -40,6 +40,14 @@ def group_named(name: str) -> int | None:
         return None
 
 
+def read_at(file: int, count: int, start: int) -> bytes:
+    """Return bytes of a file; on Windows the descriptor's place moves, so that no two threads may share it."""
+    if hasattr(os, "pread"):
+        return os.pread(file, count, start)
+    os.lseek(file, start, os.SEEK_SET)
+    return os.read(file, count)
+
+
 def processors() -> int:
     """Return how many processors this process may use."""
     if hasattr(os, "sched_getaffinity"):

@@ -83,6 +83,13 @@ def _locking():
     return types.SimpleNamespace(locking=locking, LK_UNLCK=0, LK_NBLCK=2)
 
 
+def _pair():
+    """Return two sockets that are connected, as Windows' Python makes them."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        one = socket.create_connection(server.getsockname())
+        return one, server.accept()[0]
+
+
 def become_windows():
     """Take away what is lacking, for all modules that are loaded from now on."""
     for name in KEEP:
@@ -96,7 +103,7 @@ def become_windows():
     for module, names in LACKING.items():
         for name in names.split():
             vars(module).pop(name, None)
-    os.O_BINARY, os.O_NOINHERIT = 0, 0
+    os.O_BINARY, os.O_NOINHERIT, socket.socketpair = 0, 0, _pair
 
     def no_library_of_the_process(name, *more, **further):
         if name is None:

@@ -135,7 +135,7 @@ def measure(folder: Path, seconds: float = EACH_S) -> dict[str, Any]:
     """
     return {
         "processors": processors(),
-        "load": os.getloadavg()[0],
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "replay": replay(seconds),
         "one_frame": one_frame(seconds),
         "wake": wake(seconds),
