@@ -21,8 +21,9 @@ from gateway_fleet.learn.trial import Seeing
 #: Kinds: of frames beside those of a message; without its frames; of its values, at its own times.
 FREQUENCY, SILENT, FORGED = ("unknown", "double", "replay", "fuzz", "forge"), "drop", "offset"
 KINDS = (*FREQUENCY, SILENT, FORGED)
-#: Length of a part, its time before the attack at most and at least, and the attack's own [s].
-PART_S, LEAD_S, SETTLED_S, ATTACK_S = 12.0, 7.0, 5.5, 4.0
+#: Length of a part, its time before the attack at most and at least, the attack's own, and that for which the drive
+#: goes on after it [s]: the first of its frames may be its last, and has its second, too.
+PART_S, LEAD_S, SETTLED_S, ATTACK_S, AFTER_S = 12.0, 7.0, 5.5, 4.0, 1.0
 #: Faults that name another sender.
 SENDERS = ("early", "second_sender", "unknown")
 SECOND_NS = 1_000_000_000
@@ -91,7 +92,7 @@ class Bench:
         start = int(frames["t_ns"][0])
         edges = np.arange(start, int(frames["t_ns"][-1]), round(PART_S * 1e9))
         for piece in np.split(frames, np.searchsorted(frames["t_ns"], edges[1:])):
-            if piece["t_ns"][-1] - piece["t_ns"][0] > (LEAD_S + ATTACK_S) * 1e9:
+            if piece["t_ns"][-1] - piece["t_ns"][0] > (LEAD_S + ATTACK_S + AFTER_S - 0.1) * 1e9:
                 self._windows.append(piece)
                 self._saved.append(prepare(self.config, out).engine)
                 restore(self._saved[-1], engine, self.config)
@@ -144,7 +145,7 @@ class Bench:
         rng = np.random.default_rng([self._seed, self._count])
         injector = Injector(asked, self.parts.databases, self.parts.checks, rng, start_ns)
 
-        end_ns = begin_ns + round(ATTACK_S * 1e9)
+        end_ns = begin_ns + round((ATTACK_S + AFTER_S) * 1e9)
         faulty = injector.apply(window)
         if injector.count == 0:
             return None
