@@ -301,6 +301,13 @@ _NEAR += (
     "last_ns",
     "blamed",
     "protection",
+    "most_ns",
+    "slots",
+    "at",
+    "filled",
+    "crowded",
+    "wraps",
+    "stamps",
 )
 
 

@@ -33,7 +33,7 @@ from gateway.engine.checks.senders_steps import (
     clears_sender,
     follow,
     is_doubtful,
-    judge_rate,
+    keep_stamp,
 )
 from gateway.engine.checks.silence import park
 from gateway.engine.gate import sleeps
@@ -384,7 +384,7 @@ def note_arrival(T: Any, t_ns: int, c: Any) -> None:
     if c.stride > 0:
         c.left -= 1
         if c.left <= 0:
-            judge_rate(T, t_ns, c)
+            keep_stamp(T, t_ns, c)
 
 
 @kernel

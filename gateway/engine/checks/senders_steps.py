@@ -59,31 +59,39 @@ def begin_window(c: Any) -> None:
     c.other_seen, c.odd, c.twice = 0, 0, 0
 
 
-@kernel(inlined=False)
-def judge_rate(T: Any, t_ns: int, c: Any) -> None:
-    """Keep a stamp, and judge the window that ends with it; a window that passes is reported once.
+@kernel
+def keep_stamp(T: Any, t_ns: int, c: Any) -> None:
+    """Keep a stamp, and have the window that ends with it judged; where it passes, once a turn of the stamps.
 
     Where passes change nothing any more, each eighth is: a healthy message must not cost more than its frames.
 
     The oldest stamp is that of the frame ``stride * slots`` before this one: if both are in one window, one frame more
     than the limit is.
     """
-    span_ns, full = t_ns - c.stamps[c.at], c.filled == c.slots
+    at = c.at
+    span_ns = t_ns - c.stamps[at]
+    c.stamps[at] = t_ns
     c.left = c.stride
-    c.stamps[c.at] = t_ns
-    c.at = c.at + 1 if c.at + 1 < c.slots else 0
-    c.filled = min(c.filled + 1, c.slots)
-    if not full:
-        return
-    most = c.stride * c.slots
-    failed = span_ns < c.most_ns
-    if not failed:
-        if c.at != 0:
-            return
+    at += 1
+    if at == c.slots:
+        at = 0
+    c.at = at
+    if c.filled < c.slots:
+        c.filled += 1
+    elif span_ns < c.most_ns:
+        judge_rate(T, t_ns, c, span_ns)
+    elif at == 0:
         c.wraps += 1
         d = T.debounces[c.fault[EARLY]]
-        if c.crowded == 0 and c.wraps & 7 != 0 and is_settled(d) and d.gated == 0 and T.clock[0].held == 0:
-            return
+        if c.crowded == 1 or c.wraps & 7 == 0 or T.clock[0].held == 1 or d.gated == 1 or not is_settled(d):
+            judge_rate(T, t_ns, c, span_ns)
+
+
+@kernel(inlined=False)
+def judge_rate(T: Any, t_ns: int, c: Any, span_ns: int) -> None:
+    """Report the result of a window that took so long."""
+    most = c.stride * c.slots
+    failed = span_ns < c.most_ns
     c.crowded = failed
     if failed:  # the next window has no frame of this one
         c.steady, c.filled = 0, 1

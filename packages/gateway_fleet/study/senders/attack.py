@@ -21,8 +21,9 @@ from gateway_fleet.learn.trial import Seeing
 #: Kinds: of frames beside those of a message; without its frames; of its values, at its own times.
 FREQUENCY, SILENT, FORGED = ("unknown", "double", "replay", "fuzz", "forge"), "drop", "offset"
 KINDS = (*FREQUENCY, SILENT, FORGED)
-#: Length of a part, its time before the attack at most and at least, and the attack's own [s].
-PART_S, LEAD_S, SETTLED_S, ATTACK_S = 12.0, 7.0, 5.5, 4.0
+#: Length of a part, its time before the attack at most and at least, the attack's own, and that for which the drive
+#: goes on after it at least [s]: a slow message's first added frame may be its last, and comes up to a cycle after it.
+PART_S, LEAD_S, SETTLED_S, ATTACK_S, AFTER_S = 15.0, 7.0, 5.5, 4.0, 3.5
 #: Faults that name another sender.
 SENDERS = ("early", "second_sender", "unknown")
 SECOND_NS = 1_000_000_000
@@ -91,7 +92,7 @@ class Bench:
         start = int(frames["t_ns"][0])
         edges = np.arange(start, int(frames["t_ns"][-1]), round(PART_S * 1e9))
         for piece in np.split(frames, np.searchsorted(frames["t_ns"], edges[1:])):
-            if piece["t_ns"][-1] - piece["t_ns"][0] > (LEAD_S + ATTACK_S) * 1e9:
+            if piece["t_ns"][-1] - piece["t_ns"][0] > (LEAD_S + ATTACK_S + AFTER_S) * 1e9:
                 self._windows.append(piece)
                 self._saved.append(prepare(self.config, out).engine)
                 restore(self._saved[-1], engine, self.config)
@@ -140,15 +141,13 @@ class Bench:
         restore(engine, self._saved[k], self.config)
         engine.tables.strangers[:] = 0
         start_ns = int(window["t_ns"][0])
-        begin_ns = start_ns + round(at * 1e9)
         rng = np.random.default_rng([self._seed, self._count])
         injector = Injector(asked, self.parts.databases, self.parts.checks, rng, start_ns)
 
-        end_ns = begin_ns + round(ATTACK_S * 1e9)
         faulty = injector.apply(window)
-        if injector.count == 0:
-            return None
         onset_ns = _onset_ns(window, faulty)
+        if onset_ns is None:
+            return None
 
         def hear(events: Events) -> None:
             for event in events:
@@ -158,14 +157,16 @@ class Bench:
                 elif event["kind"] == QUALIFIED_FAILED and after >= 0.0:
                     set_.setdefault(engine.faults[int(event["fault"])].id, after)
 
-        engine.process(faulty[faulty["t_ns"] < end_ns], hear)
-        engine.advance(end_ns, hear)
+        engine.process(faulty, hear)
         return set_
 
 
-def _onset_ns(before: Frames, after: Frames) -> int:
-    """Return the stamp of the first frame that an attack has added, changed or taken out."""
+def _onset_ns(before: Frames, after: Frames) -> int | None:
+    """Return the stamp of the first frame that an attack has added, changed or taken out; None: there is none."""
     count = min(len(before), len(after))
-    same = before[:count] == after[:count]
-    at = int(np.argmin(same)) if not same.all() else count - 1
+    differ = np.flatnonzero(before[:count] != after[:count])
+    if not len(differ):
+        longer = before if len(before) > count else after
+        return int(longer["t_ns"][count]) if len(longer) > count else None
+    at = int(differ[0])
     return int(min(before["t_ns"][at], after["t_ns"][at]))
