@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
 import typer
 from mkdocs.structure.files import File, Files
 
@@ -27,8 +26,8 @@ def parts(field: dict[str, Any]) -> Iterator[str]:
     """Yield the names of the tables that a field may hold."""
     if "$ref" in field:
         yield field["$ref"].removeprefix("#/$defs/")
-    inner = [*field.get("anyOf", ()), *field.get("prefixItems", ()), field.get("items"), field.get("additionalProperties")]
-    for each in inner:
+    inner = (*field.get("anyOf", ()), *field.get("prefixItems", ()))
+    for each in (*inner, field.get("items"), field.get("additionalProperties")):
         if isinstance(each, dict):
             yield from parts(each)
 
@@ -71,15 +70,14 @@ def configuration() -> str:
     return "\n".join(lines)
 
 
-def commands(command: click.Command, name: str) -> Iterator[str]:
+def commands(command: Any, name: str, above: typer.Context | None = None) -> Iterator[str]:
     """Yield the help of a command and of those below it."""
-    context = click.Context(command, info_name=name)
+    context = typer.Context(command, info_name=name.rpartition(" ")[2], parent=above)
     yield f"\n## `{name}`\n\n```text\n{command.get_help(context)}\n```"
-    if isinstance(command, click.Group):
-        for each in command.list_commands(context):
-            below = command.get_command(context, each)
-            if below is not None and not below.hidden:
-                yield from commands(below, f"{name} {each}")
+    for each in command.list_commands(context) if hasattr(command, "list_commands") else ():
+        below = command.get_command(context, each)
+        if not below.hidden:
+            yield from commands(below, f"{name} {each}", context)
 
 
 def on_files(files: Files, config: Any) -> Files:
