@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -50,7 +51,9 @@ def table(name: str, found: dict[str, Any], all_: dict[str, Any], above: tuple[s
         yield f"\n## `{name}`\n\n{cell(found.get('description', ''))}\n"
     yield "| key | type | default | meaning |\n|---|---|---|---|"
     for key, field in keys.items():
-        default = "needed" if key in needed else f"`{cell(field['default'])}`" if "default" in field else ""
+        value = field.get("default")
+        bare = value is None or value == [] or isinstance(value, dict)  # a table's keys have defaults of their own
+        default = "needed" if key in needed else "" if bare else f"`{json.dumps(value)}`"
         yield f"| `{key}` | {cell(kind(field))} | {default} | {cell(field.get('description', ''))} |"
     for key, field in keys.items():
         for part in dict.fromkeys(parts(field)):
