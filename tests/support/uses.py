@@ -22,6 +22,7 @@ BELOW = {
     "gateway_conformance": ("gateway", "gateway_fdi", "gateway_pytest"),
     "gateway_plants": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
     "gateway_fleet": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
+    "gateway_arena": ("gateway_plants", _BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
 }
 PACKAGES = (*BELOW, "gateway_pytest")
 
