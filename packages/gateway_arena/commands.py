@@ -46,7 +46,8 @@ def evaluate_arena(
     """
     from gateway_arena.study import arena as work
 
-    options = {"runs": runs, "healthy": healthy, "train": train, "off": off}
-    raise typer.Exit(
-        work(plants=plant, methods=method, false_alarm=false_alarm, seed=seed, plot=plot, json=json, **options)
-    )
+    code = work(
+        plants=plant, methods=method, runs=runs, healthy=healthy, train=train, off=off, false_alarm=false_alarm,
+        seed=seed, plot=plot, json=json,
+    )  # fmt: skip
+    raise typer.Exit(code)

@@ -114,8 +114,8 @@ class Found:
 
     Attributes:
         score: the larger, the more a fault is likely, shape (n,).
-        weights: of each fault, in the order of the plant's ``sizes``, shape (n, faults); all 0: it names none. None: the
-            method names no faults.
+        weights: of each fault, in the order of the plant's ``sizes``, shape (n, faults); all 0: it names none.
+            None: the method names no faults.
     """
 
     score: Array

@@ -11,6 +11,7 @@ mpl.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.lines import Line2D
 
 from gateway.cli.drawing import save
 from gateway_arena.score import Row
@@ -33,7 +34,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axes.set_title(plant, fontsize=9, loc="left")
         axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
         axes.tick_params(labelsize=7)
-    handles = [plt.Line2D([], [], color=colours[name], label=name) for name in methods]
+    handles = [Line2D([], [], color=colours[name], label=name) for name in methods]
     figure.legend(handles=handles, loc="lower center", ncols=len(methods), fontsize=8, frameon=False)
     figure.supxlabel("false alarms", fontsize=8, y=0.06)
     figure.supylabel("detections", fontsize=8)

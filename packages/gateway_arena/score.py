@@ -103,7 +103,7 @@ def judged(
     missed = dict.fromkeys(faults, 0)
     for record, one in zip(faulty, bad, strict=True):
         alarms = np.flatnonzero(one.score[SETTLE:] > limit) + SETTLE
-        before = bool(len(alarms)) and alarms[0] < record.onset
+        before = bool((alarms < record.onset).any())
         seen = bool(len(alarms)) and not before
         early += before
         missed[record.fault] += not seen

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 from gateway.cli.present import print_json, say, wide_console
@@ -30,7 +31,7 @@ def _table(rows: Sequence[Row], title: str) -> Table:
         "runs", "detected\n[%]", "early", "delay\n[s]", "delay\n[samples]", "P of the\ntrue fault", "wrong\nname",
         "false\nalarms", "ROC\narea", "CPU\n[us/sample]",
     ):  # fmt: skip
-        table.add_column(name, justify="right")
+        table.add_column(escape(name), justify="right")
     for row in (row for row in rows if not row.refused):
         table.add_row(
             row.plant, row.method, str(row.runs), f"{100 * row.detected / row.runs:.0f}", str(row.early),

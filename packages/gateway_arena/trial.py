@@ -12,7 +12,8 @@ from gateway_arena.contract import SAMPLES, Array, Found, Method, NotForThisPlan
 from gateway_arena.score import Row, judged
 from gateway_fdi.errors import InputError
 
-#: From the first seed on: records to learn from, to set thresholds, without a fault, with faults to learn from, with faults.
+#: Seeds from the first on: of records to learn from, for the threshold, without a fault; with faults to learn from, and
+#: to judge.
 LEARNED, VALIDATED, HEALTHY, SEEN, FAULTY = 0, 1000, 2000, 3000, 10_000
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from gateway_arena.contract import SAMPLES, Array, Dynamics, NotForThisPlantError, Record
@@ -32,8 +34,8 @@ class GalleryPlant:
         self.commands = tuple(z for z in self.model.knowns if z in ecu.inputs and z not in ecu.noise)
         self.knowns = (*self.commands, *(z for z in self.model.knowns if z not in self.commands))
         self.noise = tuple(ecu.noise.get(z, 0.0) for z in self.knowns)
-        self.sizes = {fault: f"{case.kind} {case.size:g}" for fault, case in self._faults.items()}
-        self.touches = touches(self.model)
+        self.sizes: Mapping[str, str] = {fault: f"{case.kind} {case.size:g}" for fault, case in self._faults.items()}
+        self.touches: Mapping[str, str] = touches(self.model)
 
     def record(self, seed: int, fault: str = "", off: float = 0.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`); the inputs' courses begin anywhere."""
@@ -44,7 +46,7 @@ class GalleryPlant:
         for name, course in self._ecu.inputs.items():
             points, repeat = points_of(course), course.repeat_s if isinstance(course, Repeated) else 0.0
             inputs[name] = _shifted(points, begin * repeat, repeat)
-        values = {name: quantity.value for name, quantity in self.model.parameters.items()} if off else {}
+        values = {name: self.model.quantities[name].value for name in self.model.parameters} if off else {}
         changed = {name: value * (1 + off * rng.choice([-1, 1])) for name, value in values.items() if value is not None}
         plant = Simulation(
             self.model,
@@ -53,7 +55,7 @@ class GalleryPlant:
             start=self._ecu.start,
             rest=self._ecu.rest,
         )
-        times = np.arange(SAMPLES) * self.period_s
+        times = np.arange(float(SAMPLES)) * self.period_s
         courses = {}
         if fault:
             case, t = self._faults[fault], onset * self.period_s
@@ -68,7 +70,7 @@ class GalleryPlant:
         Raises:
             NotForThisPlantError: always.
         """
-        raise NotForThisPlantError("its equations are not given as slopes of states", value=self.name)
+        raise NotForThisPlantError("its equations are not given as slopes of states")
 
 
 def _shifted(points: tuple[tuple[float, float], ...], by: float, repeat: float) -> Course:

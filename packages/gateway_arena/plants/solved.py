@@ -1,8 +1,9 @@
-"""Plants with slopes of their states, solved by SciPy apart from the gateway's code (``gateway evaluate structural``)."""
+"""Plants with slopes of their states, which SciPy solves apart from the gateway's code."""
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -50,11 +51,11 @@ class SolvedPlant:
         self.model = load_model(tomllib.loads(plant.model))
         self.period_s, self.knowns, self.noise = plant.period_s, plant.knowns, plant.noise
         self.commands = tuple(z for z, sigma in zip(plant.knowns, plant.noise, strict=True) if not sigma)
-        self.sizes = {
+        self.sizes: Mapping[str, str] = {
             fault: ", ".join(f"{key} = {value:g} (healthy {plant.p[key]:g})" for key, value in changed.items())
             for fault, changed in plant.faults.items()
         }
-        self.touches = touches(self.model)
+        self.touches: Mapping[str, str] = touches(self.model)
 
     def record(self, seed: int, fault: str = "", off: float = 0.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`)."""
@@ -62,7 +63,7 @@ class SolvedPlant:
         p = parameters_off(self._plant, off, seed) if off else None
         seconds = SAMPLES * self.period_s
         values = run(self._plant, seconds, seed, fault, onset * self.period_s if fault else 0.0, p)
-        return Record(np.arange(SAMPLES) * self.period_s, values, fault, onset)
+        return Record(np.arange(float(SAMPLES)) * self.period_s, values, fault, onset)
 
     def dynamics(self, command: Array) -> Dynamics:
         """Return its dynamics; of slopes that are not linear around the state that it begins with."""
