@@ -55,10 +55,13 @@ class Structural:
         if (key := fired.tobytes()) not in self._known:
             diagnoser = Diagnoser(
                 [Component(fault, "plant") for fault in self._faults],
-                [Test(r.name, tuple(Link(f, POWER) for f in r.faults if f in self._faults)) for r in self._residuals],
+                [
+                    Test(str(k), tuple(Link(f, POWER) for f in r.faults if f in self._faults))
+                    for k, r in enumerate(self._residuals)
+                ],
             )
-            for residual, failed in zip(self._residuals, fired.tolist(), strict=True):
-                diagnoser.update(residual.name, FAILED if failed else PASSED, 1)
+            for k, failed in enumerate(fired.tolist()):
+                diagnoser.update(str(k), FAILED if failed else PASSED, 1)
             weights = np.zeros(len(self._faults))
             for names, probability in diagnoser.causes() if fired.any() else ():
                 weights[[self._faults.index(name) for name in names]] += probability
