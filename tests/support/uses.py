@@ -32,6 +32,7 @@ USES = {
     "fleet": ("gateway_fleet",),
     "pytest_plugin": (_BENCH,),
     "api/test_arrays.py": ("structural",),
+    "arena/test_arena.py": ("linear", "structural"),
     "api/test_docs.py": ("crank", "pedal", "linear", "structural", _BENCH, "gateway_fleet"),
     "api/test_notebooks.py": ("crank", "pedal", "linear", "structural", "gateway_fleet"),
     "api/test_sessions.py": ("crank", "structural", _BENCH, "gateway_fleet"),
