@@ -110,7 +110,7 @@ class Plant(Protocol):
 
 @dataclass(frozen=True)
 class Found:
-    """What a method says of a record.
+    """A method's words on a record.
 
     Attributes:
         score: the larger, the more a fault is likely, shape (n,).
