@@ -9,6 +9,7 @@ from gateway_fdi.errors import InputError
 
 #: Extra -> the package that its features import.
 EXTRAS = {
+    "arena": "sklearn",
     "auth": "cryptography",
     "fleet": "distributed",
     "fmu": "fmpy",
@@ -25,6 +26,7 @@ EXTRAS = {
 _BESIDES = {"fleet": ("cryptography",), "notebook": ("duckdb", "matplotlib", "pandas", "pyarrow")}
 #: Extra -> what people get with it.
 PURPOSES = {
+    "arena": "methods that learn from data (gateway evaluate arena)",
     "auth": "testers' certificates (UDS 0x29)",
     "fleet": "many logs on many machines (gateway fleet)",
     "fmu": 'FMUs as plants (type = "fmu")',

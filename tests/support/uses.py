@@ -22,6 +22,7 @@ BELOW = {
     "gateway_conformance": ("gateway", "gateway_fdi", "gateway_pytest"),
     "gateway_plants": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
     "gateway_fleet": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
+    "gateway_arena": ("gateway_plants", _BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
 }
 PACKAGES = (*BELOW, "gateway_pytest")
 
@@ -31,6 +32,7 @@ USES = {
     "fleet": ("gateway_fleet",),
     "pytest_plugin": (_BENCH,),
     "api/test_arrays.py": ("structural",),
+    "arena/test_arena.py": ("linear", "structural"),
     "api/test_docs.py": ("crank", "pedal", "linear", "structural", _BENCH, "gateway_fleet"),
     "api/test_notebooks.py": ("crank", "pedal", "linear", "structural", "gateway_fleet"),
     "api/test_sessions.py": ("crank", "structural", _BENCH, "gateway_fleet"),

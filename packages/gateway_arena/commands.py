@@ -1,0 +1,53 @@
+"""The arena's command, whose work is imported only when it is called."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gateway.cli.options import Json
+
+
+def evaluate_arena(
+    plant: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Plants: spring, buck, stiff_motor, quad, wind, motor, tanks, cooling, battery, brake. Default: all."
+        ),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Methods: structural, pi_bank, fixed, pca, svm, forest, kalman, particles, or FILE.py:CLASS."
+            " Default: all that have a name."
+        ),
+    ] = None,
+    runs: Annotated[int, typer.Option(min=1, help="Number of records with each fault.")] = 20,
+    healthy: Annotated[
+        int, typer.Option(min=2, help="Number of records without a fault for the threshold; as many judge it.")
+    ] = 60,
+    train: Annotated[int, typer.Option(min=4, help="Number of records without a fault to learn from.")] = 10,
+    false_alarm: Annotated[
+        float, typer.Option(min=0.001, max=0.5, help="Share of healthy records in which each method may alarm.")
+    ] = 0.05,
+    off: Annotated[
+        float, typer.Option(min=0, max=0.2, help="Share by which parameters differ from the model's.")
+    ] = 0.0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="First seed; nothing was chosen with seeds from 100000 up.")
+    ] = 100_000,
+    plot: Annotated[Path | None, typer.Option(help="Draw ROC curves into this file (.svg, .png, .pdf).")] = None,
+    json: Json = False,
+) -> None:
+    """Compare methods of fault diagnosis on plants, at the same rate of false alarms.
+
+    Each method learns from the same records, and its threshold is set by
+    the same healthy ones; a method of your own is one file.
+    """
+    from gateway_arena.study import arena as work
+
+    code = work(
+        plants=plant, methods=method, runs=runs, healthy=healthy, train=train, off=off, false_alarm=false_alarm,
+        seed=seed, plot=plot, json=json,
+    )  # fmt: skip
+    raise typer.Exit(code)

@@ -1,0 +1,66 @@
+"""Methods of the arena, by name; and one of a stranger's from a file."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+from gateway.common.extras import need
+from gateway_arena.contract import Method, Stepped
+from gateway_fdi.errors import InputError, nearest
+
+#: Name -> place; ours first.
+METHODS = {
+    "structural": "structural:Structural",
+    "pi_bank": "bank:Bank",
+    "fixed": "structural:Fixed",
+    "pca": "learned:Pca",
+    "svm": "learned:Svm",
+    "forest": "learned:Forest",
+    "kalman": "filters:Kalman",
+    "particles": "filters:Particles",
+}
+
+
+def method(name: str) -> Method:
+    """Return a method, not fitted.
+
+    Args:
+        name: of :data:`METHODS`, or ``FILE.py:CLASS``.
+
+    Raises:
+        InputError: there is none; the file cannot be loaded, or its class has neither ``step`` nor ``run``.
+    """
+    if name in METHODS:
+        module, _, kind = METHODS[name].partition(":")
+        if module == "learned":
+            need("arena", "methods that learn from data", key="--method")
+        elif module == "structural":
+            need("structure", "residuals of equations", key="--method")
+        made: Method = getattr(import_module(f"{__name__}.{module}"), kind)()
+        return made
+    path, _, kind = name.rpartition(":")
+    if not path.endswith(".py"):
+        raise InputError(
+            f"the methods are {', '.join(METHODS)}, or FILE.py:CLASS{nearest(name, METHODS)}",
+            key="--method",
+            value=name,
+        )
+    return _strangers(Path(path), kind)
+
+
+def _strangers(path: Path, kind: str) -> Method:
+    spec = spec_from_file_location(path.stem, path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise InputError("no such file", file=path, key="--method", value=f"{path}:{kind}")
+    module = module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+        made: Any = getattr(module, kind)()
+    except Exception as error:
+        raise InputError(f"{type(error).__name__}: {error}", file=path, key="--method", value=kind) from error
+    if not hasattr(made, "fit") or not (hasattr(made, "step") or hasattr(made, "run")):
+        raise InputError("a method has fit, and step or run", file=path, key="--method", value=kind)
+    return made if hasattr(made, "run") else Stepped(made)

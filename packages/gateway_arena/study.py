@@ -1,0 +1,96 @@
+"""``gateway evaluate arena``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from gateway.cli.present import print_json, say, wide_console
+from gateway_arena.methods import METHODS, method
+from gateway_arena.plants import NAMES, plant
+from gateway_arena.score import Row, threshold
+from gateway_arena.trial import records, trial
+from gateway_fdi.errors import InputError
+
+
+def _number(value: float, digits: int = 2) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def _table(rows: Sequence[Row], title: str) -> Table:
+    table = Table(title=title)
+    table.add_column("plant")
+    table.add_column("method")
+    for name in (
+        "runs", "detected\n[%]", "early", "delay\n[s]", "delay\n[samples]", "P of the\ntrue fault", "wrong\nname",
+        "false\nalarms", "ROC\narea", "CPU\n[us/sample]",
+    ):  # fmt: skip
+        table.add_column(escape(name), justify="right")
+    for row in (row for row in rows if not row.refused):
+        table.add_row(
+            row.plant, row.method, str(row.runs), f"{100 * row.detected / row.runs:.0f}", str(row.early),
+            _number(row.delay_s), _number(row.delay, 0), _number(row.true), "-" if math.isnan(row.true) else
+            str(row.wrong), f"{row.false}/{row.healthy}", _number(row.auc, 3), _number(row.us, 1),
+        )  # fmt: skip
+    return table
+
+
+def _plain(row: Row) -> dict[str, object]:
+    return {
+        key: None if isinstance(value, float) and math.isnan(value) else value for key, value in asdict(row).items()
+    }
+
+
+def arena(
+    *,
+    plants: Sequence[str] | None,
+    methods: Sequence[str] | None,
+    runs: int,
+    healthy: int,
+    train: int,
+    off: float,
+    false_alarm: float,
+    seed: int,
+    plot: Path | None,
+    json: bool,
+) -> int:
+    """Compare methods on plants; returns the exit code.
+
+    Raises:
+        InputError: no such plant or method; too few records for a threshold; a method that breaks its contract.
+    """
+    if threshold(np.zeros(healthy), false_alarm) == math.inf:
+        least = math.ceil(1 / false_alarm) - 1
+        raise InputError(f"{false_alarm:g} false alarms take {least} records at least", key="--healthy", value=healthy)
+    names = tuple(methods or METHODS)
+    for name in names:
+        method(name)
+    rows = []
+    for each in [plant(name) for name in plants or NAMES]:
+        say(f"{each.name} ({each.source}): {len(each.sizes)} faults ...")
+        given = records(each, seed, runs=runs, healthy=healthy, train=train, off=off)
+        rows += [trial(name, method(name), each, given, false_alarm) for name in names]
+    if plot:
+        from gateway_arena.figure import draw  # noqa: PLC0415 - drawing is slow to load
+
+        draw(rows, plot)
+    if json:
+        given_as = {"first_seed": seed, "false_alarm": false_alarm, "off": off, "train": train}
+        print_json({"study": "arena", **given_as, "rows": [_plain(row) for row in rows]})
+        return 0
+    console = wide_console()
+    console.print(_table(rows, f"Arena: seeds from {seed}, {false_alarm:.0%} false alarms, parameters off {off:.0%}"))
+    for row in rows:
+        if row.refused:
+            console.print(f"{row.plant}: {row.method} is not for it: {row.refused}")
+        elif row.missed:
+            told = ", ".join(f"{fault} {count}" for fault, count in row.missed)
+            console.print(f"{row.plant}: {row.method} did not detect {told}")
+    console.print("early: alarms before the fault; P: probability at the end, 0 where nothing is detected")
+    return 0
