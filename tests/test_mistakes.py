@@ -27,7 +27,7 @@ OF_CHECKS = (
     ('message = "Whel"', f"{CHECK}.message = 'Whel'", "did you mean Wheel?"),
     ('message = "Whel"\nprotection = "auto"', f"{CHECK}.message = 'Whel'", "did you mean Wheel?"),
     ('mesage = "Wheel"', f"{CHECK}.mesage", "did you mean message?"),
-    ('message = "Wheel"\ntimeout = 5', f"{CHECK}.timeout", "did you mean timeout_ms?"),
+    ('message = "Wheel"\ntimeout = 5', f"{CHECK}.timeout", "did you mean timeout_ms or most?"),
     ('message = "Wheel"\ntimeout_ms = -5', f"{CHECK}.timeout_ms = -5", "greater than 0"),
     ('message = "Wheel"\nlost = "U100"', f"{CHECK}.lost = 'U100'", "U[0-3]"),
     ('message = "Wheel"\nchecksum = "toyotta"', f"{CHECK}.checksum = 'toyotta'", "did you mean toyota?"),

@@ -9,7 +9,8 @@ from car import write as write_tables
 from secured import KEY, secured, tag, write_key
 
 from gateway.config.load import load_config
-from gateway.runtime.app import Gateway, prepare
+from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import prepare
 from gateway.runtime.mistakes import mistakes
 from gateway_bench.playing import player_of
 from gateway_bench.vecu.scenario import load_scenario

@@ -474,7 +474,7 @@ def example(
     folder: Annotated[Path | None, typer.Option("--folder", help="Folder to write.  [default: NAME]")] = None,
     json: Json = False,
 ) -> None:
-    """Copy an example to try: a car, a bench, a monitor or package of your own."""
+    """Copy an example, to be tried and changed."""
 
 
 @app.command()

@@ -6,7 +6,7 @@ import platform
 import socket
 import sys
 from importlib import import_module
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from pathlib import Path
 from typing import Any, Protocol, cast
 
@@ -58,7 +58,14 @@ MEASURES: Registry[Measure] = Registry("gateway.measures", lambda found, name: c
 
 def _extras() -> dict[str, str | None]:
     """Return the version of each extra's package; None where it is not installed."""
-    return {extra: version(package) if installed(extra) else None for extra, package in EXTRAS.items()}
+    return {extra: _version(package) if installed(extra) else None for extra, package in EXTRAS.items()}
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:  # it is distributed under another name
+        return version(packages_distributions()[package][0])
 
 
 def no_socketcan() -> str:

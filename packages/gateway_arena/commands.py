@@ -39,7 +39,7 @@ def evaluate_arena(
     plot: Annotated[Path | None, typer.Option(help="Draw ROC curves into this file (.svg, .png, .pdf).")] = None,
     json: Json = False,
 ) -> None:
-    """Compare methods of fault diagnosis on plants, at the same rate of false alarms.
+    """Compare methods of fault diagnosis, on ten plants.
 
     Each method learns from the same records, and its threshold is set by
     the same healthy ones; a method of your own is one file.

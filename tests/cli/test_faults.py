@@ -89,7 +89,7 @@ def test_a_reader_without_the_configuration_learns_what_a_fault_is(run, tmp_path
     assert "severity    none: no statement on when to have it checked" in text
     assert "what to do  check the sender's software against the database" in text
     told = {
-        "description": "frame shorter than its message",
+        "description": "frame shorter than its message, or of another length than it may have",
         "severity": "none",
         "class": "unclassified",
         "remedy": "check the sender's software against the database",

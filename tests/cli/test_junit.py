@@ -77,12 +77,14 @@ def test_a_dtc_that_nobody_expects_is_one_case(scenario, tmp_path):
     assert suite.failures == 2
 
 
-def test_a_gateway_that_tells_nobody_is_not_judged(scenario, tmp_path):
+def test_a_gateway_without_dtc_frames_is_judged_by_its_events(scenario, tmp_path):
     file = scenario()
     config = tmp_path / "gateway.toml"
     config.write_text(config.read_text().replace("[output.dtc_frame]\ncycle_ms = 1000.0", ""))
-    with pytest.raises(InputError, match=r"needs \[output.dtc_frame\]"):
-        simulated(file, None, check=True)
+    assert "dtc_frame" not in config.read_text()
+    assert simulated(file, None, check=True) == 0
+    assert simulated(scenario(BATTERY.replace("by_s = 6.0", "by_s = 5.2")), None, check=True) == 1
+    assert simulated(scenario(BATTERY.partition("[[expect]]")[0]), None, check=True) == 1, "nobody expects its DTC"
 
 
 def replayed(log, config, junit, **more):

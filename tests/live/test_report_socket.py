@@ -271,7 +271,7 @@ class Told:
     """As much of the page's hub as metrics ask for."""
 
     connected, monitoring = True, {"on": True}
-    hello, worst, buses, counters, missed, refused = {"faults": []}, {}, [], {}, 0, 0
+    hello, worst, buses, counters, missed, refused, security = {"faults": []}, {}, [], {}, 0, 0, {}
 
     def __init__(self, reporters):
         self.reporters, self.ecus = reporters, []

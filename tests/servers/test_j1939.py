@@ -9,6 +9,7 @@ from rig import MS, Rig, write_config
 
 from gateway.bus.frames import EXTENDED
 from gateway.servers.j1939.claim import NameParams
+from gateway.servers.j1939.server import J1939Server
 
 ME, TOOL, ALL = 0x00, 0xF9, 0xFF
 
@@ -44,6 +45,10 @@ class Heard(list):
 
     def __add__(self, other):
         return Heard([*self, *other], self.messages + other.messages)
+
+
+def j1939_of(rig):
+    return next(each for each in rig.gateway.servers.all if isinstance(each, J1939Server))
 
 
 class Bus(Rig):
@@ -308,7 +313,7 @@ def test_a_long_answer_to_one_goes_by_rts_and_cts(make):
     assert whole[:6] == bytes.fromhex("00FF64000101")
     done = bytes([19, 22, 0, 4, 0xFF]) + (0xFECB).to_bytes(3, "little")
     rig.feed((to_me, done))
-    assert rig.gateway.servers.all[-1].endpoint.transport._sending is None
+    assert j1939_of(rig).endpoint.transport._sending is None
 
 
 def test_a_receiver_that_falls_silent_is_given_up(make):
@@ -375,9 +380,9 @@ def test_interleaved_broadcasts_of_many_senders_keep_their_bounds(make):
     bam = bytes([32, 20, 0, 3, 0xFF]) + (0xFECA).to_bytes(3, "little")
     for source in range(1, 200):
         rig.feed((pgn_id(0xEC00, source, ALL, 7), bam))
-    assert len(rig.gateway.servers.all[-1].endpoint.transport._receiving) == 64
+    assert len(j1939_of(rig).endpoint.transport._receiving) == 64
     rig.wait(1000)
-    assert len(rig.gateway.servers.all[-1].endpoint.transport._receiving) == 0
+    assert len(j1939_of(rig).endpoint.transport._receiving) == 0
 
 
 # Address claim
@@ -436,7 +441,7 @@ def test_a_claim_is_told_while_it_is_contended(make):
 def test_the_contention_at_the_start_is_real_time(make):
     """D13: the first claim was stamped with the engine's start, the next look at the clock was decades later."""
     rig = make(claimed=False)
-    server = rig.gateway.servers.all[-1]
+    server = j1939_of(rig)
     rig.gateway.advance(0)
     now = 1_700_000_000_000 * MS
     sent = []
@@ -451,7 +456,7 @@ def test_the_contention_at_the_start_is_real_time(make):
 def test_the_contention_counts_from_when_the_claim_has_left(make):
     """D13b: the claim had the engine's time, which was up to 95 ms old when the frame left."""
     rig = make(claimed=False)
-    server = rig.gateway.servers.all[-1]
+    server = j1939_of(rig)
     ((claim),) = rig.gateway.advance(100 * MS)
     assert int(claim["can_id"]) >> 8 & 0xFF00 == 0xEE00
     assert server.next_ns <= 100 * MS + 1, "wants the next look at once"

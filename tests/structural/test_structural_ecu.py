@@ -8,7 +8,7 @@ import cantools
 import numpy as np
 import pytest
 
-from gateway_bench.cli.simulate import _open
+from gateway_bench.playing import opened
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
 
@@ -47,7 +47,7 @@ to_s = 4.0
 def played(tmp_path, text, seed=None):
     path = tmp_path / "own.toml"
     path.write_text(text, encoding="utf-8")
-    return _open(path, seed)[2]
+    return opened(path, seed)[2]
 
 
 def values(player):

@@ -30,6 +30,9 @@ PACKAGES = (*BELOW, "gateway_pytest")
 #: name only. What a file imports, itself or by its helpers, has no line here (tests/test_uses.py holds the lines).
 USES = {
     "fleet": ("gateway_fleet",),
+    "test_site.py": (*PLANTS, _BENCH, "gateway_fleet"),
+    "test_tutorials.py": ("structural", _BENCH, "gateway_fleet"),
+    "test_windows.py": (_BENCH,),
     "pytest_plugin": (_BENCH,),
     "api/test_arrays.py": ("structural",),
     "arena/test_arena.py": ("linear", "structural"),
@@ -50,6 +53,7 @@ USES = {
     "cli/test_series.py": ("structural", _BENCH),
     "cli/test_simulate.py": ("pedal",),
     "engine/checks/test_communication.py": ("crank",),
+    "engine/checks/test_senders.py": ("crank",),
     "engine/test_depends.py": (*PLANTS, _BENCH),
     "fdi/structure/test_c_export.py": ("truck", "structural"),
     "fdi/structure/test_conditioning.py": ("structural",),

@@ -21,6 +21,8 @@ MOTOR = shipped("models/motor.toml").read_bytes()
 LOADS = """
 import sys
 from pathlib import Path
+from gateway.common.postponed import postpone
+postpone()
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
 monitor, params = monitor_of(load_config(Path(sys.argv[1])).monitor[0])

@@ -9,7 +9,7 @@ from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway_bench.cli.simulate import _open
+from gateway_bench.playing import opened
 from gateway_fdi.jit import COMPILED
 from gateway_plants.structural.study import battery
 
@@ -23,7 +23,7 @@ FAULT = '[[fault]]\nkind = "value"\nname = "{name}"\nfrom_s = 60\nsize = {size}\
 
 def frames(folder, seconds, seed, faults=""):
     config = battery.write_pack(folder, CELLS, keys=KEYS, seconds=seconds, faults=faults)
-    return config, _open(folder / "scenario.toml", seed)[2].frames
+    return config, opened(folder / "scenario.toml", seed)[2].frames
 
 
 def test_64_cells(tmp_path):

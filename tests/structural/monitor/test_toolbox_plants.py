@@ -11,7 +11,7 @@ from gateway.bus.logs import open_writer
 from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
 from gateway.config.load import load_config
-from gateway_bench.cli.simulate import _open
+from gateway_bench.playing import opened
 from gateway_fdi.jit import COMPILED
 
 with warnings.catch_warnings():
@@ -74,7 +74,7 @@ FAULT = '[[fault]]\nkind = "value"\nname = "{name}"\nfrom_s = 40\nsize = 0.15\n'
 def frames(folder, seconds, seed, fault=""):
     path = folder / "scenario.toml"
     path.write_text(SCENARIO.format(seconds=seconds) + (FAULT.format(name=fault) if fault else ""))
-    return _open(path, seed)[2].frames
+    return opened(path, seed)[2].frames
 
 
 def test_three_tanks(tmp_path):
