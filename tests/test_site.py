@@ -29,3 +29,5 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     assert "gateway fleet run" in (tmp_path / "reference/commands.html").read_text()
     fetched = re.findall(r'<(?:script|link|img)[^>]*(?:src|href)="(https?:[^"]*)"', keys)
     assert fetched == []
+    for plant in ("crank", "pedal", "steering", "linear", "truck", "structural"):
+        assert (tmp_path / plant / f"{plant}.html").is_file()

@@ -182,7 +182,7 @@ def evaluate_senders(
     seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
     json: Json = False,
 ) -> None:
-    """Evaluate who is seen on the bus: unknown, doubled, replayed, fuzzed, forged and missing frames."""
+    """Judge what is seen of other senders, by injected frames."""
     from gateway_fleet.study.senders.command import senders as work
 
     raise typer.Exit(work(cars=cars, attacks=attacks, hours=hours, files=tuple(files or ()), seed=seed, json=json))
@@ -192,7 +192,7 @@ def evaluate_road(
     folder: Annotated[Path, typer.Argument(help="Folder of the ROAD dataset, with ambient and attacks in it.")],
     json: Json = False,
 ) -> None:
-    """Evaluate who is seen on the bus, by the attacks of the ROAD dataset."""
+    """Judge what is seen of the ROAD dataset's attacks."""
     from gateway_fleet.study.senders.road import road as work
 
     raise typer.Exit(work(folder, json=json))
