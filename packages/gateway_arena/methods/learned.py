@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,7 +16,7 @@ from gateway_arena.methods.accumulated import Accumulated, settled
 WINDOW, KEPT, SEED = 20, 2, 1
 
 
-class _Learned:
+class _Learned(ABC):
     """Windows of the scaled samples -> a statistic -> its CUSUM."""
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
@@ -34,11 +35,13 @@ class _Learned:
         mean = (sums[WINDOW:] - sums[:-WINDOW]) / WINDOW
         return np.hstack([z, mean, z - padded[: len(z)]])
 
+    @abstractmethod
     def _learn(self, features: Array, faulty: Sequence[Record]) -> None:
-        raise NotImplementedError
+        """Learn from features of healthy records, shape (n, 3 knowns), and from faulty records if it is supervised."""
 
+    @abstractmethod
     def _judged(self, record: Record) -> tuple[Array, Array | None]:
-        raise NotImplementedError
+        """Return a record's statistic, shape (n,), and weights of faults, shape (n, faults), None if it knows none."""
 
     def run(self, record: Record) -> Found:
         """Return the statistic's CUSUM, and faults if it knows some."""
