@@ -61,9 +61,7 @@ def test_no_line_of_the_table_is_stale():
 
 @pytest.mark.long
 @pytest.mark.skipif(any(map(lacking, (*PLANTS, *BELOW))), reason="not the whole checkout")
-@pytest.mark.parametrize(
-    "plants", [PLANTS, *([name] for name in (PLANTS if FULL else drawn(PLANTS)))], ids=" ".join
-)
+@pytest.mark.parametrize("plants", [PLANTS, *([name] for name in (PLANTS if FULL else drawn(PLANTS)))], ids=" ".join)
 def test_without_plants_all_tests_are_collected_and_some_run(plants):
     """In a copy without their folders; a test that takes something of them at its import is an error there."""
     command = [sys.executable, "scripts/without", *plants, "--", "-n", "0", "-k", SOME]
