@@ -66,9 +66,11 @@ LACKING = {
     time: "clock_gettime clock_gettime_ns CLOCK_REALTIME CLOCK_MONOTONIC CLOCK_BOOTTIME CLOCK_MONOTONIC_RAW",
     asyncio: "open_unix_connection start_unix_server",
 }
-#: Number that stands for SIGBREAK, which a console's Ctrl-Break sends.
-BREAK = signal.SIGUSR2.value
-UNIX_SELECT, UNIX_STATVFS = select.select, os.statvfs
+#: Whether it is to be shown here; on Windows, and on macOS, the gateway runs as it is.
+HERE = sys.platform == "linux"
+#: What Ctrl-Break of a console sends to a process.
+BREAK = getattr(signal, "CTRL_BREAK_EVENT", None) or (signal.SIGUSR2 if HERE else signal.SIGTERM)
+UNIX_SELECT, UNIX_STATVFS = select.select, getattr(os, "statvfs", None)
 
 
 def _locking():
@@ -116,6 +118,8 @@ def _no_handlers(*_):
 
 def become_windows(keep=(*KEEP, *KEEP_AT_REST)):
     """Take away what is lacking, for all modules that are loaded from now on."""
+    if not HERE:
+        return
     for name in keep:
         try:
             importlib.import_module(name)
@@ -129,7 +133,7 @@ def become_windows(keep=(*KEEP, *KEEP_AT_REST)):
             vars(module).pop(name, None)
     shutil.disk_usage, shutil._USE_CP_SENDFILE = _disk_usage, False
     os.O_BINARY, os.O_NOINHERIT, socket.socketpair = 0, 0, _pair
-    signal.SIGBREAK = BREAK
+    signal.SIGBREAK = BREAK.value
     selectors.DefaultSelector = selectors.SelectSelector
     selectors.SelectSelector._select = _selecting
     select.select = lambda reads, writes, errors, timeout=None: _selecting(None, reads, writes, errors, timeout)

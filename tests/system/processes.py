@@ -31,6 +31,7 @@ def process(*arguments, cwd, ready, program=GATEWAY):
         stdout=(Path(cwd) / f"{arguments[0]}.out").open("a"),
         stderr=subprocess.PIPE,
         text=True,
+        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
     )
     try:
         line = ""
