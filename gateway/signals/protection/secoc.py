@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from gateway.host.process import open_to_others
 from gateway.signals.bits import Field as Place
 from gateway.signals.bits import place
 from gateway.signals.protection.checksum import Checksum
@@ -158,10 +159,10 @@ def read_key(file: Path) -> bytes:
         InputError: it cannot be read, others can read it, or it is none.
     """
     try:
-        mode, text = file.stat().st_mode, file.read_text(encoding="ascii").strip()
+        shared, text = open_to_others(file), file.read_text(encoding="ascii").strip()
     except (OSError, ValueError) as error:
         raise InputError(f"no key can be read here: {error}", key="key", value=str(file)) from error
-    if mode & 0o077:
+    if shared:
         raise InputError("others can read this key: chmod 600", key="key", value=str(file))
     try:
         key = bytes.fromhex(text)
