@@ -20,6 +20,8 @@ DOCS = Path(__file__).parents[2] / "docs"
 MODULES = ("gateway.api", "gateway_fdi", *(f"gateway_plants.{plant}.arrays" for plant in ("crank", "pedal", "linear")))
 #: The unit in a key's description, and a docstring's name of what it refers to.
 UNIT, ROLE = re.compile(r" ?\[([^][]+)\](?=$|[;,])"), re.compile(r":(?:class|func|meth|mod):<code>~?(.*?)</code>")
+#: A case of the conformance suite: whether it intervenes, its name, its docstring.
+CASE = re.compile(r'^(@pytest.mark.intervene\n)?def test_(\w+)\(.*?"""(.*?)"""', re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -89,6 +91,20 @@ def monitors() -> str:
     return "\n".join(lines)
 
 
+def cases() -> str:
+    """Return the page of the cases of the conformance suite, by their docstrings: clause, then what is expected."""
+    lines = [
+        "# Cases of the conformance suite\n",
+        "Those with a star need `--intervene` ([Test a server](../conformance.md)).",
+    ]
+    for file in sorted((DOCS.parent / "packages/gateway_conformance").glob("test_*.py")):
+        lines.append(f"\n## `{file.name}`\n\n| case | clause | what is expected |\n|---|---|---|")
+        for mark, name, told in CASE.findall(file.read_text()):
+            clause, _, expected = " ".join(told.split()).partition(": ")
+            lines.append(f"| `{name}`{' *' if mark else ''} | {cell(clause)} | {cell(expected)} |")
+    return "\n".join(lines)
+
+
 def python() -> str:
     """Return the page of the public names, which mkdocstrings fills from their docstrings."""
     lines = ["# Public names of Python\n", "[From Python](../api.md) shows ten uses of them."]
@@ -114,7 +130,13 @@ def commands(command: Any, name: str, above: typer.Context | None = None) -> Ite
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages to those of docs."""
     told = "# All commands\n" + "\n".join(commands(typer.main.get_command(app), "gateway"))
-    made = {"configuration": configuration(), "monitors": monitors(), "commands": told, "python": python()}
+    made = {
+        "configuration": configuration(),
+        "monitors": monitors(),
+        "commands": told,
+        "python": python(),
+        "cases": cases(),
+    }
     for path, content in made.items():
         files.append(File.generated(config, f"reference/{path}.md", content=content))
     return files
