@@ -25,6 +25,8 @@ BLOCK = re.compile(r"^ *```([\w-]*)[^\n]*\n(.*?)^ *```", re.MULTILINE | re.DOTAL
 ENDS = {"&&", "||", "|", "&", ";", ">", "<", "2>&1"}
 #: Of the packages that are told to be added: ecu-gateway[extra].
 EXTRAS = re.compile(r"ecu-gateway\[([\w,]+)\]")
+#: A command within a sentence; NAME stands for any.
+SPAN = re.compile(r"`gateway ((?!evaluate NAME)[a-z][^`]*)`")
 #: Of typer, which brings its own copy of click.
 UsageError = typer.BadParameter.__bases__[0]
 #: Programs and tests of the checkout, as text names them.
@@ -61,13 +63,19 @@ def commands(page, language, text):
             call = []
 
 
+def command_of(words):
+    """Return the command that words name, the words behind it, and the context above it."""
+    command, words, context = typer.main.get_command(app), list(words), None
+    while hasattr(command, "resolve_command") and words and not words[0].startswith("-"):
+        context = typer.Context(command, parent=context, info_name=command.name)
+        _, command, words = command.resolve_command(context, words)
+    return command, words, context
+
+
 def refusal(words):
     """Return what a command says against its arguments; files need not be there."""
-    command, words, context = typer.main.get_command(app), list(words), None
     try:
-        while hasattr(command, "resolve_command") and words and not words[0].startswith("-"):
-            context = typer.Context(command, parent=context, info_name=command.name)
-            _, command, words = command.resolve_command(context, words)
+        command, words, context = command_of(words)
         command.make_context(command.name, words, parent=context)
     except typer.Exit:  # --help, --version
         return ""
@@ -89,6 +97,17 @@ def test_commands_are_taken():
     assert seen > 130
     assert refusal(["replay", "a.log", "--colour"])
     assert refusal(["faults", "lists"])
+
+
+def test_commands_within_sentences_are_there():
+    seen = 0
+    for page in PAGES:
+        for span in SPAN.findall(BLOCK.sub("", page.read_text(encoding="utf-8"))):
+            command, words, _ = command_of(span.split())
+            known = {"--help", *(name for each in command.params for name in (*each.opts, *each.secondary_opts))}
+            assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known, f"{page.name}: {span}"
+            seen += 1
+    assert seen > 200
 
 
 def test_extras_and_files_are_there():
