@@ -21,6 +21,7 @@ def schema() -> dict[str, Any]:
         document["$defs"] |= {f"{name}.{part}": found for part, found in params.get("$defs", {}).items()}
         kinds.append(
             {
+                "description": params.get("description", ""),
                 "properties": {"type": {"const": name}, **params.get("properties", {})},
                 "required": ["type", *params.get("required", [])],
             }

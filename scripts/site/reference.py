@@ -1,10 +1,11 @@
-"""The pages of the site that are made of the code: all keys of a configuration, all commands; a hook of mkdocs."""
+"""The pages of the site that are made of the code: keys, parameters of monitors, commands, Python; a hook of mkdocs."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,12 @@ from gateway.cli import app
 from gateway.config.schema import schema
 
 DOCS = Path(__file__).parents[2] / "docs"
+#: The modules whose names are public (docs/api.md).
+MODULES = ("gateway.api", "gateway_fdi", *(f"gateway_plants.{plant}.arrays" for plant in ("crank", "pedal", "linear")))
+#: The unit in a key's description, and a docstring's name of what it refers to.
+UNIT, ROLE = re.compile(r" ?\[([^][]+)\](?=$|[;,])"), re.compile(r":(?:class|func|meth|mod):<code>~?(.*?)</code>")
+#: A case of the conformance suite: whether it intervenes, its name, its docstring.
+CASE = re.compile(r'^(@pytest.mark.intervene\n)?def test_(\w+)\(.*?"""(.*?)"""', re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -44,32 +51,69 @@ def kind(field: dict[str, Any]) -> str:
     return "table" if "$ref" in field else field.get("type", "any").replace("object", "table")
 
 
-def table(name: str, found: dict[str, Any], all_: dict[str, Any], above: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yield the lines of a table and of those within it."""
+def table(name: str, found: dict[str, Any], all_: dict[str, Any], told: dict[str, str]) -> Iterator[str]:
+    """Yield the lines of a table and of those within it; ``told`` has the places of those that are there already."""
     keys, needed = found.get("properties", {}), found.get("required", ())
     if name:
         yield f"\n## `{name}`\n\n{cell(found.get('description', ''))}\n"
-    yield "| key | type | default | meaning |\n|---|---|---|---|"
+    yield "| key | type | unit | default | meaning |\n|---|---|---|---|---|"
+    below = {}
     for key, field in keys.items():
-        value = field.get("default")
+        value, told_of = field.get("default"), field.get("description", "")
         bare = value is None or value == [] or isinstance(value, dict)  # a table's keys have defaults of their own
         default = "needed" if key in needed else "" if bare else f"`{json.dumps(value)}`"
-        yield f"| `{key}` | {cell(kind(field))} | {default} | {cell(field.get('description', ''))} |"
-    for key, field in keys.items():
+        unit = UNIT.search(told_of)
+        meaning = [UNIT.sub("", told_of, count=1)]
         for part in dict.fromkeys(parts(field)):
-            if part not in above and part != "MonitorConfig":
-                yield from table(f"{name}.{key}".lstrip("."), all_[part], all_, (*above, part))
+            if part != "MonitorConfig":
+                same = f"{name}.{key}".lstrip(".")
+                below.update({} if part in told else {same: part})
+                meaning += [f"keys: `{told.setdefault(part, same)}`"]
+        cells = (kind(field), unit[1] if unit else "", default, "; ".join(filter(None, meaning)))
+        yield f"| `{key}` | {' | '.join(map(cell, cells))} |"
+    for inner, part in below.items():
+        yield from table(inner, all_[part], all_, told)
 
 
 def configuration() -> str:
-    """Return the page of all keys."""
+    """Return the page of all keys but those of monitors."""
     document = schema()
-    all_ = document["$defs"]
-    lines = ["# All keys of a configuration\n", *table("", document, all_), "\n# Monitors"]
+    return "\n".join(["# All keys of a configuration\n", *table("", document, document["$defs"], {})])
+
+
+def monitors() -> str:
+    """Return the page of the parameters of all monitors."""
+    all_ = schema()["$defs"]
+    lines = ["# Parameters of monitors\n", "The keys of `[[monitor]]` beside `name` and `type`, type by type.\n"]
     for one in all_["MonitorConfig"]["anyOf"]:
-        if name := one["properties"]["type"].get("const"):
-            rest = {key: field for key, field in one["properties"].items() if key != "type"}
-            lines += table(f'monitor, type = "{name}"', {**one, "properties": rest, "description": ""}, all_)
+        if name := one["properties"].pop("type").get("const"):
+            lines += table(name, one, all_, {})
+    return "\n".join(lines)
+
+
+def cases() -> str:
+    """Return the page of the cases of the conformance suite, by their docstrings: clause, then what is expected."""
+    lines = [
+        "# Cases of the conformance suite\n",
+        "Those with a star need `--intervene` ([Test a server](../conformance.md)).",
+    ]
+    for file in sorted((DOCS.parent / "packages/gateway_conformance").glob("test_*.py")):
+        lines.append(f"\n## `{file.name}`\n\n| case | clause | what is expected |\n|---|---|---|")
+        for mark, name, told in CASE.findall(file.read_text()):
+            clause, _, expected = " ".join(told.split()).partition(": ")
+            lines.append(f"| `{name}`{' *' if mark else ''} | {cell(clause)} | {cell(expected)} |")
+    return "\n".join(lines)
+
+
+def python() -> str:
+    """Return the page of the public names, which mkdocstrings fills from their docstrings."""
+    lines = ["# Public names of Python\n", "[From Python](../api.md) shows ten uses of them."]
+    for module in MODULES:
+        lines.append(f"\n## `{module}`\n")
+        for name in import_module(module).__all__:
+            lines.append(f"::: {module}.{name}")
+            if name == "Config":  # its keys have a page of their own
+                lines.append("    options: {members: false}")
     return "\n".join(lines)
 
 
@@ -86,7 +130,14 @@ def commands(command: Any, name: str, above: typer.Context | None = None) -> Ite
 def on_files(files: Files, config: Any) -> Files:
     """Add the pages to those of docs."""
     told = "# All commands\n" + "\n".join(commands(typer.main.get_command(app), "gateway"))
-    for path, content in (("configuration", configuration()), ("commands", told)):
+    made = {
+        "configuration": configuration(),
+        "monitors": monitors(),
+        "commands": told,
+        "python": python(),
+        "cases": cases(),
+    }
+    for path, content in made.items():
         files.append(File.generated(config, f"reference/{path}.md", content=content))
     return files
 
@@ -102,3 +153,8 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         return link[0] if (folder / path).resolve().is_relative_to(DOCS.resolve()) else link[1]
 
     return LINK.sub(inside, markdown)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Have roles of docstrings be the names that they refer to."""
+    return ROLE.sub(r"<code>\1</code>", html)

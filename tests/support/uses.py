@@ -30,6 +30,7 @@ PACKAGES = (*BELOW, "gateway_pytest")
 #: name only. What a file imports, itself or by its helpers, has no line here (tests/test_uses.py holds the lines).
 USES = {
     "fleet": ("gateway_fleet",),
+    "test_doc_blocks.py": (*PLANTS, "gateway_fleet", "gateway_arena"),
     "test_site.py": (*PLANTS, "gateway_fleet"),
     "test_tutorials.py": ("structural", _BENCH, "gateway_fleet"),
     "test_windows.py": (_BENCH,),

@@ -224,7 +224,7 @@ def _by_name(value: Any) -> Any:
 
 
 #: A rule by its name, or a table.
-ChecksumText = Annotated[SumCheck, BeforeValidator(_by_name)]
+ChecksumText = Annotated[SumCheck, BeforeValidator(_by_name, json_schema_input_type=str | SumCheck)]
 
 
 class ProtectionParams(StrictModel):

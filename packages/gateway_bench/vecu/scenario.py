@@ -90,7 +90,8 @@ def _fault(entry: Any, ecus: Sequence[EcuParams], key: str) -> EcuFault:
         text = f"there are {', '.join(known)}{nearest(str(kind), known)}"
         text += f"; ECU {ecu.name!r} is of type {ecu.type}: it has no {kind}"
         raise InputError(text, key=f"{key}.kind", value=kind)
-    found: EcuFault = validate(entry, model, None, key)
+    only = {"ecu": ecu.name} if len(ecus) == 1 else {}
+    found: EcuFault = validate({**only, **entry}, model, None, key)
     return found
 
 

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 
 from gateway_fdi.diagnosis.system import System
 
-NOT_TESTED, PASSED, FAILED = 0, 1, 2
+NOT_TESTED = 0
+PASSED = 1
+"""The verdict of a test that passed."""
+FAILED = 2
+"""The verdict of a test that failed."""
 #: A time that never came.
 NEVER = np.iinfo(np.int64).max
 
