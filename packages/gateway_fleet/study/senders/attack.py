@@ -37,7 +37,7 @@ class Found:
         tried: attacks.
         found: of these, those that a fault of the message, or a security event, told.
         soon: of these, within a second.
-        unwatched: values of which ``gateway learn`` tells that no offset is seen; not among ``tried``.
+        unwatched: values of which ``gateway learn`` tells that no offset that way is always seen; not among ``tried``.
         after_s: time until it was told [s], of each.
         by: first to tell -> how often.
         accused: faults that do not name another sender -> how often they were set while one was there.
@@ -87,7 +87,7 @@ class Bench:
         seed: of the attacks.
 
     Attributes:
-        values: message, signal, and the smallest offset of it that learning saw; None: it saw none.
+        values: message, signal, and its smallest offsets up and down that learning saw at each moment; None: none.
     """
 
     def __init__(self, out: Path, drives: Sequence[Frames], seeing: Sequence[Seeing], seed: int) -> None:
@@ -107,8 +107,11 @@ class Bench:
                 engine.process(piece, lambda _: None)
         self.limited = [c.params.message for c in self.parts.checks if c.params.most is not None]
         self.timed = [c.params.message for c in self.parts.checks if c.params.timeout_ms is not None]
-        parted = [(each.name.split("."), each.offset) for each in seeing]
-        self.values = [(parts[1], parts[2], offset) for parts, offset in parted]
+        self.values: list[tuple[str, str, tuple[float | None, ...]]] = []
+        for each in seeing:
+            _, message, signal = each.name.split(".")
+            sizes = tuple(size.size if size and size.always else None for size in (each.up, each.down))
+            self.values.append((message, signal, sizes))
 
     def one(self, kind: str, found: Found) -> None:
         """Do one attack at a random time on a random message, and add its outcome."""
@@ -120,8 +123,10 @@ class Bench:
             known = {message.frame_id for message in self.parts.databases[0]} | set(self.config.bus[0].health.known)
             name = hex(next(k for k in rng.integers(1, 0x700, 100).tolist() if k not in known))
         elif kind in ("forge", FORGED):
-            name, signal, least = self.values[int(rng.integers(len(self.values)))]
-            value = float((least or 1.0) * rng.uniform(1.0, 2.0) * rng.choice((-1.0, 1.0)))
+            name, signal, sizes = self.values[int(rng.integers(len(self.values)))]
+            down = int(rng.integers(2))
+            least = sizes[down]
+            value = float((least or 1.0) * rng.uniform(1.0, 2.0) * (-1.0 if down else 1.0))
             if kind == FORGED and least is None:
                 found.unwatched += 1
                 return

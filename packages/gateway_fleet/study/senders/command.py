@@ -6,6 +6,7 @@ import json as json_text
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from gateway_fleet.learn.learn import Asked, learn, write
 from gateway_fleet.learn.trial import Seeing
 from gateway_fleet.study.learn.drive import Way, frames_of, late_host
 from gateway_fleet.study.learn.judge import codes_of, learned
-from gateway_fleet.study.learn.network import network
+from gateway_fleet.study.learn.network import Network, network
 from gateway_fleet.study.senders.attack import FORGED, KINDS, Bench, Found
 
 #: How frames reach the log that is learned of, the drive that is attacked, and other healthy drives: as the bus has
@@ -36,19 +37,19 @@ def senders(*, cars: int, attacks: int, hours: float, files: tuple[Path, ...], s
     each = -(-attacks // (cars + bool(logs)))
     codes: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as work:
-        judged: list[tuple[Path, Callable[[int, Way], Iterable[Frames]]]] = []
+        judged: list[tuple[Path, Callable[[int, Way], Iterable[Frames]]]] = []  # a car: an hour of a seed
         for car in range(cars):
             folder = Path(work) / str(car)
             folder.mkdir()
             net = network(seed + car)
             out, result = learned(folder, net, frames_of(net, seed + car, 300.0, LEARNED))
-            judged.append((out, lambda of, way, net=net: [frames_of(net, of, 3600.0, way)]))
+            judged.append((out, partial(_made, net)))
             other = frames_of(net, seed + 100 + car, 300.0, OTHER)
             _attack(Bench(out, [other], result.trials.seeing, seed + car), found, each)
         if logs:
             out = Path(work) / "log.toml"
             drives, seeing = _of_logs(out, logs, databases)
-            judged.append((out, lambda of, way: _replays(drives, of, way)))
+            judged.append((out, partial(_replays, drives)))
             _attack(Bench(out, drives, seeing, seed), found, each)
         rows = _rows(found)
         if not json:
@@ -84,6 +85,10 @@ def _frames(log: Path) -> Frames:
     """Return the frames of a log in order."""
     frames = np.concatenate(list(read_recording(log)))
     return frames[np.argsort(frames["t_ns"], kind="stable")]
+
+
+def _made(net: Network, seed: int, way: Way) -> Iterator[Frames]:
+    yield frames_of(net, seed, 3600.0, way)
 
 
 def _replays(drives: Sequence[Frames], seed: int, way: Way) -> Iterator[Frames]:
