@@ -64,8 +64,8 @@ def keep_stamp(T: Any, t_ns: int, c: Any) -> None:
     """Keep a stamp, and judge the window that ends with it.
 
     The oldest stamp is that of the frame ``stride * slots`` before this one. If both lie in one window, it has one
-    frame more than the limit. A pass is reported once a turn of the stamps. Where passes change nothing any more each eighth
-    turn is enough: a healthy message must cost little.
+    frame more than the limit. A pass is reported once a turn of the stamps. Where passes change nothing any more each
+    eighth turn is enough: a healthy message must cost little.
     """
     at = c.at
     span_ns = t_ns - c.stamps[at]
