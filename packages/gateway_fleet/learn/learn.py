@@ -266,7 +266,7 @@ def _widen(asked: Asked, result: Result, proof: Replayed, before: Counter[tuple[
         said = f"{asked.buses[bus].name}: 0x{can_id & ID_MASK:X} came, "
         if line is not None:
             known = sorted({*line.keys["known"], can_id & ID_MASK})
-            result.learned.lines[line.place] = replace(line, keys=line.keys | {"known": known})
+            result.learned.lines[line.place] = replace(line, keys={**line.keys, "known": known})
             changed = True
         said += "in what was held out: known" if line is not None else "and `health`, a person's, does not know it"
         result.changes += [said] if said not in result.changes else []
