@@ -1,11 +1,12 @@
-"""The arena's command, whose work is imported only when it is called."""
+"""The arena's commands, whose work is imported only when it is called."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gateway.cli.options import Json
+from gateway.cli.commands import does
+from gateway.cli.options import LOG_HELP, Json
 
 
 def evaluate_arena(
@@ -51,3 +52,20 @@ def evaluate_arena(
         seed=seed, plot=plot, json=json,
     )  # fmt: skip
     raise typer.Exit(code)
+
+
+@does("gateway_arena.monitor.fit:fit", fault="faults")
+def fit(
+    config: Annotated[Path, typer.Argument(help="Configuration file.")],
+    logs: Annotated[list[Path], typer.Argument(help=f"Logs of healthy drives. {LOG_HELP}")],
+    monitor: Annotated[str | None, typer.Option(help='Monitor of type "method", if there are several.')] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LOG@SECONDS", help="A log with a fault, and when it begins; may be repeated."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Have a method of the arena learn from healthy logs.
+
+    The file that it writes is what the monitor runs with.
+    """
