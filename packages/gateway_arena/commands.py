@@ -13,7 +13,8 @@ def evaluate_arena(
     plant: Annotated[
         list[str] | None,
         typer.Option(
-            help="Plants: spring, buck, stiff_motor, quad, wind, motor, tanks, cooling, battery, brake. Default: all."
+            help="Plants: spring, buck, stiff_motor, quad, wind, motor, tanks, cooling, battery, brake, tennessee."
+            " Default: all."
         ),
     ] = None,
     method: Annotated[
@@ -37,10 +38,14 @@ def evaluate_arena(
     seed: Annotated[
         int, typer.Option(min=0, help="First seed; nothing was chosen with seeds from 100000 up.")
     ] = 100_000,
+    data: Annotated[
+        Path | None,
+        typer.Option(exists=True, file_okay=False, help="Folder with the files of LiU-ICE, as a plant."),
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw ROC curves into this file (.svg, .png, .pdf).")] = None,
     json: Json = False,
 ) -> None:
-    """Compare methods of fault diagnosis, on ten plants.
+    """Compare methods of fault diagnosis, on eleven plants.
 
     Each method learns from the same records, and its threshold is set by
     the same healthy ones; a method of your own is one file.
@@ -49,7 +54,7 @@ def evaluate_arena(
 
     code = work(
         plants=plant, methods=method, runs=runs, healthy=healthy, train=train, off=off, false_alarm=false_alarm,
-        seed=seed, plot=plot, json=json,
+        seed=seed, data=data, plot=plot, json=json,
     )  # fmt: skip
     raise typer.Exit(code)
 
