@@ -51,7 +51,7 @@ class Bus:
         self.sizes: Mapping[str, str] = dict.fromkeys(p.faults, "of a log")
         self.touches: Mapping[str, str] = {}
 
-    def record(self, seed: int, fault: str = "", off: float = 0.0) -> Record:
+    def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Refuse: there is a log only.
 
         Raises:
