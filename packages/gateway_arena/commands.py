@@ -54,8 +54,8 @@ def evaluate_arena(
     from gateway_arena.study import arena as work
 
     code = work(
-        plants=plant, methods=method, runs=runs, healthy=healthy, train=train, off=off, size=size, false_alarm=false_alarm,
-        seed=seed, data=data, plot=plot, json=json,
+        plants=plant, methods=method, runs=runs, healthy=healthy, train=train, off=off, size=size,
+        false_alarm=false_alarm, seed=seed, data=data, plot=plot, json=json,
     )  # fmt: skip
     raise typer.Exit(code)
 
