@@ -30,6 +30,7 @@ KEEP = [
     "tempfile",
     "selectors",
     "llvmlite.binding",
+    "numpy",
     "can",
     "can.interfaces.virtual",
     "cantools",
