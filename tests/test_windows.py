@@ -121,7 +121,7 @@ def test_a_gateway_without_linux(tmp_path):
     assert python(tmp_path, WINDOWS, "faults", "verify").startswith("whole: ")
 
 
-@pytest.mark.system
+@pytest.mark.long
 def test_a_live_gateway_without_linux(tmp_path):
     """Faults, requests and the page of a running gateway; a console's Ctrl-Break ends each process in good order."""
     (tmp_path / "drained.toml").write_text(SCENARIO.replace("duration_s = 3.0", "duration_s = 1.5"))

@@ -14,11 +14,13 @@ from gateway.config.model import Config
 from gateway.engine.buckets import nearness
 from gateway.host.sockets import CAN
 from gateway.live.pump import Pump
+from gateway.live.pumping import patience_ms
 from gateway.monitors.contract import Family
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
+from gateway_fdi.jit import bound
 from gateway_fdi.jit.cache import folder
 
 
@@ -38,7 +40,8 @@ def warmup(*, json: bool) -> int:
     gateway = Gateway(Config.model_validate({"bus": [bus]}))  # a configuration that needs no plant, and no file
     gateway.start(0)
     gateway.engine.fault_detection_counters()  # signals that watchers look at
-    Pump(gateway.engine, 1)
+    pump = Pump(gateway.engine, 1)
+    bound(patience_ms, pump.memory, rest=(0,))  # for systems on which Python waits
     gateway.close()
     Traffic(1).write(empty(1))
     nearness(True, 1.0, 1.0)

@@ -36,7 +36,7 @@ USES = {
     "test_windows.py": (_BENCH,),
     "pytest_plugin": (_BENCH,),
     "api/test_arrays.py": ("structural",),
-    "arena/test_arena.py": ("linear", "structural"),
+    "arena": ("linear", "structural"),
     "api/test_docs.py": ("crank", "pedal", "linear", "structural", _BENCH, "gateway_fleet"),
     "api/test_notebooks.py": ("crank", "pedal", "linear", "structural", "gateway_fleet"),
     "api/test_sessions.py": ("crank", "structural", _BENCH, "gateway_fleet"),

@@ -30,6 +30,7 @@ KEEP = [
     "tempfile",
     "selectors",
     "llvmlite.binding",
+    "numpy",
     "can",
     "can.interfaces.virtual",
     "cantools",
@@ -149,7 +150,11 @@ def become_windows(keep=(*KEEP, *KEEP_AT_REST)):
 
 if __name__ == "__main__":
     sys.path[0] = str(Path(__file__).parents[2])
-    become_windows(KEEP if sys.argv[1] in AT_A_BUS else (*KEEP, *KEEP_AT_REST))
+    if sys.argv[1] in AT_A_BUS:
+        sys.modules["asammdf"] = None  # python-can loads it for MF4 logs, in seconds
+        become_windows(KEEP)
+    else:
+        become_windows()
     from gateway.cli import main
 
     sys.argv[0] = "gateway"
