@@ -11,9 +11,14 @@ COPY scenarios ./scenarios
 COPY examples ./examples
 # docker build --build-arg COMMIT=$(git rev-parse --short=12 HEAD) . has gateway --version say it.
 ARG COMMIT=
+# --build-arg EXTRAS=serve brings the page.
+ARG EXTRAS=
+# It is this folder that is installed. Tests of other packages are left out.
+# hadolint ignore=DL3013
 RUN if [ -n "$COMMIT" ]; then echo "$COMMIT" > COMMIT; fi \
-    && python -m venv /opt/gateway/venv \
-    && /opt/gateway/venv/bin/pip install --no-cache-dir .
+    && python -m venv --without-pip /opt/gateway/venv \
+    && pip --python /opt/gateway/venv/bin/python install --no-cache-dir ".[$EXTRAS]" \
+    && find /opt/gateway/venv -type d -name tests -prune -exec rm -r {} +
 
 # Run: no compiler, no source, not root.
 FROM python:3.13-slim

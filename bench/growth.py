@@ -166,7 +166,8 @@ def point(axis, size, frames, rounds):
             gateway = Gateway(config)
             gateway.start(0)
             fed, seconds, answers, at_first = 0, 0.0, 0, 0.0
-            for chunk in chain(*(chunks_of(shape, *part, empty, EXTENDED) for part in ((0, first), (first, frames)))):
+            parts = (0, first), (first, frames)
+            for chunk in chain(*(chunks_of(shape, *part, empty=empty, extended=EXTENDED) for part in parts)):
                 begun = time.thread_time()
                 answers += len(gateway.feed(chunk))
                 seconds += time.thread_time() - begun

@@ -28,6 +28,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import can
 import cantools
@@ -182,19 +183,19 @@ def sync_times(folder: Path) -> list[float]:
     return times
 
 
-def compute(end: object) -> None:
+def compute(end):
     """Compute in Python until the end."""
     while not end.is_set():
         sum(range(10_000))
 
 
 def our_side(
-    opener: object,
+    opener: Any,
     config: Path,
     memory: Path | None,
-    ready: object,
-    end: object,
-    out: object,
+    ready: Any,
+    end: Any,
+    out: Any,
     *,
     parts: bool = False,
     beside: bool = False,
@@ -252,7 +253,7 @@ class StructCan(can.BusABC):
         self.socket.send(build_can_frame(msg))
 
 
-def their_side(opener: object, config: Path, memory: object, ready: object, end: object, out: object) -> None:
+def their_side(opener: Any, config: Path, memory: Any, ready: Any, end: Any, out: Any) -> None:
     """What one writes with the libraries: a Notifier, a listener that checks, decodes and sends."""
     database = cantools.database.load_file(config.with_suffix(".dbc"))
     by_id = {message.frame_id: message for message in database.messages}
@@ -386,7 +387,7 @@ def pairs(count: int) -> tuple[list[socket.socket], list[socket.socket]]:
 
 
 def measure(
-    side: object, interface: str | None, memory: bool, rate: float, seconds: float, buses: int = 0, rest_s: float = 0
+    side: Any, interface: str | None, memory: bool, rate: float, seconds: float, buses: int = 0, rest_s: float = 0
 ) -> dict:
     """Run one receiver at one rate; with a number of buses, frames without faults on so many of them."""
     context = multiprocessing.get_context("fork")
@@ -422,7 +423,7 @@ def measure(
     return found
 
 
-def sustained(side: object, interface: str | None, memory: bool, seconds: float) -> float:
+def sustained(side: Any, interface: str | None, memory: bool, seconds: float) -> float:
     """Return a rate at which no frame is lost, an eighth at most below one at which some are [frames/s]."""
 
     def reached(rate: float) -> float:

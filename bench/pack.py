@@ -20,7 +20,7 @@ os.environ["GATEWAY_CACHE_DIR"] = _CACHE
 
 from gateway.config.load import load_config  # noqa: E402
 from gateway.runtime.app import Gateway  # noqa: E402
-from gateway_bench.cli.simulate import _open  # noqa: E402
+from gateway_bench.playing import opened  # noqa: E402
 from gateway_fdi.structure.file import load_own_model  # noqa: E402
 from gateway_plants.structural.monitor import monitor as structural  # noqa: E402
 from gateway_plants.structural.monitor.choice import choose  # noqa: E402
@@ -43,7 +43,7 @@ def main() -> None:
         begun = clock()
         plan = choose(model, Params(model=folder / "pack.toml", period_ms=100.0, sizes=False, tests=tests))
         chosen = clock() - begun
-        frames = _open(folder / "scenario.toml", 1)[2].frames
+        frames = opened(folder / "scenario.toml", 1)[2].frames
         begun = clock()
         gateway = Gateway(load_config(path), None, file=path)
         gateway.start(int(frames[0]["t_ns"]))

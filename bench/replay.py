@@ -69,6 +69,10 @@ def plain_steps(folder, count):
     return steps, whole
 
 
+def ignored(events):
+    """Take the events of a loop alone."""
+
+
 def loop_ns(config, frames, *, whole):
     """Return what the loop, or the whole of ``feed`` around it, takes of a frame [ns]."""
     gateway = Gateway(load_config(config), lasting=True)
@@ -78,7 +82,7 @@ def loop_ns(config, frames, *, whole):
     begun = time.thread_time_ns()
     for k in range(settling, len(frames), CHUNK):
         part = frames[k : k + CHUNK]
-        _ = gateway.feed(gateway.without_own(part)) if whole else gateway.engine.process(part, gateway._on_events)
+        _ = gateway.feed(gateway.without_own(part)) if whole else gateway.engine.process(part, ignored)
     took = time.thread_time_ns() - begun
     gateway.close()
     return took / (len(frames) - settling)
@@ -156,9 +160,9 @@ def main():
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         found = {
-            "gateway.toml": measure(folder / "crank", make_log(options.frames), *crank_steps(), options),
+            "gateway.toml": measure(folder / "crank", make_log(options.frames), *crank_steps(), options=options),
             f"{options.messages} messages": measure(
-                folder / "plain", plain, *plain_steps(folder, options.messages), options
+                folder / "plain", plain, *plain_steps(folder, options.messages), options=options
             ),
         }
     if options.json:

@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -50,7 +51,7 @@ def add_reporters(config: Path, place: Path) -> None:
     config.write_text(config.read_text() + text)
 
 
-def daemon_side(sock: socket.socket, config: Path, memory: Path, ready: object, end: object, out: object) -> None:
+def daemon_side(sock: socket.socket, config: Path, memory: Path, ready: Any, end: Any, out: Any) -> None:
     """Run the gateway's live loop in this process."""
     gateway = Gateway(load_config(config), memory)
     gateway.write_beside()
@@ -72,7 +73,7 @@ def daemon_side(sock: socket.socket, config: Path, memory: Path, ready: object, 
     gateway.close()
 
 
-def reporter_side(name: str, place: Path, count: int, seconds: float, changes: float, seen: object) -> None:
+def reporter_side(name: str, place: Path, count: int, seconds: float, changes: float, seen: Any) -> None:
     """Report at a rate; ``seen``: shared, how many were begun, accepted, refused."""
     draw = random.Random(name)
     reporter = Reporter(place, patience_s=30.0)

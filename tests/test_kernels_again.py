@@ -1,4 +1,7 @@
-"""Kernels as plain Python, and compiled with every index checked: the smallest cases of the same tests once more."""
+"""Kernels as plain Python, and compiled with every index checked: the smallest cases of the same tests once more.
+
+Of each way a commit draws one part (GATEWAY_TESTS=full: all): all of it is a fifth of the whole time.
+"""
 
 import os
 import subprocess
@@ -6,6 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from amount import FULL
+from drawn import drawn
 
 TESTS = Path(__file__).parent
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
@@ -26,6 +31,8 @@ FDI = (
     "pedal/test_tracking_voter.py", "crank/test_wheel_seen.py",
 )  # fmt: skip
 
+PARTS = {"engine": ENGINE, "crank": ("crank/monitor",), "monitors": MONITORS, "mathematics": FDI}
+
 #: Of these folders: of no kernel, so that one run is enough.
 WITHOUT_KERNELS = ("engine/test_depends.py",)
 
@@ -33,20 +40,22 @@ WITHOUT_KERNELS = ("engine/test_depends.py",)
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
 
 
-@pytest.mark.parametrize(
-    ("setting", "parts"),
-    [
-        pytest.param(PLAIN, ENGINE, id="plain-engine"),
-        pytest.param(PLAIN, ("crank/monitor",), id="plain-crank_sync"),
-        pytest.param(PLAIN, MONITORS, id="plain-monitors"),
-        pytest.param(PLAIN, FDI, id="plain-fdi"),
-        pytest.param(CHECKED, (*ENGINE, *MONITORS, "crank/monitor", *FDI), id="checked"),
-    ],
-)
-def test_the_smallest_cases_pass(setting, parts):
+@pytest.mark.parametrize("part", PARTS if FULL else drawn(PARTS, 2)[:1])
+def test_as_plain_python(part):
+    run(part, PLAIN)
+
+
+@pytest.mark.parametrize("part", PARTS if FULL else drawn(PARTS, 2)[1:])
+def test_with_every_index_checked(part):
+    run(part, CHECKED)
+
+
+def run(part, setting):
+    """Run the smallest cases of a part."""
+    rest = [*(f"--ignore={path}" for path in WITHOUT_KERNELS), *PARTS[part]]
     ended = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist",
-         "-W", "error::RuntimeWarning", "--durations=15", *(f"--ignore={path}" for path in WITHOUT_KERNELS), *parts],
+         "-W", "error::RuntimeWarning", "--durations=15", *rest],
         cwd=TESTS,
         env={**os.environ, "GATEWAY_TESTS": "small", **setting},
         capture_output=True,

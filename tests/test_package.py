@@ -10,8 +10,11 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+import typer
+import yaml
 
 from gateway import __version__
+from gateway.cli import app
 from gateway.cli.version import version
 
 ROOT = Path(__file__).parent.parent
@@ -155,3 +158,35 @@ def test_a_checkout_says_its_commit():
 )
 def test_what_work_leaves_behind_is_not_in_the_image(path):
     assert ignored(path)
+
+
+def test_what_compose_starts_is_there():
+    """Each command is one that the gateway has; files, folders and ports of the parts fit each other and the image."""
+    folder = ROOT / "deploy"
+    compose = yaml.safe_load((folder / "compose.yml").read_text())
+    services, image = compose["services"], (ROOT / "Dockerfile").read_text()
+    assert (folder / services["gateway"]["build"]["context"] / "Dockerfile").samefile(ROOT / "Dockerfile")
+    for name in services["gateway"]["build"]["args"]:
+        assert f"\nARG {name}=" in image
+    (state,) = re.findall(r"^VOLUME (.*)$", image, re.M)
+    assert 'ENTRYPOINT ["gateway"]' in image
+    used = set()
+    for name in ("gateway", "page"):
+        command, *words = services[name]["command"]
+        asked = typer.main.get_command(app).commands[command].make_context(command, list(words)).params
+        assert Path(asked["status"]).parent == Path(state)
+        assert services[name]["volumes"] == [f"state:{state}"]
+        used |= {asked["status"]}
+        if name == "page":
+            assert f":{asked['port']}/metrics'" in services[name]["healthcheck"]["test"][-1]
+            targets = yaml.safe_load((folder / "prometheus/prometheus.yml").read_text())["scrape_configs"]
+            assert targets[0]["static_configs"][0]["targets"] == [f"{asked['host']}:{asked['port']}"]
+    assert len(used) == 1, "the page looks where the gateway is"
+    mounts = dict(each.split(":")[1::-1] for each in services["prometheus"]["volumes"])
+    flags = dict(word.split("=") for word in services["prometheus"]["command"])
+    file = Path(flags["--config.file"])
+    assert (folder / mounts[str(file.parent)] / file.name).is_file()
+    named = {source for source in (*mounts.values(), "state") if not source.startswith(".")}
+    assert named == set(compose["volumes"])
+    assert flags["--storage.tsdb.path"] in mounts
+    assert {each.get("network_mode") for each in services.values()} == {"host"}

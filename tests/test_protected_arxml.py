@@ -6,8 +6,10 @@ import e2e
 import pytest
 from arxml import arxml
 from car import Car, write
+from secured import secured, write_key
 
 from gateway.signals.database import load_database
+from gateway_fdi.errors import InputError, InputErrors
 
 IDS = [3 * k + 1 for k in range(16)]
 #: Identifier, name, length, first bit of its signal, what the file calls the profile, data ids, by signal group.
@@ -88,3 +90,46 @@ def test_another_mode_than_the_one_taken_is_named(config):
     assert car.failed() == ["First.rule"]
     (told,) = car.of("protection")
     assert 'e2e = { profile = "P01", data_id = 4660, data_id_mode = "low" }' in told["fits"]
+
+
+def secured_car(folder, *, mac=24, keys='profile = "database", key = "key"'):
+    """Return the configuration of a message whose SecOC an ARXML file says: 48 of 56 bits are no profile's."""
+    write_key(folder)
+    path = write(folder, "", f'[[bus.check]]\nmessage = "M"\nsecoc = {{ {keys} }}\n', name="car.dbc")
+    what = {"M": (12, 0x2F, 48, 16, mac)}
+    (folder / "car.arxml").write_text(arxml([(0x101, "M", 4, 0, "", [], False)], what))
+    path.write_text(path.read_text().replace("car.dbc", "car.arxml"))
+    return path
+
+
+def test_secoc_is_what_the_arxml_file_says(tmp_path):
+    car = Car(secured_car(tmp_path))
+    rng = random.Random(7)
+    made = [
+        secured(rng.randbytes(4), k, data_id=0x2F, length=12, bits=48, truncated=16, mac=24) for k in range(60)
+    ]  # seed 7; by cantools and cryptography
+    car.feed(made[:50], can_id=0x101)
+    assert car.failed() == []
+    assert car.gateway.engine.counters()["crc_failed"] == 0
+    wrong = [frame[:7] + bytes([frame[7] ^ 1]) + frame[8:] for frame in made[50:]]
+    assert [fault.rpartition(".")[2] for fault in car.feed(wrong, can_id=0x101).failed()] == ["mac"]
+
+
+def test_auto_says_that_secoc_wants_a_key(tmp_path):
+    path = secured_car(tmp_path)
+    text = path.read_text()
+    path.write_text(text[: text.index("secoc")] + 'protection = "auto"\n')
+    assert Car(path).gateway.notes[0] == 'b.M: nothing: SecOC wants a key, secoc = { profile = "database", key = ... }'
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"mac": None}, "does not say mac of M"),
+        ({"mac": 8}, "SecOC of M: Input should be greater than or equal to 16"),
+        ({"keys": 'profile = 1, key = "key"'}, "data_id: 16 bits"),
+    ],
+)
+def test_what_the_arxml_file_lacks_of_secoc_is_told(tmp_path, how, said):
+    with pytest.raises((InputError, InputErrors), match=said):
+        Car(secured_car(tmp_path, **how))

@@ -1,6 +1,5 @@
 """The table of what tests use by name only has no stale line, and all tests can be collected without the plants."""
 
-import random
 import re
 import subprocess
 import sys
@@ -9,6 +8,7 @@ from importlib import import_module
 
 import pytest
 from amount import FULL
+from drawn import drawn
 from uses import BELOW, PLANTS, ROOT, TESTS, USES, helpers, imported, lacking, uses
 
 LINES = sorted((place, owner) for place, owners in USES.items() for owner in owners)
@@ -59,17 +59,9 @@ def test_no_line_of_the_table_is_stale():
     assert stale == []
 
 
-def of_this_commit():
-    """Return a plant: each commit draws another."""
-    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False).stdout
-    return random.Random(head).choice(PLANTS)
-
-
 @pytest.mark.long
 @pytest.mark.skipif(any(map(lacking, (*PLANTS, *BELOW))), reason="not the whole checkout")
-@pytest.mark.parametrize(
-    "plants", [PLANTS, *([name] for name in (PLANTS if FULL else [of_this_commit()]))], ids=" ".join
-)
+@pytest.mark.parametrize("plants", [PLANTS, *([name] for name in (PLANTS if FULL else drawn(PLANTS)))], ids=" ".join)
 def test_without_plants_all_tests_are_collected_and_some_run(plants):
     """In a copy without their folders; a test that takes something of them at its import is an error there."""
     command = [sys.executable, "scripts/without", *plants, "--", "-n", "0", "-k", SOME]

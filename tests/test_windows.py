@@ -2,11 +2,15 @@
 
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
+from processes import bus, process
+from windows import BREAK
 
 WINDOWS = Path(__file__).parent / "support" / "windows.py"
+MASKED = [sys.executable, str(WINDOWS)]
 
 SCENARIO = """
 name = "drained"
@@ -101,6 +105,7 @@ def python(folder, *arguments):
     return done.stdout
 
 
+@pytest.mark.skipif(sys.platform == "darwin", reason="it has unix sockets, and no mask")
 def test_locks_and_sockets_without_linux(tmp_path):
     assert python(tmp_path, "-c", f"import sys; sys.path.insert(0, {str(WINDOWS.parent)!r}){ROOM}") == "done\n"
 
@@ -114,3 +119,28 @@ def test_a_gateway_without_linux(tmp_path):
     assert "DTC U0FF0-84 SET  limits.Voltage.low" in said
     assert "U0FF0-84" in python(tmp_path, WINDOWS, "faults", "list")
     assert python(tmp_path, WINDOWS, "faults", "verify").startswith("whole: ")
+
+
+@pytest.mark.system
+def test_a_live_gateway_without_linux(tmp_path):
+    """Faults, requests and the page of a running gateway; a console's Ctrl-Break ends each process in good order."""
+    (tmp_path / "drained.toml").write_text(SCENARIO.replace("duration_s = 3.0", "duration_s = 1.5"))
+    with bus(tmp_path, program=MASKED) as uri:
+        config = CONFIG.replace("virtual:windows", uri) + '[status]\nsocket = "status"\n[output.uds]\n'
+        (tmp_path / "gateway.toml").write_text(config)
+        with (
+            process("run", cwd=tmp_path, ready="monitoring", program=MASKED) as daemon,
+            process("serve", "--port", "0", cwd=tmp_path, ready="page:", program=MASKED) as page,
+        ):
+            python(tmp_path, WINDOWS, "simulate", "drained.toml", "--bus", uri)
+            assert python(tmp_path, WINDOWS, "request", "1902FF") == "1902FF  5902FFCFF0842F\n"
+            assert "U0FF0-84" in python(tmp_path, WINDOWS, "faults", "list")
+            place = page.said.split()[1].split("#")[0]
+            with urllib.request.urlopen(f"{place}metrics") as answer:
+                assert b"gateway_up 1" in answer.read()
+            page.send_signal(BREAK)
+            daemon.send_signal(BREAK)
+            assert page.wait(60) == 0
+            assert daemon.wait(60) == 0
+    assert "\nDTCs: U0FF0-84\n" in (tmp_path / "run.out").read_text()
+    assert not (tmp_path / "status").exists()

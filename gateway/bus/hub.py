@@ -25,6 +25,8 @@ from gateway.bus.socketcand import (
     split,
 )
 from gateway.host.process import RAW
+from gateway.host.sockets import reuse
+from gateway.host.waiting import Selector
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import BusError
 
@@ -90,11 +92,11 @@ class Hub:
         self.statistics = HubStatistics()
         self._clock_ns = clock_ns
         self._spare = _spare()
-        self._selector = selectors.DefaultSelector()
+        self._selector = Selector()
         self._clients: list[_Client] = []
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self._server = socket.socket(family, socket.SOCK_STREAM)
-        self._server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        reuse(self._server)
         try:
             self._server.bind((host, port))
         except OSError as error:

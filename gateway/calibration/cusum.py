@@ -13,7 +13,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.calibration.logs import Chosen, Progress, Replay, of_kind, refuse
+from gateway.calibration.logs import Chosen, Reading, Replay, of_kind, refuse
 from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.monitors.contract import CusumCalibration
@@ -105,17 +105,10 @@ def _now(table: Any, name: str) -> float | None:
     return None if found is None else float(found)
 
 
-def _of_log(
-    config: Config,
-    log: Path,
-    taken: Callable[[CusumCalibration, Any], Any],
-    file: Path | None,
-    maps: Sequence[str],
-    progress: Progress,
-) -> Part:
+def _of_log(config: Config, log: Path, taken: Callable[[CusumCalibration, Any], Any], how: Reading) -> Part:
     """Replay a log; returns what is taken of each monitor's state at its end."""
-    with Replay(config, file) as replay:
-        for frames in replay.frames(log, maps, progress):
+    with Replay(config, how) as replay:
+        for frames in replay.frames(log):
             replay.gateway.feed(frames)
         engine, arrays = replay.gateway.engine, {}
         for each in of_kind(config, CusumCalibration):
@@ -124,38 +117,23 @@ def _of_log(
     return Part(replay.seconds, tuple(sorted(replay.failed)), arrays)
 
 
-def sums_of_log(
-    config: Config,
-    log: Path,
-    *,
-    file: Path | None = None,
-    maps: Sequence[str] = (),
-    progress: Progress = lambda _: None,
-) -> Part:
+def sums_of_log(config: Config, log: Path, how: Reading) -> Part:
     """Replay a log; returns each monitor's sums, shape (3, quantities): samples, total and squares of the moduli."""
 
     def taken(calibration: CusumCalibration, state: Any) -> Any:
         sums = calibration.sums(state)
         return [sums[key] for key in _SUMS]
 
-    return _of_log(config, log, taken, file, maps, progress)
+    return _of_log(config, log, taken, how)
 
 
-def peaks_of_log(
-    config: Config,
-    typical: Typical,
-    log: Path,
-    *,
-    file: Path | None = None,
-    maps: Sequence[str] = (),
-    progress: Progress = lambda _: None,
-) -> Part:
+def peaks_of_log(config: Config, typical: Typical, log: Path, how: Reading) -> Part:
     """Replay a log with nu found and thresholds out of reach; returns samples and largest T, shape (2, quantities)."""
 
     def taken(calibration: CusumCalibration, state: Any) -> Any:
         return [calibration.sums(state)["samples"], calibration.peaks(state)]
 
-    return _of_log(_opened(config, typical), log, taken, file, maps, progress)
+    return _of_log(_opened(config, typical), log, taken, how)
 
 
 def typical_of(config: Config, said: Parts) -> Typical:
@@ -282,33 +260,22 @@ def _typical(chosen: Chosen[CusumCalibration], said: list[NDArray[np.float64]]) 
     return {r: nu for r, nu in asked.items() if nu is not None}
 
 
-def learn(
-    config: Config,
-    logs: Sequence[Path],
-    *,
-    margin: float = MARGIN,
-    floor: float = FLOOR,
-    file: Path | None = None,
-    maps: Sequence[str] = (),
-    progress: Progress = lambda _: None,
-) -> Found:
+def learn(config: Config, logs: Sequence[Path], how: Reading, *, margin: float = MARGIN, floor: float = FLOOR) -> Found:
     """Find nu and thresholds of all CUSUM tests.
 
     Args:
         config: the configuration.
-        logs: recordings without a fault.
+        logs: recordings without a fault; each is read twice.
+        how: they are read.
         margin: Phi of (46), largest healthy T over the threshold, in ]0, 1].
         floor: least largest T, in units of nu.
-        file: of the configuration, for errors.
-        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
-        progress: called with the number of frames of each batch; each log is read twice.
 
     Raises:
         InputError: no monitor of the configuration has CUSUM tests, or a log cannot be read or holds no step of them.
     """
     if not of_kind(config, CusumCalibration):
-        raise refuse("CUSUM tests", file)
-    said = {log: sums_of_log(config, log, file=file, maps=maps, progress=progress) for log in logs}
+        raise refuse("CUSUM tests", how.file)
+    said = {log: sums_of_log(config, log, how) for log in logs}
     typical = typical_of(config, said)
-    peaks = {log: peaks_of_log(config, typical, log, file=file, maps=maps, progress=progress) for log in logs}
+    peaks = {log: peaks_of_log(config, typical, log, how) for log in logs}
     return merged(config, said, typical, peaks, margin=margin, floor=floor)

@@ -28,6 +28,21 @@ Kind = TypeVar("Kind", Calibration, CusumCalibration, Refinement, SensorCalibrat
 
 
 @dataclass(frozen=True)
+class Reading:
+    """How healthy logs are read.
+
+    Attributes:
+        file: of the configuration, for errors.
+        maps: channels of the logs taken as buses, ``"channel=bus"`` each.
+        progress: called with the number of frames after each batch.
+    """
+
+    file: Path | None = None
+    maps: Sequence[str] = ()
+    progress: Progress = lambda _: None
+
+
+@dataclass(frozen=True)
 class Chosen(Generic[Kind]):
     """A monitor that logs can calibrate.
 
@@ -113,13 +128,6 @@ def read_answered(
         yield heard.add(frames), done
 
 
-def batches(config: Config, path: Path, progress: Progress, maps: Sequence[str] = ()) -> Iterator[Frames]:
-    """Yield a log's frames as :func:`read_even` does, and tell ``progress`` how many."""
-    for frames, _ in read_even(config, path, maps):
-        yield frames
-        progress(len(frames))
-
-
 def parts(frames: Frames, end_ns: int, block_ns: int) -> Iterator[tuple[Frames, bool]]:
     """Yield parts of a batch; True after a part at whose end a block ends."""
     first = 0
@@ -137,7 +145,7 @@ class Replay:
 
     Args:
         config: the configuration.
-        file: of it, for errors.
+        how: its logs are read.
 
     Attributes:
         gateway: that the log's frames are fed to.
@@ -145,9 +153,9 @@ class Replay:
         begun_ns, last_ns: time of the log's first and latest frame, 0 before it.
     """
 
-    def __init__(self, config: Config, file: Path | None) -> None:
-        self._config = config
-        self.gateway = Gateway(config, None, file=file)
+    def __init__(self, config: Config, how: Reading) -> None:
+        self._config, self._how = config, how
+        self.gateway = Gateway(config, None, file=how.file)
         self.failed: set[str] = set()
         self.begun_ns = self.last_ns = 0
         self.gateway.listen(lambda event: self.failed.add(str(event["dtc"])) if event["event"] == "dtc" else None)
@@ -163,15 +171,16 @@ class Replay:
         """How long the log is so far [s]."""
         return (self.last_ns - self.begun_ns) * 1e-9
 
-    def frames(self, log: Path, maps: Sequence[str], progress: Progress) -> Iterator[Frames]:
+    def frames(self, log: Path) -> Iterator[Frames]:
         """Yield a log's frames without the gateway's own, batch by batch, to be fed; it is started with the first.
 
         Raises:
             InputError, InputErrors: as of :func:`read_even`.
         """
-        for frames in batches(self._config, log, progress, maps):
+        for frames, _ in read_even(self._config, log, self._how.maps):
             if not self.begun_ns:
                 self.begun_ns = int(frames[0]["t_ns"])
                 self.gateway.start(self.begun_ns)
             yield self.gateway.without_own(frames)
             self.last_ns = int(frames[-1]["t_ns"])
+            self._how.progress(len(frames))

@@ -11,7 +11,7 @@ import tomlkit
 from pydantic import BaseModel
 
 from gateway.calibration.file import put, rounded
-from gateway.calibration.logs import Chosen, Progress, Replay, of_kind
+from gateway.calibration.logs import Chosen, Reading, Replay, of_kind
 from gateway.calibration.part import Part, Parts
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
@@ -57,26 +57,15 @@ def _changed(config: Config, place: int, keys: Mapping[str, Any]) -> Config:
     return config.model_copy(update={"monitor": (bare,)})
 
 
-def _replayed(
-    config: Config, log: Path, file: Path | None, maps: Sequence[str], progress: Progress
-) -> tuple[float, Any]:
+def _replayed(config: Config, log: Path, how: Reading) -> tuple[float, Any]:
     """Replay a log; returns its seconds, and the only monitor's state at its end."""
-    with Replay(config, file) as replay:
-        for frames in replay.frames(log, maps, progress):
+    with Replay(config, how) as replay:
+        for frames in replay.frames(log):
             replay.gateway.feed(frames)
         return replay.seconds, replay.gateway.engine.state_of(0)[0].copy()
 
 
-def of_log(
-    config: Config,
-    chosen: Chosen[Refinement],
-    keys: Mapping[str, Any],
-    log: Path,
-    *,
-    file: Path | None = None,
-    maps: Sequence[str] = (),
-    progress: Progress = lambda _: None,
-) -> Part:
+def of_log(config: Config, chosen: Chosen[Refinement], keys: Mapping[str, Any], log: Path, how: Reading) -> Part:
     """Refine a plant by a log.
 
     Args:
@@ -84,9 +73,7 @@ def of_log(
         chosen: the monitor.
         keys: of its table, as the log before has left them (fact ``keys``).
         log: a recording without a fault.
-        file: of the configuration, for errors.
-        maps: channels of the log taken as buses, ``"channel=bus"`` each.
-        progress: called with the number of frames of each batch.
+        how: it is read.
 
     Returns:
         the facts ``keys``, ``fit`` and ``rows`` (:class:`gateway.monitors.contract.Refined`).
@@ -96,7 +83,7 @@ def of_log(
     """
     asked = _changed(config, chosen.place, {**chosen.calibration.wanted(chosen.params), **keys})
     _, params = monitor_of(asked.monitor[0])
-    seconds, state = _replayed(asked, log, file, maps, progress)
+    seconds, state = _replayed(asked, log, how)
     refined = chosen.calibration.found(params, state)
     new = {key: _plain(value) for key, value in refined.keys.items()}
     return Part(seconds, facts={"keys": {**keys, **new}, "fit": refined.fit, "rows": [list(r) for r in refined.rows]})
@@ -116,16 +103,14 @@ def merged(chosen: Chosen[Refinement], said: Parts) -> Plant | None:
     return Plant(chosen.name, sum(part.seconds for part in said.values()), fits, rows, last.facts["keys"])
 
 
-def learn(
-    config: Config, logs: Sequence[Path], *, file: Path | None, maps: Sequence[str], progress: Progress
-) -> list[Plant]:
+def learn(config: Config, logs: Sequence[Path], how: Reading) -> list[Plant]:
     """Refine the plants of all monitors that have one by logs, one after the other."""
     plants = []
     for chosen in of_kind(config, Refinement):
         said: dict[Path, Part] = {}
         keys: Mapping[str, Any] = {}
         for log in logs:
-            said[log] = of_log(config, chosen, keys, log, file=file, maps=maps, progress=progress)
+            said[log] = of_log(config, chosen, keys, log, how)
             keys = said[log].facts["keys"]
         if (plant := merged(chosen, said)) is not None:
             plants.append(plant)

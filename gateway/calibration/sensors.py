@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import ERROR, REMOTE, Frames
 from gateway.calibration.file import put, rounded
-from gateway.calibration.logs import Chosen, Progress, Replay, of_kind
+from gateway.calibration.logs import Chosen, Reading, Replay, of_kind
 from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.config.resolve import resolve
@@ -113,15 +113,7 @@ class _Reader:
             yield record
 
 
-def of_log(
-    config: Config,
-    chosen: Chosen[SensorCalibration],
-    log: Path,
-    *,
-    file: Path | None = None,
-    maps: Sequence[str] = (),
-    progress: Progress = lambda _: None,
-) -> Part:
+def of_log(config: Config, chosen: Chosen[SensorCalibration], log: Path, how: Reading) -> Part:
     """Replay a log; returns the readings of one monitor.
 
     They are one array of shape (samples, inputs); the fact ``rows`` says how many of these are of one record.
@@ -135,8 +127,8 @@ def of_log(
     wired = wire(found.monitors[0], databases, {bus.name: k for k, bus in enumerate(config.bus)})
     places = wired.inputs[: chosen.calibration.sensors(chosen.params)]
     reader = _Reader(alone, [place for place in places if place is not None], wired.counters, databases)
-    with Replay(alone, file) as replay:
-        for frames in replay.frames(log, maps, progress):
+    with Replay(alone, how) as replay:
+        for frames in replay.frames(log):
             reader.take(frames)
             replay.gateway.feed(frames)
     records = list(reader.records(wired.samplings[0]))
@@ -167,9 +159,7 @@ def merged(chosen: Chosen[SensorCalibration], said: Parts, *, file: Path | None 
     return Sensors(chosen.name, seconds, found.rows, found.keys, failed_in(said))
 
 
-def learn(
-    config: Config, logs: Sequence[Path], *, file: Path | None, maps: Sequence[str], progress: Progress
-) -> list[Sensors]:
+def learn(config: Config, logs: Sequence[Path], how: Reading) -> list[Sensors]:
     """Measure the sensors of all monitors that have redundant ones.
 
     Raises:
@@ -177,8 +167,8 @@ def learn(
     """
     measured = []
     for chosen in of_kind(config, SensorCalibration):
-        said = {log: of_log(config, chosen, log, file=file, maps=maps, progress=progress) for log in logs}
-        measured.append(merged(chosen, said, file=file))
+        said = {log: of_log(config, chosen, log, how) for log in logs}
+        measured.append(merged(chosen, said, file=how.file))
     return measured
 
 

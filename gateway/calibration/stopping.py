@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.calibration.logs import Progress, Replay, of_kind, parts, refuse
+from gateway.calibration.logs import Reading, Replay, of_kind, parts, refuse
 from gateway.calibration.part import Part, Parts, failed_in
 from gateway.config.model import Config
 from gateway.monitors.contract import Calibration
@@ -100,22 +100,13 @@ class Levels:
     failed: tuple[str, ...]
 
 
-def of_log(
-    config: Config,
-    log: Path,
-    *,
-    file: Path | None = None,
-    maps: Sequence[str] = (),
-    progress: Progress = lambda _: None,
-) -> Part:
+def of_log(config: Config, log: Path, how: Reading) -> Part:
     """Replay a log with a gateway of its own; returns the largest levels of each second, shape (blocks, symptoms).
 
     Args:
         config: the configuration.
         log: a recording without a fault.
-        file: of the configuration, for errors.
-        maps: channels of the log taken as buses, ``"channel=bus"`` each.
-        progress: called with the number of frames of each batch.
+        how: it is read.
 
     Raises:
         InputError: the log cannot be read.
@@ -123,10 +114,10 @@ def of_log(
     chosen = of_kind(config, Calibration)
     found: dict[str, list[Array]] = {each.name: [] for each in chosen}
     blocks = end_ns = 0
-    with Replay(config, file) as replay:
+    with Replay(config, how) as replay:
         engine = replay.gateway.engine
         rules = [(c.name, c.calibration.rules(engine.state_of(engine.place_of(c.name))[0])) for c in chosen]
-        for frames in replay.frames(log, maps, progress):
+        for frames in replay.frames(log):
             warm_ns = replay.begun_ns + WARM_UP_NS
             end_ns = end_ns or warm_ns
             for part, ended in parts(frames, end_ns, BLOCK_NS):
@@ -157,22 +148,15 @@ def merged(config: Config, said: Parts) -> Levels:
     return Levels(blocks * BLOCK_NS * 1e-9, stacked, failed_in(said))
 
 
-def levels(
-    config: Config,
-    logs: Sequence[Path],
-    *,
-    file: Path | None = None,
-    maps: Sequence[str] = (),
-    progress: Progress = lambda _: None,
-) -> Levels:
+def levels(config: Config, logs: Sequence[Path], how: Reading) -> Levels:
     """Replay logs, each with a gateway of its own, and keep the largest levels of each second (:func:`of_log`).
 
     Raises:
         InputError: no monitor of the configuration can be calibrated, or a log cannot be read.
     """
     if not of_kind(config, Calibration):
-        raise refuse("stopping rules", file)
-    return merged(config, {log: of_log(config, log, file=file, maps=maps, progress=progress) for log in logs})
+        raise refuse("stopping rules", how.file)
+    return merged(config, {log: of_log(config, log, how) for log in logs})
 
 
 def calibrate(config: Config, seen: Levels, target: float) -> list[Proposal]:

@@ -11,7 +11,7 @@ from typing import Any
 from gateway.calibration import cusum, plants, sensors, stopping
 from gateway.calibration.earlier import load_afresh
 from gateway.calibration.file import write
-from gateway.calibration.logs import Progress, digest, of_kind, refuse
+from gateway.calibration.logs import Progress, Reading, digest, of_kind, refuse
 from gateway.config.model import Config
 from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
 from gateway_fdi.errors import InputError
@@ -102,17 +102,15 @@ def calibrate(
     levels = tests = None
     refined: list[plants.Plant] = []
     measured: list[sensors.Sensors] = []
-    paths = list(logs)
+    paths, how = list(logs), Reading(file, maps, progress)
     if of_kind(config, Calibration):
-        levels = stopping.levels(config, paths, file=file, maps=maps, progress=progress)
+        levels = stopping.levels(config, paths, how)
     if of_kind(config, CusumCalibration):
-        tests = cusum.learn(
-            config, paths, margin=targets.margin, floor=targets.floor, file=file, maps=maps, progress=progress
-        )
+        tests = cusum.learn(config, paths, how, margin=targets.margin, floor=targets.floor)
     if of_kind(config, Refinement):
-        refined = plants.learn(config, paths, file=file, maps=maps, progress=progress)
+        refined = plants.learn(config, paths, how)
     if of_kind(config, SensorCalibration):
-        measured = sensors.learn(config, paths, file=file, maps=maps, progress=progress)
+        measured = sensors.learn(config, paths, how)
     proposals = stopping.calibrate(config, levels, targets.mtfa_s) if levels else []
     return Found(levels, proposals, tests, refined, measured, digest(paths), len(paths))
 

@@ -460,10 +460,15 @@ def check(
 def new_monitor(
     name: Annotated[str, typer.Argument(help="Name of the monitor, also of its Python module, e.g. coolant.")],
     folder: Annotated[Path | None, typer.Option("--folder", help="Folder to write.  [default: NAME]")] = None,
+    method: Annotated[
+        str | None,
+        typer.Option("--from", metavar="METHOD", help="A method of the arena by its name, or FILE.py:CLASS."),
+    ] = None,
 ) -> None:
     """Write a folder with a new monitor of your own.
 
     The folder has a monitor, database, configuration, virtual ECU, scenario and test. It runs as it is.
+    With --from the monitor is a method of the arena, fitted.
     """
 
 

@@ -13,6 +13,7 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
+from gateway.host.process import open_to_others
 from gateway.monitors.contract import Monitor
 from gateway.monitors.tryout import refuse_failing
 from gateway.runtime.app import Gateway
@@ -146,7 +147,7 @@ def _shortened(name: str) -> str:
 def secrets_shown(config: Config, path: Path) -> list[str]:
     """Return whether anybody can read the secrets of security levels."""
     uds = config.output.uds
-    if uds is None or not uds.security or not path.stat().st_mode & 0o044:
+    if uds is None or not uds.security or not open_to_others(path, 0o044):
         return []
     return [f"output.uds.security: others on this machine can read these secrets: chmod 600 {path}"]
 

@@ -28,8 +28,8 @@ OTHERS: Registry[typer.Typer | Callable[..., Any]] = Registry("gateway.commands"
 #: The order in which ``gateway --help`` lists commands; others follow by name.
 ORDER = (
     "demo", "run", "serve", "watch", "mqtt", "request", "simulate", "control", "report", "structure", "learn", "import",
-    "survey", "calibrate", "bus", "record", "replay", "decode", "plot", "check", "example", "new-monitor", "warmup",
-    "doctor", "faults", "convert", "fleet", "evaluate",
+    "survey", "calibrate", "fit", "bus", "record", "replay", "decode", "plot", "check", "example", "new-monitor",
+    "warmup", "doctor", "faults", "convert", "fleet", "evaluate",
 )  # fmt: skip
 
 

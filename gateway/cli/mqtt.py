@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import signal
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from gateway.cli.present import find_config, say
 from gateway.cli.serve import socket_of
 from gateway.common.extras import need
 from gateway.config.load import load_config
+from gateway.host.process import call_at_end
 from gateway_fdi.errors import InputError
 
 
@@ -45,8 +45,7 @@ def mqtt(
 
     async def work() -> None:
         stop = asyncio.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+        call_at_end(asyncio.get_running_loop(), stop.set)
         say(f"telling {broker} of {place}")
         await publish(place, settings, config.name, stop)
 

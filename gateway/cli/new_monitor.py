@@ -6,6 +6,7 @@ import keyword
 from importlib.util import find_spec
 from pathlib import Path
 
+from gateway.api.scenarios import CALLS
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 
@@ -17,8 +18,13 @@ _KINDS = (".py", ".dbc", ".toml", ".ini", ".md")
 _NAMES = ("battery_voltage", "battery_ecu")
 
 
-def new_monitor(name: str, folder: Path | None) -> int:
+def new_monitor(name: str, folder: Path | None, method: str | None = None) -> int:
     """Write a folder; returns the exit code.
+
+    Args:
+        name: of the monitor.
+        folder: to write; None: the name.
+        method: of the arena, that is to be the monitor.
 
     Raises:
         InputError: no name for a module of Python; the folder is there already.
@@ -34,6 +40,12 @@ def new_monitor(name: str, folder: Path | None) -> int:
         raise InputError("this is there already; nothing was written", value=str(place))
     if find_spec(name) is not None:
         raise InputError("a module of this name is installed already", key="NAME", value=name)
+    if method is not None:
+        if "new_monitor_from" not in CALLS:
+            raise InputError("no installed package brings methods", key="--from", value=method)
+        print(f"{place}: {', '.join(CALLS['new_monitor_from'](name, place, method))}")
+        print(f"It runs as it is:  cd {place} && gateway demo drained.toml --speed 0")
+        return 0
     place.mkdir(parents=True, exist_ok=True)
     written = []
     for source in sorted(shipped(TEMPLATE).iterdir()):

@@ -18,12 +18,13 @@ from gateway.cli.present import find_config, say, say_unless_stored
 from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.faults.catalogue import FaultDefinition
+from gateway.host.process import ENDS
 from gateway.live.daemon import Daemon
 from gateway.live.notify import Notifier
 
 
 class Ending:
-    """Tells when to end: SIGINT or SIGTERM came, or a time is over. Install one in a process.
+    """Tells when to end: a signal that asks for it came, or a time is over. Install one in a process.
 
     Until :meth:`ready` a signal ends the process at once, with nothing begun that had to be kept: kernels are compiled
     then, in calls into C that may take long, and in which no handler of Python runs.
@@ -38,8 +39,8 @@ class Ending:
         self._starting = starting
         #: Whether a signal came, even one for which no handler of Python could run yet.
         self.heard = False
-        signal.signal(signal.SIGINT, self._on_signal)
-        signal.signal(signal.SIGTERM, self._on_signal)
+        for number in ENDS:
+            signal.signal(number, self._on_signal)
         if starting is not None:
             # The handler in C writes the signal's number there, even while the main thread is busy.
             self._numbers, wakeup = socket.socketpair()
@@ -50,7 +51,7 @@ class Ending:
 
     def _watch(self) -> None:
         while number := self._numbers.recv(1):
-            if number[0] not in (signal.SIGINT, signal.SIGTERM):
+            if number[0] not in ENDS:
                 continue
             self.heard = True
             if self._starting is not None:

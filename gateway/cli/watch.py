@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import signal
 import sys
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -17,6 +16,7 @@ from gateway.config.load import load_config
 from gateway.faults.cases import Case, cases_of, named
 from gateway.faults.explained import HELD
 from gateway.faults.status import Status
+from gateway.host.process import call_at_end
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -74,8 +74,7 @@ async def _show(hub: Hub) -> None:
     from rich.live import Live  # noqa: PLC0415 - slow to load
 
     ended = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, ended.set)
+    call_at_end(asyncio.get_running_loop(), ended.set)
     with Live(drawn(hub), auto_refresh=False, screen=True) as live:
         while not ended.is_set():
             with contextlib.suppress(TimeoutError):

@@ -4,14 +4,36 @@ from __future__ import annotations
 
 import getpass
 import os
+import signal
 from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import asyncio
+    from collections.abc import Callable
+    from pathlib import Path
 
 #: Flags for :func:`os.open`: bytes as they are, and no child process has the file.
 RAW = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
+#: Signals that ask a process to end; a console of Windows sends SIGBREAK at Ctrl-Break, and when it is closed.
+ENDS: tuple[int, ...] = tuple(
+    getattr(signal, f"SIG{name}") for name in ("INT", "TERM", "BREAK") if hasattr(signal, f"SIG{name}")
+)
 #: Nice value of a process that gives way.
 _NICE = 10
 #: Of a user that the system does not number, or does not tell.
 NOBODY = -1
+
+
+def call_at_end(loop: asyncio.AbstractEventLoop, tell: Callable[[], None]) -> None:
+    """Have a function called in a loop when a signal asks this process to end; Windows' loops take no handlers."""
+
+    def handle(*_: object) -> None:
+        if not loop.is_closed():
+            loop.call_soon_threadsafe(tell)
+
+    for number in ENDS:
+        signal.signal(number, handle)
 
 
 def user() -> int:
@@ -38,6 +60,16 @@ def group_named(name: str) -> int | None:
         return int(import_module("grp").getgrnam(name).gr_gid)
     except (ImportError, KeyError):
         return None
+
+
+def open_to_others(file: Path, mode: int = 0o077) -> bool:
+    """Return whether a file's mode has any of these bits; not on Windows, where a folder's list says who may what.
+
+    Raises:
+        OSError: there is no such file.
+    """
+    found = file.stat().st_mode
+    return hasattr(os, "getuid") and bool(found & mode)
 
 
 def read_at(file: int, count: int, start: int) -> bytes:

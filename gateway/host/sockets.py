@@ -1,12 +1,11 @@
 """Sockets of this machine that a process listens at by a path, and the process at their other end.
 
 Where there are no unix sockets (Windows), one of 127.0.0.1 stands for them: the file at the path has its port and a
-token, is for its owner alone, and a client says the token first.
+token, and a client says the token first. A user who can read that file can connect; on Windows its folder says who can.
 """
 
 from __future__ import annotations
 
-import asyncio
 import os
 import secrets
 import select
@@ -15,18 +14,32 @@ import stat
 import struct
 from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gateway.host.process import NOBODY, user
 from gateway_fdi.errors import InputError
+
+if TYPE_CHECKING:
+    import asyncio
 
 #: Process, user and group at the other end (unix(7), SO_PEERCRED).
 _CREDENTIALS = struct.Struct("3i")
 #: All groups of the process at the other end (socket(7) of Linux 4.13); Python's module has no name for it.
 _SO_PEERGROUPS, _MOST_GROUPS = 59, 1024
+#: Whether there is SocketCAN, and with it what a pump needs of Linux' C library.
+CAN = hasattr(socket, "AF_CAN")
 #: Whether a path can be that of a socket here.
 _UNIX = hasattr(socket, "AF_UNIX")
 #: Letters of a token, and how long a client that has connected may take to say it [s].
 _TOKEN, _PATIENCE_S = 32, 0.02
+
+
+def reuse(made: socket.socket) -> None:
+    """Let a socket that is to listen have an address of which connections are still ending, but no listener."""
+    if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):  # Windows: by SO_REUSEADDR two would listen
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+    else:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
 
 
 def listen_at(
@@ -147,6 +160,8 @@ async def open_connection(path: Path) -> tuple[asyncio.StreamReader, asyncio.Str
     Raises:
         OSError: nobody listens there.
     """
+    import asyncio  # noqa: PLC0415 - the daemon has none
+
     if _UNIX:
         return await asyncio.open_unix_connection(str(path))
     host, port, token = _place(path)

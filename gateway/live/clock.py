@@ -16,6 +16,8 @@ from dataclasses import dataclass
 TOLERANCE_NS = 10_000_000
 #: Fastest that NTP slews: 500 ppm of frequency and 500 ppm of phase (adjtimex(2)).
 SLEW = 1e-3
+#: Ticks by which the two clocks go: 16 ms each on Windows before Python 3.13, where no smaller step is seen [ns].
+TICK_NS = round(1e9 * sum(time.get_clock_info(name).resolution for name in ("time", "monotonic")))
 #: Both clocks are read again where reading took this time [ns], as far as that helps.
 QUICK_NS = 100_000
 TRIES = 5
@@ -45,6 +47,7 @@ class Clock:
         wall_ns: stamps frames [ns].
         monotonic_ns: never set [ns].
         tolerance_ns: change of one against the other that is a step [ns].
+        tick_ns: what the two may differ by because they go in ticks [ns].
 
     Attributes:
         offset_ns: time that the wall clock is ahead of the engine's [ns].
@@ -58,9 +61,10 @@ class Clock:
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
         *,
         tolerance_ns: int = TOLERANCE_NS,
+        tick_ns: int = TICK_NS,
     ) -> None:
         self._wall_ns, self._monotonic_ns = wall_ns, monotonic_ns
-        self.tolerance_ns = tolerance_ns
+        self.tolerance_ns, self._tick_ns = tolerance_ns, tick_ns
         self.offset_ns = 0
         self.untold: list[Step] = []
         self.steps: deque[Step] = deque(maxlen=16)
@@ -75,7 +79,7 @@ class Clock:
         change = wall - monotonic - self._difference
         followed = round(min(monotonic - self._then_ns, 10**9) * SLEW)
         self._then_ns = monotonic
-        if abs(change) > self.tolerance_ns + doubt + followed:
+        if abs(change) > self.tolerance_ns + self._tick_ns + doubt + followed:
             self._step(change // 1000 * 1000, wall)
         else:
             self._difference += max(-followed, min(followed, change))

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from gateway.bus.frames import Frames
+from gateway.host.sockets import reuse
+from gateway.host.waiting import Selector
 from gateway.live.clock import Clock
 from gateway.live.listening import Listening
 from gateway.runtime.app import Gateway
@@ -80,7 +82,7 @@ class DoipDoor:
 
     def __init__(self, params: DoipParams, gateway: Gateway, clock: Clock) -> None:
         self._params, self._gateway, self._clock = params, gateway, clock
-        self._selector = selectors.DefaultSelector()
+        self._selector = Selector()
         self._found: DoipServer | None = _server_of(gateway)
         self._peers: list[_Peer] = []
         self._lingering: list[_Peer] = []
@@ -110,7 +112,7 @@ class DoipDoor:
                 if family == socket.AF_INET6:
                     made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
                 if kind == socket.SOCK_STREAM:
-                    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                    reuse(made)
                 made.bind((address, port))
                 if kind == socket.SOCK_STREAM:
                     made.listen(64)

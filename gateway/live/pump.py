@@ -18,6 +18,8 @@ from gateway.bus.frames import EXTENDED, FRAME, Frames, empty
 from gateway.bus.heard import NOTHING, Heard
 from gateway.common.times import NEVER
 from gateway.engine.core import Engine
+from gateway.host.sockets import CAN
+from gateway.host.waiting import NONE, readable
 from gateway.live import pumping
 from gateway.live.clock import Clock
 from gateway.runtime.quiet import EVERYTHING, Quiet
@@ -128,7 +130,11 @@ class Pump:
             _of(outbox), np.zeros(9, np.uint64), self._flags,
             np.asarray([*extended, *heard.masks] or [(-1, 0)], np.int64),
         )  # fmt: skip
-        self._pump = bound(pumping.pump, self.memory, rest=())
+        self._pass_handed = bound(pumping.pass_handed, self.memory, rest=())
+        if CAN:
+            self._pump = bound(pumping.pump, self.memory, rest=())
+        else:
+            self._patience_ms = bound(pumping.patience_ms, self.memory, rest=(0,))
 
     @property
     def holding(self) -> int:
@@ -185,7 +191,10 @@ class Pump:
             offset_ns=offset_ns, difference_ns=clock.difference_ns, tolerance_ns=clock.tolerance_ns,
             leave_ns=leave_ns, grace_ns=grace_ns, waits=waits, sockets=len(received), handed=0, final=0,
         )  # fmt: skip
-        why = self._entered(quiet, may_send=may_send)
+        self._ask(quiet, may_send=may_send)
+        if not CAN:
+            return self._waited([NONE if fd is None else fd for fd, _ in buses], door, clock)
+        why = int(self._pump())
         for k, bus, raw in received:
             side = self._sides[k]
             gaps = side[_SIDE["gaps"]] if why in (pumping.RAW, pumping.STEPPED) else 0
@@ -216,20 +225,28 @@ class Pump:
                 side[_SIDE["last_ns"]] = int(mine[-1]["t_ns"])
             side[_SIDE["count"]], side[_SIDE["more"]], side[_SIDE["fd"]] = count, more, -1
         self._order(read_ns=read_ns, handed=1, final=final)
-        why = self._entered(quiet, may_send=False)
+        self._ask(quiet, may_send=False)
+        why = int(self._pass_handed())
         for side in self._sides:
             side[_SIDE["count"]] = 0
         return self._left(why)
 
-    def _entered(self, quiet: Quiet, *, may_send: bool) -> int:
-        """Say what the gateway wants, and enter the kernel; returns why it has left."""
+    def _waited(self, buses: Sequence[int], door: int, clock: Clock) -> Left:
+        """Wait as the kernel does, which is not there: all that comes is Python's to read."""
+        open_ = [fd for fd in (*buses, door) if fd != NONE]
+        ready = readable(open_, self._patience_ms(clock.now()) / 1000)
+        knocked = door in ready
+        why = pumping.BUS if len(ready) > knocked else pumping.DOOR if knocked else pumping.TIME
+        return Left(why, _NONE, (), (), _NONE, -1, clock.now(), knocked)
+
+    def _ask(self, quiet: Quiet, *, may_send: bool) -> None:
+        """Say what the gateway wants."""
         if quiet.heard != self._heard:
             self._connect(quiet.heard)
         before_ns = EVERYTHING if self._cells is None else quiet.before_ns
         self._order(
             before_ns=before_ns, server_ns=quiet.due_ns, prompt_ns=quiet.prompt_ns, may_send=may_send and quiet.may_send
         )
-        return int(self._pump())
 
     def _left(self, why: int) -> Left:
         orders, sides = self._orders, self._sides[: self._buses]

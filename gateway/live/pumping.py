@@ -6,7 +6,8 @@ is something that only Python can do, and says what: one of the reasons below. F
 handed in: those of a bus that is no socket, and of a socket where something unusual is among them. They are joined, and
 fed, as all others are.
 
-It is the one kernel that waits, and reads clocks.
+It is the one kernel that waits, and reads clocks. It needs Linux' C library and structures: elsewhere Python waits, and
+all frames are handed in.
 """
 
 from __future__ import annotations
@@ -168,8 +169,14 @@ def _was_set(s: Any, wall_ns: int) -> bool:
 
 
 @kernel
-def _wait(P: Any, s: Any, now_ns: int) -> int:
-    """Wait for the sockets, and for time to pass; returns a reason to leave, -1: frames wait, or a door is open."""
+def patience_ms(P: Any, now_ns: int) -> int:
+    """Return how long the sockets may be waited for [ms]: until time has come for something.
+
+    Args:
+        P: a :class:`Pumped`.
+        now_ns: engine's time [ns].
+    """
+    s = P.state[0]
     until = min(s.leave_ns, s.prompt_ns)
     due_ns = min(P.clock[s.deadline_at], s.server_ns)
     if s.before_ns > 0:
@@ -178,13 +185,18 @@ def _wait(P: Any, s: Any, now_ns: int) -> int:
         until = min(until, due_ns + s.grace_ns)
     if s.held > 0:
         until = min(until, now_ns + (LONGEST_NS if s.gap_ns < _DENSE_NS else 500_000))
-    wait_ms = 0
-    if s.waits == 1 and until > now_ns:
-        wait_ms = (until - now_ns + 999_999) // 1_000_000
+    if s.waits == 0 or until <= now_ns:
+        return 0
+    return int((until - now_ns + 999_999) // 1_000_000)
+
+
+@kernel
+def _wait(P: Any, s: Any, now_ns: int) -> int:
+    """Wait for the sockets, and for time to pass; returns a reason to leave, -1: frames wait, or a door is open."""
     buses = P.sides.shape[0] - 1
     for k in range(buses + 1):
         P.polls[k] = (P.polls[k] & 0xFFFFFFFF) | (_POLLIN << 32)
-    ready = poll(P.polls.ctypes.data, buses + 1, wait_ms)
+    ready = poll(P.polls.ctypes.data, buses + 1, patience_ms(P, now_ns))
     if ready < 0:
         return INTERRUPTED
     s.knocked = P.polls[buses] >> 48 != 0
@@ -352,12 +364,11 @@ def _transmit(P: Any, s: Any) -> bool:
 
 @kernel
 def _run(P: Any, s: Any) -> int:
-    """Run the engine over the batch; returns a reason to leave, -1: there is none."""
+    """Run the engine over the rest of the batch; returns a reason to leave, -1: there is none."""
     arguments, clock = P.arguments, P.clock
     arguments[s.frames_at], arguments[s.frames_at + 1] = s.batch, s.count
     arguments[s.cells_at], arguments[s.cells_at + 1] = s.batch, s.count
     arguments[s.until_at] = s.never
-    s.start = 0
     while s.start < s.count:
         arguments[s.start_at] = s.start
         if call_bound(s.entry, s.arguments_at, s.results_at) != 0:
@@ -365,7 +376,7 @@ def _run(P: Any, s: Any) -> int:
         s.start = P.results[0]
         if clock[s.urgent_at] != 0:
             return EVENTS
-        if clock[s.sent_at] > clock[s.taken_at] and not _transmit(P, s):
+        if clock[s.sent_at] > clock[s.taken_at]:
             return SENDING
     return SERVER if clock[s.now_at] >= s.server_ns else -1
 
@@ -380,6 +391,7 @@ def _feed(P: Any, s: Any, cells: Any) -> int:
         for j in range(10):
             P.taken[s.took + k, j] = cells[k, j]
     s.took += s.count
+    s.start = 0
     return _run(P, s)
 
 
@@ -411,21 +423,35 @@ def _receive_all(P: Any, s: Any, wall_ns: int) -> int:
 
 
 @kernel
-def pump(P: Any) -> int:
-    """Pass frames from the sockets to the engine until there is a reason to leave, which is returned.
+def _begin(P: Any, s: Any) -> None:
+    """Forget the report of the last time."""
+    s.took = s.passes = s.count = s.start = s.knocked = 0
+    for b in range(P.sides.shape[0]):
+        side = P.sides[b]
+        side.received = side.rejected = side.sent = 0
 
-    Frames that are handed in are passed on, which is all: what is left then is TIME.
+
+@kernel
+def pass_handed(P: Any) -> int:
+    """Pass frames that are handed in to the engine; returns a reason to leave, TIME: there is no other.
 
     Args:
         P: a :class:`Pumped`.
     """
     s = P.state[0]
-    s.took = s.passes = s.count = s.start = s.knocked = 0
-    for b in range(P.sides.shape[0]):
-        side = P.sides[b]
-        side.received = side.rejected = side.sent = 0
-    if s.handed == 1:
-        return max(_pass_on(P, s), TIME)
+    _begin(P, s)
+    return max(_pass_on(P, s), TIME)
+
+
+@kernel
+def pump(P: Any) -> int:
+    """Pass frames from the sockets to the engine until there is a reason to leave, which is returned.
+
+    Args:
+        P: a :class:`Pumped`.
+    """
+    s = P.state[0]
+    _begin(P, s)
     wall_ns = _read_clock(_REALTIME, s)
     while True:
         now_ns = wall_ns - s.offset_ns
@@ -442,6 +468,8 @@ def pump(P: Any) -> int:
         if why >= 0:
             return why
         why = _pass_on(P, s)
+        while why == SENDING and _transmit(P, s):
+            why = _run(P, s)
         if why >= 0:
             return why
         if s.knocked == 1:

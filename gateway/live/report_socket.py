@@ -16,6 +16,7 @@ from gateway.bus.frames import Frames
 from gateway.common.jsonlines import line
 from gateway.faults.reported import ReportParams
 from gateway.host.sockets import credentials_of, groups_of, listen_at, remove
+from gateway.host.waiting import Selector
 from gateway.live.listening import Listening
 from gateway.report.words import MOST_BYTES, REFUSALS
 from gateway.runtime.app import Gateway
@@ -62,7 +63,7 @@ class ReportSocket:
             raise UnsupportedError("[report]: only Linux says which process reports")
         self.params, self._gateway = params, gateway
         self._path = Path(params.socket)
-        self._selector = selectors.DefaultSelector()
+        self._selector = Selector()
         self._socket = listen_at(self._path, "report socket", kind=socket.SOCK_SEQPACKET, mode=params.mode_of_socket)
         self._inode = self._path.stat().st_ino
         self._listening = Listening(self._selector, "report socket: a reporter cannot be taken")

@@ -29,6 +29,7 @@ from gateway.bus.traffic import Traffic
 from gateway.common.jsonlines import line
 from gateway.engine.buckets import TickRow
 from gateway.host.sockets import credentials_of, listen_at, remove
+from gateway.host.waiting import Selector
 from gateway.live.listening import Listening
 from gateway.live.status_commands import Commands, monitoring_of
 from gateway.runtime.app import Gateway
@@ -99,7 +100,7 @@ class StatusSocket:
     ) -> None:
         self.path, self._most = path, readers
         self._buses = buses
-        self._selector = selectors.DefaultSelector()
+        self._selector = Selector()
         self._socket = listen_at(path)
         self._inode = path.stat().st_ino
         self._listening = Listening(self._selector, "status socket: a reader cannot be taken")

@@ -17,6 +17,8 @@ from typing import Any
 import uvicorn
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from gateway.host.process import ENDS, open_to_others
+from gateway.host.sockets import reuse
 from gateway.serve.app import Page
 from gateway.serve.guard import CONTROL, Guard, Rights, is_loopback
 from gateway.serve.hub import Hub
@@ -148,10 +150,10 @@ def _tokens(file: Path | None) -> tuple[str, dict[str, str]]:
         return "", {}
     try:
         first, *more = file.read_text(encoding="ascii").strip().splitlines() or [""]
-        mode = file.stat().st_mode
+        shared = open_to_others(file)
     except (OSError, ValueError) as error:
         raise InputError(f"no token can be read here: {error}", file=file) from error
-    if mode & 0o077:
+    if shared:
         raise InputError("others can read this token: chmod 600", file=file)
     clients: dict[str, str] = {}
     for each in filter(None, more):
@@ -175,7 +177,7 @@ def open_socket(settings: ServeSettings) -> socket.socket:
     host = settings.host.strip("[]")
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     made = socket.socket(family, socket.SOCK_STREAM)
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    reuse(made)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)  # handed down to each connection
     try:
         made.bind((host, settings.port))
@@ -210,8 +212,8 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """End in good order at SIGINT and SIGTERM; uvicorn's own would raise them again, and end with their code."""
-        before = {number: signal.signal(number, self.handle_exit) for number in (signal.SIGINT, signal.SIGTERM)}
+        """End in good order at a signal; uvicorn's own would raise them again, and end with their code."""
+        before = {number: signal.signal(number, self.handle_exit) for number in ENDS}
         try:
             yield
         finally:

@@ -1,18 +1,20 @@
-"""The arena's command, whose work is imported only when it is called."""
+"""The arena's commands, whose work is imported only when it is called."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gateway.cli.options import Json
+from gateway.cli.commands import does
+from gateway.cli.options import LOG_HELP, Json
 
 
 def evaluate_arena(
     plant: Annotated[
         list[str] | None,
         typer.Option(
-            help="Plants: spring, buck, stiff_motor, quad, wind, motor, tanks, cooling, battery, brake. Default: all."
+            help="Plants: spring, buck, stiff_motor, quad, wind, motor, tanks, cooling, battery, brake, tennessee."
+            " Default: all."
         ),
     ] = None,
     method: Annotated[
@@ -36,10 +38,14 @@ def evaluate_arena(
     seed: Annotated[
         int, typer.Option(min=0, help="First seed; nothing was chosen with seeds from 100000 up.")
     ] = 100_000,
+    data: Annotated[
+        Path | None,
+        typer.Option(exists=True, file_okay=False, help="Folder with the files of LiU-ICE, as a plant."),
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw ROC curves into this file (.svg, .png, .pdf).")] = None,
     json: Json = False,
 ) -> None:
-    """Compare methods of fault diagnosis, on ten plants.
+    """Compare methods of fault diagnosis, on eleven plants.
 
     Each method learns from the same records, and its threshold is set by
     the same healthy ones; a method of your own is one file.
@@ -48,6 +54,23 @@ def evaluate_arena(
 
     code = work(
         plants=plant, methods=method, runs=runs, healthy=healthy, train=train, off=off, false_alarm=false_alarm,
-        seed=seed, plot=plot, json=json,
+        seed=seed, data=data, plot=plot, json=json,
     )  # fmt: skip
     raise typer.Exit(code)
+
+
+@does("gateway_arena.monitor.fit:fit", fault="faults")
+def fit(
+    config: Annotated[Path, typer.Argument(help="Configuration file.")],
+    logs: Annotated[list[Path], typer.Argument(help=f"Logs of healthy drives. {LOG_HELP}")],
+    monitor: Annotated[str | None, typer.Option(help='Monitor of type "method", if there are several.')] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LOG@SECONDS", help="A log with a fault, and when it begins; may be repeated."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Have a method of the arena learn from healthy logs.
+
+    The file that it writes is what the monitor runs with.
+    """

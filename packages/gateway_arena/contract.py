@@ -12,6 +12,7 @@ A method is a class without arguments for ``__init__``, with ``fit``, and ``step
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -136,8 +137,25 @@ class Method(Protocol):
         """Return what is said of a record."""
 
 
-class Stepped:
-    """A method with ``step`` as one with ``run``."""
+class Fed(ABC):
+    """A method that takes samples as they come, so that it can be a monitor, too."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Begin a record."""
+
+    @abstractmethod
+    def feed(self, values: Array) -> Found:
+        """Go on with samples, shape (n, knowns), a period apart; returns what is said of them."""
+
+    def run(self, record: Record) -> Found:
+        """Return what is said of a record."""
+        self.reset()
+        return self.feed(record.values)
+
+
+class Stepped(Fed):
+    """A method with ``step`` as one with ``feed``."""
 
     def __init__(self, method: Any) -> None:
         self._method = method
@@ -147,11 +165,14 @@ class Stepped:
         """Have it fitted."""
         self._method.fit(plant, healthy, faulty)
 
-    def run(self, record: Record) -> Found:
-        """Step through a record."""
+    def reset(self) -> None:
+        """Have it begin again, if it can."""
         if hasattr(self._method, "reset"):
             self._method.reset()
-        said = [self._method.step(sample) for sample in record.values]
+
+    def feed(self, values: Array) -> Found:
+        """Step through samples."""
+        said = [self._method.step(sample) for sample in values]
         if not isinstance(said[0], tuple):
             return Found(np.array(said, np.float64))
         return Found(np.array([s for s, _ in said], np.float64), np.array([w for _, w in said], np.float64))

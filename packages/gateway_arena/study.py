@@ -12,8 +12,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from gateway.cli.present import print_json, say, wide_console
+from gateway_arena.contract import Plant
 from gateway_arena.methods import METHODS, method
 from gateway_arena.plants import NAMES, plant
+from gateway_arena.plants.engine import Engine
+from gateway_arena.plants.tennessee import NAME as TENNESSEE
+from gateway_arena.plants.tennessee import is_there
 from gateway_arena.score import Row, threshold
 from gateway_arena.trial import records, trial
 from gateway_fdi.errors import InputError
@@ -47,6 +51,22 @@ def _plain(row: Row) -> dict[str, object]:
     }
 
 
+def _enough(count: int, false_alarm: float, key: str) -> None:
+    """Refuse fewer healthy records than a threshold takes."""
+    if threshold(np.zeros(count), false_alarm) == math.inf:
+        least = math.ceil(1 / false_alarm) - 1
+        raise InputError(f"{false_alarm:g} false alarms take {least} healthy records at least", key=key, value=count)
+
+
+def _plants(names: Sequence[str] | None, data: Path | None) -> list[Plant]:
+    """Return the plants: those named, recordings; by default all that are installed."""
+    if names is None and data is None and not is_there():
+        say(f"{TENNESSEE} is left out: pip install tep-studio")
+        names = [name for name in NAMES if name != TENNESSEE]
+    wanted = names if names is not None or data is not None else NAMES
+    return [*(plant(name) for name in wanted or ()), *([] if data is None else [Engine(data)])]
+
+
 def arena(
     *,
     plants: Sequence[str] | None,
@@ -57,6 +77,7 @@ def arena(
     off: float,
     false_alarm: float,
     seed: int,
+    data: Path | None,
     plot: Path | None,
     json: bool,
 ) -> int:
@@ -65,16 +86,18 @@ def arena(
     Raises:
         InputError: no such plant or method; too few records for a threshold; a method that breaks its contract.
     """
-    if threshold(np.zeros(healthy), false_alarm) == math.inf:
-        least = math.ceil(1 / false_alarm) - 1
-        raise InputError(f"{false_alarm:g} false alarms take {least} records at least", key="--healthy", value=healthy)
+    _enough(healthy, false_alarm, "--healthy")
     names = tuple(methods or METHODS)
     for name in names:
         method(name)
     rows = []
-    for each in [plant(name) for name in plants or NAMES]:
+    for each in _plants(plants, data):
         say(f"{each.name} ({each.source}): {len(each.sizes)} faults ...")
-        given = records(each, seed, runs=runs, healthy=healthy, train=train, off=off)
+        if isinstance(each, Engine):
+            given = each.records()
+            _enough(len(given.validated), false_alarm, "--data")
+        else:
+            given = records(each, seed, runs=runs, healthy=healthy, train=train, off=off)
         rows += [trial(name, method(name), each, given, false_alarm) for name in names]
     if plot:
         from gateway_arena.figure import draw  # noqa: PLC0415 - drawing is slow to load

@@ -75,6 +75,8 @@ def trial(name: str, method: Method, plant: Plant, given: Records, false_alarm: 
         InputError: what the method says has another shape, is no number, or depends on later samples.
     """
     try:
+        if getattr(method, "supervised", False) and not given.seen:
+            raise NotForThisPlantError("there are too few records with faults to learn from")
         method.fit(plant, given.learned, given.seen if getattr(method, "supervised", False) else ())
     except NotForThisPlantError as error:
         return Row.refused_by(plant.name, name, str(error))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gateway_fdi.common.log import get_logger
 from gateway_fdi.detectors import numbers
 from gateway_fdi.errors import InputError, as_input, named
 from gateway_fdi.jit import zeros
@@ -18,6 +19,8 @@ from gateway_fdi.structure.model import Model, ResidualChoice
 
 if TYPE_CHECKING:
     from gateway_fdi.structure.generator.loading import Loaded
+
+log = get_logger(__name__)
 
 
 class Residual:
@@ -119,6 +122,9 @@ def _rate(field: str, rows: NDArray[np.void], times: NDArray[np.float64]) -> NDA
 def residuals(model: Model, **options: bool | float) -> list[Residual]:
     """Return the fewest residuals that tell apart as much as all that the structure gives.
 
+    A set of equations that algebra does not solve is left out. Faults that no residual sees then are logged: sets that
+    could stand for it often integrate what hardly forgets, and name healthy parts.
+
     Args:
         model: with relations.
         options: of :class:`Residual`.
@@ -132,6 +138,9 @@ def residuals(model: Model, **options: bool | float) -> list[Residual]:
         made += list(_of_set(analysis, int(number), options))[:1]
     if not made:
         raise InputError("no equation of the model can be checked by the others", key="model", value=model.name)
+    unseen = [fault for fault in model.faults if not any(fault in one.faults for one in made)]
+    if unseen:
+        log.warning("no residual that can be computed sees some faults", model=model.name, faults=", ".join(unseen))
     return made
 
 

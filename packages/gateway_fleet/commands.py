@@ -174,11 +174,17 @@ def evaluate_learn(
 
 def evaluate_senders(
     files: Annotated[
-        list[Path] | None, typer.Argument(help="Logs of one healthy car more, with databases (.dbc) if there are any.")
+        list[Path] | None,
+        typer.Argument(
+            help="Logs of one healthy car more, with databases (.dbc) if there are any. The first log is learned of,"
+            " the others are attacked and replayed; of one log the second half."
+        ),
     ] = None,
     cars: Annotated[int, typer.Option(min=0, help="Number of virtual cars.")] = 3,
     attacks: Annotated[int, typer.Option(min=1, help="Number of attacks of each kind.")] = 500,
-    hours: Annotated[float, typer.Option(min=0, help="Other healthy drives, together [h].")] = 20.0,
+    hours: Annotated[
+        float, typer.Option(min=0, help="Other healthy drives, and replays of the logs by late hosts, together [h].")
+    ] = 20.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
     json: Json = False,
 ) -> None:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from gateway.bus.logs import open_writer
 from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
-from gateway.calibration.logs import digest
+from gateway.calibration.logs import Reading, digest
 from gateway.cli import app
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
@@ -85,7 +85,7 @@ def test_nu_and_the_largest_t_are_those_of_a_cusum_by_hand(healthy, tmp_path):
     path = tmp_path / "truck.toml"
     kind = 'type = "hybrid_powertrain"'
     path.write_text(followed.read_text().replace(kind, f"{kind}\nfollow = false"))
-    found = learn(load_config(path), logs, margin=0.4, floor=2.0, file=path)
+    found = learn(load_config(path), logs, Reading(path), margin=0.4, floor=2.0)
     (t1,) = (row for row in found.rows if row.name == "T1")
     nu, largest = by_hand(logs)
     assert t1.nu == pytest.approx(nu, rel=1e-9)
@@ -101,7 +101,7 @@ def test_the_noise_is_learned_and_what_was_too_low_is_told(healthy):
     """Three times the noise: nu is as much larger, and the configuration's thresholds alarm in these healthy logs."""
     path, logs = healthy
     config = load_config(path)
-    found = learn(config, logs, file=path)
+    found = learn(config, logs, Reading(path))
     assert [row.name for row in found.rows] == [*QUANTITIES, "T7"]
     for row in found.rows:
         if row.residual:
@@ -134,9 +134,9 @@ def test_they_are_written_and_the_diagnosis_works_with_them(healthy, truck, tmp_
     kept = [line for line in path.read_text().splitlines() if line not in config.read_text()]
     assert kept == []
     third = log(tmp_path / "3.log", truck, 3)
-    assert learn(load_config(config), [third], file=config).failed == ()
+    assert learn(load_config(config), [third], Reading(config)).failed == ()
     faulty = log(tmp_path / "4.log", truck, 4, "battery_short")
-    assert "P1A10-01" in learn(load_config(config), [faulty], file=config).failed
+    assert "P1A10-01" in learn(load_config(config), [faulty], Reading(config)).failed
 
 
 @compiled
@@ -156,13 +156,13 @@ def test_a_log_of_something_else_is_refused(healthy, tmp_path):
     other = tmp_path / "other.log"
     other.write_text("(1.000000) can0 7FF#00\n(2.000000) can0 7FF#00\n")
     with pytest.raises(InputError, match="nothing that monitor"):
-        learn(load_config(path), [other], file=path)
+        learn(load_config(path), [other], Reading(path))
 
 
 def test_a_configuration_without_cusum_tests_is_refused(tmp_path):
     path = shipped("configs/steering.toml")
     with pytest.raises(InputError, match="no monitor here has CUSUM tests"):
-        learn(load_config(path), [tmp_path / "none.log"], file=path)
+        learn(load_config(path), [tmp_path / "none.log"], Reading(path))
     (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n")
     said = CliRunner().invoke(app, ["calibrate", str(shipped("configs/diagnostics.toml")), str(tmp_path / "a.log")])
     assert said.exit_code != 0

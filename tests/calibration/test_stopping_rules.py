@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gateway.bus.logs import open_writer
 from gateway.calibration.file import write
-from gateway.calibration.logs import digest
+from gateway.calibration.logs import Reading, digest
 from gateway.calibration.stopping import alarms, calibrate, levels, propose, tables
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
@@ -82,7 +82,7 @@ def healthy(tmp_path_factory):
 def test_healthy_drives_set_thresholds(healthy):
     path, logs = healthy
     config = load_config(path)
-    seen = levels(config, logs, file=path)
+    seen = levels(config, logs, Reading(path))
     assert seen.seconds == 10.0  # of each 2 s are warm-up, and the last second is not whole
     assert seen.failed == ()
     rows = {row.symptom: row for row in calibrate(config, seen, 3600.0)}
@@ -102,7 +102,7 @@ def test_they_are_written_and_all_else_stays(healthy):
     path, logs = healthy
     config = load_config(path)
     before = path.read_text()
-    rows = calibrate(config, levels(config, logs, file=path), 600.0)
+    rows = calibrate(config, levels(config, logs, Reading(path)), 600.0)
     write(path, tables(rows), f"sha256 {digest(logs)}")
     after = path.read_text()
     assert "# steering wheel over road wheel, as the controller makes it" in after
@@ -138,7 +138,7 @@ def test_the_command_says_how_far_the_data_carry(healthy):
 def test_a_configuration_without_such_thresholds_is_refused(tmp_path):
     path = shipped("configs/pedal.toml")
     with pytest.raises(InputError, match="no monitor here has stopping rules"):
-        levels(load_config(path), [tmp_path / "none.log"], file=path)
+        levels(load_config(path), [tmp_path / "none.log"], Reading(path))
 
 
 @compiled
@@ -153,4 +153,4 @@ def test_logs_that_are_too_short_are_refused(healthy, tmp_path):
     writer.write(player.frames)
     writer.close()
     with pytest.raises(InputError, match="less than 3 s"):
-        levels(load_config(path), [log], file=path)
+        levels(load_config(path), [log], Reading(path))

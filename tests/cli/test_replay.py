@@ -13,6 +13,7 @@ from own_message import DBC
 
 from gateway.bus.frames import to_message
 from gateway.bus.logs import open_writer, read_log
+from gateway.common import extras
 
 BUS = """
 [[bus]]
@@ -135,6 +136,13 @@ def test_one_bus_takes_all_channels_and_says_so(replay, tmp_path):
     chosen = replay("a.log", "--map", "can4=chassis", "--json", config="one.toml")
     assert chosen.event("summary")["frames"] == 60
     assert chosen.event("log")["channels"]["can3"] == {"bus": None, "frames": 60}
+
+
+def test_a_report_without_its_packages_is_refused_before_a_log_is_looked_for(replay, monkeypatch):
+    monkeypatch.setattr(extras, "_found", lambda package: package != "bokeh")
+    ended = replay("none.log", "--html", "report.html")
+    assert (ended.code, "ecu-gateway[serve]" in ended.err, "--html" in ended.err) == (2, True, True), ended.err
+    assert "ecu-gateway[serve]" not in replay("none.log").err
 
 
 def test_a_log_of_nothing_that_is_watched(replay, tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway_fdi.jit import COMPILED, Same, bound, kernel
+from gateway_fdi.jit import COMPILED, Same, bound, intrinsics, kernel, kernels
 
 PAIR = np.dtype([("low", "<u4"), ("high", "<u4")])
 NONE = np.zeros(0, PAIR)
@@ -51,3 +51,16 @@ def test_what_is_no_array_in_one_piece_and_no_integer_is_refused():
         bound(weighed, np.zeros(1, np.int64), NONE, NONE.view("<u8").reshape(0, 1), 0, rest=(0.5,))
     with pytest.raises(TypeError, match="2 arguments, not 1"):
         bound(weighed, np.zeros(1, np.int64), NONE, NONE.view("<u8").reshape(0, 1), rest=(0, 0))(1)
+
+
+def test_entries_of_plain_python_are_called_by_their_numbers(monkeypatch):
+    monkeypatch.setattr(kernels, "COMPILED", False)
+    called = []
+    records = [np.zeros(1, [("x", np.float64)]) for _ in range(4)]
+    dtypes = tuple(each.dtype for each in records)
+    numbers = [kernels.entry_point(lambda *given, k=k: called.append((k, given)), dtypes) for k in (0, 1)]
+    for number in reversed(numbers):
+        assert intrinsics._call_entry(number, *(each.ctypes.data for each in records)) == 0
+    assert [k for k, _ in called] == [1, 0]
+    called[0][1][3]["x"] = 7.0
+    assert records[3]["x"] == 7.0, "the records are those at the addresses"

@@ -44,7 +44,9 @@ def test_half_a_drive_is_learned_and_the_other_half_is_silent(found):
     kinds = {outcome.trial.injection.kind for outcome in result.outcomes}
     assert kinds >= {"drop", "flip", "freeze", "repeat", "offset", "stuck"}
     sees = {each.name: each for each in result.trials.seeing}
-    assert sees["can0.SPEED.SPEED"].offset <= 10.0, "ten km/h are seen"
+    speed = sees["can0.SPEED.SPEED"]
+    assert (speed.up.size, speed.down.size) <= (10.0, 10.0), "ten km/h are seen"
+    assert speed.up.named == speed.down.named == speed.up.moments >= 2, "the car drives at each moment"
     assert sees["can0.SPEED.SPEED"].stuck_s < 6.0
     assert "can0.BODY_CONTROL_STATE_2.UNITS" not in result.trials.unwatched, "it never moves"
     assert not set(result.trials.unwatched) & set(sees)

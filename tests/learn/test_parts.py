@@ -1,16 +1,22 @@
 """What logs are looked at for: how messages are sent, how long signals rest, which of them follow each other."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from gateway.bus.frames import empty
 from gateway_fleet.learn.course import Courses
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, sending, timeout_ms
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
 from gateway_fleet.learn.merge import File
 from gateway_fleet.learn.relations import relations
+from gateway_fleet.learn.report import _size
 from gateway_fleet.learn.state import Kept
+from gateway_fleet.learn.trial import OFFSETS, Smallest, _smallest
 from gateway_fleet.learn.update import add_before
+from gateway_fleet.study.learn.drive import late_host
 
 MS = 1_000_000
 
@@ -130,3 +136,27 @@ def test_what_healthy_logs_broke_stays_out_when_others_are_added():
     assert add_before(learned, kept, nothing, (BusAsked("b", "virtual:x", ()),)) == set()
     assert [line.keys for line in learned.lines.values()] == [{"message": "M"}]
     assert "earlier logs broke it" in learned.lines[lines[0].place].why
+
+
+@pytest.mark.parametrize(
+    ("named", "found", "cell"),
+    [
+        ({1.0: 4, 0.5: 4, 0.25: 3}, Smallest(5.0, 4, 4), "5 V"),
+        ({1.0: 3, 2.0: 4}, Smallest(20.0, 4, 4), "20 V"),
+        ({4.0: 2}, Smallest(40.0, 2, 4), "40 V at 2 of 4"),
+        ({}, None, "-"),
+    ],
+)
+def test_a_size_is_seen_that_is_named_at_each_moment(named, found, cell):
+    bench = SimpleNamespace(share=lambda size: Smallest(10.0 * size, named.get(size, 0), 4))
+    smallest = _smallest(bench, OFFSETS, lambda size: size)
+    assert smallest == found
+    assert _size(smallest, " V") == cell
+
+
+def test_frames_of_a_late_host_keep_their_order_and_are_never_too_early():
+    frames = empty(5000)
+    frames["t_ns"] = np.cumsum(np.random.default_rng(4).integers(0, 2 * MS, 5000))  # seed 4
+    late = late_host(frames, 0.1, 5)["t_ns"] - frames["t_ns"]
+    assert 0 == late.min() < late.max() <= 100 * MS
+    assert (np.diff(frames["t_ns"] + late) >= 0).all()

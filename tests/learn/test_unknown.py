@@ -11,8 +11,11 @@ from learning import asked, drive, quiet
 from gateway.bus.frames import EXTENDED
 from gateway.config.load import load_config
 from gateway.signals.decode import of_a_tester
+from gateway_fleet.learn.car import Asking, asked_for, learned
 from gateway_fleet.learn.judged import Payloads
 from gateway_fleet.learn.learn import learn, write
+from gateway_fleet.learn.lines import HEALTH
+from gateway_fleet.learn.merge import read
 from gateway_fleet.learn.unknown import message_of, with_counter
 from gateway_fleet.study.learn.drive import Way
 from gateway_fleet.study.learn.judge import healthy, judged
@@ -90,6 +93,41 @@ MESSAGES = [
 def run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     return lambda *arguments: command(capsys, monkeypatch, *arguments)
+
+
+def health_after(out, rows):
+    """Return the bus's health after another drive was added, and what is told of the update."""
+    log = out.with_name("drive.log")
+    drive(log, 16.0, rows)
+    result = learned(asked_for((), [log], out, Asking(update=out.exists())), quiet)
+    return tomllib.loads(out.read_text())["bus"][0].get("health"), result.changes
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("own", [False, True])
+def test_an_update_knows_what_came_and_keeps_a_person_s_health(own, tmp_path):
+    out, seldom = tmp_path / "car.toml", MESSAGES[1][2]
+    first, _ = health_after(out, [MESSAGES[0], (0x2AA, 7.0, seldom, 0.0)])
+    assert first == {"unknown": "tell", "known": [0x2AA]}
+    if own:
+        out.write_text(out.read_text().replace('unknown = "tell"', 'unknown = "fault"'))
+    now, changes = health_after(out, [MESSAGES[0], (0x2AB, 7.0, seldom, 0.0)])
+    told = [change for change in changes if "0x2AB" in change]
+    if own:
+        assert now == {"unknown": "fault", "known": [0x2AA]}
+        assert told == ["can0: 0x2AB came, and `health`, a person's, does not know it"]
+        return
+    assert now == {"unknown": "tell", "known": [0x2AA, 0x2AB]}
+    text = out.read_text()
+    out.write_text("".join(line for line in text.splitlines(True) if not line.startswith("health")))
+    assert health_after(out, [MESSAGES[0]])[0] is None, "taken out by hand: it stays out"
+
+
+def test_a_person_s_table_of_health_is_found():
+    lines = '[[bus]]\nname = "a"\nhealth = { unknown = "tell" }  # x\n[[bus]]\nname = "b"\n[bus.health]\nknown = [1]\n'
+    found = read(lines).found
+    assert found["a", HEALTH, HEALTH].keys == {"unknown": "tell"}
+    assert found["b", HEALTH, HEALTH].number == -1
 
 
 @pytest.mark.long

@@ -22,8 +22,9 @@ def reference(kind, path, name=None):
     return tag(f"{name or kind}_REF", path, DEST=kind.replace("_", "-"))
 
 
-def frame(name, length):
-    mapping = tag("PDU_TO_FRAME_MAPPING", tag("SHORT_NAME", "m"), reference("I_SIGNAL_I_PDU", f"/Pdu/{name}", "PDU"))
+def frame(name, length, secured=False):
+    kind, path = ("SECURED_I_PDU", f"/Secured/{name}") if secured else ("I_SIGNAL_I_PDU", f"/Pdu/{name}")
+    mapping = tag("PDU_TO_FRAME_MAPPING", tag("SHORT_NAME", "m"), reference(kind, path, "PDU"))
     return tag("CAN_FRAME", tag("SHORT_NAME", name), tag("FRAME_LENGTH", length), tag("PDU_TO_FRAME_MAPPINGS", mapping))
 
 
@@ -35,6 +36,35 @@ def pdu(name, length, at, grouped):
     group = tag("I_SIGNAL_TO_I_PDU_MAPPING", tag("SHORT_NAME", "g"), reference("I_SIGNAL_GROUP", f"/Signal/{name}"))
     mapped = tag("I_SIGNAL_TO_PDU_MAPPINGS", signal, group if grouped else "")
     return tag("I_SIGNAL_I_PDU", tag("SHORT_NAME", name), tag("LENGTH", length), mapped)
+
+
+def secured_pdu(name, length, data_id, freshness, truncated, mac):
+    """Return a secured PDU, and the packages of its payload's triggering and its properties."""
+    own = tag("SECURE_COMMUNICATION_PROPS", tag("DATA_ID", data_id))
+    outer = tag(
+        "SECURED_I_PDU",
+        tag("SHORT_NAME", name),
+        tag("LENGTH", length),
+        reference("SECURE_COMMUNICATION_AUTHENTICATION_PROPS", f"/Props/{name}_a", "AUTHENTICATION_PROPS"),
+        reference("SECURE_COMMUNICATION_FRESHNESS_PROPS", f"/Props/{name}_f", "FRESHNESS_PROPS"),
+        reference("PDU_TRIGGERING", f"/Props/{name}_t", "PAYLOAD"),
+        own,
+    )
+    triggering = tag(
+        "PDU_TRIGGERING", tag("SHORT_NAME", f"{name}_t"), reference("I_SIGNAL_I_PDU", f"/Pdu/{name}", "I_PDU")
+    )
+    authentication = tag(
+        "SECURE_COMMUNICATION_AUTHENTICATION_PROPS",
+        tag("SHORT_NAME", f"{name}_a"),
+        "" if mac is None else tag("AUTH_INFO_TX_LENGTH", mac),
+    )
+    fresh = tag(
+        "SECURE_COMMUNICATION_FRESHNESS_PROPS",
+        tag("SHORT_NAME", f"{name}_f"),
+        tag("FRESHNESS_VALUE_LENGTH", freshness),
+        tag("FRESHNESS_VALUE_TX_LENGTH", truncated),
+    )
+    return package("Secured", outer) + package("Props", triggering, authentication, fresh)
 
 
 def ids(values):
@@ -78,13 +108,15 @@ def transformer(name, profile):
     )
 
 
-def arxml(messages):
+def arxml(messages, secured=None):
     """Return the text of a file.
 
     Args:
         messages: identifier, name, length [byte], first bit of its signal Speed, name of the profile, data ids, and
             whether its signal group has a transformer, or its PDU a protection.
+        secured: name -> length of the secured PDU, its data id, bits of freshness value, of what is sent of it, of MAC.
     """
+    secured = secured or {}
     triggerings = [
         tag(
             "CAN_FRAME_TRIGGERING",
@@ -105,15 +137,24 @@ def arxml(messages):
         "DATA_TRANSFORMATION_SET", tag("SHORT_NAME", "Set"), tag("TRANSFORMATION_TECHNOLOGYS", *technologies)
     )
     protections = [
-        protection(name, profile, values) for _, name, _, _, profile, values, by_group in messages if not by_group
+        protection(name, profile, values)
+        for _, name, _, _, profile, values, by_group in messages
+        if not by_group and name not in secured
     ]
     protected = tag("END_TO_END_PROTECTION_SET", tag("SHORT_NAME", "All"), tag("END_TO_END_PROTECTIONS", *protections))
     packages = (
         package("Cluster", cluster),
-        package("Frame", *(frame(name, length) for _, name, length, *_ in messages)),
+        package(
+            "Frame",
+            *(
+                frame(name, *([secured[name][0], True] if name in secured else [length]))
+                for _, name, length, *_ in messages
+            ),
+        ),
         package("Pdu", *(pdu(name, length, at, by_group) for _, name, length, at, _, _, by_group in messages)),
         package("Signal", *signals, *groups),
         package("Transformers", transformers),
         package("Protections", protected),
     )
+    packages += tuple(secured_pdu(name, *what) for name, what in secured.items())
     return HEAD + tag("AR_PACKAGES", *packages) + "</AUTOSAR>\n"

@@ -9,8 +9,11 @@ import ctypes
 import importlib
 import os
 import select
+import selectors
+import shutil
 import signal
 import socket
+import stat
 import struct
 import subprocess  # noqa: F401 - keeps what it needs of os
 import sys
@@ -26,25 +29,23 @@ KEEP = [
     "concurrent.futures.process",
     "tempfile",
     "selectors",
-    "numba",
     "llvmlite.binding",
-    "scipy.signal",
-    "filterpy.kalman",
     "can",
     "can.interfaces.virtual",
     "cantools",
     "typer",
     "rich.console",
     "structlog",
-    "matplotlib.pyplot",
     "sqlite3",
     "pydantic",
     "pydantic_settings",
     "platformdirs",
-    "pytest",
-    "sympy",
     "urllib.request",
+    "uvicorn",
 ]
+#: Those that take seconds to load, and that no command at a bus needs.
+KEEP_AT_REST = ["numba", "scipy.signal", "filterpy.kalman", "matplotlib.pyplot", "pytest", "sympy"]
+AT_A_BUS = ["bus", "run", "simulate", "faults", "request", "serve", "watch"]
 MODULES = ["fcntl", "grp", "pwd", "resource", "termios", "tty", "pty", "syslog"]
 LACKING = {
     os: """
@@ -65,6 +66,11 @@ LACKING = {
     time: "clock_gettime clock_gettime_ns CLOCK_REALTIME CLOCK_MONOTONIC CLOCK_BOOTTIME CLOCK_MONOTONIC_RAW",
     asyncio: "open_unix_connection start_unix_server",
 }
+#: Whether it is to be shown here; on Windows, and on macOS, the gateway runs as it is.
+HERE = sys.platform == "linux"
+#: What Ctrl-Break of a console sends to a process.
+BREAK = getattr(signal, "CTRL_BREAK_EVENT", None) or (signal.SIGUSR2 if HERE else signal.SIGTERM)
+UNIX_SELECT, UNIX_STATVFS = select.select, getattr(os, "statvfs", None)
 
 
 def _locking():
@@ -90,9 +96,31 @@ def _pair():
         return one, server.accept()[0]
 
 
-def become_windows():
+def _selecting(_, reads, writes, __, timeout=None):
+    """Windows' select: of sockets alone, and never of none."""
+    if not reads and not writes:
+        raise OSError(10022, "An invalid argument was supplied")
+    numbers = [each if isinstance(each, int) else each.fileno() for each in (*reads, *writes)]
+    if not all(stat.S_ISSOCK(os.fstat(number).st_mode) for number in numbers):
+        raise OSError(10038, "An operation was attempted on something that is not a socket")
+    return UNIX_SELECT(reads, writes, [], timeout)
+
+
+def _disk_usage(path):
+    """Windows' own function of it, which shutil has there."""
+    found = UNIX_STATVFS(path)
+    return types.SimpleNamespace(free=found.f_bavail * found.f_frsize)
+
+
+def _no_handlers(*_):
+    raise NotImplementedError
+
+
+def become_windows(keep=(*KEEP, *KEEP_AT_REST)):
     """Take away what is lacking, for all modules that are loaded from now on."""
-    for name in KEEP:
+    if not HERE:
+        return
+    for name in keep:
         try:
             importlib.import_module(name)
         except ImportError:
@@ -103,19 +131,25 @@ def become_windows():
     for module, names in LACKING.items():
         for name in names.split():
             vars(module).pop(name, None)
+    shutil.disk_usage, shutil._USE_CP_SENDFILE = _disk_usage, False
     os.O_BINARY, os.O_NOINHERIT, socket.socketpair = 0, 0, _pair
+    signal.SIGBREAK = BREAK.value
+    selectors.DefaultSelector = selectors.SelectSelector
+    selectors.SelectSelector._select = _selecting
+    select.select = lambda reads, writes, errors, timeout=None: _selecting(None, reads, writes, errors, timeout)
+    asyncio.unix_events._UnixSelectorEventLoop.add_signal_handler = _no_handlers
 
     def no_library_of_the_process(name, *more, **further):
         if name is None:
             raise TypeError("bad argument type for built-in operation")
-        return library(name, *more, **further)
+        return library("libm.so.6" if name == "ucrtbase" else name, *more, **further)
 
     library, ctypes.CDLL = ctypes.CDLL, no_library_of_the_process
 
 
 if __name__ == "__main__":
     sys.path[0] = str(Path(__file__).parents[2])
-    become_windows()
+    become_windows(KEEP if sys.argv[1] in AT_A_BUS else (*KEEP, *KEEP_AT_REST))
     from gateway.cli import main
 
     sys.argv[0] = "gateway"

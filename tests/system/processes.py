@@ -23,14 +23,15 @@ def gateway(*arguments, cwd, timeout=1200, **options):
 
 
 @contextmanager
-def process(*arguments, cwd, ready):
+def process(*arguments, cwd, ready, program=GATEWAY):
     """Start a command, wait for a line on stderr, end it with SIGTERM."""
     started = subprocess.Popen(
-        [*GATEWAY, *map(str, arguments)],
+        [*program, *map(str, arguments)],
         cwd=cwd,
         stdout=(Path(cwd) / f"{arguments[0]}.out").open("a"),
         stderr=subprocess.PIPE,
         text=True,
+        creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
     )
     try:
         line = ""
@@ -51,6 +52,6 @@ def process(*arguments, cwd, ready):
 
 
 @contextmanager
-def bus(cwd):
-    with process("bus", "127.0.0.1:0", cwd=cwd, ready="serving") as started:
+def bus(cwd, *, program=GATEWAY):
+    with process("bus", "127.0.0.1:0", cwd=cwd, ready="serving", program=program) as started:
         yield re.search(r"loopback:\S+", started.said)[0]

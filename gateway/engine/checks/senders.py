@@ -1,8 +1,8 @@
-"""Senders of a message: how often it may come, and whether its alive counter runs once.
+"""Senders of a message: its rate, and whether its alive counter runs once.
 
-A limit on a single gap would accuse healthy senders: their frames queue, so that two come at once. Over a window it
-does not. Of two senders of one identifier nobody knows whose values are true: none are used, and no other check of the
-message accuses anyone meanwhile.
+A limit on a single gap would accuse healthy senders: frames queue, and two come at once. A limit on the frames of a
+window does not. Of two senders of one identifier nobody knows whose values are true. Then no values are used, and no
+other check of the message accuses its sender.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from gateway.monitors.contract import Debounce, Fault
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.jit import Record, i4, i8, i8s, means, u1
 
-#: Stamps that are kept of a window.
+#: Most stamps that are kept of a window.
 KEPT = 8
 
 EARLY_FAULT = Fault(
@@ -39,41 +39,41 @@ SECOND_FAULT = Fault(
 
 
 class Most(StrictModel):
-    """Number of frames that a message may come in a window."""
+    """Most frames of a message in a window."""
 
-    frames: int = Field(ge=1, le=100_000, description="frames that may come in any such time; more are a fault")
-    ms: float = Field(gt=0, le=3.6e6, description="the time [ms]")
+    frames: int = Field(ge=1, le=100_000, description="frames that may come in any such window; more are a fault")
+    ms: float = Field(gt=0, le=3.6e6, description="the window [ms]")
 
 
 class SenderConst(Record):
-    """How often a message may come: more than ``stride * slots`` frames in ``most_ns`` are too many."""
+    """Limit of a message's rate: ``stride * slots`` frames in ``most_ns``."""
 
     most_ns: i8 = means("window", "ns")
-    stride: i4 = means("each such frame's stamp is kept; 0: its rate is not watched")
-    slots: i4 = means("stamps that are kept, KEPT at most")
-    apart_ns: i8 = means("mean gap at the limit: of two gaps around a second sender's frame one is shorter", "ns")
+    stride: i4 = means("one stamp is kept of so many frames; 0: the rate is not watched")
+    slots: i4 = means("stamps that are kept, at most KEPT")
+    apart_ns: i8 = means("mean gap at the limit; of the two gaps around a second sender's frame one is shorter", "ns")
 
 
 class SenderState(Record):
-    """State of the checks of a message's senders."""
+    """State of these checks of one message."""
 
-    last_ns: i8 = means("when its checksum was last tested", "ns")
-    blamed: u1 = means("1: the last frame's checksum was wrong, and counts against its sender")
-    before: i4 = means("detection counter of its checksum before that")
+    last_ns: i8 = means("when a checksum was last tested", "ns")
+    blamed: u1 = means("1: the last checksum was wrong, and counts against the sender")
+    before: i4 = means("detection counter of the checksum before that")
     left: i4 = means("frames until the next stamp is kept")
     at: i4 = means("place of the oldest stamp")
-    filled: i4 = means("stamps of this window so far")
-    stamps: Annotated[i8s, KEPT] = means("of frames", "ns")
+    filled: i4 = means("stamps that are kept so far")
+    stamps: Annotated[i8s, KEPT] = means("the stamps", "ns")
     wraps: i4 = means("windows that passed")
-    crowded: u1 = means("1: in the last window came too many")
-    other_counter: i8 = means("alive counter of the count that the last frame did not go on")
+    crowded: u1 = means("1: the last window had too many frames")
+    other_counter: i8 = means("last value of the other count: the last frame did not continue it")
     other_seen: u1 = means("1: there is another count")
-    odd: i4 = means("frames for which one that did not go on the count is remembered")
-    twice: i4 = means("what speaks for two counts that go on")
+    odd: i4 = means("frames for which the other count is still remembered")
+    twice: i4 = means("evidence of two counts; TWO are enough")
 
 
 def fill(row: Any, most: Most | None) -> None:
-    """Fill the limit of a message; from 9 frames on the window is that of the next multiple, at the same rate."""
+    """Fill the limit of a message. More than KEPT frames are rounded up to a multiple; the rate stays."""
     if most is None:
         return
     stride = -(-most.frames // KEPT)

@@ -1,4 +1,4 @@
-"""Tests of who sends a message: its rate over a window, and counters that run twice."""
+"""Tests of a message's senders: the rate over a window, and an alive counter that runs twice."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from gateway.engine.debounce import is_settled
 from gateway.engine.results import not_tested, report_result, store_evidence
 from gateway_fdi.jit import kernel
 
-#: A frame that goes on the other count speaks for two senders as much as this number that go on the same one speaks
-#: against it. By chance a lost frame looks so once in the counter's modulus.
+#: Evidence of a frame that continues the other count; one that continues its own takes 1 back. A frame after a loss
+#: continues the other count by chance, once in the counter's modulus.
 CHANGE = 8
-#: From here on they are two, and from half of it values are doubted: four changes, two changes.
+#: Evidence of two senders: four changes between the counts. From half of it on values are doubtful.
 TWO = 4 * CHANGE
-#: Frames for which another count is remembered.
+#: Frames for which the other count is remembered.
 REMEMBERED = 64
 
 
 @kernel
 def is_doubtful(c: Any) -> bool:
-    """Return whether nobody knows if a message's frames are its sender's."""
+    """Return whether a message may have two senders, so that its values are not used."""
     if c.protection.secured == 1:  # its MAC says whose they are
         return False
     if c.twice >= TWO // 2:
@@ -30,7 +30,7 @@ def is_doubtful(c: Any) -> bool:
 
 @kernel
 def accuse(T: Any, t_ns: int, c: Any, kind: int, failed: bool, value: float, limit: float) -> int:
-    """Report a result of a message's check, as ``report_result``; no failure while the sender is doubtful."""
+    """Report a result of a check as ``report_result`` does; while the sender is doubtful a failure is not tested."""
     if failed and is_doubtful(c):
         not_tested(T, t_ns, c.fault[kind])
         return -1
@@ -39,10 +39,10 @@ def accuse(T: Any, t_ns: int, c: Any, kind: int, failed: bool, value: float, lim
 
 @kernel
 def clears_sender(T: Any, t_ns: int, c: Any, failed: bool) -> bool:
-    """Return whether a wrong checksum is none of the sender's; a right one may take the blame of the last one back.
+    """Return whether a wrong checksum is not the sender's. A right one may take the blame of the last one back.
 
-    A wrong frame between two right ones that have their cycle between them is another sender's: it comes soon after the
-    one, or the other comes soon after it.
+    A wrong frame between two right ones that are one cycle apart is another sender's. It comes soon after the first, or
+    the second comes soon after it.
     """
     early = t_ns - c.last_ns < c.apart_ns
     d = T.debounces[c.fault[CRC]]
@@ -54,19 +54,18 @@ def clears_sender(T: Any, t_ns: int, c: Any, failed: bool) -> bool:
 
 @kernel
 def begin_window(c: Any) -> None:
-    """Forget the frames of the window: some were not heard, or came late together."""
+    """Begin the window again: frames were not heard, or came late together."""
     c.left, c.at, c.filled = 1, 0, 0
     c.other_seen, c.odd, c.twice = 0, 0, 0
 
 
 @kernel
 def keep_stamp(T: Any, t_ns: int, c: Any) -> None:
-    """Keep a stamp, and have the window that ends with it judged; where it passes, once a turn of the stamps.
+    """Keep a stamp, and judge the window that ends with it.
 
-    Where passes change nothing any more, each eighth is: a healthy message must not cost more than its frames.
-
-    The oldest stamp is that of the frame ``stride * slots`` before this one: if both are in one window, one frame more
-    than the limit is.
+    The oldest stamp is that of the frame ``stride * slots`` before this one. If both lie in one window, it has one
+    frame more than the limit. A pass is reported once a turn of the stamps. Where passes change nothing any more each
+    eighth turn is enough: a healthy message must cost little.
     """
     at = c.at
     span_ns = t_ns - c.stamps[at]
@@ -89,7 +88,7 @@ def keep_stamp(T: Any, t_ns: int, c: Any) -> None:
 
 @kernel(inlined=False)
 def judge_rate(T: Any, t_ns: int, c: Any, span_ns: int) -> None:
-    """Report the result of a window that took so long."""
+    """Report the result of a window; ``span_ns`` is the time that its frames took."""
     most = c.stride * c.slots
     failed = span_ns < c.most_ns
     c.crowded = failed
@@ -106,7 +105,7 @@ def judge_rate(T: Any, t_ns: int, c: Any, span_ns: int) -> None:
 
 @kernel
 def goes_on(c: Any, before: int, received: int) -> int:
-    """Return by how much a counter went on from one before, 0: not by what it may."""
+    """Return the step of a counter from a value before; 0: a step that it may not make."""
     p = c.protection
     step = (received - before) % p.modulus
     return int(step) if step <= p.max_step + c.unread else 0
@@ -114,14 +113,14 @@ def goes_on(c: Any, before: int, received: int) -> int:
 
 @kernel
 def follow(T: Any, t_ns: int, c: Any, received: int, step: int) -> int:
-    """Tell two counts apart; returns by how much the counter rose on the count that the frame goes on.
+    """Tell two counts apart; returns the step of the counter on the count that the frame continues.
 
     Args:
         T: the tables.
         t_ns: now.
         c: its record of CHECK.
         received: alive counter of the frame.
-        step: by how much it rose since the last frame.
+        step: its step since the last frame.
     """
     if step < 0 or c.seen == 0:
         return step

@@ -1,7 +1,7 @@
-"""Identifiers that nobody of a bus has: neither its databases, nor servers, testers, or ECUs that are asked.
+"""Unknown identifiers of a bus: neither its databases, servers and testers nor the ECUs that are asked have them.
 
-Each is counted, with its first payload. It is told at its first frame, its tenth, its hundredth and so on, so that a
-flood is a bounded number of events.
+Each is counted, with its first payload. It is told at its first, tenth, hundredth frame and so on, so that a flood is a
+bounded number of events.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gateway.signals.decode import exact_key, pgn_key
 from gateway.signals.tables import by_pgn, hash_table
 from gateway_fdi.jit import Record, i8, means, u1, u4, u8
 
-#: Unknown identifiers that are kept apart; all further ones together have the last place.
+#: Unknown identifiers that have a place of their own; further ones share the last place.
 MOST = 64
 
 

@@ -45,6 +45,8 @@ def automatic(message: Message, file: Path) -> tuple[ProtectionParams, str]:
     Raises:
         InputErrors: attributes that make no profile.
     """
+    if message.autosar is not None and message.autosar.secoc is not None:
+        return ProtectionParams(), 'nothing: SecOC wants a key, secoc = { profile = "database", key = ... }'
     for found in (_of_arxml(message), _of_attributes(message)):
         if found is not None:
             keys, why = found

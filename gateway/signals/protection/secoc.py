@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, ValidationError, model_validator
 
+from gateway.host.process import open_to_others
 from gateway.signals.bits import Field as Place
 from gateway.signals.bits import place
 from gateway.signals.protection.checksum import Checksum
@@ -52,9 +53,11 @@ _OF_SYNCED = {"sync", "trip", "reset", "flag", "per_sync"}
 class SecocCheck(StrictModel):
     """A message that SecOC secures."""
 
-    profile: Literal[1, 2, 3, "sync"] = Field(description="1, 2 or 3; sync: the freshness master's message")
+    profile: Literal[1, 2, 3, "sync", "database"] = Field(
+        description="1, 2 or 3; sync: the freshness master's message; database: lengths and data id of an ARXML file"
+    )
     key: Path = Field(description="file with the AES-128 key, 32 hex digits, mode 0600; relative to this file's folder")
-    data_id: int = Field(ge=0, le=0xFFFF, description="goes into the MAC")
+    data_id: int | None = Field(None, ge=0, le=0xFFFF, description="goes into the MAC; default: the database's")
     freshness: int | None = Field(None, ge=0, le=64, description="bits of the whole value; default: 64, profile 2: 0")
     truncated: int | None = Field(None, ge=0, le=64, description="lowest bits that are sent; default: the profile's")
     mac: int | None = Field(None, ge=16, le=64, description="highest bits that are sent; default: the profile's")
@@ -77,6 +80,10 @@ class SecocCheck(StrictModel):
 
     @model_validator(mode="after")
     def _fits_its_profile(self) -> Self:
+        if self.profile == "database":
+            return self
+        if self.data_id is None:
+            raise ValueError("data_id: 16 bits that go into the MAC")
         own = {"trip", "reset"} if self.profile == "sync" else _OF_SYNCED if self.profile == 3 else set()
         foreign = (_OF_SYNCED - own) & self.model_fields_set
         if foreign:
@@ -93,6 +100,39 @@ class SecocCheck(StrictModel):
         if self.start is not None and self.start >> (self.trip + self.reset if self.sync else bits):
             raise ValueError(f"start has more than {self.trip + self.reset if self.sync else bits} bits")
         return self
+
+    def of(self, message: Message) -> SecocCheck:
+        """Return it with what the message's database says, where it is asked for; keys that are given stay.
+
+        Its freshness value is a counter (profile 1, without one 2), or profile 3's where ``sync`` is given: the names
+        that an ARXML file gives to algorithms are a carmaker's own.
+
+        Raises:
+            InputError: the database says nothing, or too little; it says what is none of these profiles.
+        """
+        if self.profile != "database":
+            return self
+        said = message.autosar.secoc if message.autosar is not None else None
+        if said is None:
+            raise InputError(f"the database has no SecOC of {message.name}", key="profile", value="database")
+        found = {
+            "data_id": said.data_id,
+            "freshness": said.freshness_bit_length,
+            "truncated": said.freshness_tx_bit_length,
+            "mac": said.auth_tx_bit_length,
+            "authentic": said.payload_length,
+        }
+        keys = found | {name: getattr(self, name) for name in self.model_fields_set}
+        lacking = [name for name, value in keys.items() if value is None]
+        if lacking:
+            raise InputError(f"the database does not say {', '.join(lacking)} of {message.name}", key=lacking[0])
+        try:
+            return SecocCheck(**keys | {"profile": 3 if self.sync else 1 if keys["freshness"] else 2})
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = str(first["loc"][0]) if first["loc"] else "profile"
+            text = f"the database's SecOC of {message.name}: {first['msg']}"
+            raise InputError(text, key=key, value=keys.get(key)) from error
 
     @property
     def _lengths(self) -> tuple[int, int, int]:
@@ -115,6 +155,9 @@ class SecocCheck(StrictModel):
         Raises:
             InputError: it does not fit the message; a key that cannot be read, or that others can read.
         """
+        if self.profile == "database":
+            return self.of(message).protection(message)
+        assert self.data_id is not None
         bits, truncated, mac = self._lengths
         tail = (truncated + mac + 7) // 8
         authentic = message.length - tail if self.authentic is None else self.authentic
@@ -158,10 +201,10 @@ def read_key(file: Path) -> bytes:
         InputError: it cannot be read, others can read it, or it is none.
     """
     try:
-        mode, text = file.stat().st_mode, file.read_text(encoding="ascii").strip()
+        shared, text = open_to_others(file), file.read_text(encoding="ascii").strip()
     except (OSError, ValueError) as error:
         raise InputError(f"no key can be read here: {error}", key="key", value=str(file)) from error
-    if mode & 0o077:
+    if shared:
         raise InputError("others can read this key: chmod 600", key="key", value=str(file))
     try:
         key = bytes.fromhex(text)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import sys
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Any
 
+from gateway import __version__
 from gateway.common.extras import need
 from gateway_arena.contract import Method, Stepped
 from gateway_fdi.errors import InputError, nearest
@@ -51,15 +54,34 @@ def method(name: str) -> Method:
     return _strangers(Path(path), kind)
 
 
-def _strangers(path: Path, kind: str) -> Method:
-    spec = spec_from_file_location(path.stem, path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise InputError("no such file", file=path, key="--method", value=f"{path}:{kind}")
-    module = module_from_spec(spec)
+def source_of(name: str) -> str:
+    """Return what a method's code is known by: its file's digest, or the version of this package.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    path, _, kind = name.rpartition(":")
+    if name in METHODS:
+        return __version__
     try:
-        spec.loader.exec_module(module)
-        made: Any = getattr(module, kind)()
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError("no such file", file=path or name, key="--method", value=f"{path}:{kind}") from error
+
+
+def _strangers(path: Path, kind: str) -> Method:
+    # By this name what it has learned is pickled, and found again in another process.
+    name = f"gateway_method_{source_of(f'{path}:{kind}')[:16]}"
+    try:
+        if name not in sys.modules:
+            spec = spec_from_file_location(name, path)
+            assert spec is not None
+            assert spec.loader is not None
+            sys.modules[name] = module = module_from_spec(spec)
+            spec.loader.exec_module(module)
+        made: Any = getattr(sys.modules[name], kind)()
     except Exception as error:
+        sys.modules.pop(name, None)
         raise InputError(f"{type(error).__name__}: {error}", file=path, key="--method", value=kind) from error
     if not hasattr(made, "fit") or not (hasattr(made, "step") or hasattr(made, "run")):
         raise InputError("a method has fit, and step or run", file=path, key="--method", value=kind)

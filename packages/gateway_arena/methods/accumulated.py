@@ -28,16 +28,36 @@ class Accumulated:
 
     Args:
         healthy: the statistic in healthy records, each of shape (n,), their beginnings included.
+
+    Attributes:
+        most: T over J at which the sum is cut off is some times this.
     """
 
     def __init__(self, healthy: Sequence[Array]) -> None:
-        values = np.concatenate([settled(each) for each in healthy])
-        self._cusum = Cusum.learned(values + 1e-12)
+        learned = Cusum.learned(np.concatenate([settled(each) for each in healthy]) + 1e-12)
+        self._nu, self._threshold, self.most = learned.nu, learned.threshold, _FAR
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a record."""
+        self._rule, self._done = Cusum(self._nu, self._threshold * self.most), 0
+
+    def __getstate__(self) -> tuple[float, float]:
+        return self._nu, self._threshold
+
+    def __setstate__(self, kept: tuple[float, float]) -> None:
+        self._nu, self._threshold, self.most = *kept, _FAR
+        self.reset()
+
+    def feed(self, statistic: Array) -> Array:
+        """Return T over J of the next samples, shape (n,); 0 until a record is settled."""
+        early = min(max(SETTLE - self._done, 0), len(statistic))
+        self._done += len(statistic)
+        values = np.nan_to_num(statistic[early:], nan=np.inf, posinf=1e300, neginf=-1e300)
+        sums = self._rule.run(np.minimum(np.abs(values), 1e6 * self._threshold)) * self.most
+        return np.concatenate([np.zeros(early), sums])
 
     def run(self, statistic: Array) -> Array:
-        """Return T over J, shape (n,); it begins where a record is settled, and is 0 before."""
-        rule = Cusum(self._cusum.nu, self._cusum.threshold * _FAR)
-        values = np.nan_to_num(statistic[SETTLE:], nan=np.inf, posinf=1e300, neginf=-1e300)
-        return np.concatenate(
-            [np.zeros(SETTLE), rule.run(np.minimum(np.abs(values), 1e6 * self._cusum.threshold)) * _FAR]
-        )
+        """Return T over J of a record's samples, shape (n,)."""
+        self.reset()
+        return self.feed(statistic)

@@ -5,18 +5,22 @@ from __future__ import annotations
 from gateway_arena.contract import Plant
 from gateway_arena.plants.gallery import GALLERY, GalleryPlant
 from gateway_arena.plants.solved import SOLVED, SolvedPlant
+from gateway_arena.plants.tennessee import NAME as TENNESSEE
+from gateway_arena.plants.tennessee import TennesseePlant
 from gateway_fdi.errors import InputError, nearest
 
 #: Names of the plants, in the table's order.
-NAMES = (*SOLVED, *GALLERY)
+NAMES = (*SOLVED, *GALLERY, TENNESSEE)
 
 
 def plant(name: str) -> Plant:
     """Return a plant.
 
     Raises:
-        InputError: there is none of this name.
+        InputError: there is none of this name; what simulates it is not installed.
     """
     if name not in NAMES:
         raise InputError(f"the plants are {', '.join(NAMES)}{nearest(name, NAMES)}", key="--plant", value=name)
+    if name == TENNESSEE:
+        return TennesseePlant()
     return SolvedPlant(name) if name in SOLVED else GalleryPlant(name)

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Dynamics, NotForThisPlantError, Record
-from gateway_arena.plants.solved import onset_of, touches
+from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
+from gateway_arena.plants.solved import onset_of, touches, without_slopes
 from gateway_fdi.structure.file import load_own_model
 from gateway_fdi.structure.simulation.plant import Course
 from gateway_fdi.structure.simulation.plant import Plant as Simulation
@@ -65,12 +65,12 @@ class GalleryPlant:
         return Record(times, exact + rng.normal(size=exact.shape) * np.array(self.noise), fault, onset)
 
     def dynamics(self, command: Array) -> Dynamics:
-        """Refuse: the models have equations, not slopes.
+        """Refuse (:func:`gateway_arena.plants.solved.without_slopes`).
 
         Raises:
             NotForThisPlantError: always.
         """
-        raise NotForThisPlantError("its equations are not given as slopes of states")
+        return without_slopes()
 
 
 def _shifted(points: tuple[tuple[float, float], ...], by: float, repeat: float) -> Course:

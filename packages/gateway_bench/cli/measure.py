@@ -102,7 +102,7 @@ def write(folder: Path, seconds: float = EACH_S) -> dict[str, float] | None:
 
 def wake(seconds: float = EACH_S) -> dict[str, float]:
     """Measure how long a thread that waits for a socket sleeps on after a frame has come, 1000 times a second."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    ours, theirs = socket.socketpair()
     stop = threading.Event()
 
     def send() -> None:

@@ -14,7 +14,7 @@ from gateway_fdi.jit.addresses import address_of_array
 from gateway_fdi.jit.closure import Closure
 from gateway_fdi.jit.failures import failure_of
 from gateway_fdi.jit.intrinsics import call_entry, lowest_bit, read_ahead
-from gateway_fdi.jit.kernels import Bound, Kernel, Same, bound, cells_of, entry_point, kernel, run_entry
+from gateway_fdi.jit.kernels import Bound, Kernel, Same, bound, cells_of, entry_point, kernel, python_entry, run_entry
 from gateway_fdi.jit.records import (
     LINE,
     Meaning,
@@ -69,6 +69,7 @@ __all__ = [
     "labels",
     "lowest_bit",
     "means",
+    "python_entry",
     "read_ahead",
     "record",
     "record_at",

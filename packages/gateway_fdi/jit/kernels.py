@@ -48,6 +48,9 @@ VERSION = 1
 
 _ENTRY = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_char_p, ctypes.c_void_p)
 _QUICK = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p)
+_CALLED = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.POINTER(ctypes.c_int64), ctypes.c_void_p)
+#: C functions of Python's, which live as long as the process.
+_python: list[Any] = []
 
 #: One thread compiles at a time.
 _lock = threading.RLock()
@@ -440,6 +443,23 @@ def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...
     if checked:
         refuse(step)
     return step.entry(tuple(map(Rec, records)), checked=checked or BOUNDSCHECK).address
+
+
+def python_entry(function: Callable[[int, int], int]) -> int:
+    """Give a function of plain Python an address that :func:`gateway_fdi.jit.call_entry` can jump to.
+
+    Args:
+        function: of the first two numbers of the call; returns 0, or a status. It must not raise: that would be lost.
+            It takes Python's lock, so it is for the few kernels that cannot do without.
+
+    Returns:
+        the address; it stays as long as the process.
+    """
+    if not COMPILED:
+        PYTHON_ENTRIES.append((cast(Any, function), ()))
+        return len(PYTHON_ENTRIES) - 1
+    _python.append(_CALLED(lambda cells, _: function(cells[0], cells[1])))
+    return ctypes.cast(_python[-1], ctypes.c_void_p).value or 0
 
 
 def run_entry(address: int, records: Sequence[NDArray[np.void]]) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import os
 import platform
 from functools import cache
 from typing import Any
@@ -104,6 +105,8 @@ def _engine() -> Any:
 
 @cache
 def _libraries() -> tuple[Any, ...]:
+    if not hasattr(os, "uname"):  # Windows
+        return (ctypes.CDLL("ucrtbase"),)
     names = [ctypes.util.find_library("m") or "libm.so.6", None]
     return tuple(ctypes.CDLL(name) for name in names)
 

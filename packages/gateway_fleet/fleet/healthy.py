@@ -20,7 +20,7 @@ from gateway.bus.corpus import DIGITS, Recording
 from gateway.bus.log_source import CutOffError
 from gateway.calibration import cusum, plants, sensors, stopping
 from gateway.calibration.earlier import load_afresh
-from gateway.calibration.logs import Chosen, NothingToLearnError, Progress, of_kind
+from gateway.calibration.logs import Chosen, NothingToLearnError, Progress, Reading, of_kind
 from gateway.calibration.part import Part, load, save
 from gateway.common.pool import Pool, Workers
 from gateway.config.model import Config
@@ -111,16 +111,16 @@ def _chosen(config: Config, kind: Any, monitor: str) -> Chosen[Any]:
 def _part(ask: Ask, config: Config, progress: Progress) -> Part:
     """Return what a log says."""
     log = ask.recording.path
-    common: dict[str, Any] = {"file": ask.setup.config, "maps": ask.setup.maps, "progress": progress}
+    how = Reading(ask.setup.config, ask.setup.maps, progress)
     if ask.kind == LEVELS:
-        return stopping.of_log(config, log, **common)
+        return stopping.of_log(config, log, how)
     if ask.kind == SUMS:
-        return cusum.sums_of_log(config, log, **common)
+        return cusum.sums_of_log(config, log, how)
     if ask.kind == PEAKS:
-        return cusum.peaks_of_log(config, ask.given, log, **common)
+        return cusum.peaks_of_log(config, ask.given, log, how)
     if ask.kind == SENSORS:
-        return sensors.of_log(config, _chosen(config, SensorCalibration, ask.monitor), log, **common)
-    return plants.of_log(config, _chosen(config, Refinement, ask.monitor), ask.given, log, **common)
+        return sensors.of_log(config, _chosen(config, SensorCalibration, ask.monitor), log, how)
+    return plants.of_log(config, _chosen(config, Refinement, ask.monitor), ask.given, log, how)
 
 
 def answer(ask: Ask) -> Answer:

@@ -20,7 +20,7 @@ from gateway.config.resolve import answer_buses
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.document import BusAsked, EcuAsked, relative
 from gateway_fleet.learn.limits import signal_lines
-from gateway_fleet.learn.lines import CHECK, Learned, Line
+from gateway_fleet.learn.lines import CHECK, HEALTH, Learned, Line
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound
 from gateway_fleet.learn.widen import asks
@@ -58,7 +58,7 @@ def answers_asked(file: Path, out: Path, *, update: bool = False) -> list[BusAsk
             bus.uri,
             tuple(str(path) for path in bus.database),
             bus.match,
-            keys={key: value for key, value in table.items() if key not in _OF_BUS},
+            keys={key: value for key, value in table.items() if key not in _OF_BUS and not (update and key == HEALTH)},
         )
         for bus, table in zip(config.bus, tables, strict=True)
     ]

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.bus.frames import ID_MASK
 from gateway.signals.database import Database
 from gateway.signals.decode import of_a_tester
 from gateway_fleet.learn import limits
@@ -17,7 +18,7 @@ from gateway_fleet.learn.belonging import strangers
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.gaps import cycle_ns
 from gateway_fleet.learn.grip import grip_lines
-from gateway_fleet.learn.lines import Learned
+from gateway_fleet.learn.lines import HEALTH, Learned, Line
 from gateway_fleet.learn.moves import drives
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound, joined, protection_found
@@ -46,9 +47,12 @@ def derive(
     seconds = earlier_s + sum(log.seconds for log in observation.logs)
     taken: dict[int, set[str]] = {}
     buses = [bus.name for bus in asked if not bus.of_answers]
-    for bus, can_id in observation.foreign:
-        if bus < len(buses) and not of_a_tester(can_id):
-            learned.known.setdefault(buses[bus], set()).add(can_id)
+    for bus, bus_asked in enumerate(asked):
+        if bus_asked.of_answers or "health" in bus_asked.keys:
+            continue
+        known = {can_id & ID_MASK for at, can_id in observation.foreign if at == bus and not of_a_tester(can_id)}
+        keys = {"unknown": "tell", "known": sorted(known)}
+        learned.add(Line(bus_asked.name, HEALTH, HEALTH, keys, "identifiers that never came are told"))
     everything = observation
     heard = {key: seen for key, seen in observation.seen.items() if not asked[key[0]].of_answers}
     observation = replace(observation, seen=heard)

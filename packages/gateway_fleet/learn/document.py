@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from gateway.bus.frames import ID_MASK
 from gateway.clients.params import EcuParams
-from gateway_fleet.learn.lines import CAUSE, CHECK, RULE, SIGNAL, Learned, Line, inline
+from gateway_fleet.learn.lines import CAUSE, CHECK, HEALTH, RULE, SIGNAL, Learned, Line, inline
 
 
 @dataclass(frozen=True)
@@ -117,9 +116,7 @@ def document(name: str, buses: Sequence[BusAsked], learned: Learned, logs: Seque
         if bus.of_answers:
             continue
         more = "".join(f"\n{key} = {inline(value)}" for key, value in bus.keys.items())
-        if "health" not in bus.keys:
-            known = ", ".join(f"0x{can_id & ID_MASK:X}" for can_id in sorted(learned.known.get(bus.name, ())))
-            more += f'\nhealth = {{unknown = "tell", known = [{known}]}}  # identifiers that never came are told'
+        more += "".join(f"\n{line.text()}" for line in learned.of(bus.name, HEALTH))
         text += _BUS.format(
             name=inline(bus.name),
             uri=inline(bus.uri),

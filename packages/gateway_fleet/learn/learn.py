@@ -20,7 +20,7 @@ from gateway.signals.database import Database
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.derive import derive
 from gateway_fleet.learn.document import BusAsked, document
-from gateway_fleet.learn.lines import CHECK, Learned, inline
+from gateway_fleet.learn.lines import CHECK, HEALTH, Learned, inline
 from gateway_fleet.learn.merge import merged
 from gateway_fleet.learn.observe import Observation, Observer
 from gateway_fleet.learn.proof import Replayed, replayed
@@ -260,10 +260,16 @@ def _by_log(progress: Progress, said: str) -> Callable[[Path, int, float], None]
 
 def _widen(asked: Asked, result: Result, proof: Replayed, before: Counter[tuple[tuple[str, str, str], str]]) -> bool:
     """Widen what alarmed; returns whether anything was changed."""
-    changed = bool(proof.strangers)
+    changed = False
     for bus, can_id in sorted(proof.strangers):
-        result.learned.known.setdefault(asked.buses[bus].name, set()).add(can_id)
-        result.changes.append(f"{asked.buses[bus].name}: 0x{can_id & ID_MASK:X} came in what was held out: known")
+        line = result.learned.lines.get((asked.buses[bus].name, HEALTH, HEALTH))
+        said = f"{asked.buses[bus].name}: 0x{can_id & ID_MASK:X} came, "
+        if line is not None:
+            known = sorted({*line.keys["known"], can_id & ID_MASK})
+            result.learned.lines[line.place] = replace(line, keys={**line.keys, "known": known})
+            changed = True
+        said += "in what was held out: known" if line is not None else "and `health`, a person's, does not know it"
+        result.changes += [said] if said not in result.changes else []
     for fault, alarm in sorted(proof.alarms.items()):
         owned = owner(result.learned, fault, asked.buses)
         if owned is None:

@@ -10,7 +10,7 @@ import tomlkit
 from tomlkit.items import Item
 
 #: Tables that lines belong to.
-CHECK, SIGNAL, RULE, CAUSE = "check", "signal", "rule", "fault"
+CHECK, SIGNAL, RULE, CAUSE, HEALTH = "check", "signal", "rule", "fault", "health"
 
 
 @dataclass(frozen=True)
@@ -19,8 +19,8 @@ class Line:
 
     Attributes:
         bus: name of the bus.
-        table: CHECK, SIGNAL, RULE, or CAUSE: faults that a fault is not told beside.
-        name: of the message, of the signal ("Message.Signal"), of the rule, or of the fault.
+        table: CHECK, SIGNAL, RULE; CAUSE: faults that a fault is not told beside; HEALTH: of the bus, one line each.
+        name: of the message, of the signal ("Message.Signal"), of the rule, or of the fault; HEALTH.
         keys: of the entry.
         why: its evidence, for people.
     """
@@ -40,6 +40,9 @@ class Line:
         """Return it as it stands in the file."""
         if self.table == CAUSE:
             return f'"{self.name}".caused_by = {inline(self.keys["caused_by"])}'
+        if self.table == HEALTH:
+            known = ", ".join(f"0x{can_id:X}" for can_id in self.keys["known"])
+            return f'health = {{unknown = "{self.keys["unknown"]}", known = [{known}]}}  # {self.why}'
         return f"    {inline(self.keys)},  # {self.why}"
 
 
@@ -50,12 +53,10 @@ class Learned:
     Attributes:
         lines: by their places, in the order of the file.
         notes: things left out, and why; one line each.
-        known: bus -> identifiers, with their flags, that came and have no message.
     """
 
     lines: dict[tuple[str, str, str], Line] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
-    known: dict[str, set[int]] = field(default_factory=dict)
 
     def add(self, line: Line) -> None:
         """Add a line."""

@@ -10,13 +10,14 @@ from typing import Any
 
 from gateway_fdi.common.tomlfile import parse_toml
 from gateway_fleet.learn.document import BusAsked, causes, monitor_text
-from gateway_fleet.learn.lines import CAUSE, CHECK, RULE, SIGNAL, Learned, Line
+from gateway_fleet.learn.lines import CAUSE, CHECK, HEALTH, RULE, SIGNAL, Learned, Line
 
 #: A line of a table that we have written, whole on one line.
 _ENTRY = re.compile(r"\s*(?P<entry>\{.*\})\s*,?\s*(?:#.*)?$")
 _KEY = re.compile(r'\s*(?P<key>[A-Za-z_]+)\s*=\s*"(?P<value>[^"]*)"')
 _ARRAY = re.compile(r"\s*(?P<key>check|signal|rule)\s*=\s*\[\s*(?:#.*)?$")
 _CAUSE = re.compile(r'\s*"(?P<fault>[^"]+)"\.caused_by\s*=\s*(?P<list>\[.*\])\s*(?:#.*)?$')
+_HEALTH = re.compile(r"\s*health\s*=\s*(?P<table>\{.*\})\s*(?:#.*)?$")
 _HEADER = re.compile(r"\s*\[+(?P<name>[^\]]+)\]+")
 #: Which key of an entry is its name.
 _NAMED = {CHECK: "message", SIGNAL: "signal", RULE: "name"}
@@ -44,7 +45,7 @@ class File:
     Attributes:
         lines: of the text.
         found: entries by place.
-        ends: (bus, table) -> number of the line that ends its array.
+        ends: (bus, table) -> number of the line that ends its array, or that its one line goes before.
     """
 
     lines: list[str]
@@ -53,10 +54,14 @@ class File:
 
 
 def read(text: str) -> File:
-    """Find the entries of checks, signals and relations in a configuration."""
+    """Find the health of buses, and the entries of checks, signals and relations, in a configuration."""
     file = File(text.splitlines(), {}, {})
-    buses = [str(bus.get("name", "")) for bus in parse_toml(text).get("bus", [])]
-    bus, table, of = "", "", ""
+    tables = parse_toml(text).get("bus", [])
+    buses = [str(bus.get("name", "")) for bus in tables]
+    for name, keys in zip(buses, tables, strict=True):
+        if "health" in keys:  # in a form of a person's, until its line is found
+            file.found[name, HEALTH, HEALTH] = Found(-1, (name, HEALTH, HEALTH), {})
+    bus, table, of, section = "", "", "", -1
     for number, line in enumerate(file.lines):
         header = _HEADER.match(line)
         key = _KEY.match(line)
@@ -64,6 +69,9 @@ def read(text: str) -> File:
         if header is not None and not table:
             of = "answers:" if header["name"].strip() == "ecu" else ""
             bus = of + buses[0] if len(buses) == 1 else ""
+            section += header["name"].strip() == "bus"
+            if header["name"].strip() == "bus":
+                file.ends[buses[section], HEALTH] = number + 1
         elif table and line.strip().startswith("]"):
             file.ends[bus, table] = number
             table = ""
@@ -73,6 +81,9 @@ def read(text: str) -> File:
             place = "", CAUSE, cause["fault"]
             file.found[place] = Found(number, place, {"caused_by": tomllib.loads(f"x = {cause['list']}")["x"]})
             file.ends["", CAUSE] = number + 1
+        elif (health := _HEALTH.match(line)) and section >= 0:
+            place = buses[section], HEALTH, HEALTH
+            file.found[place] = Found(number, place, tomllib.loads(f"x = {health['table']}")["x"])
         elif array is not None:
             table = array["key"]
         elif key is not None and (key["key"] == "bus" or (key["key"] == "name" and key["value"] in buses)):

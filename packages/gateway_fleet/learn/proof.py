@@ -18,8 +18,11 @@ from gateway.engine.events import QUALIFIED_FAILED, Events
 from gateway.runtime.assemble import Parts, prepare
 from gateway_fleet.learn.observe import LogSeen
 
-#: Frames and time [ns] of what was held out that are kept to put faults into.
-WINDOW_FRAMES, WINDOW_NS = 60_000, 8_000_000_000
+#: Frames and time [ns] of each part of what was held out that is kept to put faults into; and when such a part begins,
+#: counted in these times from the cut: a signal that is seen at one moment may not be at another.
+WINDOW_FRAMES, WINDOW_NS, BEGINS = 60_000, 8_000_000_000, (0, 1, 3, 7)
+#: A part that the log ends in must have this much of it [ns].
+LEAST_NS = 4_000_000_000
 
 
 @dataclass
@@ -44,8 +47,8 @@ class Replayed:
     Attributes:
         alarms: fault id -> what it was.
         frames, seconds: of what was held out.
-        windows: frames of each log after its cut, in even time, to put faults into.
-        before: engine as it was at the cut, of each window.
+        windows: parts of each log after its cut, in even time, to put faults into.
+        before: engine as it was at the begin of each.
         strangers: (bus, identifier with its flags) that came and that nothing knows.
         config: that was replayed.
         parts: built of it.
@@ -95,30 +98,33 @@ def _replay(
             alarm.held_out += held
             alarm.learned += not held
 
-    window: list[Frames] = []
-    kept, last_ns = 0, 0
+    windows: list[list[Frames]] = []
+    last_ns = 0
     for frames, done in read_answered(result.config, result.parts.answers, log.path, maps):
-        if cut is not None and not held and int(frames["t_ns"].max()) >= cut:
-            at = int(np.argmax(frames["t_ns"] >= cut))
-            engine.process(frames[:at], hear)
-            held, rest = True, frames[at:]
-            result.before.append(_copied(result, engine, log.path))
-        else:
-            rest = frames
-        engine.process(rest, hear)
-        if held and cut is not None:
-            result.frames += len(rest)
-            last_ns = max(last_ns, int(rest["t_ns"].max()))
-            if kept < WINDOW_FRAMES:
-                part = rest[rest["t_ns"] < cut + WINDOW_NS][: WINDOW_FRAMES - kept]
-                window.append(part)
-                kept += len(part)
+        begins = [] if cut is None else [cut + WINDOW_NS * k for k in BEGINS[len(windows) :]]
+        reached = [int(np.argmax(frames["t_ns"] >= at)) for at in begins if int(frames["t_ns"].max()) >= at]
+        for k, part in enumerate(np.split(frames, reached)):
+            if k > 0:
+                held = True
+                result.before.append(_copied(result, engine, log.path))
+                windows.append([])
+            engine.process(part, hear)
+            if held and cut is not None and len(part):
+                result.frames += len(part)
+                last_ns = max(last_ns, int(part["t_ns"].max()))
+                until_ns = cut + WINDOW_NS * (BEGINS[len(windows) - 1] + 1)
+                windows[-1].append(part[part["t_ns"] < until_ns][: WINDOW_FRAMES - sum(map(len, windows[-1]))])
         progress(log.path, len(frames), done)
     rows = engine.tables.strangers
     result.strangers |= {(int(row["bus"]), int(row["can_id"])) for row in rows[rows["count"] > 0]}
     if held and cut is not None:
         result.seconds += max(0, last_ns - cut) * 1e-9
-        result.windows.append(np.concatenate(window) if window else empty(0))
+        for k, parts in enumerate(windows):
+            window = np.concatenate(parts) if parts else empty(0)
+            if k > 0 and last_ns < cut + WINDOW_NS * BEGINS[k] + LEAST_NS:
+                del result.before[len(result.windows)]
+            else:
+                result.windows.append(window)
 
 
 def _copied(result: Replayed, engine: Engine, path: Path) -> Engine:

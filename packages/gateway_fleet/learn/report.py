@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 from gateway_fleet.learn.learn import Asked, Result
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, inline, shown
 from gateway_fleet.learn.observers import OBSERVERS
-from gateway_fleet.learn.trial import Outcome
+from gateway_fleet.learn.trial import Outcome, Smallest
 
 
 def summary(result: Result) -> dict[str, Any]:
@@ -69,7 +70,7 @@ def data(result: Result) -> dict[str, Any]:
             }
             for outcome in result.outcomes
         ],
-        "smallest": [vars(each) for each in result.trials.seeing],
+        "smallest": [asdict(each) for each in result.trials.seeing],
         "unwatched": result.trials.unwatched,
     }
 
@@ -138,13 +139,26 @@ def _smallest(result: Result) -> list[str]:
         cells = [
             each.name,
             f"{shown(each.spread)}{unit}",
-            "-" if each.offset is None else f"{shown(each.offset)}{unit}",
-            "-" if each.scale is None else f"{each.scale:g} times",
+            *(_size(size, unit) for size in (each.up, each.down)),
+            _size(each.scale, " times"),
             "-" if each.stuck_s is None else f"after {each.stuck_s:.1f} s",
         ]
         rows.append(f"| {' | '.join(cells)} |")
-    head = "| signal | its spread | smallest offset seen | factor seen | standing value seen |\n|---|---|---|---|---|"
+    head = (
+        "An offset or a factor of this size was seen at each moment at which it was tried; smaller ones, and those with"
+        " a dash, are **not watched**. `at 2 of 4` says that even the largest was not seen at the other moments: there"
+        " the signal is not watched.\n\n"
+        "| signal | its spread | offset seen, up | offset seen, down | factor seen | standing value seen |\n"
+        "|---|---|---|---|---|---|"
+    )
     return ["## Smallest faults that are seen", "\n".join([head, *rows])] if rows else []
+
+
+def _size(smallest: Smallest | None, unit: str) -> str:
+    if smallest is None:
+        return "-"
+    part = "" if smallest.always else f" at {smallest.named} of {smallest.moments}"
+    return f"{shown(smallest.size)}{unit}{part}"
 
 
 def _cell(outcomes: Sequence[Outcome], kind: str) -> str:

@@ -30,8 +30,8 @@ from gateway_fleet.learn.proof import Replayed, restore
 LEAD_S, MOST = 1.0, 60
 #: Offsets in spreads of the signal, and factors: the first is tried first, then smaller ones if it is seen, else
 #: larger.
-OFFSETS, SCALES = (1.0, 0.5, 0.25, 2.0, 4.0), (1.3, 1.1, 1.0, 2.0, 4.0)
-#: How many of these are smaller than the first, they follow it.
+OFFSETS, SCALES = (1.0, 0.5, 0.25, 2.0, 4.0), (1.3, 2.0, 4.0)
+#: How many offsets are smaller than the first, they follow it.
 SMALLER = 2
 #: Shares between which a signal's spread lies.
 SPREAD = (0.05, 0.95)
@@ -74,14 +74,33 @@ class Outcome:
 
 
 @dataclass
+class Smallest:
+    """Smallest size of a fault that was named at each moment that it was tried at; else the largest size tried.
+
+    Attributes:
+        size: unit of the signal.
+        named, moments: at how many moments it was named, of how many.
+    """
+
+    size: float
+    named: int
+    moments: int
+
+    @property
+    def always(self) -> bool:
+        """Whether it was named at each moment."""
+        return self.named == self.moments > 0
+
+
+@dataclass
 class Seeing:
-    """Visibility of one signal: the smallest fault that was named, unit of the signal; None: none was.
+    """Visibility of one signal: the smallest fault that was named; None: none was.
 
     Attributes:
         name: bus, message and signal.
         unit: of it.
         spread: of it.
-        offset: smallest offset seen.
+        up, down: smallest offset seen, up and down.
         scale: factor seen, nearest to one.
         stuck_s: time after which a standing value was seen [s].
     """
@@ -89,8 +108,9 @@ class Seeing:
     name: str
     unit: str
     spread: float
-    offset: float | None = None
-    scale: float | None = None
+    up: Smallest | None = None
+    down: Smallest | None = None
+    scale: Smallest | None = None
     stuck_s: float | None = None
 
 
@@ -174,18 +194,28 @@ class Bench:
 
     def one(self, trial: Trial) -> Outcome:
         """Put one fault into each window until it is named."""
-        rng = np.random.default_rng([self._seed, self.count])
-        self.count += 1
         # A log ends when it likes: where its window has too few frames of the message, another's may have them.
         best: Outcome | None = None
-        for saved, window in zip(self._proof.before, self._proof.windows, strict=True):
-            outcome = _one(self._proof, self._proof.parts.engine, saved, window, trial, rng)
+        for outcome in self.each(trial):
             if best is None or outcome.named or outcome.frames > best.frames:
                 best = outcome
             if outcome.named:
                 break
         assert best is not None
         return best
+
+    def each(self, trial: Trial) -> Iterator[Outcome]:
+        """Put one fault into each window."""
+        rng = np.random.default_rng([self._seed, self.count])
+        self.count += 1
+        for saved, window in zip(self._proof.before, self._proof.windows, strict=True):
+            yield _one(self._proof, self._proof.parts.engine, saved, window, trial, rng)
+
+    def share(self, trial: Trial) -> Smallest:
+        """Return at how many moments one fault is named, of those at which its message came."""
+        outcomes = [outcome for outcome in self.each(trial) if outcome.frames]
+        size = abs(trial.injection.value)
+        return Smallest(size, sum(outcome.named for outcome in outcomes), len(outcomes))
 
 
 def tried(
@@ -287,17 +317,14 @@ def _see(
     def trial(kind: str, value: float) -> Trial:
         return Trial(Injection(kind, bus, seen.message.name, signal.name, value, LEAD_S), ids, name)
 
-    def step(factor: float) -> Trial:
-        return trial("offset", factor * spread if up else -factor * spread)
-
     sees = Seeing(f"{name}.{signal.name}", signal.unit or "", spread)
     asks = [line for line in lines if line.bus == bus_name and _asks_size(line, f"{seen.message.name}.{signal.name}")]
     if asks:
-        first, offset = _smallest(bench, OFFSETS, step)
-        sees.offset = None if offset is None else offset * spread
+        result.outcomes.append(bench.one(trial("offset", spread if up else -spread)))
+        sees.up = _smallest(bench, OFFSETS, lambda size: trial("offset", size * spread))
+        sees.down = _smallest(bench, OFFSETS, lambda size: trial("offset", -size * spread))
         if any(line.table == RULE for line in asks):
-            _, sees.scale = _smallest(bench, SCALES[:1] + SCALES[3:], lambda factor: trial("scale", factor), smaller=0)
-        result.outcomes.append(first)
+            sees.scale = _smallest(bench, SCALES, lambda factor: trial("scale", factor), smaller=0)
     rests = any("stuck" in line.keys and line.name == f"{seen.message.name}.{signal.name}" for line in lines)
     if not rests and not any(line.table == RULE for line in asks):
         result.seeing.append(sees)  # a value that stands is in its range
@@ -317,17 +344,18 @@ def _asks_size(line: Line, full: str) -> bool:
 
 def _smallest(
     bench: Bench, sizes: Sequence[float], trial: Callable[[float], Trial], smaller: int = SMALLER
-) -> tuple[Outcome, float | None]:
-    """Return what came of the first size, and the smallest size that is seen; None: not even the largest."""
-    first = bench.one(trial(sizes[0]))
-    best = sizes[0] if first.named else None
-    for size in sizes[1 : 1 + smaller] if first.named else sizes[1 + smaller :]:
-        named = bench.one(trial(size)).named
-        if named:
-            best = size
-        if named != first.named:
+) -> Smallest | None:
+    """Return the smallest size that is seen at each moment, else the largest one and how often; None: it never is."""
+    best = bench.share(trial(sizes[0]))
+    seen = best.always
+    for size in sizes[1 : 1 + smaller] if seen else sizes[1 + smaller :]:
+        other = bench.share(trial(size))
+        if seen and not other.always:
             break
-    return first, best
+        best = other
+        if best.always and not seen:
+            break
+    return best if best.named else None
 
 
 def _one(

@@ -9,7 +9,7 @@ from typing import Any
 
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.document import BusAsked
-from gateway_fleet.learn.lines import CAUSE, CHECK, RULE, SIGNAL, Learned, Line, short
+from gateway_fleet.learn.lines import CAUSE, CHECK, HEALTH, RULE, SIGNAL, Learned, Line, short
 from gateway_fleet.learn.merge import File, of_a_person, read
 from gateway_fleet.learn.state import Kept, Refused
 from gateway_fleet.learn.widen import asks
@@ -87,6 +87,8 @@ def _joined(old: Line, new: Line) -> Line:
         for name in ("length", "value"):
             if isinstance(old.keys.get(name), bool):
                 keys[name] = old.keys[name]
+    if new.table == HEALTH:
+        keys["known"] = sorted({*new.keys["known"], *old.keys["known"]})
     if new.table == SIGNAL:
         _widest(keys, old)
     return Line(new.bus, new.table, new.name, keys, why)
@@ -141,5 +143,5 @@ def _slower(stuck: dict[str, Any]) -> tuple[float, float]:
 
 def _in_order(learned: Learned) -> None:
     """Put the lines in the order of the tables."""
-    order = {CHECK: 0, SIGNAL: 1, RULE: 2}
+    order = {HEALTH: 0, CHECK: 1, SIGNAL: 2, RULE: 3}
     learned.lines = dict(sorted(learned.lines.items(), key=lambda item: order[item[1].table]))

@@ -26,8 +26,7 @@ def owner(learned: Learned, fault: str, buses: Sequence[BusAsked]) -> tuple[Line
             name = line.keys.get("name", line.name.rpartition(".")[2])
             prefix = f"{monitor_name(line.bus, SIGNAL, buses)}.{name}."
         else:
-            prefix = f"{monitor_name(line.bus, RULE, buses)}.{line.name}"
-            if fault == prefix:
+            if line.table == RULE and fault == f"{monitor_name(line.bus, RULE, buses)}.{line.name}":
                 return line, "rule"
             continue
         if fault.startswith(prefix) and "." not in fault[len(prefix) :]:

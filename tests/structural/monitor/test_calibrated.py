@@ -10,6 +10,7 @@ from gateway.bus.frames import empty, put
 from gateway.bus.logs import open_writer
 from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
+from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
 from gateway.runtime.app import Gateway
@@ -31,7 +32,7 @@ def log_of(path, frames):
 def calibrated(config, *frames):
     """Calibrate a configuration by healthy frames; returns what was found."""
     logs = [log_of(config.with_name(f"healthy_{k}.log"), each) for k, each in enumerate(frames)]
-    found = learn(load_config(config), logs, file=config)
+    found = learn(load_config(config), logs, Reading(config))
     assert found.failed == ()
     write(config, found.tables, "healthy logs")
     return found
@@ -85,7 +86,7 @@ def test_what_the_logs_do_not_show_stays_silent(tmp_path):
     rows = np.zeros((300, 3))
     log = log_of(tmp_path / "still.log", motor_data.frames_of(rows))
     with pytest.raises(InputError, match='nothing that monitor "motor" tests'):
-        learn(load_config(config), [log], file=config)
+        learn(load_config(config), [log], Reading(config))
 
 
 # Three tanks

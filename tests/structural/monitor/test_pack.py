@@ -7,6 +7,7 @@ from structural_config import named
 from gateway.bus.logs import open_writer
 from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
+from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
 from gateway_bench.playing import opened
@@ -32,7 +33,7 @@ def test_64_cells(tmp_path):
     writer = open_writer(log)
     writer.write(drive)
     writer.close()
-    tables = learn(load_config(config), [log], file=config).tables
+    tables = learn(load_config(config), [log], Reading(config)).tables
     write(config, tables, "healthy log")
     learned = config.read_text()
     monitor, params = monitor_of(load_config(config).monitor[0])

@@ -277,6 +277,7 @@ def test_jumps_of_the_motor(tmp_path):
     from gateway.bus.logs import open_writer
     from gateway.calibration.cusum import learn
     from gateway.calibration.file import write
+    from gateway.calibration.logs import Reading
 
     log = tmp_path / "healthy.log"
     writer = open_writer(log)
@@ -286,7 +287,7 @@ def test_jumps_of_the_motor(tmp_path):
     for decision in ("cusum", "jump"):
         keys = f'decision = "{decision}"\nactive = "omega > 20"\nsettle_s = 3\nconfirm_s = 0.1\n'
         config = configuration(tmp_path, keys, nu=None)
-        write(config, learn(load_config(config), [log], file=config).tables, "healthy log")
+        write(config, learn(load_config(config), [log], Reading(config)).tables, "healthy log")
         assert failures(config, motor_data.drive(40, seed=13)) == []
         rows = motor_data.drive(20, seed=14, onset=10.0, f_w=12.0)
         found = failures(config, rows)

@@ -10,6 +10,7 @@ from structural_config import named
 from gateway.bus.logs import open_writer
 from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
+from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
 from gateway_bench.playing import opened
 from gateway_fdi.jit import COMPILED
@@ -85,7 +86,7 @@ def test_three_tanks(tmp_path):
     writer = open_writer(log)
     writer.write(frames(tmp_path, 200.0, 1001))
     writer.close()
-    write(config, learn(load_config(config), [log], file=config).tables, "healthy log")
+    write(config, learn(load_config(config), [log], Reading(config)).tables, "healthy log")
     assert named(config, frames(tmp_path, 120.0, 2)) == []
     faults, together = list(three_tanks.f), three_tanks.IsolabilityAnalysis()
     for fault, row in zip(faults, together, strict=True):
@@ -126,7 +127,7 @@ def test_induction_motor(tmp_path):
     writer = open_writer(log)
     writer.write(induction_data.frames_of(induction_data.drive(20.0, seed=1001)))
     writer.close()
-    write(config, learn(load_config(config), [log], file=config).tables, "healthy log")
+    write(config, learn(load_config(config), [log], Reading(config)).tables, "healthy log")
     assert named(config, induction_data.frames_of(induction_data.drive(10.0, seed=2))) == []
     faults, together = list(induction_motor.f), induction_motor.IsolabilityAnalysis()
     for fault, row in zip(faults, together, strict=True):

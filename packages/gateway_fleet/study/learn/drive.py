@@ -182,8 +182,13 @@ def frames_of(net: Network, seed: int, seconds: float, way: Way) -> Frames:
         keep &= ~((t_s >= begin) & (t_s < begin + rng.uniform(0.3, 3.0)))
     frames = frames[keep]
     frames = frames[np.argsort(frames["t_ns"], kind="stable")]
-    if way.batch_s > 0.0:  # the host looks at its adapter late, now and then, and finds several frames
-        step = round(way.batch_s * 1e9)
+    return late_host(frames, way.batch_s, seed)
+
+
+def late_host(frames: Frames, batch_s: float, seed: int) -> Frames:
+    """Return frames in order as a host stamps them that looks at its adapter late now and then, and finds several."""
+    if batch_s > 0.0:
+        frames, step = frames.copy(), round(batch_s * 1e9)
         slot = frames["t_ns"] // step
         bunched = np.random.default_rng([5, seed]).random(int(slot.max() - slot.min()) + 1) < 0.1
         hit = bunched[slot - slot.min()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from gateway_fleet.learn.counters import WRAPS
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.learn import Asked, Result, learn, of_log, write
 from gateway_fleet.learn.lines import CHECK
+from gateway_fleet.learn.proof import restore
 from gateway_fleet.study.learn.drive import Way, frames_of
 from gateway_fleet.study.learn.network import Network, Sent
 
@@ -136,12 +138,13 @@ def _right_checksum(m: Sent, said: object) -> bool:
 
 def healthy(out: Path, net: Network, seed: int, seconds: float, way: Way) -> Counter[str]:
     """Return the codes that another healthy drive sets, fault -> how often."""
-    return codes_of(out, frames_of(net, seed, seconds, way))
+    return codes_of(out, [frames_of(net, seed, seconds, way)])
 
 
-def codes_of(out: Path, frames: Frames) -> Counter[str]:
-    """Return the codes that frames set, fault -> how often; and identifiers that are told as unknown."""
-    engine = prepare(load_config(out), out).engine
+def codes_of(out: Path, drives: Iterable[Frames]) -> Counter[str]:
+    """Return the codes that drives set, fault -> how often; and identifiers that are told as unknown."""
+    config = load_config(out)
+    engine, new = prepare(config, out).engine, prepare(config, out).engine
     codes: Counter[str] = Counter()
 
     def hear(events: Events) -> None:
@@ -149,8 +152,11 @@ def codes_of(out: Path, frames: Frames) -> Counter[str]:
             fault = engine.faults[int(event["fault"])].id
             codes[fault] += not of_log(fault, ["can0"])  # that the bus slept is so
 
-    for part in np.array_split(frames, max(len(frames) // 5000, 1)):
-        engine.process(part, hear)
-    for can_id in engine.tables.strangers["can_id"][engine.tables.strangers["count"] > 0]:
-        codes[f"unknown 0x{can_id:X}"] += 1
+    for frames in drives:
+        restore(engine, new, config)
+        for part in np.array_split(frames, max(len(frames) // 5000, 1)):
+            engine.process(part, hear)
+        for can_id in engine.tables.strangers["can_id"][engine.tables.strangers["count"] > 0]:
+            codes[f"unknown 0x{can_id:X}"] += 1
+        engine.tables.strangers[:] = 0
     return codes

@@ -37,10 +37,11 @@ class Found:
         tried: attacks.
         found: of these, those that a fault of the message, or a security event, told.
         soon: of these, within a second.
-        unwatched: values of which ``gateway learn`` tells that no offset is seen; not among ``tried``.
+        unwatched: values of which ``gateway learn`` tells that no offset that way is always seen; not among ``tried``.
         after_s: time until it was told [s], of each.
         by: first to tell -> how often.
         accused: faults that do not name another sender -> how often they were set while one was there.
+        missed: attacks that were not found within a second, one line each.
     """
 
     tried: int = 0
@@ -50,19 +51,26 @@ class Found:
     after_s: list[float] = field(default_factory=list)
     by: Counter[str] = field(default_factory=Counter)
     accused: Counter[str] = field(default_factory=Counter)
+    missed: list[str] = field(default_factory=list)
 
-    def add(self, set_: dict[str, float], own: tuple[str, ...], *, named: bool) -> None:
-        """Take the faults that were set, and after how long; ``own``: beginnings of those that tell an attack.
+    def add(self, asked: str, set_: dict[str, float], own: tuple[str, ...], *, named: bool) -> None:
+        """Take the faults that were set by an attack, and after how long.
 
-        ``named``: they tell it only where they name another sender.
+        Args:
+            asked: the attack, for people.
+            set_: fault -> after how long [s].
+            own: beginnings of those that tell an attack.
+            named: they tell it only where they name another sender.
         """
         self.tried += 1
         right = {name: s for name, s in set_.items() if name.startswith(own)}
         if named:
             right = {name: s for name, s in right.items() if name.rpartition(".")[2] in SENDERS}
             self.accused.update(name.rpartition(".")[2] for name in set_ if name.rpartition(".")[2] not in SENDERS)
-        if right:
-            first = min(right, key=lambda name: right[name])
+        first = min(right, key=lambda name: right[name], default="")
+        if not first or right[first] > 1.0:
+            self.missed.append(f"{asked}: {f'{first} after {right[first]:.1f} s' if first else 'nothing'}")
+        if first:
             self.found += 1
             self.soon += right[first] <= 1.0
             self.after_s.append(right[first])
@@ -74,33 +82,36 @@ class Bench:
 
     Args:
         out: configuration that was learned.
-        frames: a healthy drive of another seed or time.
+        drives: healthy ones of another seed or time.
         seeing: what learning said of the signals.
         seed: of the attacks.
 
     Attributes:
-        values: message, signal, and the smallest offset of it that learning saw; None: it saw none.
+        values: message, signal, and its smallest offsets up and down that learning saw at each moment; None: none.
     """
 
-    def __init__(self, out: Path, frames: Frames, seeing: Sequence[Seeing], seed: int) -> None:
+    def __init__(self, out: Path, drives: Sequence[Frames], seeing: Sequence[Seeing], seed: int) -> None:
         self.config = load_config(out)
         self.parts = prepare(self.config, out)
         self._rng, self._seed, self._count = np.random.default_rng(seed), seed, 0
         self._windows: list[Frames] = []
         self._saved: list[Engine] = []
-        engine = prepare(self.config, out).engine
-        start = int(frames["t_ns"][0])
-        edges = np.arange(start, int(frames["t_ns"][-1]), round(PART_S * 1e9))
-        for piece in np.split(frames, np.searchsorted(frames["t_ns"], edges[1:])):
-            if piece["t_ns"][-1] - piece["t_ns"][0] > (LEAD_S + ATTACK_S + AFTER_S) * 1e9:
-                self._windows.append(piece)
-                self._saved.append(prepare(self.config, out).engine)
-                restore(self._saved[-1], engine, self.config)
-            engine.process(piece, lambda _: None)
+        for frames in drives:
+            engine = prepare(self.config, out).engine
+            edges = np.arange(int(frames["t_ns"][0]), int(frames["t_ns"][-1]), round(PART_S * 1e9))
+            for piece in np.split(frames, np.searchsorted(frames["t_ns"], edges[1:])):
+                if piece["t_ns"][-1] - piece["t_ns"][0] > (LEAD_S + ATTACK_S + AFTER_S) * 1e9:
+                    self._windows.append(piece)
+                    self._saved.append(prepare(self.config, out).engine)
+                    restore(self._saved[-1], engine, self.config)
+                engine.process(piece, lambda _: None)
         self.limited = [c.params.message for c in self.parts.checks if c.params.most is not None]
         self.timed = [c.params.message for c in self.parts.checks if c.params.timeout_ms is not None]
-        parted = [(each.name.split("."), each.offset) for each in seeing]
-        self.values = [(parts[1], parts[2], offset) for parts, offset in parted]
+        self.values: list[tuple[str, str, tuple[float | None, ...]]] = []
+        for each in seeing:
+            _, message, signal = each.name.split(".")
+            sizes = tuple(size.size if size and size.always else None for size in (each.up, each.down))
+            self.values.append((message, signal, sizes))
 
     def one(self, kind: str, found: Found) -> None:
         """Do one attack at a random time on a random message, and add its outcome."""
@@ -109,11 +120,13 @@ class Bench:
         name, value = "", 0.0
         signal: str | None = None
         if kind == "unknown":
-            known = {message.frame_id for message in self.parts.databases[0]}
+            known = {message.frame_id for message in self.parts.databases[0]} | set(self.config.bus[0].health.known)
             name = hex(next(k for k in rng.integers(1, 0x700, 100).tolist() if k not in known))
         elif kind in ("forge", FORGED):
-            name, signal, least = self.values[int(rng.integers(len(self.values)))]
-            value = float((least or 1.0) * rng.uniform(1.0, 2.0) * rng.choice((-1.0, 1.0)))
+            name, signal, sizes = self.values[int(rng.integers(len(self.values)))]
+            down = int(rng.integers(2))
+            least = sizes[down]
+            value = float((least or 1.0) * rng.uniform(1.0, 2.0) * (-1.0 if down else 1.0))
             if kind == FORGED and least is None:
                 found.unwatched += 1
                 return
@@ -133,7 +146,7 @@ class Bench:
             own = tuple(
                 fault for fault, some in self.parts.depends.items() if any(name in each.component.name for each in some)
             )
-        found.add(set_, own, named=kind in FREQUENCY)
+        found.add(f"{kind} {name}.{signal} {value:.4g} @{at:.2f} of part {k}", set_, own, named=kind in FREQUENCY)
 
     def _set(self, asked: Injection, k: int, at: float) -> dict[str, float] | None:
         """Return the faults that were set since an attack's first frame -> after how long [s]; None: it had none."""

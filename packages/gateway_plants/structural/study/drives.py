@@ -11,6 +11,7 @@ from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import open_writer
 from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
+from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.faults.status import Status
@@ -154,7 +155,7 @@ def calibrated(config: Path, *frames: Frames) -> None:
         writer = open_writer(path)
         writer.write(each)
         writer.close()
-    write(config, learn(load_config(config), logs, file=config).tables, "healthy logs")
+    write(config, learn(load_config(config), logs, Reading(config)).tables, "healthy logs")
     for path in logs:
         path.unlink()
 
