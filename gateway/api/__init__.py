@@ -17,9 +17,8 @@ from gateway.api.paths import shipped
 from gateway.api.run import Event, Run, Series, SeriesSet
 from gateway.api.scenarios import Learned, learn, simulate
 from gateway.api.session import Session
-from gateway.api.setup import Setup, open
+from gateway.api.setup import Config, Setup, open
 from gateway.api.table import Table
-from gateway.config.model import Config
 from gateway_fdi.errors import GatewayError, InputError, InputErrors
 
 __all__ = [

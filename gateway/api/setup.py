@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import ValidationError
 
 from gateway.api.calibrated import Calibrated
 from gateway.api.observed import Observed
@@ -19,7 +20,7 @@ from gateway.api.words import spoken
 from gateway.bus.frames import FRAME, Frames
 from gateway.calibration.whole import Targets, calibrate
 from gateway.config.load import config_of, load_config, placed
-from gateway.config.model import Config
+from gateway.config.model import Config as Tables
 from gateway.config.resolve import protections
 from gateway.runtime.assemble import Parts, prepare
 from gateway.runtime.faulty import injectors_of
@@ -27,10 +28,25 @@ from gateway.runtime.log import Log
 from gateway.signals.framed import merged, sent
 from gateway.signals.protection.params import ProtectionParams
 from gateway_fdi.common.resources import beside_or_shipped
+from gateway_fdi.common.tomlfile import input_errors
 from gateway_fdi.errors import GatewayError, InputError, InputErrors, named
 
 if TYPE_CHECKING:
     import can
+
+
+class Config(Tables):
+    """A configuration's tables as a model: keys are those of a file.
+
+    Raises:
+        InputErrors: every key that is wrong, with its value.
+    """
+
+    def __init__(self, **tables: Any) -> None:
+        try:
+            super().__init__(**tables)
+        except ValidationError as error:
+            raise input_errors(error, None, data=tables, model=Tables) from error
 
 
 def open(config: Pathish | Mapping[str, Any] | Config, *, folder: Pathish | None = None) -> Setup:
@@ -45,7 +61,7 @@ def open(config: Pathish | Mapping[str, Any] | Config, *, folder: Pathish | None
         InputError, InputErrors: every file, key, message, signal or fault that is wrong.
     """
     base = None if folder is None else path_of(folder, "folder")
-    if isinstance(config, Config):
+    if isinstance(config, Tables):
         return Setup(placed(config, None, base))
     if isinstance(config, Mapping):
         return Setup(config_of(dict(config), None, base))
@@ -68,7 +84,7 @@ class Setup:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
     """
 
-    def __init__(self, config: Config, file: Path | None = None) -> None:
+    def __init__(self, config: Tables, file: Path | None = None) -> None:
         self.config, self.file = config, file
         self._parts: Parts | None = prepare(config, file)
         self._databases = self._parts.databases

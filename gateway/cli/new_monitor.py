@@ -6,7 +6,6 @@ import keyword
 from importlib.util import find_spec
 from pathlib import Path
 
-from gateway.api.scenarios import CALLS
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 
@@ -41,6 +40,8 @@ def new_monitor(name: str, folder: Path | None, method: str | None = None) -> in
     if find_spec(name) is not None:
         raise InputError("a module of this name is installed already", key="NAME", value=name)
     if method is not None:
+        from gateway.api.scenarios import CALLS  # noqa: PLC0415 - few are made of a method
+
         if "new_monitor_from" not in CALLS:
             raise InputError("no installed package brings methods", key="--from", value=method)
         print(f"{place}: {', '.join(CALLS['new_monitor_from'](name, place, method))}")

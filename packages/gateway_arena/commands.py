@@ -35,6 +35,7 @@ def evaluate_arena(
     off: Annotated[
         float, typer.Option(min=0, max=0.2, help="Share by which parameters differ from the model's.")
     ] = 0.0,
+    size: Annotated[float, typer.Option(min=0.01, max=10, help="Size of the faults, in the usual ones.")] = 1.0,
     seed: Annotated[
         int, typer.Option(min=0, help="First seed; nothing was chosen with seeds from 100000 up.")
     ] = 100_000,
@@ -53,8 +54,8 @@ def evaluate_arena(
     from gateway_arena.study import arena as work
 
     code = work(
-        plants=plant, methods=method, runs=runs, healthy=healthy, train=train, off=off, false_alarm=false_alarm,
-        seed=seed, data=data, plot=plot, json=json,
+        plants=plant, methods=method, runs=runs, healthy=healthy, train=train, off=off, size=size,
+        false_alarm=false_alarm, seed=seed, data=data, plot=plot, json=json,
     )  # fmt: skip
     raise typer.Exit(code)
 

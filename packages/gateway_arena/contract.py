@@ -92,13 +92,17 @@ class Plant(Protocol):
     sizes: Mapping[str, str]
     touches: Mapping[str, str]
 
-    def record(self, seed: int, fault: str = "", off: float = 0.0) -> Record:
+    def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run.
 
         Args:
             seed: of commands, noise, and the fault's onset.
             fault: of :attr:`sizes`; "": none.
             off: share by which parameters differ from the model's.
+            size: of the fault, in those of :attr:`sizes`.
+
+        Raises:
+            InputError: this plant cannot be off, or has faults of one size only.
         """
 
     def dynamics(self, command: Array) -> Dynamics:

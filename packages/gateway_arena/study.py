@@ -75,6 +75,7 @@ def arena(
     healthy: int,
     train: int,
     off: float,
+    size: float,
     false_alarm: float,
     seed: int,
     data: Path | None,
@@ -97,18 +98,19 @@ def arena(
             given = each.records()
             _enough(len(given.validated), false_alarm, "--data")
         else:
-            given = records(each, seed, runs=runs, healthy=healthy, train=train, off=off)
+            given = records(each, seed, runs=runs, healthy=healthy, train=train, off=off, size=size)
         rows += [trial(name, method(name), each, given, false_alarm) for name in names]
     if plot:
         from gateway_arena.figure import draw  # noqa: PLC0415 - drawing is slow to load
 
         draw(rows, plot)
     if json:
-        given_as = {"first_seed": seed, "false_alarm": false_alarm, "off": off, "train": train}
+        given_as = {"first_seed": seed, "false_alarm": false_alarm, "off": off, "size": size, "train": train}
         print_json({"study": "arena", **given_as, "rows": [_plain(row) for row in rows]})
         return 0
     console = wide_console()
-    console.print(_table(rows, f"Arena: seeds from {seed}, {false_alarm:.0%} false alarms, parameters off {off:.0%}"))
+    told = f"seeds from {seed}, {false_alarm:.0%} false alarms, parameters off {off:.0%}, faults times {size:g}"
+    console.print(_table(rows, f"Arena: {told}"))
     for row in rows:
         if row.refused:
             console.print(f"{row.plant}: {row.method} is not for it: {row.refused}")

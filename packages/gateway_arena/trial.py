@@ -36,7 +36,7 @@ class Records:
     faulty: tuple[Record, ...]
 
 
-def records(plant: Plant, seed: int, *, runs: int, healthy: int, train: int, off: float) -> Records:
+def records(plant: Plant, seed: int, *, runs: int, healthy: int, train: int, off: float, size: float = 1.0) -> Records:
     """Return a plant's records.
 
     Args:
@@ -46,6 +46,7 @@ def records(plant: Plant, seed: int, *, runs: int, healthy: int, train: int, off
         healthy: for the threshold, and as many to judge.
         train: without a fault to learn from; half as many with each fault.
         off: share by which the plant's parameters differ from the model's.
+        size: of the faults, in those of the plant.
     """
 
     def made(begin: int, count: int) -> tuple[Record, ...]:
@@ -53,7 +54,7 @@ def records(plant: Plant, seed: int, *, runs: int, healthy: int, train: int, off
 
     def with_faults(begin: int, count: int) -> tuple[Record, ...]:
         drawn = enumerate(fault for fault in plant.sizes for _ in range(count))
-        return tuple(plant.record(seed + begin + k, fault, off) for k, fault in drawn)
+        return tuple(plant.record(seed + begin + k, fault, off, size) for k, fault in drawn)
 
     return Records(
         made(LEARNED, train), made(VALIDATED, healthy), made(HEALTHY, healthy), with_faults(SEEN, (train + 1) // 2),

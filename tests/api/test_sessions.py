@@ -167,6 +167,7 @@ WRONG = {
     "a channel": (lambda s, p: s.replay(p, maps=["vcan9=powertrain"]), r'maps=\["[^ ]+=powertrain"\]'),
     "a signal": (lambda s, p: s.session(signals=["X.y"]), r"signals = 'X.y': no message 'X'"),
     "a table": (lambda s, p: api.open({"buss": []}), r"buss: unknown key; did you mean bus\?"),
+    "a model": (lambda s, p: api.Config(bus=[{"nam": "x"}]), r"bus\[0\]\.nam: unknown key; did you mean name\?"),
     "a shape": (lambda s, p: s.frames([0.0, 1.0], {"CTW_PT4": {"Interval0": [1, 2, 3]}}), r"CTW_PT4: values of shape"),
     "a learned log": (lambda s, p: api.learn([], [], "x.toml"), r"logs: name a log"),
 }

@@ -157,3 +157,14 @@ def test_every_plant_tells_its_source_and_the_help_names_all():
         assert made.source
         assert set(made.sizes) <= set(made.model.faults)
         assert set(made.knowns) == set(made.model.knowns)
+
+
+@pytest.mark.parametrize("name", ["stiff_motor", "tanks"])
+def test_faults_have_the_size_that_is_asked_for(name):
+    made = plant(name)
+    fault = {"stiff_motor": "f_i", "tanks": "f_1"}[name]
+    column = made.knowns.index({"stiff_motor": "i", "tanks": "y1"}[name])
+    fine, whole, half = (made.record(SEED, *given) for given in ((), (fault,), (fault, 0.0, 0.5)))
+    end = (slice(-50, None), column)
+    assert np.allclose(half.values[end] - fine.values[end], 0.5 * (whole.values[end] - fine.values[end]), atol=1e-4)
+    assert not np.allclose(half.values[end], fine.values[end], atol=1e-2)

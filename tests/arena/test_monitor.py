@@ -88,13 +88,14 @@ def test_what_was_not_fitted_for_this_is_refused(folder, tmp_path):
         (b"no fit", text, "no file of gateway fit"),
         (json.dumps(old).encode() + b"\n" + payload, text, "python 3.1"),
         (good, text.replace("100.0", "200.0"), "period_ms = 100"),
+        (good, text.replace("mine.py", "gone.py"), "method = 'gone.py:Mine'"),
     ]
     for kept, written, why in cases:
         fit.write_bytes(kept)
         config.write_text(written)
         with pytest.raises(GatewayError, match=why) as found:
             api.open(config)
-        assert str(fit) in str(found.value)
+        assert str(fit) in str(found.value) or "gone" in why
     config.write_text(text)
     (tmp_path / "mine.py").write_text(MINE + "\n")
     with pytest.raises(GatewayError, match="another text"):
@@ -126,6 +127,9 @@ def test_what_cannot_be_fitted_is_refused(folder, tmp_path):
         fitted(config, [folder / "healthy.log"], monitor="other", faults=())
     with pytest.raises(InputError, match=r'type = "structural"'):
         new_monitor("some_name", tmp_path / "x", "structural")
+    with pytest.raises(InputError, match="needs step"):
+        new_monitor("some_name", tmp_path / "x", "particles")
+    assert not (tmp_path / "x").exists()
     assert CliRunner().invoke(app, ["fit", str(config), str(tmp_path / "none.log")]).exit_code != 0
 
 

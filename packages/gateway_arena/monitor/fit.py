@@ -19,8 +19,7 @@ from gateway import api
 from gateway.calibration.stopping import propose
 from gateway.cli.present import find_config, print_json, say
 from gateway_arena.contract import SAMPLES, Array, Dynamics, Found, NotForThisPlantError, Record
-from gateway_arena.methods import method
-from gateway_arena.monitor.kept import place_of, write
+from gateway_arena.monitor.kept import method_of, write
 from gateway_arena.monitor.monitor import TYPE
 from gateway_arena.monitor.params import Params
 from gateway_arena.monitor.runner import Collector, collecting
@@ -51,7 +50,7 @@ class Bus:
         self.sizes: Mapping[str, str] = dict.fromkeys(p.faults, "of a log")
         self.touches: Mapping[str, str] = {}
 
-    def record(self, seed: int, fault: str = "", off: float = 0.0) -> Record:
+    def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Refuse: there is a log only.
 
         Raises:
@@ -95,10 +94,8 @@ def fitted(path: Path, logs: Sequence[Path], *, monitor: str | None, faults: Seq
     with collecting():
         name, p = _chosen(api.open(path), monitor)
     folder = path.resolve().parent
-    refuse_compiled(p.method, key="method")
-    made = method(place_of(p.method, folder))
-    if not hasattr(made, "feed"):
-        raise InputError("a monitor needs step: run wants whole records", file=path, key="method", value=p.method)
+    made: Any = method_of(p, folder)[0]
+    refuse(p.method, made, key="method")
     healthy = [stretch for log in logs for stretch in _stretches(path, log, p)]
     learned = [values[: int(SHARE * len(values))] for _, values in healthy]
     length = max(2 * p.settle, min(SAMPLES, min(map(len, learned), default=0) // LEAST))
@@ -125,15 +122,17 @@ def fitted(path: Path, logs: Sequence[Path], *, monitor: str | None, faults: Seq
     return {"monitor": name, "file": str(folder / p.fitted), **facts}
 
 
-def refuse_compiled(wanted: str, *, key: str) -> None:
-    """Refuse a method that the gateway has as a monitor already.
+def refuse(name: str, made: Any, *, key: str) -> None:
+    """Refuse a method that the gateway has as a monitor already, or that cannot be one.
 
     Raises:
-        InputError: says which type it is.
+        InputError: says which type it is, or what it lacks.
     """
-    if wanted in _COMPILED:
-        text = f'the gateway has this method as a monitor of its own, compiled: type = "{_COMPILED[wanted]}"'
-        raise InputError(text, key=key, value=wanted)
+    if name in _COMPILED:
+        text = f'the gateway has this method as a monitor of its own, compiled: type = "{_COMPILED[name]}"'
+        raise InputError(text, key=key, value=name)
+    if not hasattr(made, "feed"):
+        raise InputError("a monitor needs step: run wants whole records", key=key, value=name)
 
 
 def _chosen(setup: api.Setup, wanted: str | None) -> tuple[str, Params]:

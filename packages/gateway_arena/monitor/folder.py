@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gateway import api
 from gateway_arena.methods import METHODS, method
-from gateway_arena.monitor.fit import fitted, refuse_compiled
+from gateway_arena.monitor.fit import fitted, refuse
 from gateway_arena.monitor.runner import collecting
 from gateway_fdi.common.resources import shipped
 
@@ -87,8 +87,9 @@ def new_monitor_from(name: str, place: Path, wanted: str) -> list[str]:
     Raises:
         InputError: no such method; one that is a monitor already, or that cannot be fitted to one signal.
     """
-    refuse_compiled(wanted, key="--from")
-    supervised = bool(getattr(method(wanted), "supervised", False))
+    made = method(wanted)
+    refuse(wanted, made, key="--from")
+    supervised = bool(getattr(made, "supervised", False))
     place.mkdir(parents=True, exist_ok=True)
     own = wanted
     if wanted not in METHODS:

@@ -16,6 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from gateway_arena.contract import Method
 from gateway_arena.methods import method, source_of
 from gateway_arena.monitor.params import Params
 from gateway_fdi.errors import InputError
@@ -44,10 +45,23 @@ class Kept:
     payload: bytes
 
 
-def place_of(name: str, folder: Path) -> str:
+def _place_of(name: str, folder: Path) -> str:
     """Return a method's name with its file beside the configuration."""
     path, _, kind = name.rpartition(":")
     return f"{folder / path}:{kind}" if path.endswith(".py") else name
+
+
+def method_of(p: Params, folder: Path) -> tuple[Method, str]:
+    """Return the method of parameters, not fitted, and what its code is known by.
+
+    Raises:
+        InputError: there is none.
+    """
+    place = _place_of(p.method, folder)
+    try:
+        return method(place), source_of(place)
+    except InputError as error:
+        raise InputError(error.message, file=error.file, key="method", value=p.method) from error
 
 
 def _facts(p: Params, folder: Path) -> dict[str, Any]:
@@ -55,7 +69,7 @@ def _facts(p: Params, folder: Path) -> dict[str, Any]:
     return {
         "format": _FORMAT,
         "method": p.method,
-        "source": source_of(place_of(p.method, folder)),
+        "source": method_of(p, folder)[1],
         "inputs": list(p.inputs),
         "faults": list(p.faults),
         "period_ms": p.period_ms,
@@ -105,6 +119,7 @@ def read(p: Params, folder: Path) -> Kept:
     Raises:
         InputError: no such file; it is damaged, or of another method, other inputs or another version of a package.
     """
+    facts = _facts(p, folder)
     path, again = folder / p.fitted, "gateway fit CONFIG LOG makes it"
     try:
         head, _, payload = path.read_bytes().partition(b"\n")
@@ -113,16 +128,15 @@ def read(p: Params, folder: Path) -> Kept:
     try:
         line = json.loads(head)
         kept = Kept(float(line["threshold"]), tuple(line["low"]), tuple(line["high"]), str(line["told"]), payload)
-        given, versions, digest = {k: line[k] for k in _facts(p, folder)}, dict(line["versions"]), line["sha256"]
+        given, versions, digest = {k: line[k] for k in facts}, dict(line["versions"]), line["sha256"]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"no file of gateway fit; {again}", file=path, key="fitted", value=p.fitted) from error
     if hashlib.sha256(payload).hexdigest() != digest:
         raise InputError(f"it is damaged; {again} again", file=path, key="fitted", value=p.fitted)
-    for key, value in _facts(p, folder).items():
+    for key, value in facts.items():
         if given[key] != value:
             shown = "another text of its file" if key == "source" else f"{key} = {given[key]!r}"
             raise InputError(f"it was fitted for {shown}; {again} again", file=path, key=key, value=value)
-    method(place_of(p.method, folder))
     now = _versions()
     for name, was in versions.items():
         if now.get(name) not in (None, was):

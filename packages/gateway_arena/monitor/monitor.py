@@ -35,7 +35,7 @@ from gateway_arena.monitor.kept import Kept, load, read
 from gateway_arena.monitor.params import MOST_FAULTS, MOST_INPUTS, Params, PartParams
 from gateway_arena.score import NAMED
 from gateway_fdi.errors import InputError, named
-from gateway_fdi.jit import Record, call_entry, f8, f8s, i8, kernel, labels, means
+from gateway_fdi.jit import Record, call_entry, f8, f8s, i8, kernel, labels, means, python_entry
 from gateway_fdi.jit.addresses import address_of_record
 
 TYPE, API = "method", 2
@@ -66,6 +66,7 @@ class Const(Record):
     call: i8 = means("address of Python's function")
     number: i8 = means("of what stands behind this monitor")
     state: i8 = means("address of the state")
+    here: i8 = means("address of this record")
     inputs: i8 = means("values of a sample")
     faults: i8 = means("faults that have a name")
     threshold: f8 = means("score above which it alarms")
@@ -92,7 +93,7 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
     for k in range(c.inputs):
         s.value[k] = u.value[k]
     s.gap, s.at_ns = u.gap, u.t_ns
-    if call_entry(c.call, c.number, c.state, 0, 0) != 0:
+    if call_entry(c.call, c.state, c.here, c.state, c.state) != 0:
         raise ValueError("the method failed; the line of the log before says how")
     if s.judged == 0:
         return
@@ -111,7 +112,7 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
 
 @cache
 def _call() -> int:
-    return runner.entry(State.dtype)
+    return python_entry(runner.step, (State.dtype, Const.dtype, State.dtype, State.dtype))
 
 
 def _parts(
@@ -159,7 +160,8 @@ def _prepare(kept: Kept | None, path: Path, p: PartParams, s: Any, c: Any) -> No
             found.limit(float(c.threshold))
         stepper = runner.Runner(p, found, np.array(kept.low), np.array(kept.high))
     assert stepper is not None
-    c.call, c.number, c.state = _call(), runner.enter(stepper, s), address_of_record(s)
+    c.call, c.number = _call(), runner.enter(stepper, s)
+    c.state, c.here = address_of_record(s), address_of_record(c)
     c.inputs, c.faults, c.share = len(p.inputs), len(p.faults), NAMED
     s.which, s.score = -1, np.nan
 

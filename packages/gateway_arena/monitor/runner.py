@@ -6,7 +6,6 @@ them, because a method knows no gaps; after more it begins again, and settles.
 
 from __future__ import annotations
 
-import _thread
 import itertools
 import traceback
 import weakref
@@ -21,7 +20,6 @@ from gateway_arena.contract import Array
 from gateway_arena.monitor.params import Params
 from gateway_arena.score import NAMED
 from gateway_fdi.common.log import get_logger
-from gateway_fdi.jit import python_entry, record_at
 
 log = get_logger(__name__)
 
@@ -137,19 +135,16 @@ def enter(stepper: Stepper, state: Any) -> int:
     return number
 
 
-def entry(dtype: np.dtype[np.void]) -> int:
-    """Return the address by which the kernel calls: with a number of :func:`enter`, and its state's address."""
+def step(s: Any, c: Any, *_: Any) -> None:
+    """Step what stands behind a monitor, by its records; what fails is logged.
 
-    def called(number: int, at: int) -> int:
-        try:
-            _steppers[number].step(record_at(at, dtype))
-        except BaseException as error:  # none may leave: C code called
-            if isinstance(error, KeyboardInterrupt):
-                _thread.interrupt_main()
-            where = traceback.extract_tb(error.__traceback__)[-1]
-            reason = f"{type(error).__name__}: {error} ({where.filename}:{where.lineno})"
-            log.error("a method failed at a sample", reason=reason)
-            return 1
-        return 0
-
-    return python_entry(called)
+    Raises:
+        Exception: that of the method.
+    """
+    try:
+        _steppers[int(c.number)].step(s)
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        reason = f"{type(error).__name__}: {error} ({where.filename}:{where.lineno})"
+        log.error("a method failed at a sample", reason=reason)
+        raise

@@ -105,9 +105,9 @@ class Engine:
         bad = [_record(values[begin : begin + SAMPLES], fault, SAMPLES // 2) for fault, _, values in self._bad]
         return Records(tuple(fine[:learned]), tuple(fine[learned:]), tuple(before), (), tuple(bad))
 
-    def record(self, seed: int, fault: str = "", off: float = 0.0) -> Record:
+    def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a record of the files (:class:`gateway_arena.contract.Plant`), again and again the same ones."""
-        del off
+        del off, size
         given = self.records()
         some = [one for one in given.faulty if one.fault == fault] if fault else given.healthy
         return some[seed % len(some)]

@@ -37,7 +37,7 @@ class GalleryPlant:
         self.sizes: Mapping[str, str] = {fault: f"{case.kind} {case.size:g}" for fault, case in self._faults.items()}
         self.touches: Mapping[str, str] = touches(self.model)
 
-    def record(self, seed: int, fault: str = "", off: float = 0.0) -> Record:
+    def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`); the inputs' courses begin anywhere."""
         rng = np.random.default_rng(seed)
         onset = onset_of(seed) if fault else SAMPLES
@@ -59,7 +59,7 @@ class GalleryPlant:
         courses = {}
         if fault:
             case, t = self._faults[fault], onset * self.period_s
-            courses[fault] = Course((0.0, t, t + case.ramp_s), (0.0, 0.0, case.size))
+            courses[fault] = Course((0.0, t, t + case.ramp_s), (0.0, 0.0, size * case.size))
         rows = plant.run(times, courses, longest_s=self._ecu.longest_ms * 1e-3)
         exact = np.stack([rows[z] for z in self.knowns], 1)
         return Record(times, exact + rng.normal(size=exact.shape) * np.array(self.noise), fault, onset)

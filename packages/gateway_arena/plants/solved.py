@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -66,12 +67,19 @@ class SolvedPlant:
         }
         self.touches: Mapping[str, str] = touches(self.model)
 
-    def record(self, seed: int, fault: str = "", off: float = 0.0) -> Record:
+    def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`)."""
         onset = onset_of(seed) if fault else SAMPLES
         p = parameters_off(self._plant, off, seed) if off else None
         seconds = SAMPLES * self.period_s
-        values = run(self._plant, seconds, seed, fault, onset * self.period_s if fault else 0.0, p)
+        p0 = self._plant.p
+        faults = {
+            name: {key: p0[key] + size * (value - p0[key]) for key, value in changed.items()}
+            for name, changed in self._plant.faults.items()
+        }
+        values = run(
+            replace(self._plant, faults=faults), seconds, seed, fault, onset * self.period_s if fault else 0.0, p
+        )
         return Record(np.arange(float(SAMPLES)) * self.period_s, values, fault, onset)
 
     def dynamics(self, command: Array) -> Dynamics:

@@ -53,20 +53,22 @@ class TennesseePlant:
         steps = np.diff(self.record(0).values, axis=0)[:, len(self.commands) :]
         self.noise = (*[0.0] * len(self.commands), *(steps.std(0) / np.sqrt(2.0)).tolist())
 
-    def record(self, seed: int, fault: str = "", off: float = 0.0) -> Record:
+    def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run; behind a shutdown of the plant its last sample stays.
 
         Raises:
-            InputError: parameters cannot be off here.
+            InputError: parameters cannot be off here; a size above 1.
         """
         if off:
             raise InputError("parameters of this plant cannot be off", key="--off", value=off)
+        if size > 1.0:
+            raise InputError("a disturbance of this plant has size 1 at most", key="--size", value=size)
         from tep_studio.control import ClosedLoopSimulation  # noqa: PLC0415
 
         onset = onset_of(seed) if fault else SAMPLES
         active = np.zeros(28)
         if fault:
-            active[FAULTS.index(fault)] = 1.0
+            active[FAULTS.index(fault)] = size
         begin_h = (onset + 0.5) * PERIOD_H
         run = ClosedLoopSimulation(control_interval=PERIOD_H / STEPS, horizon=(SAMPLES + 1) * PERIOD_H).run(
             seed=float(seed + 1),

@@ -60,8 +60,6 @@ def _call_entry(address: int, a: int, b: int, c: int, d: int) -> int:
         0, or what went wrong: for :func:`gateway_fdi.jit.failures.failure_of`.
     """
     step, dtypes = PYTHON_ENTRIES[int(address)]
-    if not dtypes:
-        return int(cast(Any, step)(a, b))
     records = (record_at(int(at), dtype) for at, dtype in zip((a, b, c, d), dtypes, strict=True))
     try:
         step(*records)

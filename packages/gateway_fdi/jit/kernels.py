@@ -7,6 +7,7 @@ before, or is compiled now. With ``NUMBA_DISABLE_JIT=1`` the same code runs as p
 
 from __future__ import annotations
 
+import _thread
 import ctypes
 import hashlib
 import inspect
@@ -38,6 +39,7 @@ from gateway_fdi.jit.forms import (
     text_of,
 )
 from gateway_fdi.jit.intrinsics import PYTHON_ENTRIES, call_entry
+from gateway_fdi.jit.records import record_at
 from gateway_fdi.jit.refused import refuse
 from gateway_fdi.jit.settings import BOUNDSCHECK, BUILDING, COMPILED, MAY_COMPILE, USE_SHIPPED
 
@@ -445,20 +447,34 @@ def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...
     return step.entry(tuple(map(Rec, records)), checked=checked or BOUNDSCHECK).address
 
 
-def python_entry(function: Callable[[int, int], int]) -> int:
+def python_entry(function: Callable[..., None], records: tuple[np.dtype[np.void], ...]) -> int:
     """Give a function of plain Python an address that :func:`gateway_fdi.jit.call_entry` can jump to.
 
+    It takes Python's lock, so it is for the few kernels that cannot do without. The call gives a status if the function
+    raises; an interrupt is raised where Python goes on.
+
     Args:
-        function: of the first two numbers of the call; returns 0, or a status. It must not raise: that would be lost.
-            It takes Python's lock, so it is for the few kernels that cannot do without.
+        function: of four records.
+        records: their dtypes.
 
     Returns:
         the address; it stays as long as the process.
     """
     if not COMPILED:
-        PYTHON_ENTRIES.append((cast(Any, function), ()))
+        PYTHON_ENTRIES.append((function, records))
         return len(PYTHON_ENTRIES) - 1
-    _python.append(_CALLED(lambda cells, _: function(cells[0], cells[1])))
+
+    def called(cells: Any, _: Any) -> int:
+        try:
+            function(*(record_at(cells[k], dtype) for k, dtype in enumerate(records)))
+        except KeyboardInterrupt:
+            _thread.interrupt_main()
+            return 1
+        except Exception:
+            return 1
+        return 0
+
+    _python.append(_CALLED(called))
     return ctypes.cast(_python[-1], ctypes.c_void_p).value or 0
 
 

@@ -106,7 +106,7 @@ class Bench:
                     restore(self._saved[-1], engine, self.config)
                 engine.process(piece, lambda _: None)
         self.limited = [c.params.message for c in self.parts.checks if c.params.most is not None]
-        self.timed = [c.params.message for c in self.parts.checks if c.params.timeout_ms is not None]
+        self.timeouts = {c.params.message: c.params.timeout_ms for c in self.parts.checks if c.params.timeout_ms}
         self.values: list[tuple[str, str, tuple[float | None, ...]]] = []
         for each in seeing:
             _, message, signal = each.name.split(".")
@@ -133,7 +133,7 @@ class Bench:
             if kind == "forge" and name not in self.limited:
                 return
         else:
-            some = self.timed if kind == SILENT else self.limited
+            some = list(self.timeouts) if kind == SILENT else self.limited
             name = some[int(rng.integers(len(some)))]
         k = int(rng.integers(len(self._windows)))
         asked = Injection(kind, 0, name, signal, value, at, at + ATTACK_S)
@@ -146,7 +146,9 @@ class Bench:
             own = tuple(
                 fault for fault, some in self.parts.depends.items() if any(name in each.component.name for each in some)
             )
-        found.add(f"{kind} {name}.{signal} {value:.4g} @{at:.2f} of part {k}", set_, own, named=kind in FREQUENCY)
+        about = f"{name}.{signal} {value:+.4g}" if signal else name
+        about += f" of {self.timeouts[name]:g} ms" if kind == SILENT else ""
+        found.add(f"{kind} {about} @{at:.2f} of part {k}", set_, own, named=kind in FREQUENCY)
 
     def _set(self, asked: Injection, k: int, at: float) -> dict[str, float] | None:
         """Return the faults that were set since an attack's first frame -> after how long [s]; None: it had none."""
