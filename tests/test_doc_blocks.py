@@ -169,12 +169,11 @@ def of_a_configuration(judge, block):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return a folder with the plant and the virtual ECU that scenarios of the pages name."""
+    """Return a folder with the plant that scenarios of the pages name; their virtual ECU is that of the example."""
     path = tmp_path_factory.mktemp("pages")
     (plant,) = (text for _, text in blocks("python") if text.startswith("class Motor:"))
     (path / "my_plant.py").write_text(plant)
-    ecu = (ROOT / "examples/battery_voltage/battery_ecu.py").read_text()
-    (path / "battery_ecu.py").write_text(ecu)
+    importable(shipped("examples/battery_voltage/battery_ecu.py").parent)  # where other tests have it from
     importable(path)
     return path
 
