@@ -16,6 +16,7 @@ from gateway.cli import app
 from gateway.common.plugins import importable
 from gateway.config.schema import schema
 from gateway_bench.vecu.scenario import Scenario
+from gateway_fdi.common.resources import all_shipped, shipped
 from gateway_fdi.structure.file import load_model
 
 ROOT = Path(__file__).parents[1]
@@ -25,6 +26,8 @@ BLOCK = re.compile(r"^ *```([\w-]*)[^\n]*\n(.*?)^ *```", re.MULTILINE | re.DOTAL
 ENDS = {"&&", "||", "|", "&", ";", ">", "<", "2>&1"}
 #: Of the packages that are told to be added: ecu-gateway[extra].
 EXTRAS = re.compile(r"ecu-gateway\[([\w,]+)\]")
+#: Files that come with the gateway, or with an example of its own folder, as text names them.
+SHIPPED = re.compile(r"(?<![\w/.-])((?:configs|scenarios|models|dbc)/[\w-]+\.(?:toml|dbc))")
 #: A command within a sentence; NAME stands for any.
 SPAN = re.compile(r"`gateway ((?!evaluate NAME)[a-z][^`]*)`")
 #: Of typer, which brings its own copy of click.
@@ -120,6 +123,16 @@ def test_extras_and_files_are_there():
         assert gone == [], page.name
 
 
+def test_scenarios_and_shipped_files_are_there():
+    scenarios = {path.stem for path in all_shipped("scenarios", ".toml")} | {"SCENARIO"}
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for name in re.findall(r"gateway (?:demo|simulate) (\w+)(?![\w./-])", text):
+            assert name in scenarios, f"{page.name}: {name}"
+        for file in SHIPPED.findall(text):
+            assert (ROOT / "examples/bench" / file).exists() or shipped(file).exists(), f"{page.name}: {file}"
+
+
 @pytest.fixture(scope="module")
 def judge():
     """Return a validator of parts of a configuration: no key is needed, and none is unknown."""
@@ -156,12 +169,11 @@ def of_a_configuration(judge, block):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return a folder with the plant and the virtual ECU that scenarios of the pages name."""
+    """Return a folder with the plant that scenarios of the pages name; their virtual ECU is that of the example."""
     path = tmp_path_factory.mktemp("pages")
     (plant,) = (text for _, text in blocks("python") if text.startswith("class Motor:"))
     (path / "my_plant.py").write_text(plant)
-    ecu = (ROOT / "examples/battery_voltage/battery_ecu.py").read_text()
-    (path / "battery_ecu.py").write_text(ecu)
+    importable(shipped("examples/battery_voltage/battery_ecu.py").parent)  # where other tests have it from
     importable(path)
     return path
 
