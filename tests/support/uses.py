@@ -36,6 +36,8 @@ USES = {
     "pytest_plugin": (_BENCH,),
     "api/test_arrays.py": ("structural",),
     "arena/test_arena.py": ("linear", "structural"),
+    "arena/test_monitor.py": ("structural",),
+    "arena/test_recordings.py": ("structural",),
     "api/test_docs.py": ("crank", "pedal", "linear", "structural", _BENCH, "gateway_fleet"),
     "api/test_notebooks.py": ("crank", "pedal", "linear", "structural", "gateway_fleet"),
     "api/test_sessions.py": ("crank", "structural", _BENCH, "gateway_fleet"),
