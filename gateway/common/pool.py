@@ -23,8 +23,6 @@ from gateway_fdi.errors import GatewayError, InputError
 TRIES = 2
 #: Answer of Dask's HTTP servers without a dashboard: only that they are there.
 _HEALTH = ["distributed.http.health"]
-#: A worker's first line: python-can takes most of a start, and a replay does not use it.
-_FIRST = "from gateway.common.postponed import postpone; postpone()"
 #: How long a scheduler may take to have a worker [s].
 PATIENCE_S = 120.0
 
@@ -171,7 +169,6 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
         settings: dict[str, Any] = {
             "distributed.scheduler.allowed-failures": 0,
             "distributed.worker.profile.enabled": False,
-            "distributed.worker.preload": [_FIRST],
         }
         if workers.dashboard is None:
             # Servers of HTTP are there all the same, and anybody on this machine can ask them.
