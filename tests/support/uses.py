@@ -80,7 +80,7 @@ USES = {
     "servers/test_odx.py": ("crank",),
     "structural/monitor/test_choice.py": ("truck",),
     "structural/test_structure.py": ("truck",),
-    "studies/test_cause.py": ("structural", "pedal", "truck"),
+    "studies/test_cause.py": ("structural", "pedal", "truck", "linear", "steering"),
     "system/test_page.py": ("crank", _BENCH),
     "system/test_pedal.py": ("pedal",),
     "system/test_processes.py": ("crank",),
