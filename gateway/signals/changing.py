@@ -103,7 +103,7 @@ class ChangedSignal:
         ref = SignalRef(bus, message, signal)
         self._plan = compile_plan([(bus, database)], [ref], messages=[(bus, message)])
         self._place = self._plan.position(*ref)
-        row = self._plan.signals[int(self._plan.messages[0]["first"]) + self._place]
+        row = self._plan.signals[self._place]
         self.row: Any = row if hasattr(row, "word") else row.view(np.recarray)
 
     def value(self, words: Words, length: int) -> float:

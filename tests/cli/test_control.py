@@ -119,6 +119,12 @@ def test_faults_come_and_end(asked):
     assert [fact.kind for fact in asked.player.truth] == ["lost", "offset"]
 
 
+def test_the_first_word_without_a_value_is_named():
+    with pytest.raises(InputError, match="NAME=VALUE") as refused:
+        request_of(["set", "Drive.Speed=1", "Drive.Gear", "Other.Value"])
+    assert refused.value.value == "Drive.Gear"
+
+
 WRONG = {
     ("set", "Drive.Sped=1"): "did you mean Speed?",
     ("set", "Drive.Speed=400"): "it can carry -327.68 to 327.67",

@@ -38,7 +38,7 @@ def test_a_single_fault_is_named_first_and_nobody_else_alone(fault):
     [
         ("signals", "value Vehicle.Coolant", "value WheelSpeeds.FL"),
         ("brake", "f_R", "f_F"),
-        ("belt", "output_offset 2", "output_stuck 1"),
+        ("belt", "output_offset 2", "output_stuck 1"),  # of the plant linear
         ("truck", "battery_short", "machine_voltage_sensor"),
         ("steering", "wheel_angle_offset", "current_offset"),
     ],

@@ -83,7 +83,7 @@ USES = {
     "servers/test_odx.py": ("crank",),
     "structural/monitor/test_choice.py": ("truck",),
     "structural/test_structure.py": ("truck",),
-    "studies/test_cause.py": ("structural", "pedal", "truck"),
+    "studies/test_cause.py": ("structural", "pedal", "truck", "linear", "steering"),
     "system/test_page.py": ("crank", _BENCH),
     "system/test_pedal.py": ("pedal",),
     "system/test_processes.py": ("crank",),
@@ -156,10 +156,10 @@ def missing(file):
 
 
 def own_tests(package, used_by=uses):
-    """Return the files of a package's own tests: it is the highest that they use, or import (``used_by=imported``)."""
+    """Return the files of a package's own tests: they use it, and use, or import (``used_by=imported``), none above."""
     found = []
     for file in sorted(TESTS.rglob("test_*.py")):
-        used = {"gateway_plants" if name in PLANTS else name for name in used_by(file)}
-        if package in used and used <= {package, *BELOW[package]}:
+        used = {"gateway_plants" if name in PLANTS else name for name in (package, *used_by(file))}
+        if package in uses(file) and used <= {package, *BELOW[package]}:
             found.append(file)
     return found
