@@ -17,13 +17,13 @@ ARG EXTRAS=
 # hadolint ignore=DL3013
 RUN if [ -n "$COMMIT" ]; then echo "$COMMIT" > COMMIT; fi \
     && python -m venv --without-pip /opt/gateway/venv \
-    && pip --python /opt/gateway/venv/bin/python install --no-cache-dir ".[$EXTRAS]" \
+    && pip --python /opt/gateway/venv/bin/python install --no-cache-dir ".${EXTRAS:+[$EXTRAS]}" \
     && find /opt/gateway/venv -type d -name tests -prune -exec rm -r {} +
 
 # Run: no compiler, no source, not root.
 FROM python:3.13-slim
 RUN useradd --system --uid 10001 --home-dir /var/lib/gateway --create-home gateway
-COPY --from=build --chown=gateway:gateway /opt/gateway /opt/gateway
+COPY --from=build /opt/gateway /opt/gateway
 ENV PATH=/opt/gateway/venv/bin:$PATH \
     GATEWAY_CACHE_DIR=/var/lib/gateway/cache \
     GATEWAY_MEMORY__PATH=/var/lib/gateway/faults.sqlite \
