@@ -78,7 +78,7 @@ def loop_ns(config, frames, *, whole):
     begun = time.thread_time_ns()
     for k in range(settling, len(frames), CHUNK):
         part = frames[k : k + CHUNK]
-        _ = gateway.feed(gateway.without_own(part)) if whole else gateway.engine.process(part, gateway._on_events)
+        _ = gateway.feed(gateway.without_own(part)) if whole else gateway.engine.process(part, gateway._verdicts.take)
     took = time.thread_time_ns() - begun
     gateway.close()
     return took / (len(frames) - settling)

@@ -43,7 +43,7 @@ MB = 1e6
 COMMANDS = {
     "python -m can.logger --help": ([*PEER, "can.logger", "--help"], ""),
     "cantools --help": ([*PEER, "cantools", "--help"], ""),
-    "cantools dump crank.dbc": ([*PEER, "cantools", "dump", "dbc/crank.dbc"], ""),
+    "cantools dump crank.dbc": ([*PEER, "cantools", "dump", "dbc/crank/crank.dbc"], ""),
     "gateway --help": ([*GATEWAY, "--help"], "cantools --help"),
     "gateway check": ([*GATEWAY, "check", "gateway.toml"], "cantools dump crank.dbc"),
     "gateway doctor": ([*GATEWAY, "doctor", "gateway.toml"], "python -m can.logger --help"),
