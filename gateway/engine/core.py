@@ -62,7 +62,6 @@ class Engine:
         place = {name: field[1] // 8 for name, field in clock.dtype.fields.items()}
         self._now, self._offset, self._due = place["now_ns"], place["offset_ns"], place["deadline_ns"]
         self._started, self._events, self._urgent = place["started"], place["events"], place["urgent"]
-        self._heeds = place["heeds"]
         self._to_send, self._fed, self._taken = place["sent"], place["fed"], place["taken"]
         self._outbox = np.asarray(tables.outbox)
         self._ranks = self._outbox["rank"]
@@ -273,7 +272,7 @@ class Engine:
 
     def heed_passes(self, heeded: bool) -> None:
         """Leave the loop at each verdict (True), or not at first passes of faults that are not there (False)."""
-        self._clock[self._heeds] = heeded
+        self.tables.clock[0]["heeds"] = heeded
 
     def _drain(self, sink: Sink) -> None:
         count = self._clock[self._events]
