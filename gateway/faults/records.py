@@ -158,6 +158,14 @@ class Changes:
     ecu_dtcs: Mapping[tuple[str, str], EcuDtc | None] = field(default_factory=dict)
 
     @property
+    def of_verdicts(self) -> bool:
+        """Whether there is nothing but faults and numbers."""
+        if self.permanent is not None or self.buses is not None:
+            return False
+        rare = (self.cycles, self.answered, self.recordings, self.identifiers, self.described, self.cleared)
+        return not any((*rare, self.interventions, self.kept_interventions, self.ecu_dtcs))
+
+    @property
     def faults(self) -> int:
         """How many faults have changed."""
         return len(self.records) + len(self.statuses)

@@ -98,6 +98,7 @@ class Store:
         self._head = chain.NO_HEAD  # the last link that this one wrote
         self._logged = write_ahead.MANY  # pages of the log since it was tended, as estimated: a new one is due
         self._unwritten = Changes()  # of a store without a file: rows are made of them when they are read
+        self._kept: dict[str, Record] = {}  # likewise, by id
         self._db = sqlite3.connect(":memory:")  # until the file is open
         self._connect()
 
@@ -358,20 +359,20 @@ class Store:
 
     def _keeps_unwritten(self, changes: Changes) -> bool:
         """Keep changes of verdicts as they are; False: there are others, or an entry has gone."""
-        asked = Changes(changes.records, changes.statuses, facts=changes.facts, kept_recordings=changes.kept_recordings)
-        if changes != asked or not all(record.occurrence for record in changes.records):
+        if not (changes.of_verdicts and all(record.occurrence for record in changes.records)):
             return False
-        known = {record.id: record for record in self._unwritten.records}
-        known.update({record.id: record for record in changes.records})
-        self._unwritten.records = list(known.values())
-        self._unwritten.statuses |= changes.statuses
+        for record in changes.records:
+            self._kept[record.id] = record
+            self._unwritten.statuses.pop(record.id, None)  # of before
+        self._unwritten.statuses.update(changes.statuses)
         self._unwritten.facts = {**self._unwritten.facts, **changes.facts}
         return True
 
     def _write_rows(self) -> None:
         """Make rows of what a store without a file has kept as it is."""
         unwritten, self._unwritten = self._unwritten, Changes()
-        if unwritten != self._unwritten:
+        unwritten.records, self._kept = list(self._kept.values()), {}
+        if unwritten.faults or unwritten.facts:
             rows.write(self._db, unwritten)
 
     def buses(self) -> list[dict[str, Any]]:

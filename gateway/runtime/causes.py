@@ -110,13 +110,13 @@ class Causes:
 
     def take(self, events: Events) -> None:
         """Take events of the engine; they are judged a moment later, with those that come meanwhile."""
-        kinds, offset_ns = events["kind"], self._note_offset()
-        verdicts = events[(kinds == QUALIFIED_FAILED) | (kinds == QUALIFIED_PASSED)]
-        if self._take_first_passes(verdicts, offset_ns):
+        offset_ns = self._note_offset()
+        if self._take_first_passes(events, offset_ns):
             return
-        for event in verdicts:
-            fault, failed = int(event["fault"]), event["kind"] == QUALIFIED_FAILED
-            t_ns = int(event["t_ns"]) - offset_ns
+        for kind, fault, wall_ns in zip(*(events[name].tolist() for name in ("kind", "fault", "t_ns")), strict=True):
+            if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED):
+                continue
+            failed, t_ns = kind == QUALIFIED_FAILED, wall_ns - offset_ns
             while (due := self._engine.pause_ns) < t_ns:  # of timers in a silence
                 self.look(due)
             if fault in self._place:
@@ -127,17 +127,19 @@ class Causes:
                 self._looks = 0
         self._heed()
 
-    def _take_first_passes(self, verdicts: Events, offset_ns: int) -> bool:
+    def _take_first_passes(self, events: Events, offset_ns: int) -> bool:
         """Take first passes where nothing has failed, all at once; returns False, and takes none, if there are others.
 
         Of a car with thousands of messages there are tens of thousands in its first seconds.
         """
-        if len(verdicts) < _MANY or self._failing or self._told or self.pending:
+        if len(events) < _MANY or self._failing or self._told or self.pending:
             return False
+        kinds = events["kind"]
+        if (kinds == QUALIFIED_FAILED).any():
+            return False
+        verdicts = events[kinds == QUALIFIED_PASSED]
         places = self._of_fault[verdicts["fault"]]
         known = places >= 0
-        if (verdicts["kind"] != QUALIFIED_PASSED).any():
-            return False
         return self._diagnoser.pass_first(places[known], verdicts["t_ns"][known] - offset_ns)
 
     def _heed(self) -> None:
@@ -196,11 +198,13 @@ class Causes:
         for place in np.flatnonzero((now == 0) & (known != NOT_TESTED)).tolist():
             diagnoser.update(diagnoser.system.tests[place].name, NOT_TESTED, t_ns)
         self._look_behind(t_ns)
-        for place in self._beside():
+        beside = self._beside()
+        counters = engine.fault_detection_counters() if beside else ()
+        for place in beside:
             fault = self._tests[place]
             last = min(self._last_ns(fault), t_ns)
             name = diagnoser.system.tests[place].name
-            if known[place] == PASSED and engine.fault_detection_counter(fault) <= 0:
+            if known[place] == PASSED and counters[fault] <= 0:
                 diagnoser.update(name, PASSED, last)
             if name in self._read:
                 self._renew_size(name, fault, int(known[place]))

@@ -62,7 +62,7 @@ class Passage(Connected):
         """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`tell`."""
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
-        self._reception.hear(int(frames["t_ns"].max()))
+        self._reception.hear(frames)
 
     def tell(self) -> Frames:
         """Take the events of the engine where a pump has left; returns the frames to send, before it goes on."""

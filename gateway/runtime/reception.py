@@ -70,9 +70,10 @@ class Reception:
             return None
         return min(self._engine.pause_ns, self._meter.next_ns + 1 if self._meter.measures else NEVER)
 
-    def hear(self, t_ns: int) -> None:
-        """Note that a pump has fed frames until a time."""
-        self._meter.hear(t_ns)
+    def hear(self, frames: Frames) -> None:
+        """Note that a pump has fed frames."""
+        if self._meter.measures:
+            self._meter.hear(int(frames["t_ns"].max()))
 
     def _look(self, t_ns: int) -> Frames:
         """Let time pass until a look of the meter."""

@@ -73,7 +73,8 @@ class Verdicts:
         on_failure: Callable[[str, int], None],
         strangers: Strangers,
     ) -> None:
-        self._config, self._parts, self._engine, self._catalogue = config, parts, parts.engine, parts.catalogue
+        self._parts, self._engine, self._catalogue = parts, parts.engine, parts.catalogue
+        self._buses = {NO_BUS: ""} | {k: bus.name for k, bus in enumerate(config.buses)}
         self._memory, self._controls, self._recorder = memory, controls, recorder
         self._outbox, self._off, self._doubts = outbox, off, doubts
         self._causes, self._on_failure, self._strangers = causes, on_failure, strangers
@@ -101,7 +102,7 @@ class Verdicts:
         if not self._memory.complete(events["fault"][verdicts].tolist()):
             return False
         if self._outbox.is_heard:
-            self._outbox.note(*monitor_events(events, self._catalogue, self._bus_name))
+            self._outbox.note(*monitor_events(events, self._catalogue, self._buses.__getitem__))
         return True
 
     def _take_one(self, event: np.void, kind: int) -> None:
@@ -112,7 +113,7 @@ class Verdicts:
             self._on_step(event)
             return
         if kind == MONITOR_OFF:
-            self._outbox.note(self._off.on_event(event, self._bus_name(int(event["bus"]))))
+            self._outbox.note(self._off.on_event(event, self._buses[int(event["bus"])]))
             return
         if kind == STRANGER:
             self._strangers.on_stranger(int(event["fault"]), int(event["t_ns"]))
@@ -125,7 +126,7 @@ class Verdicts:
         changes = self._memory.apply(event, self._observe)
         told = self.note_changes(changes)
         if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
-            self._outbox.note(*monitor_events(np.asarray([event]), self._catalogue, self._bus_name))
+            self._outbox.note(*monitor_events(np.asarray([event]), self._catalogue, self._buses.__getitem__))
 
     def look_again(self) -> None:
         """Have it looked at what explains the faults: verdicts have been taken back, of which no event tells."""
@@ -139,7 +140,7 @@ class Verdicts:
             self._record(change)
             index = self._index.get(change.definition.id)  # None: it is monitored no more
             bus = NO_BUS if index is None else self._engine.faults[index].bus
-            self._outbox.note(dtc_event(change, self._bus_name(bus)))
+            self._outbox.note(dtc_event(change, self._buses[bus]))
         return bool(told)
 
     def _record(self, change: DtcChange) -> None:
@@ -153,15 +154,11 @@ class Verdicts:
             self._controls.begin(name, t_ns)
         else:
             self._controls.end(name, t_ns)
-        bus, number = self._bus_name(int(event["bus"])), self._memory.cycle_number(name)
+        bus, number = self._buses[int(event["bus"])], self._memory.cycle_number(name)
         self._outbox.note(cycle_event(t_ns, bus, name, began=began, number=number))
 
     def _on_step(self, event: np.void) -> None:
         self._outbox.note(clock_event(int(event["t_ns"]), float(event["value"])))
-
-    def _bus_name(self, bus: int) -> str:
-        """Return the name of a bus; the gateway's own faults are of none."""
-        return "" if bus == NO_BUS else self._config.buses[bus].name
 
     def _observe(self, definition: FaultDefinition) -> Observed:
         inputs = self._engine.inputs_of(self._index[definition.id])

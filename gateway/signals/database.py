@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from gateway.signals.bounds import refuse_lengths, refuse_scalings
 from gateway.signals.dialect import mended
+from gateway.signals.parsed import messages_of
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError, nearest
 
@@ -114,14 +115,20 @@ def _load(path: Path) -> list[Message]:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"a database is one of {', '.join(SUFFIXES)}", file=path)
+    try:
+        data = path.read_bytes()
+        refuse_lengths(data.decode("utf-8", "replace"), suffix, path)
+        return messages_of(data, suffix, lambda: _parsed(path, suffix))
+    except OSError as error:
+        raise InputError(error.strerror or str(error), file=path) from error
+
+
+def _parsed(path: Path, suffix: str) -> list[Message]:
     import cantools  # noqa: PLC0415 - not where no database is read: its parsers take a while to load
 
     try:
-        refuse_lengths(path.read_bytes().decode("utf-8", "replace"), suffix, path)
         loaded = cantools.database.load_file(path, strict=False, database_format=suffix[1:])
-    except OSError as error:
-        raise InputError(error.strerror or str(error), file=path) from error
-    except InputError:
+    except OSError:
         raise
     except Exception as error:  # the parsers let any exception of theirs through
         again = _mended(path, suffix)

@@ -1,4 +1,4 @@
-"""Compiled kernels in files: a kernel is compiled once, and loaded from then on.
+"""Compiled kernels in files: a kernel is compiled once, and loaded from then on. Parsed databases lie beside them.
 
 A file is written under another name and then renamed, and begins with the digest of the rest: two processes may write
 at once, and one that is cut off or changed is seen. A cache that cannot be read or written costs time, never more; the
@@ -30,7 +30,8 @@ KEPT = 8  # of all its signatures
 _said: set[str] = set()
 
 
-def _say_once(text: str) -> None:
+def say_once(text: str) -> None:
+    """Say something to the user, unless it was said before."""
     if text not in _said:
         _said.add(text)
         progress.say(text)
@@ -43,7 +44,7 @@ def folder() -> Path:
     if not why:
         return asked
     private = _private()
-    _say_once(f"{asked}: not used, as {why}; compiled kernels are kept in {private.path}, {private.until}")
+    say_once(f"{asked}: not used, as {why}; compiled kernels are kept in {private.path}, {private.until}")
     return private.path
 
 
@@ -89,6 +90,16 @@ class Code:
     origin: dict[str, Any] = field(default_factory=dict)
 
 
+def _framed(body: bytes) -> bytes:
+    return _MAGIC + hashlib.blake2b(body, digest_size=_DIGEST).digest() + body
+
+
+def _body(data: bytes) -> bytes | None:
+    """Return what a file's bytes hold; None if they are damaged."""
+    body = data[len(_MAGIC) + _DIGEST :]
+    return body if data == _framed(body) else None
+
+
 def _pack(code: Code) -> bytes:
     head = {
         "symbol": code.symbol,
@@ -96,37 +107,45 @@ def _pack(code: Code) -> bytes:
         "needs": code.needs,
         "origin": code.origin,
     }
-    body = json.dumps(head).encode() + b"\n" + code.code
-    return _MAGIC + hashlib.blake2b(body, digest_size=_DIGEST).digest() + body
+    return json.dumps(head).encode() + b"\n" + code.code
 
 
 def unpack(data: bytes) -> Code | None:
     """Return the code in a file's bytes; None if they are damaged."""
-    start = len(_MAGIC) + _DIGEST
-    body = data[start:]
-    digest = hashlib.blake2b(body, digest_size=_DIGEST).digest()
-    if data[: len(_MAGIC)] != _MAGIC or data[len(_MAGIC) : start] != digest:
-        return None
+    body = _body(data)
+    return None if body is None else _code(body)
+
+
+def _code(body: bytes) -> Code:
     head, _, code = body.partition(b"\n")
     values = json.loads(head)
-    needs = tuple(values["needs"])
-    return Code(values["symbol"], values["results"], needs, code, values["origin"])
+    return Code(values["symbol"], values["results"], tuple(values["needs"]), code, values["origin"])
 
 
 def read(name: str, key: str) -> Code | None:
     """Return the code of a kernel, None if it is not there, or not to be used."""
-    path = folder() / f"{name}-{key}.kernel"
+    body = read_body(f"{name}-{key}.kernel", "this kernel is compiled again")
+    return None if body is None else _code(body)
+
+
+def read_body(file: str, again: str) -> bytes | None:
+    """Return what a file of the cache holds, None if it is not there, or not to be used.
+
+    Args:
+        file: its name.
+        again: what happens instead, for the one who waits for it.
+    """
+    path = folder() / file
     try:
-        data = read_own(path)
+        body = _body(read_own(path))
     except FileNotFoundError:
         return None
     except OSError as error:
-        _say_once(f"compiled kernels cannot be read ({error}): they are compiled again")
+        say_once(f"files of the cache cannot be read ({error}): {again}")
         return None
-    code = unpack(data)
-    if code is None:
-        _say_once(f"{path}: damaged, so this kernel is compiled again")
-    return code
+    if body is None:
+        say_once(f"{path}: damaged, so {again}")
+    return body
 
 
 def write(name: str, key: str, code: Code, bitcode: bytes = b"") -> None:
@@ -138,17 +157,22 @@ def write(name: str, key: str, code: Code, bitcode: bytes = b"") -> None:
         code: the code.
         bitcode: kept beside it, if there is any.
     """
+    write_body(name, key, ".kernel", _pack(code), KEPT, bitcode)
+
+
+def write_body(name: str, key: str, suffix: str, body: bytes, most: int, bitcode: bytes = b"") -> None:
+    """Keep a file, if that is possible; older ones of the same name make room, ``most`` stay (see :func:`write`)."""
     kept = folder()
     draft = kept / f".{name}-{key}.{os.getpid()}"
     try:
         kept.mkdir(mode=0o755, parents=True, exist_ok=True)
-        write_own(draft, _pack(code))
+        write_own(draft, _framed(body))
         if bitcode:
             (kept / f"{name}-{key}.bc").write_bytes(bitcode)
-        draft.replace(kept / f"{name}-{key}.kernel")
-        _prune(kept, name)
+        draft.replace(kept / f"{name}-{key}{suffix}")
+        _prune(kept, name, suffix, most)
     except OSError as error:
-        _say_once(f"compiled kernels cannot be kept ({error}): the next start compiles them again")
+        say_once(f"files cannot be kept in the cache ({error}): the next start does the same work again")
         try:
             draft.unlink(missing_ok=True)
         except OSError:
@@ -163,10 +187,10 @@ def _changed(path: Path) -> float:
         return 0.0
 
 
-def _prune(kept: Path, name: str) -> None:
-    """Delete all but the newest files of a kernel."""
-    files = sorted(kept.glob(f"{name}-*.kernel"), key=_changed, reverse=True)
-    for path in files[KEPT:]:
+def _prune(kept: Path, name: str, suffix: str, most: int) -> None:
+    """Delete all but the newest files of a name."""
+    files = sorted(kept.glob(f"{name}-*{suffix}"), key=_changed, reverse=True)
+    for path in files[most:]:
         path.unlink(missing_ok=True)
 
 
