@@ -21,8 +21,6 @@ from gateway.signals.database import load_database
 from gateway_fdi.common.tomlfile import StrictModel
 
 MESSAGE = "GW_DTC"
-#: Its signals.
-_SIGNALS = ("Dtc", "Status", "FaultDetectionCounter", "Index", "Count", "Occurrence")
 
 
 class DtcFrameParams(StrictModel):
@@ -76,35 +74,6 @@ def read_dtc_frame(frame: np.void, database: Path) -> DtcReport | None:
     )
 
 
-class _Layout:
-    """Raw values at their places in a message's payload: ten times as fast as cantools, which keeps a verdict waiting.
-
-    Args:
-        message: its signals are whole numbers, without scale and offset.
-        names: of the signals, in the order in which values come.
-    """
-
-    def __init__(self, message: Message, names: Sequence[str]) -> None:
-        self._length = message.length
-        self._places = []
-        for signal in map(message.get_signal_by_name, names):
-            assert (signal.scale, signal.offset) == (1, 0), "values are raw"
-            byte, bit = divmod(signal.start, 8)
-            big = signal.byte_order == "big_endian"
-            shift = 8 * (message.length - byte) - (7 - bit) - signal.length if big else signal.start
-            self._places.append(((1 << signal.length) - 1, shift, big))
-
-    def payload(self, values: Sequence[int]) -> bytes:
-        """Return the payload; values are within the ranges of their signals."""
-        little = big = 0
-        for value, (mask, shift, is_big) in zip(values, self._places, strict=True):
-            if is_big:
-                big |= (value & mask) << shift
-            else:
-                little |= (value & mask) << shift
-        return (little | int.from_bytes(big.to_bytes(self._length, "big"), "little")).to_bytes(self._length, "little")
-
-
 class DtcFrameSender(BusServer):
     """Sends the DTC frames, driven by the time it is given; it listens to nothing.
 
@@ -128,8 +97,7 @@ class DtcFrameSender(BusServer):
     ) -> None:
         self._params = params
         self._memory = memory
-        message = message_of(database)
-        self._can_id, self._layout = message.frame_id, _Layout(message, _SIGNALS)
+        self._message = message_of(database)
         self._bus = bus
         self._next_ns: int | None = None
         self._held: dict[str, DtcChange] = {}
@@ -223,5 +191,15 @@ class DtcFrameSender(BusServer):
         count: int,
         occurrence: int,
     ) -> None:
-        payload = self._layout.payload((dtc, status, fdc, min(index, 255), min(count, 255), occurrence))
-        put(frames, k, t_ns, self._can_id, payload, bus=self._bus)
+        payload = self._message.encode(
+            {
+                "Dtc": dtc,
+                "Status": status,
+                "FaultDetectionCounter": fdc,
+                "Index": min(index, 255),
+                "Count": min(count, 255),
+                "Occurrence": occurrence,
+            },
+            strict=False,  # all are within their ranges
+        )
+        put(frames, k, t_ns, self._message.frame_id, payload, bus=self._bus)
