@@ -2,6 +2,7 @@
 
 import json
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def test_a_gap_begins_again_and_is_counted(folder):
 
 
 def test_what_was_not_fitted_for_this_is_refused(folder, tmp_path):
-    for file in folder.iterdir():
+    for file in filter(Path.is_file, folder.iterdir()):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     fit, config = tmp_path / "mine_monitor.fit", tmp_path / "gateway.toml"
     good, text = fit.read_bytes(), config.read_text()
@@ -107,7 +108,7 @@ def test_what_was_not_fitted_for_this_is_refused(folder, tmp_path):
 
 @pytest.mark.long
 def test_a_method_that_fails_is_switched_off_and_told(folder, tmp_path):
-    for file in folder.iterdir():
+    for file in filter(Path.is_file, folder.iterdir()):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     config = tmp_path / "gateway.toml"
     config.write_text(config.read_text().replace(":Mine", ":Slips"))
