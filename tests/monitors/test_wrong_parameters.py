@@ -24,7 +24,7 @@ from gateway_fdi.jit import COMPILED
 pytestmark = pytest.mark.skipif(not COMPILED, reason="nothing is stepped")
 
 SEED = 28
-#: A configuration of each type of monitor; those of `method` have a fitted file beside them (tests/arena/test_monitor.py).
+#: A configuration of each type of monitor. One of `method` has a fitted file beside it (tests/arena/test_monitor.py).
 CONFIGS = {
     "crank_sync": "crank_30_2",
     "hybrid_powertrain": "truck",
