@@ -1,7 +1,7 @@
 """Databases that were parsed before, kept beside the compiled kernels: to read one again takes an eighth of the time.
 
 A file there is a pickle, which is code as kernels are: it is read where those are, under the same checks of owner and
-rights. Its name is the digest of the database's bytes and of the versions of all that has made it.
+rights. Its name is the digest of the database's bytes, the versions of all that has made it, and what mends dialects.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ import sys
 from collections.abc import Callable
 from hashlib import blake2b
 from importlib.metadata import version
+from inspect import getsource
 from typing import TYPE_CHECKING
 
+from gateway.signals import dialect
 from gateway_fdi.jit import cache
 
 if TYPE_CHECKING:
@@ -36,7 +38,7 @@ def messages_of(data: bytes, kind: str, parse: Callable[[], list[Message]]) -> l
     """
     if len(data) < LEAST:
         return parse()
-    made_by = (sys.version, kind, *(version(package) for package in _PACKAGES))
+    made_by = (sys.version, kind, getsource(dialect), *(version(package) for package in _PACKAGES))
     key = blake2b(data, digest_size=16, salt=blake2b(repr(made_by).encode(), digest_size=16).digest()).hexdigest()
     body = cache.read_body(f"{_NAME}-{key}{_SUFFIX}", _AGAIN)
     if body is not None:
