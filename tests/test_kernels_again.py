@@ -24,14 +24,22 @@ ENGINE = (
     "signals/test_tooth_codec.py",
 )
 PLANTS = tuple(f"{plant}/monitor" for plant in ("linear", "pedal", "steering", "structural", "truck"))
-MONITORS = ("monitors", *PLANTS)
+MONITORS = ("monitors",)
 #: Mathematics, the plants' too.
 FDI = (
     "fdi", "linear/mathematics", "linear/model_set", "linear/pi_bank", "pedal/test_lag.py",
     "pedal/test_tracking_voter.py", "crank/test_wheel_seen.py",
 )  # fmt: skip
 
-PARTS = {"engine": ENGINE, "crank": ("crank/monitor",), "monitors": MONITORS, "mathematics": FDI}
+CRANK = sorted(str(path.relative_to(TESTS)) for path in TESTS.glob("crank/monitor/test_*.py"))
+
+ALL = {
+    "engine": ENGINE, "crank": CRANK[::2], "crank, too": CRANK[1::2], "monitors": MONITORS, "plants": PLANTS,
+    "mathematics": FDI,
+}  # fmt: skip
+#: Without those of plants that are not in this checkout.
+THERE = {part: [path for path in paths if (TESTS / path).exists()] for part, paths in ALL.items()}
+PARTS = {part: paths for part, paths in THERE.items() if paths}
 
 #: Of these folders: of no kernel, so that one run is enough.
 WITHOUT_KERNELS = ("engine/test_depends.py",)

@@ -17,6 +17,9 @@ LINES = sorted((place, owner) for place, owners in USES.items() for owner in own
 #: Tests that run without plants: help, doctor, a log that is learned.
 SOME = "test_help or test_doctor or test_each_channel_of_a_log"
 
+#: What is taken away: all plants, or one of them.
+WITHOUT = [PLANTS, *([name] for name in PLANTS)]
+
 #: A file that takes every shipped file, or every page, uses all plants.
 EVERY = ("all_shipped", "glob", "rglob")
 
@@ -61,7 +64,7 @@ def test_no_line_of_the_table_is_stale():
 
 @pytest.mark.long
 @pytest.mark.skipif(any(map(lacking, (*PLANTS, *BELOW))), reason="not the whole checkout")
-@pytest.mark.parametrize("plants", [PLANTS, *([name] for name in (PLANTS if FULL else drawn(PLANTS)))], ids=" ".join)
+@pytest.mark.parametrize("plants", WITHOUT if FULL else drawn(WITHOUT), ids=" ".join)
 def test_without_plants_all_tests_are_collected_and_some_run(plants):
     """In a copy without their folders; a test that takes something of them at its import is an error there."""
     command = [sys.executable, "scripts/without", *plants, "--", "-n", "0", "-k", SOME]

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from gateway_fdi.detectors import Cusum, StoppingRule
     from gateway_fdi.diagnosis.diagnoser import Diagnoser
-    from gateway_fdi.diagnosis.state import FAILED, PASSED
+    from gateway_fdi.diagnosis.state import FAILED, PASSED, Sized
     from gateway_fdi.diagnosis.system import Component, Link, Test
     from gateway_fdi.errors import GatewayError, InputError, InputErrors
     from gateway_fdi.residual import Residual, residuals
@@ -40,6 +40,7 @@ __all__ = [
     "Link",
     "Model",
     "Residual",
+    "Sized",
     "StoppingRule",
     "Test",
     "analyse",
@@ -50,7 +51,7 @@ __all__ = [
 _PLACES = {
     "detectors": ("Cusum", "StoppingRule"),
     "diagnosis.diagnoser": ("Diagnoser",),
-    "diagnosis.state": ("FAILED", "PASSED"),
+    "diagnosis.state": ("FAILED", "PASSED", "Sized"),
     "diagnosis.system": ("Component", "Link", "Test"),
     "errors": ("GatewayError", "InputError", "InputErrors"),
     "residual": ("Residual", "residuals"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +17,7 @@ from gateway_fdi.jit import zeros
 from gateway_fdi.structure.analysis import Analysis, analyse
 from gateway_fdi.structure.generator.records import field_name
 from gateway_fdi.structure.isolability import signatures
-from gateway_fdi.structure.model import Model, ResidualChoice
+from gateway_fdi.structure.model import Model, Quantity, ResidualChoice
 
 if TYPE_CHECKING:
     from gateway_fdi.structure.generator.loading import Loaded
@@ -57,6 +59,8 @@ class Residual:
         else:
             known = test in model.residuals
             choice, self.name = model.residuals[test] if known else analyse(model).choice(test), test
+        self._model, self._choice, self._differentiate = model, choice, differentiate
+        self._values, self._bandwidth = dict(values or {}), filter_bandwidth
         with as_input("test", self.name):
             self._loaded = _made(model, choice, self.name, differentiate=differentiate)
         row = np.array([[equation.name in choice.equations for equation in model.equations]])
@@ -64,9 +68,8 @@ class Residual:
         self.faults = tuple(fault for fault, there in zip(model.faults, seen, strict=True) if there)
         self._fields = {field_name(name): name for name in model.knowns}
         self.knowns = tuple(self._fields.get(field, field) for field in self._loaded.generated.knowns)
-        self._s, self._c = zeros(1, self._loaded.state)[0], zeros(1, self._loaded.const)[0]
         with as_input("values"):
-            self._loaded.prepare(self._c, values=values, filter_bandwidth=filter_bandwidth)
+            self._c = self._constants(self._loaded, {})
 
     def __repr__(self) -> str:
         return f"Residual({self.name}: reads {', '.join(self.knowns)}; sees {', '.join(self.faults) or 'no fault'})"
@@ -81,25 +84,89 @@ class Residual:
         Raises:
             InputError: a variable is missing, or has another shape; times that do not rise.
         """
+        times = self._times(t_s)
+        rows = self._rows(self._loaded, times, known)
+        s = _begun(self._loaded, self._c, rows[0])
+        return self._loaded.over(s, self._c, rows, np.diff(times, prepend=times[0]))
+
+    def gain(
+        self, fault: str, t_s: ArrayLike, known: Mapping[str, ArrayLike], *, size: float = 1e-4, since: int = 0
+    ) -> NDArray[np.float64]:
+        """Return the residual that a fault leaves, for each 1 of its size, shape (n,).
+
+        The set of equations is solved once more, with the fault in it: what is left then is what the fault does not
+        explain, r(0) - r(size) = gain size. With a small size that is the slope, with the fault's own it is exact. So
+        a fault explains residuals if one size explains each (directional residuals: Gertler, "Fault detection and
+        diagnosis in engineering systems", 1998).
+
+        Args:
+            fault: one of :attr:`faults`.
+            t_s: as :meth:`run` takes them.
+            known: likewise.
+            size: of the fault, in its unit, not 0.
+            since: first sample with the fault.
+
+        Raises:
+            InputError: as of :meth:`run`; it does not see the fault, or algebra does not solve the set with it.
+        """
+        if fault not in self.faults:
+            raise InputError(
+                named(f"the faults that {self.name} sees are", fault, self.faults), key="fault", value=fault
+            )
+        times = self._times(t_s)
+        rows = self._rows(self._faulty, times, known)
+        steps = np.diff(times, prepend=times[0])
+        fine, faulty = (self._constants(self._faulty, {fault: each}) for each in (0.0, size))
+        s = _begun(self._faulty, fine, rows[0])
+        self._faulty.over(s, fine, rows[:since], steps[:since])
+        other = np.array([s])[0] if since else _begun(self._faulty, faulty, rows[0])
+        found = np.zeros(len(times))
+        found[since:] = self._faulty.over(s, fine, rows[since:], steps[since:])
+        found[since:] -= self._faulty.over(other, faulty, rows[since:], steps[since:])
+        return found / size
+
+    @cached_property
+    def _faulty(self) -> Loaded:
+        """The same residual with each fault as a parameter; given solutions, which leave faults out, are not used."""
+        model = self._model
+        sizes = {fault: replace(model.quantities.get(fault, Quantity()), value=0.0) for fault in model.faults}
+        equations = (replace(e, faults=(), solutions={} if e.faults else e.solutions) for e in model.equations)
+        faulty = replace(
+            model, equations=tuple(equations), faults=(), parameters=(*model.parameters, *model.faults),
+            quantities={**model.quantities, **sizes},
+        )  # fmt: skip
+        with as_input("test", self.name):
+            return _made(faulty, self._choice, self.name, differentiate=self._differentiate)
+
+    def _constants(self, loaded: Loaded, more: Mapping[str, float]) -> np.void:
+        c: np.void = zeros(1, loaded.const)[0]
+        loaded.prepare(c, values={**self._values, **more}, filter_bandwidth=self._bandwidth)
+        return c
+
+    def _times(self, t_s: ArrayLike) -> NDArray[np.float64]:
         times = numbers(t_s, "t_s")
         if len(times) < 2 or not (np.diff(times) > 0.0).all():
             raise InputError("two times at least, each after the one before", key="t_s")
-        rows = zeros(len(times), self._loaded.inputs)
-        for field in self._loaded.generated.knowns:
+        return times
+
+    def _rows(self, loaded: Loaded, times: NDArray[np.float64], known: Mapping[str, ArrayLike]) -> NDArray[np.void]:
+        rows: NDArray[np.void] = zeros(len(times), loaded.inputs)
+        for field in loaded.generated.knowns:
             name = self._fields.get(field, field)
             if name not in known:
                 raise InputError(named("this residual reads; there are", name, known), key=name)
             with as_input(name):
                 rows[field] = np.broadcast_to(np.asarray(known[name], np.float64), times.shape)
-        for field in self._loaded.generated.rates:
+        for field in loaded.generated.rates:
             rows[field] = _rate(field, rows, times)
-        self._loaded.reset(self._s, self._c)
-        self._loaded.start(self._s, self._c, rows[0])
-        steps = np.diff(times, prepend=times[0]).tolist()
-        found = np.empty(len(times))
-        for k, dt in enumerate(steps):
-            found[k] = self._loaded.step(self._s, self._c, rows[k], dt)
-        return found
+        return rows
+
+
+def _begun(loaded: Loaded, c: np.void, row: np.void) -> np.void:
+    s: np.void = zeros(1, loaded.state)[0]
+    loaded.reset(s, c)
+    loaded.start(s, c, row)
+    return s
 
 
 def _made(model: Model, choice: ResidualChoice, name: str, *, differentiate: bool) -> Loaded:

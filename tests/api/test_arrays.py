@@ -89,6 +89,35 @@ def test_a_residual_over_an_array_is_its_generator_sample_by_sample(rng):
     np.testing.assert_array_equal(first.run(t, known), expected)  # a record begins again
 
 
+@pytest.mark.parametrize("since", [0, 120])
+def test_the_gain_of_a_fault_is_what_it_leaves_in_the_residual(rng, since):
+    """An offset of a sensor is in the records themselves, so what explains it needs no gain: not of ours."""
+    t = np.arange(0.0, 30.0, 0.1)
+    fine = {"u": 50.0} | {name: middle + rng.normal(0.0, 1e-3, 300) for name, middle in
+            (("y1", 1.0), ("y2", 0.6), ("y3", 0.3))}  # fmt: skip
+    faulty = fine | {"y2": fine["y2"] + 0.05 * (np.arange(300) >= since)}
+    seen = [residual for residual in residuals(tanks()) if "f_2" in residual.faults]
+    assert len(seen) == 3
+    for residual in seen:
+        left = residual.run(t, faulty) - residual.run(t, fine)
+        gain = residual.gain("f_2", t, faulty, size=0.05, since=since)
+        np.testing.assert_allclose(0.05 * gain, left, rtol=1e-9, atol=1e-12)
+        assert np.abs(left[-1]) > 1e-6
+        slope = residual.gain("f_2", t, fine, since=since)
+        np.testing.assert_allclose(residual.gain("f_2", t, fine, size=2e-4, since=since), slope, rtol=1e-2, atol=1e-4)
+
+
+def test_the_gain_of_a_fault_within_an_equation_with_given_solutions():
+    """Pump: q0 = k (1 - f_p) u, so a pump that gives f_p less leaves k f_p u / (10 A) in the first tank's slope."""
+    t = np.arange(0.0, 400.0, 0.1)
+    known = {"u": 50.0, "y1": 1.0, "y2": 0.6, "y3": 0.3}
+    (first,) = (residual for residual in residuals(tanks()) if "f_p" in residual.faults)
+    gain = first.gain("f_p", t, known, size=0.3)[-1]
+    assert gain == pytest.approx(-0.02 * 50.0 / 200.0)
+    (clogged,) = (residual for residual in residuals(tanks()) if residual.faults == ("f_c", "f_1", "f_2", "f_3"))
+    assert clogged.gain("f_c", t, known)[-1] != 0.0  # e3 has given solutions, which leave the fault out
+
+
 def test_a_model_of_tables_is_that_of_its_file():
     tables = {
         "unknown": {"x": {}},
@@ -177,6 +206,7 @@ WRONG = {
     "drift": (lambda: Cusum(0.0, 1.0), "nu = 0.0: a number above 0"),
     "test": (lambda: Residual(tanks(), "1:e99"), "set 1 has"),
     "known": (lambda: residuals(tanks())[0].run([0.0, 1.0], {"u": 1.0}), "y1: "),
+    "fault": (lambda: residuals(tanks())[0].gain("f_l", [0.0, 1.0], {}), "fault = 'f_l': the faults that e2 sees are"),
     "times": (lambda: residuals(tanks())[0].run([1.0, 0.0], {}), "t_s: two times at least"),
     "value": (lambda: residuals(tanks(), values={"nix": 1.0}), 'values: "nix" is no parameter of tanks'),
     "wheel": (lambda: CrankWheel("60:2"), "wheel = '60:2'"),

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway_fdi.jit import f8, record
 from gateway_fdi.structure.generator.code import Generated, write
 from gateway_fdi.structure.generator.realisation import realise
 from gateway_fdi.structure.generator.records import field_name, fill
-from gateway_fdi.structure.generator.sources import load_source
+from gateway_fdi.structure.generator.sources import load_source, module_name
 from gateway_fdi.structure.model import Model
 
 
@@ -66,6 +67,35 @@ class Loaded:
             filter_bandwidth=filter_bandwidth,
             derivative_bandwidth=derivative_bandwidth,
         )
+
+    def over(self, s: np.void, c: np.void, rows: NDArray[np.void], steps_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the residual of samples, and advance the states.
+
+        Args:
+            s: states, begun.
+            c: constants.
+            rows: of ``inputs``, shape (n,).
+            steps_s: since the sample before, shape (n,) [s].
+        """
+        made = load_source(f"{self.generated.name} over samples", _OVER.format(module_name(self.generated.source)))
+        found = np.empty(len(rows))
+        made.over(s, c, rows, steps_s, found)
+        return found
+
+
+_OVER = '''"""A residual generator over samples."""
+
+from typing import Any
+
+import {} as generator
+from gateway_fdi.jit import kernel
+
+
+@kernel
+def over(s: Any, c: Any, u: Any, dt: Any, found: Any) -> None:
+    for k in range(len(found)):
+        found[k] = generator.step(s, c, u[k], dt[k])
+'''
 
 
 def load(generated: Generated) -> Loaded:
