@@ -69,6 +69,7 @@ USES = {
     "fleet/test_digest.py": ("structural",),
     "inject/ecus.py": ("linear",),
     "jit/test_shipped.py": (*PLANTS, _BENCH),
+    "learn/test_from_answers.py": ("gateway_fleet",),
     "live/test_causes_everywhere.py": ("linear",),
     "live/test_pump.py": ("crank",),
     "live/test_several_buses.py": ("pedal",),
