@@ -160,7 +160,7 @@ def own_tests(package, used_by=uses):
     """Return the files of a package's own tests: they use it, and use, or import (``used_by=imported``), none above."""
     found = []
     for file in sorted(TESTS.rglob("test_*.py")):
-        used = {"gateway_plants" if name in PLANTS else name for name in (package, *used_by(file))}
-        if package in uses(file) and used <= {package, *BELOW[package]}:
+        named, used = ({"gateway_plants" if name in PLANTS else name for name in by(file)} for by in (uses, used_by))
+        if package in named and used <= {package, *BELOW[package]}:
             found.append(file)
     return found
