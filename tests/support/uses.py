@@ -48,6 +48,7 @@ USES = {
     "bus/test_bounds.py": ("crank",),
     "calibration/test_cusum_tests.py": ("steering", "crank"),
     "calibration/test_of_a_fleet.py": ("steering", "gateway_fleet"),
+    "calibration/test_sensors.py": ("gateway_fleet",),
     "calibration/test_stopping_rules.py": ("pedal", "steering"),
     "cli/test_check.py": ("steering", "structural"),
     "cli/test_errors.py": (*PLANTS, _BENCH),
