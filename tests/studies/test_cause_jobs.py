@@ -1,7 +1,7 @@
 """What the study of causes tries: faults that a learned configuration can show, and pairs of them."""
 
-from gateway_fleet.study.cause.cars import Car, Injected, injected
-from gateway_fleet.study.cause.matrix import pairs
+from gateway_fleet.study.cause.cars import END_S, Car, Injected, injected
+from gateway_fleet.study.cause.matrix import Job, pairs, run
 
 DBC = """VERSION ""
 BU_: Brake Body
@@ -63,3 +63,21 @@ def test_pairs_are_of_two_parts_and_each_has_a_seed_of_its_own(tmp_path):
         ("offset Speed.Right=1.25", "value Speed.Left=202"),
     }
     assert names == of_frames | of_values
+
+
+def test_a_car_s_drive_is_judged_until_its_faults_end(tmp_path):
+    """Doors come every 100 ms, but for a while long after the fault; nothing is told of that. Lamps always come."""
+    car = car_of(tmp_path)
+    car.config.write_text(
+        'bus = [{ name = "can0", uri = "socketcan:can0", database = ["car.dbc"], '
+        'check = [{ message = "Doors", timeout_ms = 500.0 }] }]\n'
+    )
+    sent = [(1000 + 0.1 * k, can_id) for k in range(1000) for can_id in (17, 18) if can_id == 18 or not 450 < k < 900]
+    car.log.write_text("".join(f"({t_s:.6f}) can0 {can_id:03X}#00\n" for t_s, can_id in sent))
+    (drop,) = (one for one in injected(car) if one.text == "drop Doors")
+    (row,) = run(Job("some", "drop Doors", 5, injected=(drop,)))
+    print(row)
+    assert row.seconds == END_S
+    assert row.verdict.seen
+    assert row.verdict.place == 2, "Body, which sends Lamps too, comes before it: nothing tests those"
+    assert not row.verdict.before
