@@ -35,7 +35,6 @@ import cantools
 import crccheck
 import numpy as np
 from can.interfaces.socketcan.socketcan import build_can_frame, capture_message
-from live_sender import BASE, DTC_ID, EVERY_S, MESSAGES, datagrams, send_at
 
 from gateway.bus.base import Bus
 from gateway.bus.can_structs import RawReceiver
@@ -48,6 +47,9 @@ from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.resources import shipped
+
+sys.path.insert(0, str(Path(__file__).parent))  # tests import this file from elsewhere
+from live_sender import BASE, DTC_ID, EVERY_S, MESSAGES, datagrams, send_at
 
 #: The sustained rate is sought from here, and not below there [frames/s].
 FIRST_RATE, LEAST_RATE = 64_000.0, 250.0
