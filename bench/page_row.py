@@ -26,6 +26,7 @@ from pathlib import Path
 
 import can
 import live
+import live_sender
 import numpy as np
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
@@ -73,7 +74,7 @@ class Client:
     """Sends the messages of bench/live.py in turn, and notes when DTC frames of changes come."""
 
     def __init__(self, port: int) -> None:
-        self.frames = live.datagrams()
+        self.frames = live_sender.datagrams()
         self.bus = can.Bus(interface="socketcand", host="127.0.0.1", port=port, channel="can0")
         self.spoil: int | None = None
         self.seen: dict[int, float] = {}  # message -> time of its DTC frame [ms]
@@ -85,10 +86,10 @@ class Client:
     def send(self) -> None:
         sent = 0
         while not self.ended:
-            for _ in range(live.MESSAGES):
+            for _ in range(live_sender.MESSAGES):
                 frame = self.frames[sent % len(self.frames)]
                 if self.spoil == frame[0] & 0x0F:
-                    self.spoil, frame = None, live.spoilt(frame)
+                    self.spoil, frame = None, live_sender.spoilt(frame)
                 can_id = int.from_bytes(frame[:2], "little")
                 self.bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=frame[8:]))
                 sent += 1
@@ -99,7 +100,11 @@ class Client:
             message = self.bus.recv(0.2)
             now = time.time() * 1e3
             # A change (index 0) of one DTC; one that healed before it was written is told once, as healed.
-            if message is not None and message.arbitration_id == live.DTC_ID and message.data[5] == 0 < message.data[0]:
+            if (
+                message is not None
+                and message.arbitration_id == live_sender.DTC_ID
+                and message.data[5] == 0 < message.data[0]
+            ):
                 self.seen.setdefault(message.data[1], now)
 
     def close(self) -> None:
@@ -131,7 +136,7 @@ def measured(url: str, driver: webdriver.Chrome, client: Client, rows: int) -> l
         waited(lambda: not driver.execute_script("return document.querySelectorAll('[data-dtc]').length"))
         client.seen.clear()
         driver.execute_script("window.rows = {}")
-        for k in draw.sample(range(live.MESSAGES), min(live.MESSAGES, rows - len(found))):
+        for k in draw.sample(range(live_sender.MESSAGES), min(live_sender.MESSAGES, rows - len(found))):
             client.spoil = k
             dtc = f"U12{k:02X}-00"
             frame = waited(lambda k=k: client.seen.get(k))

@@ -27,7 +27,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from live import BUFFER, StructBus, datagrams, send_at, write_config
+from live import BUFFER, StructBus, write_config
+from live_sender import datagrams, send_at
 
 from gateway.config.load import load_config
 from gateway.live.clock import Clock

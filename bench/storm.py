@@ -26,7 +26,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from live import BASE, BUFFER, MESSAGES, StructBus, datagrams, spoilt, write_config
+from live import BUFFER, StructBus, write_config
+from live_sender import BASE, MESSAGES, datagrams, spoilt
 
 from gateway.config.load import load_config
 from gateway.live.clock import Clock

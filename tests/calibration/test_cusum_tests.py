@@ -5,6 +5,7 @@ import json
 import cantools
 import numpy as np
 import pytest
+from fleet_command import needs_fleet
 from typer.testing import CliRunner
 
 from gateway.bus.logs import open_writer
@@ -112,6 +113,7 @@ def test_the_noise_is_learned_and_what_was_too_low_is_told(healthy):
     assert "P1A1F-62" in found.failed
 
 
+@needs_fleet
 @pytest.mark.long
 @compiled
 def test_they_are_written_and_the_diagnosis_works_with_them(healthy, truck, tmp_path):
@@ -139,6 +141,7 @@ def test_they_are_written_and_the_diagnosis_works_with_them(healthy, truck, tmp_
     assert "P1A10-01" in learn(load_config(config), [faulty], Reading(config)).failed
 
 
+@needs_fleet
 @compiled
 def test_the_command_states_the_margin(healthy):
     path, logs = healthy
@@ -163,6 +166,10 @@ def test_a_configuration_without_cusum_tests_is_refused(tmp_path):
     path = shipped("configs/steering.toml")
     with pytest.raises(InputError, match="no monitor here has CUSUM tests"):
         learn(load_config(path), [tmp_path / "none.log"], Reading(path))
+
+
+@needs_fleet
+def test_the_command_refuses_a_configuration_without_thresholds(tmp_path):
     (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n")
     said = CliRunner().invoke(app, ["calibrate", str(shipped("configs/diagnostics.toml")), str(tmp_path / "a.log")])
     assert said.exit_code != 0

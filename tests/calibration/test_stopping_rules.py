@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fleet_command import needs_fleet
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -113,6 +114,7 @@ def test_they_are_written_and_all_else_stays(healthy):
     path.write_text(before)
 
 
+@needs_fleet
 @pytest.mark.long
 @compiled
 def test_the_command_says_how_far_the_data_carry(healthy):

@@ -12,7 +12,7 @@ from gateway_fleet.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, se
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
 from gateway_fleet.learn.merge import File
 from gateway_fleet.learn.relations import relations
-from gateway_fleet.learn.report import _size
+from gateway_fleet.learn.report import _faults, _size
 from gateway_fleet.learn.state import Kept
 from gateway_fleet.learn.trial import OFFSETS, Smallest, _smallest
 from gateway_fleet.learn.update import add_before
@@ -160,3 +160,28 @@ def test_frames_of_a_late_host_keep_their_order_and_are_never_too_early():
     late = late_host(frames, 0.1, 5)["t_ns"] - frames["t_ns"]
     assert 0 == late.min() < late.max() <= 100 * MS
     assert (np.diff(frames["t_ns"] + late) >= 0).all()
+
+
+def test_a_table_of_faults_has_as_many_cells_in_each_line():
+    outcomes = [
+        SimpleNamespace(
+            named=named,
+            frames=9,
+            trial=SimpleNamespace(message=message, injection=SimpleNamespace(kind=kind, signal=None)),
+        )
+        for message, kind, named in (
+            ("A", "drop", True),
+            ("A", "drop", False),
+            ("A", "flip", True),
+            ("B", "noise", True),
+        )
+    ]
+    trials = SimpleNamespace(left=0, seeing=(), unwatched=())
+    text = "\n".join(_faults(SimpleNamespace(outcomes=outcomes, trials=trials)))
+    assert [line for line in text.splitlines() if line.startswith("|")] == [
+        "| message | drop | flip | noise |",
+        "|---|---|---|---|",
+        "| A | 1/2 | 1/1 |  |",
+        "| B |  |  | 1/1 |",
+    ]
+    assert "- drop of A: nothing was set (9 frames)" in text

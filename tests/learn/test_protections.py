@@ -20,6 +20,7 @@ from gateway.signals.protection.protection import Counter, Protection, Protectio
 from gateway_fleet.learn.claims import proven
 from gateway_fleet.learn.counters import of_raw
 from gateway_fleet.learn.judged import Payloads, judged
+from gateway_fleet.learn.polynomials import divided, polynomial_of
 from gateway_fleet.learn.protections import protection_found
 
 NOWHERE = Path("made_up.dbc")
@@ -336,3 +337,20 @@ def test_the_sum_of_a_counter_and_constants_is_no_counter():
     only = message_of(4, Signal("M_Checksum", 24, 8))
     lone = protection_found(only, NOWHERE, [payloads([f[:1] + bytes([3]) + f[2:] for f in frames])])
     assert lone.counter is None or lone.counter.signal != "M_Checksum"
+
+
+@pytest.mark.parametrize(("divisor", "found"), [(0x107, 0x07), (0x106, None), (0x87, None)])
+def test_a_polynomial_has_its_highest_and_its_lowest_term(divisor, found):
+    """CRCs divide by polynomials with both: what has the degree of another width, or no 1, is none."""
+    rows = np.random.default_rng(4).integers(0, 256, (20, 3), np.uint8)
+    sums = [divided(int.from_bytes(row.tobytes(), "big") << 8, divisor) for row in rows]
+    assert polynomial_of(rows, sums, 8, refin=False, refout=False) == found
+
+
+def test_each_byte_of_a_frame_that_no_signal_describes_may_be_the_checksum():
+    rng = random.Random(6)
+    frames = [rng.randbytes(7) for _ in range(700)]
+    described = Message(0x123, "M", 8, [], strict=False)
+    found = protection_found(described, NOWHERE, [payloads([bytes([sum(f) & 0xFF]) + f for f in frames])])
+    assert found.claim is not None
+    assert found.claim.keys["checksum"]["signal"] == "byte 0"

@@ -3,12 +3,15 @@
 import tomllib
 from fnmatch import fnmatchcase
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from foreign_project import ROOT, properties, run
 from junitparser import JUnitXml
 
+from gateway.servers.uds.params import UdsParams
 from gateway_bench.pytest_plugin.fixtures import left_in
+from gateway_bench.pytest_plugin.uds import _Transport
 
 EXAMPLE = ROOT / "examples" / "battery_voltage"
 DRAINED = (EXAMPLE / "drained.toml").read_text().replace('"gateway.toml"', '"../gateway.toml"')
@@ -229,3 +232,15 @@ def test_the_door_is_an_entry_point():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     assert project["project"]["entry-points"]["pytest11"] == {"gateway": "gateway_pytest"}
     assert "packages/gateway_pytest" in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
+
+
+def test_frames_of_requests_are_as_long_as_can_has_them_and_filled_with_cc():
+    """What ISO 15765-2 says of bytes that carry nothing."""
+    sent = []
+    bench = SimpleNamespace(
+        config=SimpleNamespace(bus=()),
+        on_frames=lambda take: None,
+        send_frame=lambda *frame, **how: sent.append((frame, how)),
+    )
+    _Transport(bench, UdsParams()).send(b"\x3e\x00")
+    assert sent == [((0x7E0, b"\x02\x3e\x00" + 5 * b"\xcc"), {"bus": 0, "fd": False})]

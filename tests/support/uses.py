@@ -48,6 +48,7 @@ USES = {
     "bus/test_bounds.py": ("crank",),
     "calibration/test_cusum_tests.py": ("steering", "crank"),
     "calibration/test_of_a_fleet.py": ("steering", "gateway_fleet"),
+    "calibration/test_sensors.py": ("gateway_fleet",),
     "calibration/test_stopping_rules.py": ("pedal", "steering"),
     "cli/test_check.py": ("steering", "structural"),
     "cli/test_errors.py": (*PLANTS, _BENCH),
@@ -69,6 +70,7 @@ USES = {
     "fleet/test_digest.py": ("structural",),
     "inject/ecus.py": ("linear",),
     "jit/test_shipped.py": (*PLANTS, _BENCH),
+    "learn/test_from_answers.py": ("gateway_fleet",),
     "live/test_causes_everywhere.py": ("linear",),
     "live/test_pump.py": ("crank",),
     "live/test_several_buses.py": ("pedal",),
@@ -159,7 +161,7 @@ def own_tests(package, used_by=uses):
     """Return the files of a package's own tests: they use it, and use, or import (``used_by=imported``), none above."""
     found = []
     for file in sorted(TESTS.rglob("test_*.py")):
-        used = {"gateway_plants" if name in PLANTS else name for name in (package, *used_by(file))}
-        if package in uses(file) and used <= {package, *BELOW[package]}:
+        named, used = ({"gateway_plants" if name in PLANTS else name for name in by(file)} for by in (uses, used_by))
+        if package in named and used <= {package, *BELOW[package]}:
             found.append(file)
     return found

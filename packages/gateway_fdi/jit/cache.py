@@ -1,4 +1,4 @@
-"""Compiled kernels in files: a kernel is compiled once, and loaded from then on. Parsed databases lie beside them.
+"""Compiled kernels in files: a kernel is compiled once, and loaded from then on. Databases and plans lie beside them.
 
 A file is written under another name and then renamed, and begins with the digest of the rest: two processes may write
 at once, and one that is cut off or changed is seen. A cache that cannot be read or written costs time, never more; the

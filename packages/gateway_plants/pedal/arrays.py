@@ -77,6 +77,14 @@ def tracking(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drift
         isolated[k], drift[k] = s.isolated, s.drift
 
 
+def through(loop: Callable[..., None], s: Any, c: Any, y: NDArray[np.float64]) -> Voted:
+    """Put readings through a loop of a voter; arguments as of :func:`tracking`."""
+    value = np.empty(len(y))
+    used, isolated, drift = (np.zeros(len(y), np.int64) for _ in range(3))
+    loop(s, c, y, value, used, isolated, drift)
+    return Voted(value, used, isolated, drift)
+
+
 _RULES: dict[str, tuple[type[Record], type[Record], Callable[..., None]]] = {
     "average": (simple.State, simple.Const, average),
     "median": (simple.State, simple.Const, median),
@@ -132,8 +140,4 @@ class Voter:
         Raises:
             InputError: another shape.
         """
-        y = numbers(readings, "readings", self.channels)
-        value = np.empty(len(y))
-        used, isolated, drift = (np.zeros(len(y), np.int64) for _ in range(3))
-        self._loop(self._s, self._c, y, value, used, isolated, drift)
-        return Voted(value, used, isolated, drift)
+        return through(self._loop, self._s, self._c, numbers(readings, "readings", self.channels))

@@ -14,12 +14,14 @@ from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.engine.instances import MonitorInstance
 from gateway.signals.database import load_database
 from gateway_fdi.common.resources import shipped
-from gateway_fdi.jit import COMPILED
+from gateway_fdi.jit import COMPILED, zeros
 from gateway_plants.pedal.ecu.ecu import pedal_frames
 from gateway_plants.pedal.ecu.params import PedalParams, SensorFault, SensorParams
 from gateway_plants.pedal.monitor import PAIR, TRIPLE
-from gateway_plants.pedal.monitor.monitor import AGREED, DEGRADED, INVALID, ONE_CHANNEL, SILENCE
+from gateway_plants.pedal.monitor.faults import faults
+from gateway_plants.pedal.monitor.monitor import AGREED, DEGRADED, INVALID, ONE_CHANNEL, SILENCE, _prepare
 from gateway_plants.pedal.monitor.params import PRESETS, Channel, PairParams, TripleParams
+from gateway_plants.pedal.monitor.records import Const, State
 
 PEDAL = shipped("dbc/pedal.dbc")
 VOTED = cantools.database.load_file(PEDAL)
@@ -458,3 +460,12 @@ def test_the_number_of_channels_has_to_fit():
         PairParams(channel=(ROW,) * 3)
     with pytest.raises(ValidationError, match="3 channels, here are 2"):
         TripleParams(channel=(ROW,) * 2)
+
+
+@pytest.mark.parametrize("preset", ["brake", "accelerator"])
+def test_a_common_supply_is_reported_as_the_fault_of_its_name(preset):
+    chosen = PairParams(preset=preset, ratiometric=True)
+    s, c = zeros(1, State)[0], zeros(1, Const)[0]
+    _prepare(chosen, s, c)
+    assert chosen.tells_supply == (preset == "brake")
+    assert (faults(chosen)[c.last_fault].name == "supply") == chosen.tells_supply

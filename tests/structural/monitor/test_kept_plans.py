@@ -11,7 +11,7 @@ from structural_config import configuration
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
 from gateway_fdi.common.resources import shipped
-from gateway_fdi.jit import cache_directory
+from gateway_fdi.jit import cache, cache_directory
 from gateway_plants.structural.monitor import kept
 from gateway_plants.structural.monitor.plan import as_dict, from_dict
 
@@ -34,7 +34,14 @@ print(len(monitor.notes(params)), "sympy" in sys.modules, "scipy.optimize" in sy
 def folder(tmp_path, monkeypatch):
     """A cache of one's own."""
     monkeypatch.setenv("GATEWAY_CACHE_DIR", str(tmp_path / "cache"))
-    return tmp_path / "cache" / "kernels" / "structural"
+    return tmp_path / "cache" / "kernels"
+
+
+def heard(monkeypatch):
+    said = []
+    monkeypatch.setattr(cache.progress, "say", said.append)
+    monkeypatch.setattr(cache, "_said", set())
+    return said
 
 
 def loads(path):
@@ -46,7 +53,7 @@ def loads(path):
 def test_a_warm_start_loads_no_algebra(tmp_path, folder):
     path = configuration(tmp_path)
     assert loads(path) == ["8", "True", "True"]
-    assert len(list(folder.glob("*.json"))) == 1
+    assert len(list(folder.glob("plan-*.json"))) == 1
     assert loads(path) == ["8", "False", "False"]
 
 
@@ -54,7 +61,7 @@ def test_a_warm_start_loads_no_algebra(tmp_path, folder):
 def test_what_is_damaged_is_made_again(tmp_path, folder):
     path = configuration(tmp_path)
     loads(path)
-    (file,) = folder.glob("*.json")
+    (file,) = folder.glob("plan-*.json")
     whole = file.read_bytes()
     for damaged in (whole[:-100], whole.replace(b"kernel", b"kernal", 1), b""):
         file.write_bytes(damaged)
@@ -92,13 +99,12 @@ def _plan(tmp_path):
 
 
 def test_a_plan_that_another_could_have_written_is_not_run(tmp_path, folder, monkeypatch):
-    said = []
-    monkeypatch.setattr(kept.progress, "say", said.append)
+    said = heard(monkeypatch)
     configuration(tmp_path)
     plan = _plan(tmp_path)
     kept.write("some", plan)
     assert kept.read("some") == plan
-    (file,) = (cache_directory() / "structural").glob("some.json")
+    (file,) = cache_directory().glob("plan-some.json")
     file.chmod(0o666)
     assert kept.read("some") is None
     assert any(str(file) in line for line in said)
@@ -112,8 +118,7 @@ def test_a_plan_that_another_could_have_written_is_not_run(tmp_path, folder, mon
 
 
 def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path, folder, monkeypatch):
-    said = []
-    monkeypatch.setattr(kept.progress, "say", said.append)
+    said = heard(monkeypatch)
     cache_directory().parent.mkdir(parents=True, exist_ok=True)
     cache_directory().write_text("a file where the folder belongs")
     configuration(tmp_path)

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from gateway_fdi.jit import Record, kernel, zeros
 from gateway_plants.pedal import arrays
 from gateway_plants.pedal.arrays import Voted
@@ -107,16 +105,4 @@ def follow(voter: str, environment: Environment, run: Run) -> Voted:
         run: what it is given.
     """
     chosen = VOTERS[voter]
-    n = len(run.readings)
-    value = np.empty(n)
-    used, isolated, drift = (np.zeros(n, np.int64) for _ in range(3))
-    chosen.loop(
-        chosen.begin(),
-        chosen.constants(environment),
-        run.readings,
-        value,
-        used,
-        isolated,
-        drift,
-    )
-    return Voted(value, used, isolated, drift)
+    return arrays.through(chosen.loop, chosen.begin(), chosen.constants(environment), run.readings)

@@ -9,6 +9,7 @@ import json
 import numpy as np
 import pytest
 from amount import FULL, amount
+from fleet_command import needs_fleet
 from linear import frames
 from linear.plants import LEVELS, PLANTS, SERVO, TANKS, Fault, simulate
 from typer.testing import CliRunner
@@ -174,6 +175,7 @@ def test_slow_faults_accuse_nobody_else(tmp_path, name):
         assert {f for _, f in found} <= {f"sensor_{part}", "unexplained"}, found
 
 
+@needs_fleet
 def test_healthy_logs_refine_the_matrices(tmp_path):
     """``gateway calibrate``: parameters 10 % off; behind it entries are known to a percent, half the size is named."""
     print("seed", SEEDS + 960)
@@ -244,6 +246,7 @@ def test_one_exact_observer_accuses_nobody_of_lost_frames(tmp_path, name):
     assert readout["untested"] > 0.05 * 6000
 
 
+@needs_fleet
 def test_healthy_logs_refine_one_observer_s_matrices(tmp_path):
     """``gateway calibrate`` with a configuration that has poles: they go, Kalman's gains come with what was learned."""
     print("seed", SEEDS + 1300)

@@ -1,0 +1,83 @@
+"""What the study of causes tries: faults that a learned configuration can show, and pairs of them."""
+
+from gateway_fleet.study.cause.cars import END_S, Car, Injected, injected
+from gateway_fleet.study.cause.matrix import Job, pairs, run
+
+DBC = """VERSION ""
+BU_: Brake Body
+BO_ 16 Speed: 6 Brake
+ SG_ Left : 0|16@1+ (0.1,0) [0|6553] "km/h" Body
+ SG_ Right : 16|16@1+ (0.1,0) [0|6553] "km/h" Body
+ SG_ Full : 32|8@1+ (1,0) [0|255] "" Body
+BO_ 17 Doors: 1 Body
+BO_ 18 Lamps: 1 Body
+"""
+CONFIG = """
+[[bus]]
+name = "can0"
+database = ["car.dbc"]
+check = [
+    { message = "Speed", timeout_ms = 100.0, crc = { signal = "Full" } },
+    { message = "Doors", timeout_ms = 1999.0 },
+    { message = "Lamps", timeout_ms = 2000.0 },
+]
+[[monitor]]
+signal = [
+    { signal = "Speed.Left", plausible = [100.0, 200.0] },
+    { signal = "Speed.Full", plausible = [0.0, 255.0] },
+    { signal = "Speed.Right", plausible = [0.0, 1000.0] },
+]
+rule = [{ holds = "Speed.Left == Speed.Right", tolerance = 0.5 }]
+"""
+#: Brake sends nothing else, so that it may be at fault; of Body's two messages each may be.
+FOUND = [
+    ("drop Speed", {"message can0.Speed", "ecu can0.Brake"}),
+    ("flip Speed", {"message can0.Speed", "ecu can0.Brake"}),
+    ("drop Doors", {"message can0.Doors"}),
+    ("value Speed.Left=202", {"signal can0.Speed.Left"}),
+    ("offset Speed.Left=1.25", {"signal can0.Speed.Left"}),
+    ("offset Speed.Right=1.25", {"signal can0.Speed.Right"}),
+]
+
+
+def car_of(folder):
+    (folder / "car.dbc").write_text(DBC)
+    (folder / "car.toml").write_text(CONFIG)
+    return Car("some", folder / "car.toml", folder / "drive.log")
+
+
+def test_faults_of_a_car_are_those_that_its_lines_can_show(tmp_path):
+    car = car_of(tmp_path)
+    assert list(injected(car)) == [Injected(car, text, frozenset(truth)) for text, truth in FOUND]
+
+
+def test_pairs_are_of_two_parts_and_each_has_a_seed_of_its_own(tmp_path):
+    car = car_of(tmp_path)
+    made = list(pairs(40, 7, [car], ["no plant"]))
+    assert [job.seed for job in made] == list(range(7, 47))
+    assert made == list(pairs(40, 7, [car], ["no plant"]))
+    names = {tuple(sorted(one.text for one in job.injected)) for job in made}
+    of_frames = {("drop Doors", "drop Speed"), ("drop Doors", "flip Speed")}
+    of_values = {
+        ("offset Speed.Left=1.25", "offset Speed.Right=1.25"),
+        ("offset Speed.Right=1.25", "value Speed.Left=202"),
+    }
+    assert names == of_frames | of_values
+
+
+def test_a_car_s_drive_is_judged_until_its_faults_end(tmp_path):
+    """Doors come every 100 ms, but for a while long after the fault; nothing is told of that. Lamps always come."""
+    car = car_of(tmp_path)
+    car.config.write_text(
+        'bus = [{ name = "can0", uri = "socketcan:can0", database = ["car.dbc"], '
+        'check = [{ message = "Doors", timeout_ms = 500.0 }] }]\n'
+    )
+    sent = [(1000 + 0.1 * k, can_id) for k in range(1000) for can_id in (17, 18) if can_id == 18 or not 450 < k < 900]
+    car.log.write_text("".join(f"({t_s:.6f}) can0 {can_id:03X}#00\n" for t_s, can_id in sent))
+    (drop,) = (one for one in injected(car) if one.text == "drop Doors")
+    (row,) = run(Job("some", "drop Doors", 5, injected=(drop,)))
+    print(row)
+    assert row.seconds == END_S
+    assert row.verdict.seen
+    assert row.verdict.place == 2, "Body, which sends Lamps too, comes before it: nothing tests those"
+    assert not row.verdict.before
