@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.common.times import NEVER
 from gateway.engine.checks.bus_health import SILENT
@@ -104,6 +105,7 @@ class Causes:
         self._silent = {fault: bus for bus, fault in enumerate(silent) if fault >= 0}
         self._told: list[tuple[object, ...]] = []
         self._looks = self._failing = 0
+        self._heeded = False
         self._followed = False  # whether faults have failed whose tests go on to change, without an event
         engine.on_pause = self.look
         self._offsets: list[tuple[int, int]] = []  # of the wall clock, each since a time of the engine
@@ -144,7 +146,10 @@ class Causes:
 
     def _heed(self) -> None:
         """Have the engine leave its loop at first passes, too, while there is something that they may tell apart."""
-        self._engine.heed_passes(bool(self._failing or self._told))
+        heeded = bool(self._failing or self._told)
+        if heeded != self._heeded:
+            self._heeded = heeded
+            self._engine.heed_passes(heeded)
 
     def look(self, t_ns: int) -> None:
         """Look what explains the faults now, and tell it unless it is as it was.
@@ -177,6 +182,11 @@ class Causes:
         self._heed()
 
     def _conclude(self, t_ns: int) -> dict[str, Any] | None:
+        verdict = self._diagnoser.state.verdict
+        if not self._told and not (verdict == FAILED).any():  # what failed has passed again since
+            self._renew_reset(t_ns)
+            self._failing, self._followed, self.waiting = 0, False, frozenset()
+            return None
         self._renew(t_ns)
         groups = self._diagnoser.diagnose()
         self._failing = len(groups)
@@ -193,10 +203,7 @@ class Causes:
         """Bring up to date what no event tells: tests that were reset, and until when tests passed."""
         engine, diagnoser = self._engine, self._diagnoser
         engine.tell_runs()
-        known = diagnoser.state.verdict[: len(self._tests)]
-        now = engine.tables.debounces["verdict"][self._index]
-        for place in np.flatnonzero((now == 0) & (known != NOT_TESTED)).tolist():
-            diagnoser.update(diagnoser.system.tests[place].name, NOT_TESTED, t_ns)
+        known = self._renew_reset(t_ns)
         self._look_behind(t_ns)
         beside = self._beside()
         counters = engine.fault_detection_counters() if beside else ()
@@ -208,6 +215,15 @@ class Causes:
                 diagnoser.update(name, PASSED, last)
             if name in self._read:
                 self._renew_size(name, fault, int(known[place]))
+
+    def _renew_reset(self, t_ns: int) -> NDArray[np.int8]:
+        """Take back the verdicts of tests that were reset; returns those of all but inner tests, shape (tests,)."""
+        diagnoser = self._diagnoser
+        known = diagnoser.state.verdict[: len(self._tests)]
+        now = self._engine.tables.debounces["verdict"][self._index]
+        for place in np.flatnonzero((now == 0) & (known != NOT_TESTED)).tolist():
+            diagnoser.update(diagnoser.system.tests[place].name, NOT_TESTED, t_ns)
+        return known
 
     def _renew_size(self, name: str, fault: int, verdict: int) -> None:
         """Read the residual of a test; one whose results are others than its verdict says nothing new of sizes."""
