@@ -11,7 +11,6 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.common.times import NEVER
 from gateway.engine.checks.bus_health import SILENT
@@ -66,6 +65,7 @@ class Causes:
     Attributes:
         tell: takes the event.
         tested: ids of the faults that are looked at.
+        awaited: whether a look is waited for even if nothing fails any more.
         waiting: ids of those that fail, where a slower test can still speak.
         after_look: called at the end of each look with its time; returns when it is to be looked again.
     """
@@ -81,6 +81,7 @@ class Causes:
         seen = depends.seen
         used = {slot.id for slot in engine.faults if seen[slot.id][0].component.kind not in _ALONE}
         self.tested, self.waiting = frozenset(used), frozenset[str]()
+        self.awaited = False
         self.after_look: Callable[[int], int] = lambda t_ns: NEVER
         self._tests = [k for k, slot in enumerate(engine.faults) if slot.id in used]
         slots = [engine.faults[k] for k in self._tests]
@@ -124,7 +125,9 @@ class Causes:
             if fault in self._place:
                 self._diagnoser.update(self._engine.faults[fault].id, FAILED if failed else PASSED, t_ns)
                 self._failing += failed
-            if self._failing or self._told:
+            if self._failing and not (failed or self._told or self.awaited or self._diagnoser.state.fails):
+                self._failing, self._engine.pause_ns = 0, NEVER  # it has passed again, and nothing was told of it
+            elif self._failing or self._told:
                 self._engine.pause_ns = min(due, t_ns + PACE_NS)
                 self._looks = 0
         self._heed()
@@ -182,11 +185,6 @@ class Causes:
         self._heed()
 
     def _conclude(self, t_ns: int) -> dict[str, Any] | None:
-        verdict = self._diagnoser.state.verdict
-        if not self._told and not (verdict == FAILED).any():  # what failed has passed again since
-            self._renew_reset(t_ns)
-            self._failing, self._followed, self.waiting = 0, False, frozenset()
-            return None
         self._renew(t_ns)
         groups = self._diagnoser.diagnose()
         self._failing = len(groups)
@@ -203,7 +201,10 @@ class Causes:
         """Bring up to date what no event tells: tests that were reset, and until when tests passed."""
         engine, diagnoser = self._engine, self._diagnoser
         engine.tell_runs()
-        known = self._renew_reset(t_ns)
+        known = diagnoser.state.verdict[: len(self._tests)]
+        now = engine.tables.debounces["verdict"][self._index]
+        for place in np.flatnonzero((now == 0) & (known != NOT_TESTED)).tolist():
+            diagnoser.update(diagnoser.system.tests[place].name, NOT_TESTED, t_ns)
         self._look_behind(t_ns)
         beside = self._beside()
         counters = engine.fault_detection_counters() if beside else ()
@@ -215,15 +216,6 @@ class Causes:
                 diagnoser.update(name, PASSED, last)
             if name in self._read:
                 self._renew_size(name, fault, int(known[place]))
-
-    def _renew_reset(self, t_ns: int) -> NDArray[np.int8]:
-        """Take back the verdicts of tests that were reset; returns those of all but inner tests, shape (tests,)."""
-        diagnoser = self._diagnoser
-        known = diagnoser.state.verdict[: len(self._tests)]
-        now = self._engine.tables.debounces["verdict"][self._index]
-        for place in np.flatnonzero((now == 0) & (known != NOT_TESTED)).tolist():
-            diagnoser.update(diagnoser.system.tests[place].name, NOT_TESTED, t_ns)
-        return known
 
     def _renew_size(self, name: str, fault: int, verdict: int) -> None:
         """Read the residual of a test; one whose results are others than its verdict says nothing new of sizes."""
