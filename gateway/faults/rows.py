@@ -88,7 +88,7 @@ def read_cause(fault: str, hold: str, content: str) -> tuple[str, str, Cause | N
 
 
 class Written(NamedTuple):
-    """What became of changes.
+    """Outcome of changes that were written.
 
     Attributes:
         gone: numbers of interventions that had to go.
