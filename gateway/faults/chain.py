@@ -119,6 +119,10 @@ def content(db: sqlite3.Connection, kind: str, subject: str) -> bytes:
     if kind == FAULT:
         found += db.execute(_FRAMES, (subject,)).fetchall()
         found += db.execute(_CAUSES, (subject,)).fetchall()  # none: the digest is that of earlier versions
+    return _digest_of(found)
+
+
+def _digest_of(found: list[Any]) -> bytes:
     return hashlib.sha256(_text_of(found).encode()).digest()
 
 
@@ -173,7 +177,7 @@ def write(db: sqlite3.Connection, changes: Changes) -> Head:
     permanent: set[str] = set()
     if changes.permanent is not None:
         permanent = {fault for (fault,) in db.execute(_SUBJECTS[PERMANENT])} | {p.fault for p in changes.permanent}
-    gone = rows.write(db, changes)
+    written = rows.write(db, changes)
     touched = [
         *((FAULT, record.id) for record in changes.records),
         *((FAULT, fault) for fault in changes.statuses),
@@ -182,10 +186,15 @@ def write(db: sqlite3.Connection, changes: Changes) -> Head:
         *((PERMANENT, fault) for fault in sorted(permanent)),
         *((IDENTIFIER, str(did)) for did in changes.identifiers),
         *((NUMBER, name) for name in changes.facts),
-        *((INTERVENTION, str(number)) for number in [*changes.interventions, *gone]),
+        *((INTERVENTION, str(number)) for number in [*changes.interventions, *written.gone]),
     ]
     links = [(CLEAR, f"{group:06X}", GONE) for group in changes.cleared]
-    links += [(kind, subject, content(db, kind, subject)) for kind, subject in touched]
+    # Of what each verdict changes the rows are known; to read them again would take as long as to write them.
+    known: dict[tuple[str, str], list[Any]] = {(FAULT, fault): found for fault, found in written.records.items()}
+    known |= {(NUMBER, name): [(name, value)] for name, value in changes.facts.items()}
+    for fault in changes.statuses:
+        known.pop((FAULT, fault), None)
+    links += [(*of, _digest_of(known[of]) if of in known else content(db, *of)) for of in touched]
     last = _append(db, links or [(OTHER, "", GONE)])
     if last.number > MOST and last.number % (MOST // 4) < len(links):
         _prune(db, last.number)

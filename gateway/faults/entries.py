@@ -16,8 +16,7 @@ from gateway.faults.status import NOT_COMPLETED, STATUS, Status
 _TOLD = 0xFF & ~int(NOT_COMPLETED)
 
 
-@dataclass(frozen=True)
-class DtcChange:
+class DtcChange(NamedTuple):
     """A status byte that changed."""
 
     definition: FaultDefinition

@@ -7,7 +7,6 @@ its operation cycle is over.
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping
-from dataclasses import replace
 
 from gateway.faults import freeze_frames
 from gateway.faults import status as transition
@@ -91,7 +90,7 @@ class EventMemory:
         if not record.occurrence and not self._make_room(definition):
             record.become(transition.on_displaced(status), Cycles())
             seen = failure.observe()
-            self._refused[record.id] = replace(failure, observe=lambda: seen)
+            self._refused[record.id] = failure._replace(observe=lambda: seen)
             return
         record.become(status, cycles)
         if waits and not record.hold and cycles.failed >= definition.confirm_cycles:

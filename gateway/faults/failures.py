@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from gateway.engine.events import Event
 from gateway.faults import freeze_frames
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.records import Record
@@ -28,8 +28,7 @@ def finite(values: Mapping[str, float]) -> dict[str, float | None]:
     return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
-@dataclass(frozen=True)
-class Failure:
+class Failure(NamedTuple):
     """A qualified failure, and what was seen at it."""
 
     t_ns: int
@@ -37,12 +36,12 @@ class Failure:
     observe: Callable[[], Observed]
 
 
-def failure_of(definition: FaultDefinition, event: Any, snapshot: Snapshot) -> Failure:
-    """Return what an event (of EVENT, a qualified failure) tells; ``snapshot`` is called when it is wanted."""
+def failure_of(definition: FaultDefinition, event: Event, snapshot: Snapshot) -> Failure:
+    """Return what an event (a qualified failure) tells; ``snapshot`` is called when it is wanted."""
     names = ("value", "threshold", *definition.evidence)
-    values = (float(event["value"]), float(event["threshold"]), *event["evidence"].tolist())
+    values = (event.value, event.threshold, *event.evidence.tolist())
     evidence = finite(dict(zip(names, values, strict=False)))
-    return Failure(int(event["t_ns"]), evidence, lambda: snapshot(definition))
+    return Failure(event.t_ns, evidence, lambda: snapshot(definition))
 
 
 def known(values: Mapping[str, float | None]) -> dict[str, float]:

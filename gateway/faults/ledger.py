@@ -95,8 +95,10 @@ class Ledger:
         self._more = False  # whether anything waits beside records
         self._buses: Sequence[Mapping[str, Any]] | None = None
         self._described: Mapping[str, Description] = {}
-        self._stored = {fault: record.copy() for fault, record in self.records.items()}
-        self._failed = {record.id for record in self._stored.values() if record.occurrence}
+        self._stored: dict[str, Record] = {}
+        self._failed: set[str] = set()  # of those
+        self._counts: dict[int, int] = {}  # of these, by status byte
+        self._keep(record.copy() for record in self.records.values())
         self._stored_permanent = self._permanent.all()
         self._write: _Write | None = None
         self._tending: Work | None = None  # of the file's log, by the thread that writes
@@ -104,8 +106,7 @@ class Ledger:
     def succeed(self, old: Ledger) -> None:
         """Go on with what another ledger of the same store holds, written or not."""
         old.join()
-        self._stored.update(old._stored)
-        self._failed |= old._failed
+        self._keep(old._stored.values())
         self._stored_permanent = old._stored_permanent
         self.records.update(old.records)
         self.cycles.update(old.cycles)
@@ -125,9 +126,8 @@ class Ledger:
     def add(self, record: Record) -> None:
         """Add the record of a fault that the store does not know; it is written when it changes."""
         self.records[record.id] = record
-        self._stored[record.id] = record.copy()
+        self._keep([record.copy()])
         self._new.add(record.id)
-        self._note_failed([record])
 
     def touch(self, fault: str) -> None:
         """Note that a record has changed."""
@@ -262,10 +262,22 @@ class Ledger:
         under_way = () if self._write is None else (record.id for record in self._write.changes.records)
         return _with_entry(self.records, self._failed.union(self._dirty, under_way))
 
-    def _note_failed(self, stored: Iterable[Record]) -> None:
+    def count_failed(self, mask: int) -> int:
+        """Return how many of :meth:`shown_failed` have any of these status bits: the short way, for each change."""
+        if self._shows_all:
+            return sum(1 for record in self.failed() if record.status & mask)
+        return sum(count for status, count in self._counts.items() if status & mask)
+
+    def _keep(self, stored: Iterable[Record]) -> None:
+        """Take records as they are written."""
         for record in stored:
+            before = self._stored.get(record.id)
+            if before is not None and before.occurrence:
+                self._counts[before.status] -= 1
+            self._stored[record.id] = record
             if record.occurrence:
                 self._failed.add(record.id)
+                self._counts[record.status] = self._counts.get(record.status, 0) + 1
             else:
                 self._failed.discard(record.id)
 
@@ -341,12 +353,13 @@ class Ledger:
 
     def _show(self, changes: Changes, permanent: list[Permanent]) -> None:
         self.commits += 1
-        self._stored.update({record.id: record for record in changes.records})
+        self._keep(changes.records)
         if self._new:
             self._new.difference_update(record.id for record in changes.records)
         for fault, status in changes.statuses.items():
-            self._stored[fault].status = status
-        self._note_failed(changes.records)
+            record = self._stored[fault].copy()
+            record.status = status
+            self._keep([record])
         self._stored_permanent = permanent
 
     def _start_anew(self) -> None:

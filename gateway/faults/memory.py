@@ -12,9 +12,7 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-import numpy as np
-
-from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED
+from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Event
 from gateway.faults import status as transition
 from gateway.faults.beside import Writer
 from gateway.faults.catalogue import Catalogue, FaultDefinition
@@ -133,23 +131,23 @@ class FaultMemory(Readable):
 
     # Verdicts
 
-    def apply(self, event: np.void, snapshot: Snapshot) -> list[DtcChange]:
+    def apply(self, event: Event, snapshot: Snapshot) -> list[DtcChange]:
         """Take an event; one that is neither a verdict nor reaches for a freeze frame changes nothing.
 
         Nor does one of a fault outside its operation cycle (AUTOSAR DEM: results of a cycle that is not started do not
         count).
 
         Args:
-            event: of EVENT.
+            event: of the engine.
             snapshot: called for a failure, at once.
 
         Returns:
             the status bytes that changed. They are durable after :meth:`commit`.
         """
-        kind = int(event["kind"])
+        kind = event.kind
         if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
             return []
-        definition = self.catalogue[int(event["fault"])]
+        definition = self.catalogue[event.fault]
         if not self._cycles.counts(definition.cycle):
             return []
         record = self._records[definition.id]
@@ -158,13 +156,13 @@ class FaultMemory(Readable):
             self.performance.completed(definition.id)
         if kind == FDC_REACHED:
             content = finite(snapshot(definition).frame)
-            self._entries.prestore(definition.id, FreezeFrame(0, int(event["t_ns"]), content))
+            self._entries.prestore(definition.id, FreezeFrame(0, event.t_ns, content))
         elif kind == QUALIFIED_FAILED:
             self._entries.fail(definition, record, failure_of(definition, event, snapshot))
         else:
             record.status = int(transition.on_passed(old))
             self._entries.give_up(record)
-        return self._changed(definition, record, old, int(event["fdc"]), int(event["t_ns"]))
+        return self._changed(definition, record, old, event.fdc, event.t_ns)
 
     def complete(self, places: Sequence[int]) -> bool:
         """Take tests that have passed of faults that are not there, by their places: they are complete, no more.

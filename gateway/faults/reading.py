@@ -74,7 +74,7 @@ class Readable:
 
     def count_by_status_mask(self, mask: int) -> int:
         """Return how many entries :meth:`by_status_mask` finds."""
-        return sum(1 for r in self._held.shown_failed() if r.status & mask)
+        return self._held.count_failed(mask)
 
     def status(self, fault: str) -> Status:
         """Return the status byte of a fault."""

@@ -7,7 +7,7 @@ import sqlite3
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple, fields
 from operator import attrgetter
-from typing import Any
+from typing import Any, NamedTuple
 
 from gateway.faults.explained import HOLDS, Cause
 from gateway.faults.interventions import Intervention
@@ -87,13 +87,25 @@ def read_cause(fault: str, hold: str, content: str) -> tuple[str, str, Cause | N
     return fault, hold, None if told is None else Cause.parse(told)
 
 
-def write(db: sqlite3.Connection, changes: Changes) -> list[int]:
-    """Write changes, within a transaction; returns the numbers of interventions that had to go.
+class Written(NamedTuple):
+    """Outcome of changes that were written.
+
+    Attributes:
+        gone: numbers of interventions that had to go.
+        records: rows of each record, its freeze frames and its cause, as they are read.
+    """
+
+    gone: list[int]
+    records: dict[str, list[Sequence[Any]]]
+
+
+def write(db: sqlite3.Connection, changes: Changes) -> Written:
+    """Write changes, within a transaction.
 
     Raises:
         sqlite3.Error: they could not be written.
     """
-    _write_records(db, changes.records)
+    records = _write_records(db, changes.records)
     if changes.statuses:
         db.executemany(_SAVE_STATUS, ((status, fault) for fault, status in changes.statuses.items()))
     if changes.facts:
@@ -111,7 +123,7 @@ def write(db: sqlite3.Connection, changes: Changes) -> list[int]:
     gone = _write_interventions(db, changes) if changes.interventions or changes.kept_interventions else []
     if changes.buses is not None:
         _write_buses(db, changes.buses)
-    return gone
+    return Written(gone, records)
 
 
 def _write_rare(db: sqlite3.Connection, changes: Changes) -> None:
@@ -202,23 +214,27 @@ def _write_buses(db: sqlite3.Connection, states: Sequence[Mapping[str, Any]]) ->
         )
 
 
-def _write_records(db: sqlite3.Connection, records: Sequence[Record]) -> None:
-    db.executemany(_SAVE_RECORD, map(_values_of, records))
-    bare = [r.id for r in records if not r.freeze_frames]
-    alone = [r.id for r in records if r.cause is None and not r.hold]
-    gone = [r.id for r in records if r.occurrence == 0]
+def _write_records(db: sqlite3.Connection, records: Sequence[Record]) -> dict[str, list[Sequence[Any]]]:
+    written: dict[str, list[Sequence[Any]]] = {r.id: [_values_of(r)] for r in records}
+    db.executemany(_SAVE_RECORD, [values for (values,) in written.values()])
+    bare = [(r.id,) for r in records if not r.freeze_frames]
+    alone = [(r.id,) for r in records if r.cause is None and not r.hold]
+    gone = [(r.id,) for r in records if r.occurrence == 0]
     for name, faults in (("freeze_frame", bare), ("cause", alone), ("recording", gone)):
         if faults:
-            db.execute(f"DELETE FROM {name} WHERE fault IN (SELECT value FROM json_each(?))", (json.dumps(faults),))  # noqa: S608 - our own names
+            db.executemany(f"DELETE FROM {name} WHERE fault = ?", faults)  # noqa: S608 - our own names
     for r in records:
-        frames = r.freeze_frames
-        if frames:
+        if frames := sorted(r.freeze_frames):
             db.execute(f"{_OTHER_FRAMES} ({', '.join('?' * len(frames))})", (r.id, *frames))
-            made = [(r.id, frame.number, frame.t_ns, json.dumps(frame.content)) for frame in frames.values()]
+            kept = [r.freeze_frames[number] for number in frames]
+            made = [(r.id, frame.number, frame.t_ns, json.dumps(frame.content)) for frame in kept]
             db.executemany(_SAVE_FRAME, made)
+            written[r.id] += [frame[1:] for frame in made]
         if r.cause is not None or r.hold:
             content = json.dumps(None if r.cause is None else r.cause.as_dict())
             db.execute(_SAVE_CAUSE, (r.id, r.hold, content))
+            written[r.id].append(("cause", r.hold, content))
+    return written
 
 
 def _values_of(r: Record) -> list[Any]:

@@ -7,7 +7,6 @@ then cycles without a failure count towards aging, which ends the confirmed stat
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import NamedTuple
 
@@ -53,8 +52,7 @@ class Rules(NamedTuple):
     indicator: bool = False
 
 
-@dataclass(frozen=True)
-class Cycles:
+class Cycles(NamedTuple):
     """Counters of cycles that the transitions need.
 
     Attributes:
@@ -127,7 +125,7 @@ def on_cycle_end(status: Status, cycles: Cycles, rules: Rules) -> tuple[Status, 
     passed = min(cycles.passed + 1, MOST_CYCLES)
     if passed >= rules.healing_cycles:
         status &= ~Status.WARNING_INDICATOR
-    return status & ~Status.PENDING_DTC, replace(cycles, failed=0, passed=passed)
+    return status & ~Status.PENDING_DTC, cycles._replace(failed=0, passed=passed)
 
 
 def on_aging_cycle_end(status: Status, cycles: Cycles, rules: Rules) -> tuple[Status, Cycles, bool]:
@@ -141,7 +139,7 @@ def on_aging_cycle_end(status: Status, cycles: Cycles, rules: Rules) -> tuple[St
         return status, cycles, False
     aged = cycles.aged + 1
     if aged < rules.aging_cycles:
-        return status, replace(cycles, aged=aged), False
+        return status, cycles._replace(aged=aged), False
     return status & ~Status.CONFIRMED_DTC, Cycles(), True
 
 

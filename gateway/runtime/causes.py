@@ -65,6 +65,7 @@ class Causes:
     Attributes:
         tell: takes the event.
         tested: ids of the faults that are looked at.
+        awaited: whether a look is waited for even if nothing fails any more.
         waiting: ids of those that fail, where a slower test can still speak.
         after_look: called at the end of each look with its time; returns when it is to be looked again.
     """
@@ -80,6 +81,7 @@ class Causes:
         seen = depends.seen
         used = {slot.id for slot in engine.faults if seen[slot.id][0].component.kind not in _ALONE}
         self.tested, self.waiting = frozenset(used), frozenset[str]()
+        self.awaited = False
         self.after_look: Callable[[int], int] = lambda t_ns: NEVER
         self._tests = [k for k, slot in enumerate(engine.faults) if slot.id in used]
         slots = [engine.faults[k] for k in self._tests]
@@ -104,6 +106,7 @@ class Causes:
         self._silent = {fault: bus for bus, fault in enumerate(silent) if fault >= 0}
         self._told: list[tuple[object, ...]] = []
         self._looks = self._failing = 0
+        self._heeded = False
         self._followed = False  # whether faults have failed whose tests go on to change, without an event
         engine.on_pause = self.look
         self._offsets: list[tuple[int, int]] = []  # of the wall clock, each since a time of the engine
@@ -122,7 +125,9 @@ class Causes:
             if fault in self._place:
                 self._diagnoser.update(self._engine.faults[fault].id, FAILED if failed else PASSED, t_ns)
                 self._failing += failed
-            if self._failing or self._told:
+            if self._failing and not (failed or self._told or self.awaited or self._diagnoser.state.fails):
+                self._failing, self._engine.pause_ns = 0, NEVER  # it has passed again, and nothing was told of it
+            elif self._failing or self._told:
                 self._engine.pause_ns = min(due, t_ns + PACE_NS)
                 self._looks = 0
         self._heed()
@@ -144,7 +149,10 @@ class Causes:
 
     def _heed(self) -> None:
         """Have the engine leave its loop at first passes, too, while there is something that they may tell apart."""
-        self._engine.heed_passes(bool(self._failing or self._told))
+        heeded = bool(self._failing or self._told)
+        if heeded != self._heeded:
+            self._heeded = heeded
+            self._engine.heed_passes(heeded)
 
     def look(self, t_ns: int) -> None:
         """Look what explains the faults now, and tell it unless it is as it was.

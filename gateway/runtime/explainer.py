@@ -87,7 +87,7 @@ class Explainer:
         self.held = self.released = 0
         if hold:
             memory.wait_for_causes(causes.tested)
-        self._hold = hold
+        self._hold = causes.awaited = hold
         causes.tell, causes.after_look = self.take, self.look
 
     def succeed(self, old: Explainer) -> None:

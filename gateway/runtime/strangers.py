@@ -12,6 +12,7 @@ from gateway.engine.checks.communication import COUNTER, CRC, FAULTS, LENGTH, SE
 from gateway.engine.checks.senders import EARLY_FAULT, SECOND_FAULT
 from gateway.engine.checks.strangers import MOST
 from gateway.engine.core import Engine
+from gateway.engine.events import Event
 from gateway.runtime.security import Security
 
 #: Faults of a message's check that are events, too: frames that its sender does not send.
@@ -38,14 +39,14 @@ class Strangers:
             if owner in checks and kind in _KINDS
         }
 
-    def on_failure(self, event: np.void) -> None:
+    def on_failure(self, event: Event) -> None:
         """Take a fault that failed; it is an event if it is one of another sender."""
-        found = self._kinds.get(int(event["fault"]))
+        found = self._kinds.get(event.fault)
         if found is not None:
             sensor, kind = found
-            names = self._engine.faults[int(event["fault"])].fault.evidence
-            context = dict(zip(names, event["evidence"].tolist(), strict=False))
-            self._security.note(int(event["t_ns"]), sensor, kind, context)
+            names = self._engine.faults[event.fault].fault.evidence
+            context = dict(zip(names, event.evidence.tolist(), strict=False))
+            self._security.note(event.t_ns, sensor, kind, context)
 
     def on_stranger(self, place: int, t_ns: int) -> None:
         """Take that an unknown identifier has come again: of the wall clock [ns]."""

@@ -13,7 +13,7 @@ import numpy as np
 from gateway.engine.checks.memory_health import OWNER
 from gateway.engine.checks.monitor_health import SWITCHED_OFF
 from gateway.engine.core import Engine, Sink
-from gateway.engine.events import MISCOUNTED, NO_FAULT, NO_NUMBER, TOO_MANY, TOO_SOON
+from gateway.engine.events import MISCOUNTED, NO_FAULT, NO_NUMBER, TOO_MANY, TOO_SOON, Event
 from gateway.engine.instances import MonitorInstance
 from gateway.faults.hung import Hung
 from gateway.monitors.contract import COUNTS_ITSELF, MAX_RESULTS, WAKES_ITSELF, digest_of
@@ -67,12 +67,12 @@ class SwitchedOff:
                 told.append(self._told(k, self._engine.wall_ns(self._engine.now_ns), reason))
         return told
 
-    def on_event(self, event: Any, bus: str) -> dict[str, Any]:
+    def on_event(self, event: Event, bus: str) -> dict[str, Any]:
         """Log that a monitor was switched off, and return the event of the JSON contract that tells it."""
-        place = int(event["fault"])
+        place = event.fault
         why = int(self._engine.tables.handlers[place]["off"])
         reason = _REASONS.get(why) or failure_of(why)
-        return self._told(place, int(event["t_ns"]), f"its step failed: {reason}", bus)
+        return self._told(place, event.t_ns, f"its step failed: {reason}", bus)
 
     def _told(self, place: int, t_ns: int, reason: str, bus: str = "") -> dict[str, Any]:
         instance = self._engine.monitors[place]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gateway.engine.events import Events
+from gateway.engine.events import Event
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
 from gateway.faults.explained import Cause
@@ -18,27 +18,26 @@ _RESULTS = {PASSED: "passed", FAILED: "failed"}
 _log = get_logger(__name__)
 
 
-def monitor_events(events: Events, catalogue: Catalogue, bus_name: Callable[[int], str]) -> list[dict[str, Any]]:
+def monitor_events(events: Sequence[Event], catalogue: Catalogue, buses: Mapping[int, str]) -> list[dict[str, Any]]:
     """Tell verdicts that changed no DTC, or values that are watched.
 
     Args:
-        events: shape (n,) of EVENT.
+        events: of the engine.
         catalogue: the faults.
-        bus_name: name of a bus, "": the gateway itself.
+        buses: names of the buses, "": the gateway itself.
     """
-    names = ("t_ns", "bus", "fault", "result", "fdc", "value", "threshold")
     return [
         {
             "event": "monitor",
-            "t_ns": t_ns,
-            "bus": bus_name(bus),
-            "fault": catalogue[fault].id,
-            "result": _RESULTS.get(result, "not tested"),
-            "fdc": fdc,
-            "value": value,
-            "threshold": threshold,
+            "t_ns": event.t_ns,
+            "bus": buses[event.bus],
+            "fault": catalogue[event.fault].id,
+            "result": _RESULTS.get(event.result, "not tested"),
+            "fdc": event.fdc,
+            "value": event.value,
+            "threshold": event.threshold,
         }
-        for t_ns, bus, fault, result, fdc, value, threshold in zip(*(events[n].tolist() for n in names), strict=True)
+        for event in events
     ]
 
 

@@ -29,7 +29,7 @@ from gateway_fdi.common.log import get_logger
 log = get_logger(__name__)
 
 
-@dataclass(frozen=True)
+@dataclass(slots=True)  # frozen ones take three times as long to make
 class Noted:
     """How many changes, and how many events, have been noted to be told."""
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from gateway.config.model import Config
 from gateway.engine.events import (
     CLOCK_STEPPED,
@@ -17,7 +15,9 @@ from gateway.engine.events import (
     QUALIFIED_PASSED,
     RESULT_CHANGED,
     STRANGER,
+    Event,
     Events,
+    each,
 )
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.entries import DtcChange
@@ -84,28 +84,27 @@ class Verdicts:
     def take(self, events: Events) -> None:
         """Take events of the engine, in order; it is the sink of :class:`gateway.engine.core.Engine`."""
         self.count += len(events)
-        kinds, at = events["kind"].tolist(), 0
+        kinds, faults, at = events["kind"].tolist(), events["fault"].tolist(), 0
         while at < len(kinds):
             end = at
             while end < len(kinds) and kinds[end] in _OFTEN:
                 end += 1
-            if end == at or not self._take_passes(events[at:end]):
+            passed = [faults[k] for k in range(at, end) if kinds[k] == QUALIFIED_PASSED]
+            if end > at and self._memory.complete(passed):  # none of these faults is there
+                if self._outbox.is_heard:
+                    self._tell(each(events[at:end]))
+            else:
                 end = max(end, at + 1)
-                for event, kind in zip(events[at:end], kinds[at:end], strict=True):
-                    self._take_one(event, kind)
+                for event in each(events[at:end]):
+                    self._take_one(event)
             at = end
         self._causes.take(events)
 
-    def _take_passes(self, events: Events) -> bool:
-        """Take passes of faults that are not there, and results that are no verdicts; False: a fault was there."""
-        verdicts = events["kind"] == QUALIFIED_PASSED
-        if not self._memory.complete(events["fault"][verdicts].tolist()):
-            return False
-        if self._outbox.is_heard:
-            self._outbox.note(*monitor_events(events, self._catalogue, self._buses.__getitem__))
-        return True
+    def _tell(self, events: Sequence[Event]) -> None:
+        self._outbox.note(*monitor_events(events, self._catalogue, self._buses))
 
-    def _take_one(self, event: np.void, kind: int) -> None:
+    def _take_one(self, event: Event) -> None:
+        kind = event.kind
         if kind in (CYCLE_BEGAN, CYCLE_ENDED):
             self._on_cycle(event, began=kind == CYCLE_BEGAN)
             return
@@ -113,20 +112,19 @@ class Verdicts:
             self._on_step(event)
             return
         if kind == MONITOR_OFF:
-            self._outbox.note(self._off.on_event(event, self._buses[int(event["bus"])]))
+            self._outbox.note(self._off.on_event(event, self._buses[event.bus]))
             return
         if kind == STRANGER:
-            self._strangers.on_stranger(int(event["fault"]), int(event["t_ns"]))
+            self._strangers.on_stranger(event.fault, event.t_ns)
             return
         if kind == QUALIFIED_FAILED:
             self._strangers.on_failure(event)
-            self._doubts.seek(int(event["fault"]), int(event["t_ns"]))
-            fault = self._catalogue[int(event["fault"])].id
-            self._on_failure(fault, int(event["t_ns"]) - self._engine.offset_ns)
+            self._doubts.seek(event.fault, event.t_ns)
+            self._on_failure(self._catalogue[event.fault].id, event.t_ns - self._engine.offset_ns)
         changes = self._memory.apply(event, self._observe)
         told = self.note_changes(changes)
         if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
-            self._outbox.note(*monitor_events(np.asarray([event]), self._catalogue, self._buses.__getitem__))
+            self._tell([event])
 
     def look_again(self) -> None:
         """Have it looked at what explains the faults: verdicts have been taken back, of which no event tells."""
@@ -148,17 +146,17 @@ class Verdicts:
             t_ns = change.t_ns - self._engine.offset_ns
             self._recorder.on_failure(change.definition.id, t_ns, wall_ns=change.t_ns)
 
-    def _on_cycle(self, event: np.void, *, began: bool) -> None:
-        name, t_ns = self._parts.cycles[int(event["fault"])], int(event["t_ns"])
+    def _on_cycle(self, event: Event, *, began: bool) -> None:
+        name, t_ns = self._parts.cycles[event.fault], event.t_ns
         if began:
             self._controls.begin(name, t_ns)
         else:
             self._controls.end(name, t_ns)
-        bus, number = self._buses[int(event["bus"])], self._memory.cycle_number(name)
+        bus, number = self._buses[event.bus], self._memory.cycle_number(name)
         self._outbox.note(cycle_event(t_ns, bus, name, began=began, number=number))
 
-    def _on_step(self, event: np.void) -> None:
-        self._outbox.note(clock_event(int(event["t_ns"]), float(event["value"])))
+    def _on_step(self, event: Event) -> None:
+        self._outbox.note(clock_event(event.t_ns, event.value))
 
     def _observe(self, definition: FaultDefinition) -> Observed:
         inputs = self._engine.inputs_of(self._index[definition.id])

@@ -98,6 +98,7 @@ class DtcFrameSender(BusServer):
         self._params = params
         self._memory = memory
         self._message = message_of(database)
+        self._can_id = self._message.frame_id
         self._bus = bus
         self._next_ns: int | None = None
         self._held: dict[str, DtcChange] = {}
@@ -202,4 +203,4 @@ class DtcFrameSender(BusServer):
             },
             strict=False,  # all are within their ranges
         )
-        put(frames, k, t_ns, self._message.frame_id, payload, bus=self._bus)
+        put(frames, k, t_ns, self._can_id, payload, bus=self._bus)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED
+from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED, each
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.dtc import Dtc
 from gateway.faults.failures import Observed
@@ -46,7 +46,7 @@ def event(fault, failed, t_ns=0, value=1.5, evidence=(7.0, 3.0)):
     made["value"] = value
     made["threshold"] = 1.0
     made["evidence"][0, : len(evidence)] = evidence
-    return made[0]
+    return each(made)[0]
 
 
 def nothing(_definition):

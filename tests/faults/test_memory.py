@@ -72,7 +72,7 @@ def test_what_stores_a_freeze_frame_can_be_chosen(at, stored_at):
 def test_a_freeze_frame_asked_for_on_the_way_up_is_of_that_moment():
     memory = AtOnce(catalogue(confirm=(1,), freeze_frame_at=(60,)), Store(None))
     early = event(0, True, 5)
-    early["kind"], early["fdc"] = FDC_REACHED, 63
+    early = early._replace(kind=FDC_REACHED, fdc=63)
     assert memory.apply(early, frame({"x": 5.0})) == [], "no status bit changes on the way"
     assert memory.entries() == []
     fail(memory, 0, 9, frame({"x": 9.0}))

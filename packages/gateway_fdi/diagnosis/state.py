@@ -74,6 +74,11 @@ class State:
         for name in ("verdict", "since", "until", "passed_from", "healed", "residual"):
             getattr(self, name)[test] = getattr(other, name)[place]
 
+    @property
+    def fails(self) -> bool:
+        """Whether any test fails."""
+        return bool((self.verdict == FAILED).any())
+
     def size(self, test: int, sized: Sized | None) -> bool:
         """Take what a test says of sizes; None: nothing. Returns whether anything is another than before."""
         system = self._system
