@@ -1,6 +1,7 @@
 """A pedal's faults over the loopback bus: daemon, virtual ECU and tester as processes of their own."""
 
 import json
+import re
 import threading
 from contextlib import ExitStack
 
@@ -29,6 +30,9 @@ EVIDENCE = {
     "P157A-14": ("reading", lambda v: v == 0),
     "P157C-29": ("channel 1 [%]", lambda v: v == -12.5),
 }
+
+#: What is said of a pair that disagreed before the scenario made it.
+NOT_ISOLATED = re.compile(r"P157C-62 set at \S+ s, before 30\.0 s")
 
 
 def driven(folder):
@@ -67,12 +71,17 @@ def driven(folder):
 
 
 def test_each_fault_has_its_dtc_with_evidence_and_heals(tmp_path):
-    """Driven again, at most twice, where the machine was so busy that the scenario stood still."""
+    """Driven again, at most twice, where the machine was so busy that the scenario stood still.
+
+    An offset that begins in a gap of 20 ms or more has no step that could name its channel: the pair disagrees, which
+    is P157C-62 long before the scenario makes it. That is the right verdict of another drive, which is driven again.
+    """
     for attempt in range(3):
         folder = tmp_path / str(attempt)
         folder.mkdir()
         drive, qualities, code, events = driven(folder)
-        if drive.returncode == 0 or "stood still" not in drive.stdout + drive.stderr:
+        said = drive.stdout + drive.stderr
+        if drive.returncode == 0 or not ("stood still" in said or NOT_ISOLATED.search(said)):
             break
     assert drive.returncode == 0, drive.stdout + drive.stderr
     assert drive.stdout.count("healed at") == len(EVIDENCE)
