@@ -10,8 +10,6 @@ from amount import amount, examples
 from e2e_frames import CASES, DATABASES, E2E, MODES, drawn
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from opendbc.can.dbc import DBC
-from opendbc.can.packer import CANPacker
 
 from gateway.signals.bits import Field, field_at, mask_of, place
 from gateway.signals.protection.checksum import Checksum
@@ -117,8 +115,8 @@ def test_e2e_frames_of_ours_are_theirs(profile, mode):
 @pytest.mark.parametrize("rule", DATABASES)
 def test_frames_of_opendbc_s_packer_are_accepted_and_any_flip_is_not(rule):
     name = DATABASES[rule]
-    packer, rng, tried = CANPacker(name), random.Random(rule), 0
-    for message in DBC(name).msgs.values():
+    packer, rng, tried = pytest.importorskip("opendbc.can.packer").CANPacker(name), random.Random(rule), 0
+    for message in pytest.importorskip("opendbc.can.dbc").DBC(name).msgs.values():
         field = next((s for s in message.sigs.values() if s.calc_checksum is not None), None)
         if field is None or message.size > 64:
             continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -33,23 +34,23 @@ class Bank:
         x0 = np.linalg.lstsq(np.eye(len(here.g)) - here.phi, here.g, rcond=None)[0]
         self._u0, self._y0, self._m = u0, here.c @ x0 + here.d, m
         self._limits = np.array([*np.maximum(np.abs(u0), 1.0) * SHARE, *(NOISES * np.array(plant.noise[m:]))])
-        self._given = (here.phi, gamma, here.c, plant.period_s)
-        self._options = {
-            "noise": plant.noise[m:], "actuator": self._limits[:m], "sensor": self._limits[m:],
-            "disturbance": DISTURBANCE * (np.abs(x0) + 1e-6), "mtfa_s": 1e6 * plant.period_s,
-            "start_s": SETTLE * plant.period_s, "hold_s": 20 * plant.period_s, "discrete": True,
-        }  # fmt: skip
+        self._made = partial(
+            PiBank, here.phi, gamma, here.c, plant.period_s,
+            noise=plant.noise[m:], actuator=self._limits[:m], sensor=self._limits[m:],
+            disturbance=DISTURBANCE * (np.abs(x0) + 1e-6), mtfa_s=1e6 * plant.period_s,
+            start_s=SETTLE * plant.period_s, hold_s=20 * plant.period_s, discrete=True,
+        )  # fmt: skip
         columns = [*plant.commands, *plant.knowns[m:]]
         touched = [plant.touches.get(fault) for fault in plant.sizes]
         self._place = [columns.index(z) if z in columns else -1 for z in touched]
         try:
-            PiBank(*self._given, **self._options)
+            self._made()
         except GatewayError as error:
             raise NotForThisPlantError(str(error)) from error
 
     def run(self, record: Record) -> Found:
         """Return the largest size over its limit, or that something is not explained; and whom the bank accuses."""
-        bank = PiBank(*self._given, **self._options)
+        bank = self._made()
         found = bank.run(record.values[:, self._m :] - self._y0, record.values[:, : self._m] - self._u0)
         sizes = np.abs(np.hstack([found.fault, found.offset])) / self._limits
         flags = np.hstack([found.actuators, found.sensors]).astype(float)

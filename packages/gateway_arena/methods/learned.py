@@ -86,7 +86,7 @@ class Pca(_Learned):
 
     def _judged(self, features: Array) -> tuple[Array, None]:
         parts = self._parts(features)
-        return np.max([part / scale for part, scale in zip(parts, self._scales, strict=True)], 0), None
+        return np.stack([part / scale for part, scale in zip(parts, self._scales, strict=True)]).max(0), None
 
 
 class Svm(_Learned):
