@@ -237,7 +237,7 @@ def test_the_door_is_an_entry_point():
 
 
 def test_frames_of_requests_are_as_long_as_can_has_them_and_filled_with_cc():
-    """What ISO 15765-2 says of bytes that carry nothing."""
+    """ISO 15765-2 recommends 0xCC for bytes that carry nothing."""
     sent = []
     bench = SimpleNamespace(
         config=SimpleNamespace(bus=()),
