@@ -9,8 +9,10 @@ import pytest
 from foreign_project import ROOT, properties, run
 from junitparser import JUnitXml
 
+from gateway.bus.frames import empty, put
 from gateway.servers.uds.params import UdsParams
 from gateway_bench.pytest_plugin.fixtures import left_in
+from gateway_bench.pytest_plugin.played import Played, leave
 from gateway_bench.pytest_plugin.uds import _Transport
 
 EXAMPLE = ROOT / "examples" / "battery_voltage"
@@ -235,7 +237,7 @@ def test_the_door_is_an_entry_point():
 
 
 def test_frames_of_requests_are_as_long_as_can_has_them_and_filled_with_cc():
-    """What ISO 15765-2 says of bytes that carry nothing."""
+    """ISO 15765-2 recommends 0xCC for bytes that carry nothing."""
     sent = []
     bench = SimpleNamespace(
         config=SimpleNamespace(bus=()),
@@ -244,3 +246,13 @@ def test_frames_of_requests_are_as_long_as_can_has_them_and_filled_with_cc():
     )
     _Transport(bench, UdsParams()).send(b"\x3e\x00")
     assert sent == [((0x7E0, b"\x02\x3e\x00" + 5 * b"\xcc"), {"bus": 0, "fd": False})]
+
+
+def test_the_recording_of_a_scenario_on_buses_is_left_in_its_folder(tmp_path):
+    frames = empty(2)
+    put(frames, 0, t_ns=10**9, can_id=0x123, payload=b"\x01\x02")
+    put(frames, 1, t_ns=2 * 10**9, can_id=0x124, payload=b"")
+    folder = tmp_path / "left" / "drained"
+    left = list(leave(folder, None, None, None, Played((), (), (frames[:1], frames[1:]))))
+    assert left == [("recording", folder / "can.log")]
+    assert (folder / "can.log").read_text().splitlines() == ["(1.000000000) can0 123#0102", "(2.000000000) can0 124#"]

@@ -1,4 +1,4 @@
-"""What the study of causes tries: faults that a learned configuration can show, and pairs of them."""
+"""The runs of the study of causes: faults that a learned configuration can show, and pairs of them."""
 
 from gateway_fleet.study.cause.cars import END_S, Car, Injected, injected
 from gateway_fleet.study.cause.matrix import Job, pairs, run
