@@ -9,6 +9,7 @@ import pytest
 
 from gateway.cli.replay import replay
 from gateway.config.load import load_config
+from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.causes import Causes
@@ -134,6 +135,21 @@ def test_frames_without_a_change_of_verdict_cost_nothing(monkeypatch):
     calls["look"] = 0
     assert diagnoses(played(config, frames[frames["t_ns"] < 2e9])) == []
     assert calls["look"] == 0
+
+
+@pytest.mark.parametrize("symptoms", ["keep", "hold"])
+def test_a_fault_that_has_passed_again_at_once_is_looked_at_where_its_confirmation_waits(symptoms):
+    config = load_config(shipped("gateway.toml"))
+    memory = config.memory.model_copy(update={"symptoms": symptoms})
+    gateway = Gateway(config.model_copy(update={"memory": memory}))
+    causes = gateway._causes
+    slot = next(k for k, slot in enumerate(gateway.engine.faults) if slot.id in causes.tested)
+    for kind, t_ns in ((QUALIFIED_FAILED, 10**9), (QUALIFIED_PASSED, 10**9 + 20_000_000)):
+        event = np.zeros(1, EVENT)
+        event["kind"], event["fault"], event["t_ns"] = kind, slot, t_ns
+        causes.take(event)
+        assert causes.pending == (kind == QUALIFIED_FAILED or symptoms == "hold")
+    gateway.close()
 
 
 def test_a_cause_that_is_gone_is_told_as_gone():
