@@ -108,7 +108,7 @@ class Causes:
         self._looks = self._failing = 0
         self._heeded, self._skipped_ns = False, NEVER
         self._followed = False  # whether faults have failed whose tests go on to change, without an event
-        engine.on_pause = self.look
+        engine.on_pause, engine.on_reset = self.look, self._look_all_the_same
         self._offsets: list[tuple[int, int]] = []  # of the wall clock, each since a time of the engine
 
     def take(self, events: Events) -> None:
@@ -168,6 +168,12 @@ class Causes:
             self.tell(event)
         self._engine.pause_ns = min(self._engine.pause_ns, self.after_look(t_ns))
         self._heed()
+
+    def _look_all_the_same(self) -> None:
+        """Have the look that was put off see that tests have been reset."""
+        if self._skipped_ns >= self._engine.now_ns:
+            self._engine.pause_ns = min(self._engine.pause_ns, self._skipped_ns)
+        self._skipped_ns = NEVER
 
     def look_soon(self) -> None:
         """Look at the causes a moment later, if there are any."""
