@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from gateway.cli.replay import replay
+from gateway.common.times import NEVER
 from gateway.config.load import load_config
+from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.causes import Causes
@@ -134,6 +136,22 @@ def test_frames_without_a_change_of_verdict_cost_nothing(monkeypatch):
     calls["look"] = 0
     assert diagnoses(played(config, frames[frames["t_ns"] < 2e9])) == []
     assert calls["look"] == 0
+
+
+@pytest.mark.parametrize("symptoms", ["keep", "hold"])
+def test_a_fault_that_has_passed_again_at_once_is_looked_at_where_its_confirmation_waits(symptoms):
+    config = load_config(shipped("gateway.toml"))
+    memory = config.memory.model_copy(update={"symptoms": symptoms})
+    gateway = Gateway(config.model_copy(update={"memory": memory}))
+    causes = gateway._causes
+    slot = next(k for k, slot in enumerate(gateway.engine.faults) if slot.id in causes.tested)
+    for kind, after_ms in ((QUALIFIED_FAILED, 0), (QUALIFIED_PASSED, 20), (QUALIFIED_FAILED, 90)):
+        event = np.zeros(1, EVENT)
+        event["kind"], event["fault"], event["t_ns"] = kind, slot, 10**9 + after_ms * 10**6
+        causes.take(event)
+        looked = kind == QUALIFIED_FAILED or symptoms == "hold"
+        assert gateway.engine.pause_ns == (1_100_000_000 if looked else NEVER), "one that chatters is looked at in time"
+    gateway.close()
 
 
 def test_a_cause_that_is_gone_is_told_as_gone():

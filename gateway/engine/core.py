@@ -39,6 +39,7 @@ class Engine:
         pause_ns: time at which frames before it have been handled, and none from it on, and ``on_pause`` is called with
             it; NEVER: there is none. The sink may set it, and ``on_pause``.
         on_pause: takes that time.
+        on_reset: called when debounce counters are set to zero, of which no event tells.
     """
 
     def __init__(
@@ -68,6 +69,7 @@ class Engine:
         self._run: Callable[..., int] = self._first_run
         self.pause_ns = NEVER
         self.on_pause: Callable[[int], None] = lambda t_ns: None
+        self.on_reset: Callable[[], None] = lambda: None
         firsts = zip(tables.handlers["fault"].tolist(), tables.handlers["faults"].tolist(), strict=True)
         self._monitor_of = {first + j: k for k, (first, count) in enumerate(firsts) for j in range(count)}
         self._rules = {int(row["fault"][RULE]): k for k, row in enumerate(tables.checks) if row["fault"][RULE] >= 0}
@@ -339,6 +341,7 @@ class Engine:
         self.tables.checks["steady"] = 0
         wanted = range(len(self.faults)) if faults is None else list(faults)
         reset_all(self.tables.debounces, np.asarray(wanted, np.int64))
+        self.on_reset()
 
     def set_active(self, fault: int, active: bool) -> None:
         """Say whether a fault is taken to be there before its test has said so (testFailed)."""

@@ -106,9 +106,9 @@ class Causes:
         self._silent = {fault: bus for bus, fault in enumerate(silent) if fault >= 0}
         self._told: list[tuple[object, ...]] = []
         self._looks = self._failing = 0
-        self._heeded = False
+        self._heeded, self._skipped_ns = False, NEVER
         self._followed = False  # whether faults have failed whose tests go on to change, without an event
-        engine.on_pause = self.look
+        engine.on_pause, engine.on_reset = self.look, self._look_all_the_same
         self._offsets: list[tuple[int, int]] = []  # of the wall clock, each since a time of the engine
 
     def take(self, events: Events) -> None:
@@ -125,11 +125,13 @@ class Causes:
             if fault in self._place:
                 self._diagnoser.update(self._engine.faults[fault].id, FAILED if failed else PASSED, t_ns)
                 self._failing += failed
+            if self._failing or self._told:
+                again_ns = self._skipped_ns if self._skipped_ns >= t_ns else NEVER
+                self._engine.pause_ns = min(due, again_ns, t_ns + PACE_NS)
+                self._looks, self._skipped_ns = 0, NEVER
             if self._failing and not (failed or self._told or self.awaited or self._diagnoser.state.fails):
-                self._failing, self._engine.pause_ns = 0, NEVER  # it has passed again, and nothing was told of it
-            elif self._failing or self._told:
-                self._engine.pause_ns = min(due, t_ns + PACE_NS)
-                self._looks = 0
+                # It has passed again before anything was told; if it fails once more until then the look is due still.
+                self._failing, self._skipped_ns, self._engine.pause_ns = 0, self._engine.pause_ns, NEVER
         self._heed()
 
     def _take_first_passes(self, events: Events, offset_ns: int) -> bool:
@@ -167,6 +169,12 @@ class Causes:
         self._engine.pause_ns = min(self._engine.pause_ns, self.after_look(t_ns))
         self._heed()
 
+    def _look_all_the_same(self) -> None:
+        """Have the look that was put off see that tests have been reset."""
+        if self._skipped_ns >= self._engine.now_ns:
+            self._engine.pause_ns = min(self._engine.pause_ns, self._skipped_ns)
+        self._skipped_ns = NEVER
+
     def look_soon(self) -> None:
         """Look at the causes a moment later, if there are any."""
         if self._told:
@@ -182,6 +190,7 @@ class Causes:
         self._diagnoser.succeed(old._diagnoser)
         self._told, self._looks, self._failing = old._told, old._looks, old._failing
         self._engine.pause_ns, self._offsets = old._engine.pause_ns, old._offsets
+        self._skipped_ns = old._skipped_ns
         self._heed()
 
     def _conclude(self, t_ns: int) -> dict[str, Any] | None:
