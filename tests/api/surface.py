@@ -4,6 +4,7 @@ import importlib
 import inspect
 import sys
 from collections.abc import Iterator
+from types import GenericAlias
 
 MODULES = (
     "gateway.api",
@@ -20,6 +21,8 @@ MADE |= {"Session", "Setup", "Teeth", "Voted"}
 
 
 def _signature(thing) -> str:
+    if isinstance(thing, GenericAlias):  # Python 3.13 would say (*args, **kwargs)
+        return "(...)"
     try:
         return str(inspect.signature(thing)).replace("'", "")
     except ValueError:
