@@ -2,8 +2,10 @@
 
 import importlib
 import inspect
+import re
 import sys
 from collections.abc import Iterator
+from types import GenericAlias
 
 MODULES = (
     "gateway.api",
@@ -19,9 +21,16 @@ MADE = {"Analysis", "Calibrated", "Config", "Found", "Learned", "Run", "Series",
 MADE |= {"Session", "Setup", "Teeth", "Voted"}
 
 
+def _named(kinds) -> str:
+    """Return annotations as text; the types of named tuples are references up to Python 3.13, or not."""
+    return re.sub(r"ForwardRef\('(.*?)'\)", r"\1", str(kinds))
+
+
 def _signature(thing) -> str:
+    if isinstance(thing, GenericAlias):  # Python 3.13 would say (*args, **kwargs)
+        return "(...)"
     try:
-        return str(inspect.signature(thing)).replace("'", "")
+        return _named(inspect.signature(thing)).replace("'", "")
     except ValueError:
         return "(...)"
 
@@ -31,7 +40,7 @@ def _members(cls) -> Iterator[str]:
     if not cls.__module__.startswith("gateway") or cls.__name__ == "Config":
         return
     fields = inspect.get_annotations(cls)
-    yield from (f"  {name}: {kind}" for name, kind in sorted(fields.items()) if not name.startswith("_"))
+    yield from (f"  {name}: {_named(kind)}" for name, kind in sorted(fields.items()) if not name.startswith("_"))
     for name, member in sorted(vars(cls).items()):
         if (name.startswith("_") and name not in ("__getitem__", "__enter__", "__arrow_c_stream__")) or name in fields:
             continue
