@@ -8,10 +8,10 @@ import pytest
 from fault_examples import event, nothing
 from stored_memories import fill, kept, listed
 
-from gateway.faults import service
+from gateway.faults import rows, service
 from gateway.faults.kept import KeptStore
 from gateway.faults.outage import FIRST_NS
-from gateway.faults.salvage import salvage
+from gateway.faults.salvage import _NUMBERS, _record, salvage
 from gateway.faults.store import DamagedError
 from gateway_fdi.errors import InputError
 
@@ -166,3 +166,13 @@ def test_a_text_that_is_not_utf_8_any_more_is_damage(tmp_path, statement):
     assert mishap.kind == "damaged"
     assert {e.fault for e in memory.entries()} == {"m.f0", "m.f1", "m.f2"}
     store.close()
+
+
+def test_numbers_of_a_row_are_those_that_sqlite_keeps():
+    """64 bits with their sign; what is more is damage."""
+    row = dict.fromkeys(rows.COLUMNS, 0) | {"id": "b.fault"}
+    for value in (2**63 - 1, -(2**63)):
+        record = _record(*(row | dict.fromkeys(_NUMBERS, value)).values())
+        assert {getattr(record, name) for name in _NUMBERS} == {value}
+    with pytest.raises(ValueError, match=str(2**63)):
+        _record(*(row | dict.fromkeys(_NUMBERS, 2**63)).values())

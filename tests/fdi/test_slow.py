@@ -188,3 +188,4 @@ def test_readings_of_one_time_lie_on_the_lines_between_samples():
         for back in (0.0, 0.25, 1.0, 5.7, 14.0):
             wanted = np.interp(at[-1] - back, at, values[: k + 1, 3])
             assert delay.read(s, 3, back) == pytest.approx(wanted)
+        assert delay.read(s, 3, 99.0) == delay.read(s, 3, 14.0), "what is longer ago is not kept"

@@ -1,5 +1,6 @@
 """What logs are looked at for: how messages are sent, how long signals rest, which of them follow each other."""
 
+import tomllib
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ from gateway_fleet.learn.course import Courses
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, sending, timeout_ms
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
-from gateway_fleet.learn.merge import File
+from gateway_fleet.learn.merge import File, merged, read
 from gateway_fleet.learn.relations import relations
 from gateway_fleet.learn.report import _faults, _size
 from gateway_fleet.learn.state import Kept
@@ -185,3 +186,16 @@ def test_a_table_of_faults_has_as_many_cells_in_each_line():
         "| B |  |  | 1/1 |",
     ]
     assert "- drop of A: nothing was set (9 frames)" in text
+
+
+def test_causes_are_added_to_a_file_that_has_none_and_are_there_once_after_the_next_time():
+    buses = (BusAsked("b", "virtual:x", ()),)
+    lines = [
+        Line("b", SIGNAL, "M.X", {"signal": "M.X", "gradient": 3.0}, ""),
+        Line("b", RULE, "r", {"name": "r", "holds": "M.X == M.Y", "tolerance": 1.0}, ""),
+    ]
+    learned = Learned({line.place: line for line in lines})
+    first = merged(read('[[bus]]\nname = "b"\nuri = "virtual:x"\n'), learned, {}, set(), buses)
+    assert tomllib.loads(first)["fault"] == {"relations.r": {"caused_by": ["signals.X.gradient"]}}
+    again = merged(read(first), learned, learned.lines, set(), buses)
+    assert tomllib.loads(again) == tomllib.loads(first)

@@ -10,6 +10,7 @@ BO_ 16 Speed: 6 Brake
  SG_ Right : 16|16@1+ (0.1,0) [0|6553] "km/h" Body
  SG_ Full : 32|8@1+ (1,0) [0|255] "" Body
 BO_ 17 Doors: 1 Body
+ SG_ Warm : 0|8@1+ (1,-40) [-40|215] "degC" Brake
 BO_ 18 Lamps: 1 Body
 """
 CONFIG = """
@@ -26,6 +27,7 @@ signal = [
     { signal = "Speed.Left", plausible = [100.0, 200.0] },
     { signal = "Speed.Full", plausible = [0.0, 255.0] },
     { signal = "Speed.Right", plausible = [0.0, 1000.0] },
+    { signal = "Doors.Warm", plausible = [-40.0, 100.0] },
 ]
 rule = [{ holds = "Speed.Left == Speed.Right", tolerance = 0.5 }]
 """
@@ -35,6 +37,7 @@ FOUND = [
     ("flip Speed", {"message can0.Speed", "ecu can0.Brake"}),
     ("drop Doors", {"message can0.Doors"}),
     ("value Speed.Left=202", {"signal can0.Speed.Left"}),
+    ("value Doors.Warm=102.8", {"signal can0.Doors.Warm"}),
     ("offset Speed.Left=1.25", {"signal can0.Speed.Left"}),
     ("offset Speed.Right=1.25", {"signal can0.Speed.Right"}),
 ]
@@ -58,9 +61,9 @@ def test_pairs_are_of_two_parts_and_each_has_a_seed_of_its_own(tmp_path):
     assert made == list(pairs(40, 7, [car], ["no plant"]))
     names = {tuple(sorted(one.text for one in job.injected)) for job in made}
     of_frames = {("drop Doors", "drop Speed"), ("drop Doors", "flip Speed")}
-    of_values = {
-        ("offset Speed.Left=1.25", "offset Speed.Right=1.25"),
-        ("offset Speed.Right=1.25", "value Speed.Left=202"),
+    offsets, high = ("offset Speed.Left=1.25", "offset Speed.Right=1.25"), ("value Speed.Left=202",)
+    of_values = {offsets, (offsets[1], *high)} | {
+        (*sorted((one, "value Doors.Warm=102.8")),) for one in (*offsets, *high)
     }
     assert names == of_frames | of_values
 

@@ -19,7 +19,7 @@ WINDOW, EVERY = 120, 400
 SMALL, GAIN_ERROR, MORE = 1e-4, 0.1, 2.0
 #: How often something else than a fault of the model is the cause; and how often a test fails that does not see it.
 OTHER, ALARM = 1e-4, 1e-4
-#: A fault that is not so many times less likely than the likeliest one is not told apart from it: they share.
+#: A fault is told apart from the likeliest one if it is this many times less likely; else they share.
 APART = 10.0
 
 

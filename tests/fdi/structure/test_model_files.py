@@ -79,6 +79,17 @@ def test_a_file_is_read(tmp_path):
     assert model.tables["g"].y == (1.0, 3.0)
 
 
+def test_without_an_equation_what_needs_it_is_gone(tmp_path):
+    text = GOOD + '[equation.e4]\nrelation = "k = u"\n[residual.s]\nequations = ["e4"]\nconsistency = "e4"\n'
+    model = load_model(write(tmp_path, text.replace("m = {}", "m = {}\nk = {}", 1)))
+    left = model.without(["e3"])
+    assert ([e.name for e in left.equations], left.knowns, left.faults) == (["e1", "e2", "e4"], ("u", "k"), ("f",))
+    assert (list(left.residuals), len(left.loops)) == (["s"], 1)
+    left = model.without(["e1", "e4"])
+    assert ([e.name for e in left.equations], left.knowns, left.faults) == (["e2", "e3"], ("u", "m"), ())
+    assert (list(left.residuals), len(left.loops)) == ([], 0)
+
+
 def test_structure_alone(tmp_path):
     text = """
     [unknown]
