@@ -108,7 +108,8 @@ class Causes:
         self._looks = self._failing = 0
         self._heeded, self._skipped_ns = False, NEVER
         self._followed = False  # whether faults have failed whose tests go on to change, without an event
-        engine.on_pause, engine.on_reset = self.look, self._look_all_the_same
+        self._reset = False  # whether tests have been reset since the last look, of which no event tells
+        engine.on_pause, engine.on_reset = self.look, self._note_reset
         self._offsets: list[tuple[int, int]] = []  # of the wall clock, each since a time of the engine
 
     def take(self, events: Events) -> None:
@@ -129,7 +130,8 @@ class Causes:
                 again_ns = self._skipped_ns if self._skipped_ns >= t_ns else NEVER
                 self._engine.pause_ns = min(due, again_ns, t_ns + PACE_NS)
                 self._looks, self._skipped_ns = 0, NEVER
-            if self._failing and not (failed or self._told or self.awaited or self._diagnoser.state.fails):
+            needed = failed or self._told or self.awaited or self._reset
+            if self._failing and not (needed or self._diagnoser.state.fails):
                 # It has passed again before anything was told; if it fails once more until then the look is due still.
                 self._failing, self._skipped_ns, self._engine.pause_ns = 0, self._engine.pause_ns, NEVER
         self._heed()
@@ -169,8 +171,9 @@ class Causes:
         self._engine.pause_ns = min(self._engine.pause_ns, self.after_look(t_ns))
         self._heed()
 
-    def _look_all_the_same(self) -> None:
-        """Have the look that was put off see that tests have been reset."""
+    def _note_reset(self) -> None:
+        """Have the next look, also one that was put off, see that tests have been reset."""
+        self._reset = True
         if self._skipped_ns >= self._engine.now_ns:
             self._engine.pause_ns = min(self._engine.pause_ns, self._skipped_ns)
         self._skipped_ns = NEVER
@@ -190,7 +193,7 @@ class Causes:
         self._diagnoser.succeed(old._diagnoser)
         self._told, self._looks, self._failing = old._told, old._looks, old._failing
         self._engine.pause_ns, self._offsets = old._engine.pause_ns, old._offsets
-        self._skipped_ns = old._skipped_ns
+        self._skipped_ns, self._reset = old._skipped_ns, True
         self._heed()
 
     def _conclude(self, t_ns: int) -> dict[str, Any] | None:
@@ -208,7 +211,7 @@ class Causes:
 
     def _renew(self, t_ns: int) -> None:
         """Bring up to date what no event tells: tests that were reset, and until when tests passed."""
-        engine, diagnoser = self._engine, self._diagnoser
+        engine, diagnoser, self._reset = self._engine, self._diagnoser, False
         engine.tell_runs()
         known = diagnoser.state.verdict[: len(self._tests)]
         now = engine.tables.debounces["verdict"][self._index]
