@@ -52,7 +52,7 @@ def test_no_healthy_pedal_is_accused(k):
     ],
 )
 def test_what_was_told_wrong_or_not_at_all(name, seed):
-    """Seeds that parameters were chosen with; those that judge are in docs/pedal.md."""
+    """Seeds that parameters were chosen with; those that judge are in docs/pedal/pedal.md."""
     said = roads.outcome(name, seed)
     assert said.right, said
     assert not said.wrong, said

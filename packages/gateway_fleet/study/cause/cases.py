@@ -73,7 +73,7 @@ _SENSORS = {
     "cooling": {"f_1": "y1", "f_2": "y2", "f_3": "y3", "f_m": "ym"},
     "battery": {"f_I": "y_I", "f_V": "y_V", **{f"f_y{k}": f"y{k}" for k in range(1, 5)}},
 }
-#: Residuals that a fault of the steering shows in, as its equations have it (docs/steering.md).
+#: Residuals that a fault of the steering shows in, as its equations have it (docs/steering/steering.md).
 _SHOWS = {
     "wheel_angle_offset": {"gear", "rate"},
     "pinion_angle_offset": {"gear"},
