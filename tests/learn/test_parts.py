@@ -14,6 +14,7 @@ from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
 from gateway_fleet.learn.merge import File, merged, read
 from gateway_fleet.learn.relations import relations
 from gateway_fleet.learn.report import _faults, _size
+from gateway_fleet.learn.samples import Samples
 from gateway_fleet.learn.state import Kept
 from gateway_fleet.learn.trial import OFFSETS, Smallest, _smallest
 from gateway_fleet.learn.update import add_before
@@ -199,3 +200,15 @@ def test_causes_are_added_to_a_file_that_has_none_and_are_there_once_after_the_n
     assert tomllib.loads(first)["fault"] == {"relations.r": {"caused_by": ["signals.X.gradient"]}}
     again = merged(read(first), learned, learned.lines, set(), buses)
     assert tomllib.loads(again) == tomllib.loads(first)
+
+
+@pytest.mark.parametrize("batch", [10_000, 1000])
+def test_kept_runs_of_frames_do_not_overlap_and_lie_farther_and_farther_apart(batch):
+    samples, words = Samples(), np.arange(80_000, dtype=np.uint64).reshape(10_000, 8)
+    for k in range(0, 10_000, batch):
+        part = words[k : k + batch]
+        samples.add(part, np.full(len(part), 8), np.arange(k, k + len(part)))
+    assert [int(t_ns[0]) for t_ns in samples.stamps] == [0, 512, 1024, 1536, 2304, 3456, 5184, 7776]
+    for run, t_ns in zip(samples.runs, samples.stamps, strict=True):
+        assert len(t_ns) == min(512, batch - int(t_ns[0]) % batch)
+        np.testing.assert_array_equal(run.words, words[t_ns[0] : t_ns[0] + len(t_ns)])

@@ -13,6 +13,7 @@ from test_local import ROUTED
 
 from gateway.live.status import StatusSocket
 from gateway.serve.memory import BITS
+from gateway.serve.sovd.faults import instant
 from gateway.servers.uds.security import hmac_sha256
 
 OWN = "/sovd/v1/components/gateway"
@@ -283,3 +284,10 @@ def test_an_ecu_is_a_component_and_the_firewall_holds(tmp_path, rule):
         heard = [request.hex() for request in doors.car.ecus[0].heard]
         asked = [each for each in heard if each[:2] not in ("22", "19")]
         assert asked == (["1003", "14ffffff", "1001"] if rule else [])
+
+
+def test_times_are_those_of_the_wall_clock_to_the_microsecond():
+    shown = instant(1_700_000_000_123_456_789)
+    assert shown is not None
+    assert shown.isoformat() == "2023-11-14T22:13:20.123456+00:00"
+    assert instant(None) is None
