@@ -64,8 +64,9 @@ def _extras() -> dict[str, str | None]:
 def _version(package: str) -> str:
     try:
         return version(package)
-    except PackageNotFoundError:  # it is distributed under another name
-        return version(packages_distributions()[package][0])
+    except PackageNotFoundError:  # it is distributed under another name, or comes with Python
+        names = packages_distributions().get(package)
+        return version(names[0]) if names else platform.python_version()
 
 
 def no_socketcan() -> str:

@@ -24,6 +24,8 @@ EXTRAS = {
 }
 #: Extra -> what its features import besides.
 _BESIDES = {"fleet": ("cryptography",), "notebook": ("duckdb", "matplotlib", "pandas", "pyarrow")}
+#: Package -> what Python itself has of it, from some version on.
+_BUILT_IN = {"backports.zstd": "compression.zstd"}
 #: Extra -> what people get with it.
 PURPOSES = {
     "arena": "methods that learn from data (gateway evaluate arena)",
@@ -48,7 +50,11 @@ def installed(extra: str) -> bool:
 
 def missing(extra: str) -> str:
     """Return the first package of an extra that is not there, "" if all are."""
-    return next((package for package in (EXTRAS[extra], *_BESIDES.get(extra, ())) if not _found(package)), "")
+    return next((package for package in (EXTRAS[extra], *_BESIDES.get(extra, ())) if not _there(package)), "")
+
+
+def _there(package: str) -> bool:
+    return _found(package) or (package in _BUILT_IN and _found(_BUILT_IN[package]))
 
 
 def _found(package: str) -> bool:

@@ -161,7 +161,7 @@ def decompose(structure: Incidence) -> Decomposition:
     for rows in equivalence_classes(structure, over):
         rest = over.copy()
         rest[rows] = False
-        own = dense[rows].any(0) & ~(dense[rest].any(0) if rest.any() else False)
+        own = dense[rows].any(0) & ~dense[rest].any(0)
         classes.append(_block(structure, rows, np.flatnonzero(own)))
     return Decomposition(
         _block(structure, np.flatnonzero(under), np.flatnonzero(under_variables)),
