@@ -48,8 +48,11 @@ from gateway.live.loop import Live
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.resources import shipped
 
-sys.path.insert(0, str(Path(__file__).parent))  # tests import this file from elsewhere
+sys.path.append(str(Path(__file__).parent))  # tests import this file from elsewhere
+
 from live_sender import BASE, DTC_ID, EVERY_S, MESSAGES, datagrams, send_at
+
+sys.path.remove(str(Path(__file__).parent))  # names of this folder are names of theirs, too
 
 #: The sustained rate is sought from here, and not below there [frames/s].
 FIRST_RATE, LEAST_RATE = 64_000.0, 250.0
