@@ -268,6 +268,10 @@ class Ledger:
             return sum(1 for record in self.failed() if record.status & mask)
         return sum(count for status, count in self._counts.items() if status & mask)
 
+    def _recount(self, before: int, now: int) -> None:
+        self._counts[before] -= 1
+        self._counts[now] = self._counts.get(now, 0) + 1
+
     def _keep(self, stored: Iterable[Record]) -> None:
         """Take records as they are written."""
         for record in stored:
@@ -357,9 +361,10 @@ class Ledger:
         if self._new:
             self._new.difference_update(record.id for record in changes.records)
         for fault, status in changes.statuses.items():
-            record = self._stored[fault].copy()
+            record = self._stored[fault]
+            if record.occurrence:
+                self._recount(record.status, status)
             record.status = status
-            self._keep([record])
         self._stored_permanent = permanent
 
     def _start_anew(self) -> None:
