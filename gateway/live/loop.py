@@ -21,6 +21,7 @@ from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.pump import Left, Pump
 from gateway.runtime.quiet import Quiet
+from gateway.servers.foretelling import Foretelling
 from gateway_fdi.common.log import get_logger
 
 #: Without traffic, the engine's time lags the clock by this, so that a frame that is still on its
@@ -74,8 +75,12 @@ class Fed(Protocol):
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed."""
 
-    def tell(self) -> Frames:
-        """Take what the engine has to tell where a pump has left; returns the frames to send."""
+    @property
+    def foreseen(self) -> Foretelling | None:
+        """Tables of which a pump makes DTC frames; None: there are none."""
+
+    def tell(self, gone: Frames) -> Frames:
+        """Take what the engine has to tell where a pump has left; returns the frames to send, without those gone."""
 
     def resume(self, frames: Frames, start: int) -> Frames:
         """Go on with a batch that a pump has begun; returns the frames to send."""
@@ -185,7 +190,7 @@ class Live:
 
     def _choose(self) -> None:
         """Say which frames are wanted: a tap wants all there are. Have a pump for this gateway."""
-        self._pump = Pump(self._gateway.engine, len(self._links))
+        self._pump = Pump(self._gateway.engine, len(self._links), self._gateway.foreseen)
         for link in self._links:
             ids = None if self._taps else self._gateway.identifiers_on(link.index)
             link.listen_to(ids, echo=bool(self._taps))
@@ -261,7 +266,7 @@ class Live:
         if len(left.taken):
             self._take_down(left.taken)
             self._gateway.took(left.taken)
-            self._send(self._gateway.tell())
+            self._send(self._gateway.tell(left.told))
         links = list(zip(self._links, left.received, strict=True)) if left.received else []
         if left.raw:
             took = zip(links, left.raw, strict=True)

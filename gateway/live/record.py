@@ -59,7 +59,9 @@ class Nobody:
     def took(self, frames: Frames) -> None:
         """Be asked for nothing: no pump feeds it."""
 
-    def tell(self) -> Frames:
+    foreseen = None
+
+    def tell(self, gone: Frames) -> Frames:
         """There is none."""
         return empty(0)
 

@@ -40,6 +40,7 @@ class Outbox:
 
     Attributes:
         upkeep: writes the fault memory.
+        first: whether changes are told and sent before they are stored.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Outbox:
         *,
         first: bool = False,
     ) -> None:
-        self._report, self._send, self._first, self._engine = report, send, first, engine
+        self._report, self._send, self.first, self._engine = report, send, first, engine
         self._ahead = NOTHING  # of what is noted, the first ones, that have been told before they are stored
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
@@ -120,7 +121,7 @@ class Outbox:
         if not (final or self._changes or self._untold) and self.upkeep.idle:
             return []  # as for nearly every batch
         self._report(sink)
-        early = self._tell_early() if self._first else []
+        early = self._tell_early() if self.first else []
         if early and not (asked or final):
             return early  # on their way, before anything is waited for
         waiting, self._changes = self._changes, []

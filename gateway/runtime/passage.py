@@ -8,6 +8,7 @@ from gateway.bus.frames import FRAME, Frames, empty, joined
 from gateway.runtime.connected import Connected
 from gateway.runtime.quiet import EVERYTHING, Quiet
 from gateway.runtime.reception import refuse_unless_frames
+from gateway.servers.foretelling import Foretelling
 from gateway_fdi.errors import GatewayError
 
 _NO_FRAMES = empty(0)
@@ -56,7 +57,20 @@ class Passage(Connected):
         if self._recorder is not None:
             due_ns = min(due_ns, self._recorder.due_ns + 1)
         before_ns = EVERYTHING if before_ns is None else before_ns
-        return Quiet(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, settled)
+        foretells = settled and self._foretells()
+        return Quiet(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, foretells, settled)
+
+    def _foretells(self) -> bool:
+        """Return whether DTCs may be told at their verdicts: they are stored, or told first, in the next call."""
+        if self._dtc_frames is None or not (self._outbox.first or self._upkeep.keeps_at_once):
+            return False
+        self._dtc_frames.foresee()
+        return True
+
+    @property
+    def foreseen(self) -> Foretelling | None:
+        """Tables of which a pump makes DTC frames; None: there are none."""
+        return None if self._dtc_frames is None else self._dtc_frames.foreseen
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`tell`."""
@@ -64,8 +78,14 @@ class Passage(Connected):
             self._recorder.on_frames(frames, self.engine.offset_ns)
         self._reception.hear(frames)
 
-    def tell(self) -> Frames:
-        """Take the events of the engine where a pump has left; returns the frames to send, before it goes on."""
+    def tell(self, gone: Frames = _NO_FRAMES) -> Frames:
+        """Take the events of the engine where a pump has left; returns the frames to send, before it goes on.
+
+        Args:
+            gone: DTC frames of these events that it has sent.
+        """
+        if self._dtc_frames is not None and len(gone):
+            self._dtc_frames.note_gone(gone)
         return self._emit(self._reception.tell())
 
     def resume(self, frames: Frames, start: int) -> Frames:
@@ -146,7 +166,8 @@ class Passage(Connected):
             asked: whether there is a request for the present state.
         """
         now = self.engine.now_ns
-        if self._outbox.empty and self._idle and now < self.servers.next_ns:
+        ahead = self._dtc_frames is not None and self._dtc_frames.is_ahead
+        if self._outbox.empty and self._idle and now < self.servers.next_ns and not ahead:
             return sent if self.controls.send else _NO_FRAMES  # as for nearly every batch
         self._doubts.poll()
         self._standing.settle(self._verdicts.take)
@@ -158,6 +179,8 @@ class Passage(Connected):
         frames = [*self._outbox.take_early(), sent if self.controls.send else _NO_FRAMES]
         frames += self._outbox.release(now, self._verdicts.take, asked=asked)
         frames += self.servers.on_time(now)
+        if self._dtc_frames is not None and self._dtc_frames.is_ahead and self._outbox.empty:
+            frames.append(self._dtc_frames.correct(now))
         return joined(frames)
 
     @property

@@ -21,6 +21,7 @@ class Quiet:
         prompt_ns: when a server is due, by the bus's own time.
         heard: frames that are to come by :meth:`gateway.runtime.app.Gateway.feed`.
         may_send: whether what monitors send goes to the bus.
+        foretells: whether the pump may tell DTCs as they are foreseen.
         idle: whether nothing but frames and time is waited for.
     """
 
@@ -29,4 +30,5 @@ class Quiet:
     prompt_ns: int = NEVER
     heard: Heard = NOTHING
     may_send: bool = False
+    foretells: bool = False
     idle: bool = True
