@@ -16,6 +16,7 @@ from gateway.bus.conditions import LOST, RUNNING, step_frame
 from gateway.bus.frames import ERROR, OWN, Frames, empty
 from gateway.bus.timeline import to_wall
 from gateway.engine.core import Engine
+from gateway.host.slice import short_slices
 from gateway.live import pumping
 from gateway.live.clock import Clock
 from gateway.live.link import Link
@@ -37,6 +38,8 @@ REPORT_S = 1.0
 KEEP_S = 10.0
 #: How long a thread of Python that computes may have the interpreter, while a verdict waits for it [s].
 SWITCH_S = 0.00005
+#: How long the loop has a processor before others may have it: so it comes soon when frames wake it [ns].
+SLICE_NS = 100_000
 #: Batches taken from a bus when there is no next turn: more than any queue holds.
 LAST_TURN = 4096
 
@@ -205,10 +208,11 @@ class Live:
         before_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
         try:
-            while not stop():
-                self.turn()
-                if on_turn is not None:
-                    on_turn()
+            with short_slices(SLICE_NS):
+                while not stop():
+                    self.turn()
+                    if on_turn is not None:
+                        on_turn()
         finally:
             sys.setswitchinterval(before_s)
 
