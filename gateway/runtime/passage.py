@@ -51,6 +51,7 @@ class Passage(Connected):
     def quiet(self) -> Quiet:
         """Return what a pump must know to feed the engine in place of :meth:`feed`."""
         settled = self._outbox.empty and self._settled and not self._closed
+        self.store.arm_journal(settled and self.config.memory.tell == "stored")
         before_ns = self._reception.before_ns if settled else None
         due_ns = self.servers.next_ns
         if self._recorder is not None:
