@@ -46,6 +46,11 @@ def _say_if_behind(path: Path) -> None:
             f"{path}: stored: false - the gateway that keeps this memory cannot write it at present;"
             " it knows more than is shown here (its log and events say why)"
         )
+    if count := service.waiting(path):
+        say(
+            f"{path}: {count} verdicts that were told last, before the gateway ended suddenly, wait beside the file"
+            " for its next start; they are not shown here"
+        )
 
 
 def list_faults(config: Path | None, *, memory: Path | None, json: bool, ecu: str | None = None) -> int:

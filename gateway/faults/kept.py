@@ -18,8 +18,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from gateway.faults import chain, rows, write_ahead
+from gateway.faults import chain, journal_file, rows, write_ahead
 from gateway.faults.interventions import Intervention
+from gateway.faults.journal import Journal
 from gateway.faults.lock import InUseError, is_in_place, take_lock
 from gateway.faults.mishaps import Mishap, Mishaps
 from gateway.faults.place import Place
@@ -37,9 +38,13 @@ from gateway.faults.store import (
 )
 from gateway.faults.vehicle import EcuDtc
 from gateway.host.locks import mark_unsaved
+from gateway.host.sockets import CAN
+from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError, InputError
 
 T = TypeVar("T")
+
+log = get_logger(__name__)
 
 
 class KeptStore(Store):
@@ -51,10 +56,12 @@ class KeptStore(Store):
 
     Attributes:
         detached: why there is no file at present, "" if there is one.
+        journal: of verdicts that are told before the file has them; None: there is none.
     """
 
     def __init__(self, path: Path | None, *, connect: Connect = sqlite3.connect, displacing: bool = False) -> None:
         self.detached = ""
+        self.journal: Journal | None = None
         self._displacing = displacing
         self._place = Place()
         self._recorded = self._recordings_lost = 0
@@ -74,6 +81,7 @@ class KeptStore(Store):
             found = salvage(path) if path.exists() else Salvage()
             self._unread = path.exists() and found.lost > 0
             self._detach(error.message, found)
+            self._waiting = journal_file.waiting(path, found.head)
         self._note_place()
 
     # Reading: a running gateway replaces a damaged file by a new one with all that it knows
@@ -173,6 +181,44 @@ class KeptStore(Store):
         super().compact()
         self._copy_log()
 
+    # The journal
+
+    def begin_journal(self) -> None:
+        """Begin the journal, if there is none, and the system can have one."""
+        if self.journal is not None or self.path is None or not CAN:
+            return
+        try:
+            self.journal = Journal(self.path)
+        except OSError as error:
+            self._say_without(error.strerror or str(error))
+
+    def _say_without(self, reason: str) -> None:
+        log.warning("no journal: verdicts are told when the fault memory has them", file=str(self.path), reason=reason)
+
+    def arm_journal(self, settled: bool) -> bool:
+        """Let the journal take verdicts, or not; returns whether it does.
+
+        Args:
+            settled: whether the file has all there is, and no write is under way.
+        """
+        if self.journal is None:
+            return False
+        return self.journal.arm(self._head.digest if settled and not (self.detached or self._suspect) else b"")
+
+    def withdraw(self, number: int) -> bool:
+        """Return whether the journal has sent the frame of a verdict; if not, it never will."""
+        return self.journal is not None and self.journal.withdraw(number)
+
+    def settle_journal(self) -> None:
+        """Have the journal send none of the frames that wait there: a socket is to be closed."""
+        if self.journal is not None:
+            self.journal.settle()
+
+    def look_at_journal(self) -> None:
+        """Look whether the journal does its work, and do without it if not."""
+        if self.journal is not None and (reason := self.journal.look()):
+            self._say_without(reason)
+
     def note_unsaved(self, unsaved: bool) -> None:
         """Let other processes see whether this one has changes that the file does not have."""
         if unsaved != self._unsaved and self._lock is not None:
@@ -247,6 +293,9 @@ class KeptStore(Store):
 
     def close(self) -> None:
         """Close the file."""
+        if self.journal is not None:
+            self.journal.close()
+            self.journal = None
         if not self.examine():
             self._place.keep_from_copying()
         super().close()
@@ -393,6 +442,7 @@ class KeptStore(Store):
         try:
             self._mishaps.damaged(path, damage, found)
             super().__init__(path, connect=self._open_database)
+            self._waiting = journal_file.waiting(path, found.head)
             Store.save(self, found.changes())
         except UnusableError as error:
             self._unread = found.lost > 0

@@ -23,6 +23,7 @@ from gateway.faults.event_memory import EventMemory
 from gateway.faults.explained import HELD, Cause
 from gateway.faults.failures import Snapshot, failure_of, finite
 from gateway.faults.interventions import Intervention
+from gateway.faults.journal_file import name_of
 from gateway.faults.ledger import Ledger
 from gateway.faults.mil import is_mil_on, lights_mil
 from gateway.faults.operation_cycles import OperationCycles
@@ -30,11 +31,15 @@ from gateway.faults.outage import Outage
 from gateway.faults.performance import Performance
 from gateway.faults.reading import Readable
 from gateway.faults.records import Description, FreezeFrame, Record, Recording
+from gateway.faults.recovery import Recovered, event_of, unseen
 from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, STATUS, Status
 from gateway.faults.store import Store, StoreError
 from gateway.faults.usage import Usage, UsageParams
 from gateway.faults.vehicle import EcuDtc, Told, VehicleMemory
+from gateway_fdi.common.log import get_logger
+
+log = get_logger(__name__)
 
 _TEST_FAILED = int(Status.TEST_FAILED)
 #: Takes a fault's place in the catalogue, returns near misses and greatest detection counter since the last call.
@@ -58,6 +63,7 @@ class FaultMemory(Readable):
     Attributes:
         performance: how often monitors have run.
         usage: how far and how long the vehicle was driven.
+        recovered: verdicts that an earlier process told, and did not come to write.
     """
 
     def __init__(
@@ -87,6 +93,7 @@ class FaultMemory(Readable):
         self._clearing = Clearing(
             self._held, self._definitions, catalogue, self._entries, self.fold_statistics, self.usage
         )
+        self.recovered = self._recover()
 
     def _define(self) -> None:
         """Have a definition and a record of every fault, monitored or only stored."""
@@ -147,7 +154,10 @@ class FaultMemory(Readable):
         kind = event.kind
         if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED, FDC_REACHED):
             return []
-        definition = self.catalogue[event.fault]
+        return self._apply(self.catalogue[event.fault], event, snapshot)
+
+    def _apply(self, definition: FaultDefinition, event: Event, snapshot: Snapshot) -> list[DtcChange]:
+        kind = event.kind
         if not self._cycles.counts(definition.cycle):
             return []
         record = self._records[definition.id]
@@ -177,6 +187,35 @@ class FaultMemory(Readable):
     def take_touched(self) -> set[str]:
         """Return ids of all faults of which anything may have changed since the last call; first: all."""
         return self._held.take_touched()
+
+    def _recover(self) -> Recovered:
+        """Take the verdicts that were told, and that a power cut kept from the file; returns what became of them.
+
+        Their status byte is the one that was told, also where the configuration has other rules now.
+        """
+        waiting = self._held.store.take_waiting()
+        known = {name_of(fault): definition for fault, definition in self._definitions.items()} if waiting else {}
+        faults, lost = [], 0
+        for verdict in waiting:
+            definition = known.get(verdict.fault)
+            if definition is None:
+                lost += 1
+                continue
+            # One that was told as not confirmed may wait for what explains it.
+            self._entries.explained = () if verdict.status & Status.CONFIRMED_DTC else (definition.id,)
+            self._apply(definition, event_of(verdict), unseen)
+            record = self._records[definition.id]
+            if record.occurrence == verdict.occurrence:
+                record.status = verdict.status
+                self._held.touch(record.id)
+                faults.append(record.id)
+            else:
+                lost += 1
+        self._entries.explained = ()
+        if waiting:
+            self.commit()
+            log.warning("verdicts recovered that were told last", faults=faults, lost=lost)
+        return Recovered(tuple(faults), lost)
 
     def complete(self, places: Sequence[int]) -> bool:
         """Take tests that have passed of faults that are not there, by their places: they are complete, no more.

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gateway.faults import rows
+from gateway.faults import chain, rows
 from gateway.faults.interventions import PROTOCOLS, Intervention
 from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
 from gateway.faults.vehicle import EcuDtc
@@ -50,6 +50,7 @@ class Salvage:
     Attributes:
         records, cycles, permanent, recordings, identifiers, facts, interventions, ecu_dtcs: as a :class:`Store` gives
             them.
+        head: digest of the last link of its chain, b"": not known.
         recovered: rows read.
         lost: rows, or tables, of which it is known that they could not be read.
     """
@@ -62,6 +63,7 @@ class Salvage:
     facts: dict[str, int] = field(default_factory=dict)
     interventions: list[Intervention] = field(default_factory=list)
     ecu_dtcs: list[EcuDtc] = field(default_factory=list)
+    head: bytes = b""
     recovered: int = 0
     lost: int = 0
 
@@ -158,6 +160,8 @@ def _read(db: sqlite3.Connection) -> Salvage:
     found.identifiers = dict(_rows(db, found, identifiers, "identifier", _identifier))
     found.facts = dict(_rows(db, found, "SELECT name, value FROM fact", "fact", _fact))
     found.interventions = list(_rows(db, found, rows.SELECT_INTERVENTIONS, "intervention", _intervention))
+    with suppress(sqlite3.Error):
+        found.head = chain.head(db).digest
     if "ecu_dtc" in tables:
         found.ecu_dtcs = list(_rows(db, found, rows.SELECT_ECU_DTCS, "ecu_dtc", rows.read_ecu_dtc))
     return found

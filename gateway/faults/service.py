@@ -105,6 +105,19 @@ def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list
     ]
 
 
+def waiting(path: Path) -> int:
+    """Return how many verdicts of a gateway that has ended suddenly its next start will find beside its file.
+
+    Raises:
+        InputError: there is no fault memory at this path.
+    """
+    store = open_reader(path)
+    try:
+        return 0 if is_kept(path) else len(store.waiting())
+    finally:
+        store.close()
+
+
 def daemon_state(path: Path) -> dict[str, Any]:
     """Return whether a gateway keeps this memory now, has stored all it knows, and its last report of its buses.
 

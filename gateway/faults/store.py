@@ -14,8 +14,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
-from gateway.faults import chain, rows, write_ahead
+from gateway.faults import chain, journal_file, rows, write_ahead
 from gateway.faults.interventions import Intervention
+from gateway.faults.journal_file import LastVerdict
 from gateway.faults.lock import is_marked, mark, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.schema import APPLICATION_ID, CHAINED, MAGIC, MIGRATIONS
@@ -101,6 +102,7 @@ class Store:
         self._kept: dict[str, Record] = {}  # likewise, by id
         self._db = sqlite3.connect(":memory:")  # until the file is open
         self._connect()
+        self._waiting = self.waiting() if write else []
 
     def _connect(self) -> None:
         """Open the file, and become its writer if that is asked for."""
@@ -374,6 +376,18 @@ class Store:
         unwritten.records, self._kept = list(self._kept.values()), {}
         if unwritten.faults or unwritten.facts:
             rows.write(self._db, unwritten)
+
+    def waiting(self) -> list[LastVerdict]:
+        """Return the verdicts that were told and that the file does not have, in order (see :mod:`.journal_file`)."""
+        if self.path is None:
+            return []
+        with self._reading():
+            return journal_file.waiting(self.path, chain.head(self._db).digest)
+
+    def take_waiting(self) -> list[LastVerdict]:
+        """Return, once, the verdicts that waited when the file was opened for writing."""
+        waiting, self._waiting = self._waiting, []
+        return waiting
 
     def buses(self) -> list[dict[str, Any]]:
         """Return what the daemon said last of its buses."""

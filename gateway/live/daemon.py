@@ -223,7 +223,10 @@ class Daemon:
 
     def _new_link(self, uri: str, index: int, name: str) -> Link:
         machine = self._machine
-        return Link(uri, index, name, machine.open_bus, machine.clock, monotonic=machine.monotonic)
+        return Link(
+            uri, index, name, machine.open_bus, machine.clock, monotonic=machine.monotonic,
+            before_close=self.gateway.store.settle_journal,
+        )  # fmt: skip
 
     def _new_ring(self, config: Config) -> Ring | None:
         if config.record is None:

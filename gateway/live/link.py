@@ -43,6 +43,7 @@ class Link:
         opener: opens it.
         clock: the engine's.
         monotonic: for the waits [s].
+        before_close: called before its socket is closed: nobody may send by that any more.
 
     Attributes:
         index, name: may be changed at any time.
@@ -59,7 +60,9 @@ class Link:
         clock: Clock,
         *,
         monotonic: Callable[[], float] = time.monotonic,
+        before_close: Callable[[], None] = lambda: None,
     ) -> None:
+        self._before_close = before_close
         self.uri, self.index, self.name = uri, index, name
         self._opener, self._clock, self._monotonic = opener, clock, monotonic
         self.stamps = Stamps(clock, name)
@@ -260,6 +263,7 @@ class Link:
 
     def _drop(self) -> None:
         if self._bus is not None:
+            self._before_close()
             _add(self._past, self._bus.statistics)
             self._bus.close()
             self._bus, self._ending = None, ""

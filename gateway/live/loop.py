@@ -16,6 +16,7 @@ from gateway.bus.conditions import LOST, RUNNING, step_frame
 from gateway.bus.frames import ERROR, OWN, Frames, empty
 from gateway.bus.timeline import to_wall
 from gateway.engine.core import Engine
+from gateway.faults.journal_steps import Journalled
 from gateway.host.slice import short_slices
 from gateway.live import pumping
 from gateway.live.clock import Clock
@@ -81,6 +82,10 @@ class Fed(Protocol):
     @property
     def foreseen(self) -> Foretelling | None:
         """Tables of which a pump makes DTC frames; None: there are none."""
+
+    @property
+    def journal(self) -> Journalled:
+        """Memory of the journal that takes verdicts."""
 
     def tell(self, gone: Frames) -> Frames:
         """Take what the engine has to tell where a pump has left; returns the frames to send, without those gone."""
@@ -193,7 +198,7 @@ class Live:
 
     def _choose(self) -> None:
         """Say which frames are wanted: a tap wants all there are. Have a pump for this gateway."""
-        self._pump = Pump(self._gateway.engine, len(self._links), self._gateway.foreseen)
+        self._pump = Pump(self._gateway.engine, len(self._links), self._gateway.foreseen, self._gateway.journal)
         for link in self._links:
             ids = None if self._taps else self._gateway.identifiers_on(link.index)
             link.listen_to(ids, echo=bool(self._taps))

@@ -20,6 +20,8 @@ from gateway.common.times import NEVER
 from gateway.engine.core import Engine
 from gateway.engine.events import EVENT
 from gateway.engine.tables import table
+from gateway.faults.journal import NO_JOURNAL
+from gateway.faults.journal_steps import Journalled
 from gateway.host.sockets import CAN
 from gateway.host.waiting import NONE, readable
 from gateway.live import pumping
@@ -83,12 +85,15 @@ class Pump:
         engine: warm; None: there is none, and all frames are given back.
         buses: how many.
         foreseen: of the DTC frames; None: there are none.
+        journal: takes verdicts where they are told when they are on the disk.
 
     Attributes:
         memory: of its kernel.
     """
 
-    def __init__(self, engine: Engine | None, buses: int, foreseen: Foretelling | None = None) -> None:
+    def __init__(
+        self, engine: Engine | None, buses: int, foreseen: Foretelling | None = None, journal: Journalled = NO_JOURNAL
+    ) -> None:
         self._buses = buses
         self._room = Room(buses, BATCH)
         self._frames = np.zeros((buses + 1, ROW), FRAME)
@@ -118,6 +123,7 @@ class Pump:
             state[f"{name}_at"] = place
         self._merged_at = self._merged.ctypes.data
         self._foreseen = foretelling(None, 0, 0) if foreseen is None else foreseen
+        self._journal, self._journal_sent = journal, int(journal.state[0]["sent"])
         self._told = self._foreseen.frames.view(FRAME).reshape(-1)
         self._connect(NOTHING)
 
@@ -137,7 +143,7 @@ class Pump:
             _of(self._frames), _of(self._merged), self._since, _of(self._held), self._held_since, _of(self._taken),
             nothing if cells is None else cells.arguments, nothing if cells is None else cells.results, clock,
             _of(outbox), np.zeros(9, np.uint64), self._flags,
-            np.asarray([*extended, *heard.masks] or [(-1, 0)], np.int64), events, self._foreseen,
+            np.asarray([*extended, *heard.masks] or [(-1, 0)], np.int64), events, self._foreseen, self._journal,
         )  # fmt: skip
         self._pass_handed = bound(pumping.pass_handed, self.memory, rest=())
         if CAN:
@@ -210,6 +216,9 @@ class Pump:
             raw.lost = side[_SIDE["lost"]]
             raw.note(side[_SIDE["received"]], side[_SIDE["rejected"]], self._room.gaps[k, :gaps])
             bus.statistics.sent += side[_SIDE["sent"]]
+            if k == self._foreseen.head[0]["bus"]:
+                before, self._journal_sent = self._journal_sent, int(self._journal.state[0]["sent"])
+                bus.statistics.sent += self._journal_sent - before
         return self._left(why)
 
     def hand_in(

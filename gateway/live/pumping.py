@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from gateway.bus.can_structs import fill_struct, settle
 from gateway.bus.frames import ERROR, EXTENDED, OWN
+from gateway.faults.journal_steps import Journalled, journal_put
+from gateway.runtime.quiet import JOURNAL, NOBODY
 from gateway.servers.foretelling import Foretelling, foretell
 from gateway_fdi.jit import Record, i8, i8s, kernel, means
 from gateway_fdi.jit.system import call_bound, clock_gettime, poll, recvmmsg, send
@@ -89,7 +91,7 @@ class State(Record):
     before_ns: i8 = means("a frame from this time on is not fed", "ns")
     grace_ns: i8 = means("time that the engine's timers lag the clock without traffic", "ns")
     may_send: i8 = means("1: frames of monitors are sent here")
-    foretells: i8 = means("1: DTCs are told here as they are foreseen")
+    foretells: i8 = means("who sends DTC frames of verdicts: NOBODY here, AT_ONCE, or the JOURNAL")
     waits: i8 = means("1: it may wait")
     sockets: i8 = means("buses of which it receives")
     handed: i8 = means("1: frames are handed in, nothing is received")
@@ -134,7 +136,7 @@ class Pumped(NamedTuple):
     those that wait. ``taken`` are the frames for those who read them later. ``clock`` is the engine's, ``outbox`` its
     outbox in cells, ``wire`` room for one struct canfd_frame. ``heard`` are the identifiers of 11 bits that servers
     want, as flags, ``extended`` those of 29: value, and mask of the bits that count. ``events`` are the engine's,
-    ``foreseen`` what the DTC frames of the next verdicts are made of.
+    ``foreseen`` what the DTC frames of the next verdicts are made of, ``journal`` takes verdicts.
     """
 
     state: NDArray[np.void]
@@ -159,6 +161,7 @@ class Pumped(NamedTuple):
     extended: NDArray[np.int64]
     events: NDArray[np.void]
     foreseen: Foretelling
+    journal: Journalled
 
 
 @kernel
@@ -377,10 +380,18 @@ def _tell(P: Any, s: Any) -> None:
     if s.may_send == 0 or side.fd < 0 or clock[s.sent_at] > clock[s.taken_at]:
         return
     for k in range(foretell(foreseen, P.events, clock[s.events_at], clock[s.now_at])):
-        size = fill_struct(foreseen.frames[k], P.wire)
-        if send(side.fd, P.wire.ctypes.data, size, _DONTWAIT | _NOSIGNAL) != size:
+        size, made = fill_struct(foreseen.frames[k], P.wire), foreseen.made[k]
+        if s.foretells == JOURNAL:
+            e = P.events[made.event]
+            made.number = journal_put(
+                P.journal, e.fault, e.kind, e.t_ns, made.status, made.occurrence, e.fdc, P.wire, size, side.fd
+            )
+            if made.number == 0:
+                return
+        elif send(side.fd, P.wire.ctypes.data, size, _DONTWAIT | _NOSIGNAL) != size:
             return
-        side.sent += 1
+        else:
+            side.sent += 1
         s.told += 1
 
 
@@ -397,7 +408,7 @@ def _run(P: Any, s: Any) -> int:
             return FAILED
         s.start = P.results[0]
         if clock[s.urgent_at] != 0:
-            if s.foretells == 1:
+            if s.foretells != NOBODY:
                 _tell(P, s)
             return EVENTS
         if clock[s.sent_at] > clock[s.taken_at]:

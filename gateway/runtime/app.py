@@ -17,6 +17,8 @@ from gateway.faults.beside import Writer
 from gateway.faults.cases import cases_of
 from gateway.faults.hung import hung_beside
 from gateway.faults.interventions import Intervention
+from gateway.faults.journal import NO_JOURNAL
+from gateway.faults.journal_steps import Journalled
 from gateway.faults.service import as_dict
 from gateway.runtime.account import bus_errors, counters, description, signal_slots, unread
 from gateway.runtime.outbox import Listener
@@ -118,6 +120,8 @@ class Gateway(Passage):
         self.memory.note_descriptions()
         self._keep_off()
         self._explainer.begin(self.engine.now_ns)
+        if self._upkeep.beside:
+            self._begin_journal()
 
     def _cycles_from(self, old: Gateway) -> dict[int, int]:
         names = {name: k for k, name in enumerate(self.parts.cycles)}
@@ -132,6 +136,19 @@ class Gateway(Passage):
         """
         self._upkeep.write_beside(writer, patience_s)
         self._doubts.seek_beside()
+        self._begin_journal()
+
+    def _begin_journal(self) -> None:
+        if self.config.memory.tell == "stored":
+            self.store.begin_journal()
+            if self._dtc_frames is not None:
+                self._dtc_frames.withdraw = self.store.withdraw
+
+    @property
+    def journal(self) -> Journalled:
+        """Memory of the journal that takes verdicts, for kernels: faults by their places in the catalogue."""
+        journal = self.store.journal
+        return NO_JOURNAL if journal is None else journal.memory(definition.id for definition in self.catalogue)
 
     def stop(self, t_ns: int) -> None:
         """End the operation cycle and keep everything."""

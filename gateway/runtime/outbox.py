@@ -77,6 +77,11 @@ class Outbox:
         return not (self._changes or self._untold or self._early)
 
     @property
+    def noted(self) -> Sequence[DtcChange]:
+        """Changes that wait to be told."""
+        return self._changes
+
+    @property
     def is_heard(self) -> bool:
         """Whether there is anybody who listens."""
         return bool(self._listeners)

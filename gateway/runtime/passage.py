@@ -6,7 +6,7 @@ import numpy as np
 
 from gateway.bus.frames import FRAME, Frames, empty, joined
 from gateway.runtime.connected import Connected
-from gateway.runtime.quiet import EVERYTHING, Quiet
+from gateway.runtime.quiet import AT_ONCE, EVERYTHING, JOURNAL, NOBODY, Quiet
 from gateway.runtime.reception import refuse_unless_frames
 from gateway.servers.foretelling import Foretelling
 from gateway_fdi.errors import GatewayError
@@ -57,15 +57,17 @@ class Passage(Connected):
         if self._recorder is not None:
             due_ns = min(due_ns, self._recorder.due_ns + 1)
         before_ns = EVERYTHING if before_ns is None else before_ns
-        foretells = settled and self._foretells()
+        foretells = self._foretells(settled)
         return Quiet(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, foretells, settled)
 
-    def _foretells(self) -> bool:
-        """Return whether DTCs may be told at their verdicts: they are stored, or told first, in the next call."""
-        if self._dtc_frames is None or not (self._outbox.first or self._upkeep.keeps_at_once):
-            return False
+    def _foretells(self, settled: bool) -> int:
+        """Return who may send DTC frames of verdicts; ``settled``: nothing waits that is to be told before."""
+        first = self._outbox.first
+        journal = self.store.arm_journal(settled and not first)
+        if not settled or self._dtc_frames is None or not (first or journal or self._upkeep.keeps_at_once):
+            return NOBODY
         self._dtc_frames.foresee()
-        return True
+        return JOURNAL if journal else AT_ONCE
 
     @property
     def foreseen(self) -> Foretelling | None:
@@ -84,9 +86,12 @@ class Passage(Connected):
         Args:
             gone: DTC frames of these events that it has sent.
         """
-        if self._dtc_frames is not None and len(gone):
-            self._dtc_frames.note_gone(gone)
-        return self._emit(self._reception.tell())
+        if self._dtc_frames is None or not len(gone):
+            return self._emit(self._reception.tell())
+        self._dtc_frames.note_gone(gone)
+        sent = self._reception.tell()
+        corrected = self._dtc_frames.correct(self._outbox.noted, self.engine.now_ns)
+        return joined([self._emit(sent), corrected])
 
     def resume(self, frames: Frames, start: int) -> Frames:
         """Go on with a batch that a pump has begun, and that was taken down; returns the frames to send.
@@ -166,8 +171,7 @@ class Passage(Connected):
             asked: whether there is a request for the present state.
         """
         now = self.engine.now_ns
-        ahead = self._dtc_frames is not None and self._dtc_frames.is_ahead
-        if self._outbox.empty and self._idle and now < self.servers.next_ns and not ahead:
+        if self._outbox.empty and self._idle and now < self.servers.next_ns:
             return sent if self.controls.send else _NO_FRAMES  # as for nearly every batch
         self._doubts.poll()
         self._standing.settle(self._verdicts.take)
@@ -179,8 +183,6 @@ class Passage(Connected):
         frames = [*self._outbox.take_early(), sent if self.controls.send else _NO_FRAMES]
         frames += self._outbox.release(now, self._verdicts.take, asked=asked)
         frames += self.servers.on_time(now)
-        if self._dtc_frames is not None and self._dtc_frames.is_ahead and self._outbox.empty:
-            frames.append(self._dtc_frames.correct(now))
         return joined(frames)
 
     @property

@@ -206,6 +206,7 @@ class Upkeep:
 
     def look(self, t_ns: int) -> None:
         """Look whether the file is still there; if not, all is written again."""
+        self._store.look_at_journal()
         if self._memory.under_way():
             return
         self._memory.join()
@@ -227,6 +228,8 @@ class Upkeep:
         mishaps = self._store.mishaps()
         for mishap in mishaps:
             self._tell_mishap(mishap, t_ns)
+        if not self._tested:
+            self._tell_recovered(t_ns)
         if mishaps or not self._tested:
             recovered, lost = sum(m.recovered for m in mishaps), sum(m.lost for m in mishaps)
             self._report(DAMAGED, bool(mishaps), lost, (recovered, lost), sink)
@@ -261,6 +264,13 @@ class Upkeep:
             t_ns, mishap.kind, mishap.reason,
             aside=aside, recovered=mishap.recovered, lost=mishap.lost,
         )  # fmt: skip
+
+    def _tell_recovered(self, t_ns: int) -> None:
+        """Tell which verdicts an earlier process told, and did not come to write."""
+        faults, lost = self._memory.recovered
+        if faults or lost:
+            reason = "told right before the last end"
+            self._event(t_ns, "recovered", reason, recovered=len(faults), lost=lost, faults=list(faults))
 
     def _tell_outage(self, t_ns: int, *, down: bool, news: bool) -> None:
         if not news:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from cantools.database.can import Message
@@ -83,6 +83,14 @@ def read_dtc_frame(frame: np.void, database: Path) -> DtcReport | None:
     )
 
 
+class _Gone(NamedTuple):
+    """A frame that was sent before its change came, or is by the journal: ``number`` there, 0: it has been sent."""
+
+    payload: bytes
+    told: tuple[int, int]  # status byte and failures
+    number: int
+
+
 class DtcFrameSender(BusServer):
     """Sends the DTC frames, driven by the time it is given; it listens to nothing.
 
@@ -92,6 +100,9 @@ class DtcFrameSender(BusServer):
         bus: index of the bus.
         memory: the fault memory.
         counter_of: fault id -> its fault detection counter now.
+
+    Attributes:
+        withdraw: takes a number in the journal; returns whether its frame has been sent, else it never is.
     """
 
     urgent = True
@@ -114,7 +125,8 @@ class DtcFrameSender(BusServer):
         self._foreseen = foretelling(message_of(database), bus, len(self._places))
         self._from_ns = self._foreseen.following["from_ns"]
         self._stale: set[str] = set()  # it is not foreseen what becomes of these
-        self._gone: dict[bytes, str] = {}  # payloads that a pump has sent, with their faults
+        self._gone: dict[str, _Gone] = {}
+        self.withdraw: Callable[[int], bool] = lambda number: True
         self._corrected = 0
         example = np.zeros(_CELLS, np.uint64)
         self._put = bound(put_report, self._foreseen, rest=(example, 0, 0, 0, 0, 0, 0, 0))
@@ -124,6 +136,7 @@ class DtcFrameSender(BusServer):
         if isinstance(old, DtcFrameSender):
             known = self._memory.catalogue.get
             self._held = {name: held for name, held in old._held.items() if known(name) is not None}
+            self._gone = {name: gone for name, gone in old._gone.items() if known(name) is not None}
             for name, at in old._sent_ns.items():
                 self._note_sent(name, at)
             if self._params.cycle_ms == old._params.cycle_ms:
@@ -164,7 +177,10 @@ class DtcFrameSender(BusServer):
             dtc, status, occurrence = memory.state(name)
             fdc = change.fdc if status == change.new_status else self._counter_of(name)
             self._put(cells[k], t_ns, dtc, status, fdc, 0, count, occurrence)
-        return self._not_gone(frames) if self._gone else frames
+        if not self._gone:
+            return frames
+        names = [change.definition.id for change in due]
+        return frames[[k for k, name in enumerate(names) if self._take_gone(name) != payload(frames[k])]]
 
     def _note_sent(self, name: str, t_ns: int) -> None:
         self._sent_ns[name] = t_ns
@@ -201,26 +217,31 @@ class DtcFrameSender(BusServer):
             self._stale.discard(name)
         self._foreseen.head["count"] = memory.count_by_status_mask(mask)
 
-    @property
-    def is_ahead(self) -> bool:
-        """Whether a pump has sent a frame whose change has not come yet."""
-        return bool(self._gone)
-
     def note_gone(self, frames: Frames) -> None:
-        """Note that a pump has sent frames of the changes that come next."""
-        names = [self._memory.catalogue[place].id for place in self._foreseen.faults[: len(frames)].tolist()]
-        self._gone = dict(zip(map(payload, frames), names, strict=True))
+        """Note that frames of changes that come next have been sent, or are by the journal."""
+        for frame, made in zip(frames, self._foreseen.made, strict=False):
+            name = self._memory.catalogue[int(made["fault"])].id
+            self._take_gone(name)
+            told = int(made["status"]), int(made["occurrence"])
+            self._gone[name] = _Gone(payload(frame), told, int(made["number"]))
 
-    def _not_gone(self, frames: Frames) -> Frames:
-        """Return the frames that are still to be sent."""
-        kept = [k for k, frame in enumerate(frames) if self._gone.pop(payload(frame), None) is None]
-        return frames[kept]
+    def _take_gone(self, name: str) -> bytes | None:
+        """Return the payload of a fault's frame that was sent before, once; one that the journal has still never is."""
+        gone = self._gone.pop(name, None)
+        return None if gone is None or (gone.number and not self.withdraw(gone.number)) else gone.payload
 
-    def correct(self, t_ns: int) -> Frames:
-        """Return frames for DTCs that a pump has told otherwise than they have become: it must not be."""
-        if not self._gone:
+    def correct(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
+        """Return frames for DTCs that were told otherwise than they have become: it must not be.
+
+        Args:
+            changes: of the verdicts after :meth:`note_gone`.
+            t_ns: now [ns].
+        """
+        became = {(change.definition.id, int(change.new_status), change.occurrence) for change in changes}
+        wrong = [name for name, gone in self._gone.items() if (name, *gone.told) not in became]
+        names = [name for name in wrong if self._take_gone(name) is not None]
+        if not names:
             return empty(0)
-        names, self._gone = [*self._gone.values()], {}
         self._corrected += len(names)
         log.error("a DTC was told before its verdict was entered, and not as it became; it is told again", faults=names)
         frames, cells = self._room(len(names))

@@ -50,16 +50,26 @@ class Head(Record):
     count: i8 = means("DTCs in the list")
 
 
+class Made(Record):
+    """A DTC frame that was made of a verdict."""
+
+    event: i8 = means("place of the verdict among the events")
+    fault: i8 = means("its fault")
+    status: i8 = means("status byte after it")
+    occurrence: i8 = means("failures after it")
+    number: i8 = means("of the verdict in the journal that sends the frame; 0: it was sent at once")
+
+
 class Foretelling(NamedTuple):
     """Tables: ``following`` has a :class:`Next` a fault, ``head`` one row, ``signals`` those of the message.
 
-    ``faults`` and ``frames`` take the faults that were told, and their frames in cells, shapes (MOST,) and (MOST, 10).
+    ``made`` and ``frames`` take what is made at a verdict, the frames in cells, shapes (MOST,) and (MOST, 10).
     """
 
     following: NDArray[np.void]
     head: NDArray[np.void]
     signals: NDArray[np.void]
-    faults: NDArray[np.int64]
+    made: NDArray[np.void]
     frames: NDArray[np.uint64]
 
 
@@ -77,7 +87,8 @@ def foretelling(message: Message | None, bus: int, faults: int) -> Foretelling:
         head["bus"], head["length"] = bus, message.length
         signals = np.asarray(encode_rows(message, SIGNALS), SIGNAL)
     frames = np.zeros((MOST, _CELLS), np.uint64)
-    return Foretelling(_table(following), _table(head), _table(signals), np.zeros(MOST, np.int64), frames)
+    made = _table(np.zeros(MOST, Made.dtype))
+    return Foretelling(_table(following), _table(head), _table(signals), made, frames)
 
 
 @kernel
@@ -122,15 +133,18 @@ def _verdicts(F: Any, events: Any, count: int, now_ns: int) -> int:
         if e.kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED):
             return 0
         for j in range(told):
-            if events[F.faults[j]].fault == e.fault:
+            if F.made[j].fault == e.fault:
                 return 0  # it is foreseen one verdict ahead only
         following = F.following[e.fault]
-        status = following.failed if e.kind == QUALIFIED_FAILED else following.passed
+        status, occurrence = following.failed, following.failed_occurrence
+        if e.kind == QUALIFIED_PASSED:
+            status, occurrence = following.passed, following.passed_occurrence
         if status == UNTOLD:
             continue
         if status == UNKNOWN or now_ns < following.from_ns or told == MOST:
             return 0
-        F.faults[told] = k
+        made = F.made[told]
+        made.event, made.fault, made.status, made.occurrence, made.number = k, e.fault, status, occurrence, 0
         told += 1
     return told
 
@@ -140,22 +154,18 @@ def foretell(F: Any, events: Any, count: int, now_ns: int) -> int:
     """Make the DTC frames of the verdicts among events; returns how many, 0: none, or only Python can tell.
 
     Args:
-        F: a :class:`Foretelling`; it takes faults and frames.
+        F: a :class:`Foretelling`; its ``made`` and ``frames`` take them.
         events: of the engine, ``events[:count]`` are new.
         count: how many.
         now_ns: the engine's time [ns].
     """
     told, listed = _verdicts(F, events, count, now_ns), F.head[0].count
     for k in range(told):
-        e = events[F.faults[k]]
-        following = F.following[e.fault]
-        listed += following.failed_adds if e.kind == QUALIFIED_FAILED else following.passed_adds
+        following = F.following[F.made[k].fault]
+        failed = events[F.made[k].event].kind == QUALIFIED_FAILED
+        listed += following.failed_adds if failed else following.passed_adds
     for k in range(told):
-        e = events[F.faults[k]]
-        following = F.following[e.fault]
-        status, occurrence = following.failed, following.failed_occurrence
-        if e.kind == QUALIFIED_PASSED:
-            status, occurrence = following.passed, following.passed_occurrence
-        F.faults[k] = e.fault
-        put_report(F, F.frames[k], now_ns, following.dtc, status, e.fdc, 0, listed, occurrence)
+        made = F.made[k]
+        dtc, fdc = F.following[made.fault].dtc, events[made.event].fdc
+        put_report(F, F.frames[k], now_ns, dtc, made.status, fdc, 0, listed, made.occurrence)
     return told

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import cantools
 import numpy as np
+import pytest
 from fault_examples import AtOnce, catalogue, event, nothing
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -121,15 +122,38 @@ def test_a_frame_that_has_gone_is_not_sent_again_and_a_wrong_one_is_corrected(ca
     memory.start_cycle(0)
     made, verdicts = sender(memory), [event(0, True), event(1, True)]
     made.note_gone(foretold(made, verdicts, 0)[:1])
-    (left,) = taken(made, memory, verdicts, 0)
+    changes = [change for each in verdicts for change in memory.apply(each, nothing)]
+    assert not len(made.correct(changes, 0))
+    (left,) = made.on_changes(changes, 0)
     assert MESSAGE.decode(payload(left))["Dtc"] == 0x030111
-    assert not len(made.correct(0))
     made.foresee()
     made.foreseen.following["passed"][0] = 0x55
     made.note_gone(foretold(made, [event(0, False)], 20 * MS))
-    assert len(taken(made, memory, [event(0, False)], 20 * MS)) == 1, "it is another one"
-    (again,) = made.correct(20 * MS)
+    changes = memory.apply(event(0, False), nothing)
+    (again,) = made.correct(changes, 20 * MS)
     assert MESSAGE.decode(payload(again))["Status"] == int(memory.status("m.f0"))
     assert "m.f0" in capsys.readouterr().out
     assert made.counters() == {"dtc_frames_corrected": 1}
-    assert not len(made.correct(20 * MS))
+    assert not len(made.correct(changes, 20 * MS))
+
+
+@pytest.mark.parametrize("sent", [True, False])
+def test_of_what_the_journal_has_not_sent_python_sends_the_newest(sent):
+    """It has passed again before the file had the failure: the failure is told by the journal, or never."""
+    memory, asked = AtOnce(catalogue(), Store(None)), []
+    memory.start_cycle(0)
+    made = sender(memory, min_interval_ms=0.0)
+    made.withdraw = lambda number: asked.append(number) or sent
+    for again in (False, True):
+        frames = foretold(made, [event(0, True)], 0)
+        made.foreseen.made["number"][0] = 7
+        made.note_gone(frames)
+        changes = memory.apply(event(0, True), nothing)
+        assert not len(made.correct(changes, 0))
+        if again:
+            assert len(made.on_changes(changes, 0)) == (not sent)
+        else:
+            changes += memory.apply(event(0, False), nothing)
+            (left,) = made.on_changes(changes, 0)
+            assert not MESSAGE.decode(payload(left))["Status"] & 1
+    assert asked == [7, 7]

@@ -1,0 +1,148 @@
+"""The journal's file beside the fault memory: verdicts that were told before the memory's own file had them.
+
+It matters only where a process ends, or the power goes, in the moment between the two. It has :data:`SLOTS` records of
+fixed size, each in a sector of its own: a write that is torn harms no other. A record has the digest of the last link
+of the chain (:mod:`gateway.faults.chain`) that the memory's file had then, and no write was under way. So each later
+commit has the verdict in it, or came from another process, and the record counts only as long as that link is the last
+one. The digest names the file, too: no other one has it. Nothing is ever deleted here: a record ends with the commit
+that makes it superfluous.
+
+==========  =============================================================================
+byte        content (little endian)
+==========  =============================================================================
+0 to 7      :data:`MAGIC`
+8 to 15     number of the verdict, from 1
+16 to 47    digest of the last link
+48 to 63    the fault: first half of the SHA-256 of its id, because places change
+64 to 71    time of the wall clock [ns]
+72 to 75    1 failed or 2 passed; status byte after it; failures; fault detection counter
+80 to 87    CRC-32 of all before
+==========  =============================================================================
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import stat
+import struct
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+from gateway.host.process import RAW
+
+SUFFIX = "-verdicts"
+SLOTS, SLOT = 32, 512
+LENGTH = SLOTS * SLOT
+MAGIC = int.from_bytes(b"GWVERD1\0", "little")
+_CONTENT, _SUM = struct.Struct("<QQ32s16sqBBBbi"), struct.Struct("<Q")
+#: Bytes of a record.
+RECORD = _CONTENT.size + _SUM.size
+#: A greater number is no verdict's.
+_MOST = 1 << 62
+_SAFELY = RAW | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+
+
+class LastVerdict(NamedTuple):
+    """A record of the journal; ``fault`` as of :func:`name_of`, ``kind`` that of an event."""
+
+    number: int
+    head: bytes
+    fault: bytes
+    t_ns: int
+    kind: int
+    status: int
+    occurrence: int
+    fdc: int
+
+
+def path_of(database: Path) -> Path:
+    """Return where the journal of a fault memory is; links to it share one."""
+    return Path(f"{database.resolve()}{SUFFIX}")
+
+
+def name_of(fault: str) -> bytes:
+    """Return what stands for a fault's id, 16 bytes."""
+    return hashlib.sha256(fault.encode()).digest()[:16]
+
+
+def records(content: bytes) -> list[LastVerdict]:
+    """Return the whole records of a journal, in order; what is garbage is none."""
+    found = []
+    for at in range(0, len(content) - RECORD + 1, SLOT):
+        part = content[at : at + _CONTENT.size]
+        magic, *rest, _ = _CONTENT.unpack(part)
+        record = LastVerdict(*rest)
+        whole = _SUM.unpack_from(content, at + _CONTENT.size)[0] == zlib.crc32(part)
+        if magic == MAGIC and whole and 0 < record.number < _MOST:
+            found.append(record)
+    return sorted(found)
+
+
+def _open(database: Path, flags: int) -> int:
+    """Open the journal of a fault memory that is there.
+
+    Raises:
+        OSError: it cannot be, or it is another user's, or no file: who may write it can report any fault.
+    """
+    like = database.stat()
+    file = os.open(path_of(database), flags | _SAFELY, stat.S_IMODE(like.st_mode))
+    try:
+        found = os.fstat(file)
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError("it is no file")
+        if found.st_uid != like.st_uid and flags & os.O_CREAT and not found.st_size:
+            os.fchown(file, like.st_uid, like.st_gid)  # root's, just made: as SQLite's log it is the database's owner's
+        elif found.st_uid != like.st_uid:
+            raise OSError("it belongs to another user than the fault memory")
+        if flags & os.O_CREAT and stat.S_IMODE(found.st_mode) != stat.S_IMODE(like.st_mode):
+            os.fchmod(file, stat.S_IMODE(like.st_mode))
+    except OSError:
+        os.close(file)
+        raise
+    return file
+
+
+def waiting(database: Path, head: bytes) -> list[LastVerdict]:
+    """Return the verdicts that were told, and that a fault memory does not have, in order.
+
+    Args:
+        database: its file.
+        head: digest of the last link of its chain.
+    """
+    try:
+        file = _open(database, os.O_RDONLY)
+        try:
+            content = os.read(file, LENGTH)
+        finally:
+            os.close(file)
+    except OSError:
+        return []
+    return [record for record in records(content) if record.head == head]
+
+
+def begin(database: Path) -> tuple[int, int]:
+    """Have a journal whose blocks are all there, so that a record needs no new one; its records stay.
+
+    Returns:
+        its descriptor; the number of its latest record, 0: there is none.
+
+    Raises:
+        OSError: there is none, and none can be made: :func:`_open` says more.
+    """
+    file = _open(database, os.O_RDWR | os.O_CREAT)
+    try:
+        content = os.pread(file, LENGTH, 0).ljust(LENGTH, b"\0")
+        os.ftruncate(file, LENGTH)
+        os.pwrite(file, content, 0)
+        os.fsync(file)
+        folder = os.open(path_of(database).parent, os.O_RDONLY | RAW)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError:
+        os.close(file)
+        raise
+    return file, max((record.number for record in records(content)), default=0)
