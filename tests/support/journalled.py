@@ -18,7 +18,7 @@ FILES = ("", "-wal", "-verdicts")
 
 
 def putter(journal, faults=("m.f0", "m.f1", "m.f2")):
-    """What hands a verdict of one of these faults over: (place, kind, t_ns, status, occurrence, fdc, wire, size, fd)."""
+    """Return what hands over: (place, kind, t_ns, status, occurrence, fdc, wire, size, fd)."""
     return bound(journal_put, journal.memory(faults), rest=(*[0] * 6, np.zeros(9, np.uint64), 0, 0))
 
 
