@@ -180,10 +180,9 @@ class Engine:
     @property
     def clock_places(self) -> dict[str, int]:
         """Places in :attr:`clock_cells`, by name."""
-        names = ("now", "deadline", "urgent", "sent", "fed", "taken")
-        return dict(
-            zip(names, (self._now, self._due, self._urgent, self._to_send, self._fed, self._taken), strict=True)
-        )
+        names = ("now", "deadline", "urgent", "events", "sent", "fed", "taken")
+        places = (self._now, self._due, self._urgent, self._events, self._to_send, self._fed, self._taken)
+        return dict(zip(names, places, strict=True))
 
     def _in_parts(self, frames: Frames, sink: Sink, until_ns: int) -> Frames:
         """Feed a batch as :meth:`process` does, and call :attr:`on_pause` when it is time for it."""

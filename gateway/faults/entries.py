@@ -38,6 +38,29 @@ class DtcChange(NamedTuple):
         return bool((int(self.old_status) ^ int(self.new_status)) & _TOLD)
 
 
+#: As a status byte of :class:`Foreseen`: only the verdict itself will tell; it will tell nothing of the fault.
+UNKNOWN, UNTOLD = -1, -2
+
+
+class Foreseen(NamedTuple):
+    """A DTC after the next verdict of its test.
+
+    Attributes:
+        failed, passed: its status byte after a failure, and after a pass; or UNKNOWN, or UNTOLD.
+        occurrence: its failures after a failure.
+    """
+
+    failed: int = UNKNOWN
+    passed: int = UNKNOWN
+    occurrence: int = 0
+
+    @classmethod
+    def of(cls, now: int, failed: int, passed: int, occurrence: int) -> Foreseen:
+        """Return it, where the status byte is ``now``."""
+        told = [after if (now ^ after) & _TOLD else UNTOLD for after in (failed, passed)]
+        return cls(told[0], told[1], occurrence)
+
+
 class DtcStatus(NamedTuple):
     """A DTC with its status byte, as lists have it; cheap, for catalogues of ten thousand faults."""
 

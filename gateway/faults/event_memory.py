@@ -12,6 +12,7 @@ from gateway.faults import freeze_frames
 from gateway.faults import status as transition
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.displacement import victim
+from gateway.faults.entries import Foreseen
 from gateway.faults.explained import WAITING
 from gateway.faults.failures import Failure, Observed, finite, known, latest_signals
 from gateway.faults.ledger import OVERFLOW, Ledger
@@ -82,11 +83,7 @@ class EventMemory:
 
     def fail(self, definition: FaultDefinition, record: Record, failure: Failure) -> None:
         """Take one qualified failure: the only way by which a DTC becomes pending or confirmed."""
-        old = STATUS[record.status]
-        if not record.occurrence:  # failures that were refused earlier in this cycle have not been counted
-            old &= ~(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE)
-        waits = record.id in self.explained and not int(old) & _CONFIRMED
-        status, cycles = transition.on_failed(old, record.cycles, definition.rules, wait=waits)
+        old, waits, status, cycles = self._after_failure(definition, record)
         if not record.occurrence and not self._make_room(definition):
             record.become(transition.on_displaced(status), Cycles())
             seen = failure.observe()
@@ -110,6 +107,24 @@ class EventMemory:
             freeze_frames.keep(record.freeze_frames, frame, definition.freeze_frames)
         became = self._held.permanent.on_failed(definition, status, failure.t_ns)
         self._held.note_permanent(became)
+
+    def _after_failure(self, definition: FaultDefinition, record: Record) -> tuple[Status, bool, Status, Cycles]:
+        """Return the status byte that a failure finds, whether its confirmation waits, and what it becomes."""
+        old = STATUS[record.status]
+        if not record.occurrence:  # failures that were refused earlier in this cycle have not been counted
+            old &= ~(Status.TEST_FAILED | Status.TEST_FAILED_THIS_CYCLE)
+        waits = record.id in self.explained and not int(old) & _CONFIRMED
+        return old, waits, *transition.on_failed(old, record.cycles, definition.rules, wait=waits)
+
+    def foresee(self, definition: FaultDefinition, record: Record) -> Foreseen:
+        """Return a DTC after its next verdict, if that counts; nothing changes."""
+        if self._size is not None and not record.occurrence:
+            return Foreseen()  # there may be no room for it
+        old, _, status, _ = self._after_failure(definition, record)
+        more = int(status) & ~int(old) & _TEST_FAILED
+        occurrence = min(record.occurrence + bool(more), MOST_OCCURRENCES)
+        passed = int(transition.on_passed(STATUS[record.status]))
+        return Foreseen.of(record.status, int(status), passed, occurrence)
 
     def wait_no_longer(self, definition: FaultDefinition, record: Record, t_ns: int) -> None:
         """Confirm a DTC whose confirmation has waited, or was held."""

@@ -74,8 +74,8 @@ class Journal:
         """
         return _memory(self._state, self._entries, faults)
 
-    def arm(self, head: bytes) -> None:
-        """Let verdicts be taken, or not.
+    def arm(self, head: bytes) -> bool:
+        """Let verdicts be taken, or not; returns whether they are.
 
         Args:
             head: digest of the last link of the memory's file, if no write is under way; else b"".
@@ -86,7 +86,8 @@ class Journal:
             for k, word in enumerate(struct.unpack("<4q", head)):
                 cells[_PLACE["digest"] + k] = word
             self._head = head
-        cells[_PLACE["armed"]] = bool(head) and not self._over
+        cells[_PLACE["armed"]] = armed = bool(head) and not self._over
+        return armed
 
     def withdraw(self, number: int) -> bool:
         """Return whether a verdict's frame has been sent; if not, it will not be, and the caller sends his.

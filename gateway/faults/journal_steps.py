@@ -42,6 +42,7 @@ class State(Record):
     before: i8 = means("number of the latest verdict that the memory's file has for certain")
     done: i8 = means("number of the latest entry that is dealt with")
     kept: i8 = means("verdicts that were synchronised")
+    sent: i8 = means("frames that were sent")
     digest: Annotated[u8s, 4] = means("of the last link of the memory's file")
     one: Annotated[u8s, 1] = means("the number 1")
     woken: Annotated[u8s, 1] = means("count of the event, as read")
@@ -145,6 +146,7 @@ def _put_down(J: Any, first: int, last: int) -> None:
         state = entry.state.ctypes.data
         if change_if(state, WAITING, UNSENT if s.failed != 0 else SENDING) == 1 and s.failed == 0:
             sent = send(entry.fd, entry.wire.ctypes.data, entry.length, _DONTWAIT | _NOSIGNAL) == entry.length
+            s.sent += sent
             change_if(state, SENDING, SENT if sent else UNSENT)
         s.done = number
 

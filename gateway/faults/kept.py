@@ -195,14 +195,19 @@ class KeptStore(Store):
     def _say_without(self, reason: str) -> None:
         log.warning("no journal: verdicts are told when the fault memory has them", file=str(self.path), reason=reason)
 
-    def arm_journal(self, settled: bool) -> None:
-        """Let the journal take verdicts, or not.
+    def arm_journal(self, settled: bool) -> bool:
+        """Let the journal take verdicts, or not; returns whether it does.
 
         Args:
             settled: whether the file has all there is, and no write is under way.
         """
-        if self.journal is not None:
-            self.journal.arm(self._head.digest if settled and not (self.detached or self._suspect) else b"")
+        if self.journal is None:
+            return False
+        return self.journal.arm(self._head.digest if settled and not (self.detached or self._suspect) else b"")
+
+    def withdraw(self, number: int) -> bool:
+        """Return whether the journal has sent the frame of a verdict; if not, it never will."""
+        return self.journal is not None and self.journal.withdraw(number)
 
     def settle_journal(self) -> None:
         """Have the journal send none of the frames that wait there: a socket is to be closed."""

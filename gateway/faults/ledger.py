@@ -92,6 +92,7 @@ class Ledger:
         self._pending = Changes(kept_recordings=recordings)
         self._dirty: set[str] = set()
         self._new: set[str] = set()  # records that the store does not have
+        self._touched = set(self.records)
         self._more = False  # whether anything waits beside records
         self._buses: Sequence[Mapping[str, Any]] | None = None
         self._described: Mapping[str, Description] = {}
@@ -109,6 +110,7 @@ class Ledger:
         self._keep(old._stored.values())
         self._stored_permanent = old._stored_permanent
         self.records.update(old.records)
+        self._touched = set(self.records)
         self.cycles.update(old.cycles)
         self.identifiers.update(old.identifiers)
         self._facts, self._permanent = old._facts, old._permanent
@@ -128,10 +130,17 @@ class Ledger:
         self.records[record.id] = record
         self._keep([record.copy()])
         self._new.add(record.id)
+        self._touched.add(record.id)
 
     def touch(self, fault: str) -> None:
         """Note that a record has changed."""
         self._dirty.add(fault)
+        self._touched.add(fault)
+
+    def take_touched(self) -> set[str]:
+        """Return ids of the records that were added, or may have changed, since the last call."""
+        touched, self._touched = self._touched, set()
+        return touched
 
     def complete(self, records: Iterable[Record]) -> None:
         """Have the tests of records be complete; of a record that the store has, nothing else is written."""

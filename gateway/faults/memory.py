@@ -18,7 +18,7 @@ from gateway.faults.beside import Writer
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.clearing import Clearing, Judge
 from gateway.faults.dtc import ALL_DTCS, Dtc
-from gateway.faults.entries import DtcChange
+from gateway.faults.entries import DtcChange, Foreseen
 from gateway.faults.event_memory import EventMemory
 from gateway.faults.explained import HELD, Cause
 from gateway.faults.failures import Snapshot, failure_of, finite
@@ -173,6 +173,20 @@ class FaultMemory(Readable):
             record.status = int(transition.on_passed(old))
             self._entries.give_up(record)
         return self._changed(definition, record, old, event.fdc, event.t_ns)
+
+    def foresee(self, fault: str) -> Foreseen:
+        """Return what the next verdict of a fault of the catalogue will make of its DTC; nothing changes.
+
+        It holds until :meth:`take_touched` names the fault.
+        """
+        definition = self._definitions[fault]
+        if not self._cycles.counts(definition.cycle):
+            return Foreseen()
+        return self._entries.foresee(definition, self._records[fault])
+
+    def take_touched(self) -> set[str]:
+        """Return ids of all faults of which anything may have changed since the last call; first: all."""
+        return self._held.take_touched()
 
     def _recover(self) -> Recovered:
         """Take the verdicts that were told, and that a power cut kept from the file; returns what became of them.

@@ -16,11 +16,14 @@ from gateway.bus.conditions import LOST, RUNNING, step_frame
 from gateway.bus.frames import ERROR, OWN, Frames, empty
 from gateway.bus.timeline import to_wall
 from gateway.engine.core import Engine
+from gateway.faults.journal_steps import Journalled
+from gateway.host.slice import short_slices
 from gateway.live import pumping
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.pump import Left, Pump
 from gateway.runtime.quiet import Quiet
+from gateway.servers.foretelling import Foretelling
 from gateway_fdi.common.log import get_logger
 
 #: Without traffic, the engine's time lags the clock by this, so that a frame that is still on its
@@ -36,6 +39,8 @@ REPORT_S = 1.0
 KEEP_S = 10.0
 #: How long a thread of Python that computes may have the interpreter, while a verdict waits for it [s].
 SWITCH_S = 0.00005
+#: How long the loop has a processor before others may have it: so it comes soon when frames wake it [ns].
+SLICE_NS = 100_000
 #: Batches taken from a bus when there is no next turn: more than any queue holds.
 LAST_TURN = 4096
 
@@ -74,8 +79,16 @@ class Fed(Protocol):
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed."""
 
-    def tell(self) -> Frames:
-        """Take what the engine has to tell where a pump has left; returns the frames to send."""
+    @property
+    def foreseen(self) -> Foretelling | None:
+        """Tables of which a pump makes DTC frames; None: there are none."""
+
+    @property
+    def journal(self) -> Journalled:
+        """Memory of the journal that takes verdicts."""
+
+    def tell(self, gone: Frames) -> Frames:
+        """Take what the engine has to tell where a pump has left; returns the frames to send, without those gone."""
 
     def resume(self, frames: Frames, start: int) -> Frames:
         """Go on with a batch that a pump has begun; returns the frames to send."""
@@ -185,7 +198,7 @@ class Live:
 
     def _choose(self) -> None:
         """Say which frames are wanted: a tap wants all there are. Have a pump for this gateway."""
-        self._pump = Pump(self._gateway.engine, len(self._links))
+        self._pump = Pump(self._gateway.engine, len(self._links), self._gateway.foreseen, self._gateway.journal)
         for link in self._links:
             ids = None if self._taps else self._gateway.identifiers_on(link.index)
             link.listen_to(ids, echo=bool(self._taps))
@@ -200,10 +213,11 @@ class Live:
         before_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
         try:
-            while not stop():
-                self.turn()
-                if on_turn is not None:
-                    on_turn()
+            with short_slices(SLICE_NS):
+                while not stop():
+                    self.turn()
+                    if on_turn is not None:
+                        on_turn()
         finally:
             sys.setswitchinterval(before_s)
 
@@ -261,7 +275,7 @@ class Live:
         if len(left.taken):
             self._take_down(left.taken)
             self._gateway.took(left.taken)
-            self._send(self._gateway.tell())
+            self._send(self._gateway.tell(left.told))
         links = list(zip(self._links, left.received, strict=True)) if left.received else []
         if left.raw:
             took = zip(links, left.raw, strict=True)

@@ -18,11 +18,16 @@ from gateway.bus.frames import EXTENDED, FRAME, Frames, empty
 from gateway.bus.heard import NOTHING, Heard
 from gateway.common.times import NEVER
 from gateway.engine.core import Engine
+from gateway.engine.events import EVENT
+from gateway.engine.tables import table
+from gateway.faults.journal import NO_JOURNAL
+from gateway.faults.journal_steps import Journalled
 from gateway.host.sockets import CAN
 from gateway.host.waiting import NONE, readable
 from gateway.live import pumping
 from gateway.live.clock import Clock
 from gateway.runtime.quiet import EVERYTHING, Quiet
+from gateway.servers.foretelling import Foretelling, foretelling
 from gateway_fdi.jit import bound
 
 #: Frames taken of a socket at one call; those that are handed in of a bus, with its conditions among them.
@@ -49,6 +54,7 @@ class Left:
         why: one of the reasons of :mod:`gateway.live.pumping`.
         taken: frames that it has fed, in order, on the engine's time; valid until it is entered again, as the others.
         received: of each bus whether it received; empty: it looked at none.
+        told: DTC frames of the events that it has sent.
         raw: of each bus: frames as its socket gave them, not fed; and whether there may be more.
         batch: frames on the engine's time, in order; of these the engine has handled those before ``start``.
         start: -1: the batch was not taken down, and not fed.
@@ -59,6 +65,7 @@ class Left:
     why: int
     taken: Frames
     received: tuple[bool, ...]
+    told: Frames
     raw: tuple[tuple[Frames, bool], ...]
     batch: Frames
     start: int
@@ -77,12 +84,16 @@ class Pump:
     Args:
         engine: warm; None: there is none, and all frames are given back.
         buses: how many.
+        foreseen: of the DTC frames; None: there are none.
+        journal: takes verdicts where they are told when they are on the disk.
 
     Attributes:
         memory: of its kernel.
     """
 
-    def __init__(self, engine: Engine | None, buses: int) -> None:
+    def __init__(
+        self, engine: Engine | None, buses: int, foreseen: Foretelling | None = None, journal: Journalled = NO_JOURNAL
+    ) -> None:
         self._buses = buses
         self._room = Room(buses, BATCH)
         self._frames = np.zeros((buses + 1, ROW), FRAME)
@@ -111,6 +122,9 @@ class Pump:
         for name, place in {} if engine is None else engine.clock_places.items():
             state[f"{name}_at"] = place
         self._merged_at = self._merged.ctypes.data
+        self._foreseen = foretelling(None, 0, 0) if foreseen is None else foreseen
+        self._journal, self._journal_sent = journal, int(journal.state[0]["sent"])
+        self._told = self._foreseen.frames.view(FRAME).reshape(-1)
         self._connect(NOTHING)
 
     def _connect(self, heard: Heard) -> None:
@@ -120,15 +134,16 @@ class Pump:
         self._flags[[can_id & 0x7FF for can_id in heard.identifiers if not can_id & EXTENDED]] = 1
         extended = [(can_id, 0xFFFFFFFF) for can_id in heard.identifiers if can_id & EXTENDED]
         room, cells, nothing = self._room, self._cells, np.zeros(1, np.int64)
-        clock, outbox = np.full(1, NEVER, np.int64), empty(1)
+        clock, outbox, events = np.full(1, NEVER, np.int64), empty(1), table(1, EVENT)
         if self._engine is not None:
             clock, outbox = self._engine.clock_cells, np.asarray(self._engine.tables.outbox)
+            events = self._engine.tables.ring
         self.memory = pumping.Pumped(
             *self._records, self._polls, room.messages, room.control, room.gaps, self._frames,
             _of(self._frames), _of(self._merged), self._since, _of(self._held), self._held_since, _of(self._taken),
             nothing if cells is None else cells.arguments, nothing if cells is None else cells.results, clock,
             _of(outbox), np.zeros(9, np.uint64), self._flags,
-            np.asarray([*extended, *heard.masks] or [(-1, 0)], np.int64),
+            np.asarray([*extended, *heard.masks] or [(-1, 0)], np.int64), events, self._foreseen, self._journal,
         )  # fmt: skip
         self._pass_handed = bound(pumping.pass_handed, self.memory, rest=())
         if CAN:
@@ -201,6 +216,9 @@ class Pump:
             raw.lost = side[_SIDE["lost"]]
             raw.note(side[_SIDE["received"]], side[_SIDE["rejected"]], self._room.gaps[k, :gaps])
             bus.statistics.sent += side[_SIDE["sent"]]
+            if k == self._foreseen.head[0]["bus"]:
+                before, self._journal_sent = self._journal_sent, int(self._journal.state[0]["sent"])
+                bus.statistics.sent += self._journal_sent - before
         return self._left(why)
 
     def hand_in(
@@ -237,7 +255,7 @@ class Pump:
         ready = readable(open_, self._patience_ms(clock.now()) / 1000)
         knocked = door in ready
         why = pumping.BUS if len(ready) > knocked else pumping.DOOR if knocked else pumping.TIME
-        return Left(why, _NONE, (), (), _NONE, -1, clock.now(), knocked)
+        return Left(why, _NONE, (), _NONE, (), _NONE, -1, clock.now(), knocked)
 
     def _ask(self, quiet: Quiet, *, may_send: bool) -> None:
         """Say what the gateway wants."""
@@ -245,7 +263,12 @@ class Pump:
             self._connect(quiet.heard)
         before_ns = EVERYTHING if self._cells is None else quiet.before_ns
         self._order(
-            before_ns=before_ns, server_ns=quiet.due_ns, prompt_ns=quiet.prompt_ns, may_send=may_send and quiet.may_send
+            before_ns=before_ns,
+            server_ns=quiet.due_ns,
+            prompt_ns=quiet.prompt_ns,
+            may_send=may_send and quiet.may_send,
+            foretells=quiet.foretells,
+            told=0,
         )
 
     def _left(self, why: int) -> Left:
@@ -265,6 +288,7 @@ class Pump:
             why,
             self._taken[: orders[_ORDER["took"]]],
             received,
+            self._told[: orders[_ORDER["told"]]],
             raw,
             batch,
             start if why >= pumping.EVENTS else -1,

@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 
 from gateway.bus.can_structs import fill_struct, settle
 from gateway.bus.frames import ERROR, EXTENDED, OWN
+from gateway.faults.journal_steps import Journalled, journal_put
+from gateway.runtime.quiet import JOURNAL, NOBODY
+from gateway.servers.foretelling import Foretelling, foretell
 from gateway_fdi.jit import Record, i8, i8s, kernel, means
 from gateway_fdi.jit.system import call_bound, clock_gettime, poll, recvmmsg, send
 
@@ -88,6 +91,7 @@ class State(Record):
     before_ns: i8 = means("a frame from this time on is not fed", "ns")
     grace_ns: i8 = means("time that the engine's timers lag the clock without traffic", "ns")
     may_send: i8 = means("1: frames of monitors are sent here")
+    foretells: i8 = means("who sends DTC frames of verdicts: NOBODY here, AT_ONCE, or the JOURNAL")
     waits: i8 = means("1: it may wait")
     sockets: i8 = means("buses of which it receives")
     handed: i8 = means("1: frames are handed in, nothing is received")
@@ -104,6 +108,7 @@ class State(Record):
     now_at: i8 = means("cell of the clock: its time")
     deadline_at: i8 = means("cell of the clock: before it no timer is due")
     urgent_at: i8 = means("cell of the clock: whether there are events that do not wait")
+    events_at: i8 = means("cell of the clock: how many events there are")
     sent_at: i8 = means("cell of the clock: frames sent")
     fed_at: i8 = means("cell of the clock: first of these that went through the engine")
     taken_at: i8 = means("cell of the clock: first of these that have left")
@@ -112,6 +117,7 @@ class State(Record):
     count: i8 = means("its frames")
     start: i8 = means("first of these that the engine has not handled")
     took: i8 = means("frames taken down since the pump was entered")
+    told: i8 = means("DTC frames sent since then")
     knocked: i8 = means("1: the other descriptor is readable")
     held: i8 = means("frames held back: an earlier one of another bus may still come")
     read_ns: i8 = means("when the sockets were looked at last", "ns")
@@ -129,7 +135,8 @@ class Pumped(NamedTuple):
     ``since`` take the frames of several buses, and the time at which each was received; ``held`` and ``held_since``
     those that wait. ``taken`` are the frames for those who read them later. ``clock`` is the engine's, ``outbox`` its
     outbox in cells, ``wire`` room for one struct canfd_frame. ``heard`` are the identifiers of 11 bits that servers
-    want, as flags, ``extended`` those of 29: value, and mask of the bits that count.
+    want, as flags, ``extended`` those of 29: value, and mask of the bits that count. ``events`` are the engine's,
+    ``foreseen`` what the DTC frames of the next verdicts are made of, ``journal`` takes verdicts.
     """
 
     state: NDArray[np.void]
@@ -152,6 +159,9 @@ class Pumped(NamedTuple):
     wire: NDArray[np.uint64]
     heard: NDArray[np.uint8]
     extended: NDArray[np.int64]
+    events: NDArray[np.void]
+    foreseen: Foretelling
+    journal: Journalled
 
 
 @kernel
@@ -363,6 +373,29 @@ def _transmit(P: Any, s: Any) -> bool:
 
 
 @kernel
+def _tell(P: Any, s: Any) -> None:
+    """Send the DTC frames of the verdicts that wait, if it is foreseen what they are; Python does the rest."""
+    clock, foreseen = P.clock, P.foreseen
+    side = P.sides[foreseen.head[0].bus]
+    if s.may_send == 0 or side.fd < 0 or clock[s.sent_at] > clock[s.taken_at]:
+        return
+    for k in range(foretell(foreseen, P.events, clock[s.events_at], clock[s.now_at])):
+        size, made = fill_struct(foreseen.frames[k], P.wire), foreseen.made[k]
+        if s.foretells == JOURNAL:
+            e = P.events[made.event]
+            made.number = journal_put(
+                P.journal, e.fault, e.kind, e.t_ns, made.status, made.occurrence, e.fdc, P.wire, size, side.fd
+            )
+            if made.number == 0:
+                return
+        elif send(side.fd, P.wire.ctypes.data, size, _DONTWAIT | _NOSIGNAL) != size:
+            return
+        else:
+            side.sent += 1
+        s.told += 1
+
+
+@kernel
 def _run(P: Any, s: Any) -> int:
     """Run the engine over the rest of the batch; returns a reason to leave, -1: there is none."""
     arguments, clock = P.arguments, P.clock
@@ -375,6 +408,8 @@ def _run(P: Any, s: Any) -> int:
             return FAILED
         s.start = P.results[0]
         if clock[s.urgent_at] != 0:
+            if s.foretells != NOBODY:
+                _tell(P, s)
             return EVENTS
         if clock[s.sent_at] > clock[s.taken_at]:
             return SENDING

@@ -9,6 +9,7 @@ import numpy as np
 
 from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.frames import Frames, empty
+from gateway.faults.journal import NO_JOURNAL
 from gateway.runtime.quiet import Quiet
 from gateway.runtime.told import clock_event
 
@@ -59,7 +60,9 @@ class Nobody:
     def took(self, frames: Frames) -> None:
         """Be asked for nothing: no pump feeds it."""
 
-    def tell(self) -> Frames:
+    foreseen, journal = None, NO_JOURNAL
+
+    def tell(self, gone: Frames) -> Frames:
         """There is none."""
         return empty(0)
 

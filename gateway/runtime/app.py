@@ -141,6 +141,8 @@ class Gateway(Passage):
     def _begin_journal(self) -> None:
         if self.config.memory.tell == "stored":
             self.store.begin_journal()
+            if self._dtc_frames is not None:
+                self._dtc_frames.withdraw = self.store.withdraw
 
     @property
     def journal(self) -> Journalled:

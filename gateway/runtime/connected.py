@@ -31,6 +31,7 @@ from gateway.runtime.verdicts import Verdicts
 from gateway.servers.access import signals_of
 from gateway.servers.authority import Authority
 from gateway.servers.bus_servers import BusServers
+from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.local import LocalServer
 
 
@@ -98,6 +99,7 @@ class Connected:
         servers += [self._vehicle] if config.answered else []
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
         self.local = next(each for each in servers if isinstance(each, LocalServer))
+        self._dtc_frames = next((each for each in servers if isinstance(each, DtcFrameSender)), None)
         connect_routes(self.servers, self.asking)
         self._heard = self.servers.heard.also(self.asking.heard)
         self._connect()

@@ -40,6 +40,7 @@ class Outbox:
 
     Attributes:
         upkeep: writes the fault memory.
+        first: whether changes are told and sent before they are stored.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Outbox:
         *,
         first: bool = False,
     ) -> None:
-        self._report, self._send, self._first, self._engine = report, send, first, engine
+        self._report, self._send, self.first, self._engine = report, send, first, engine
         self._ahead = NOTHING  # of what is noted, the first ones, that have been told before they are stored
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
@@ -74,6 +75,11 @@ class Outbox:
     def empty(self) -> bool:
         """Whether nothing is noted, and nothing is to be sent."""
         return not (self._changes or self._untold or self._early)
+
+    @property
+    def noted(self) -> Sequence[DtcChange]:
+        """Changes that wait to be told."""
+        return self._changes
 
     @property
     def is_heard(self) -> bool:
@@ -120,7 +126,7 @@ class Outbox:
         if not (final or self._changes or self._untold) and self.upkeep.idle:
             return []  # as for nearly every batch
         self._report(sink)
-        early = self._tell_early() if self._first else []
+        early = self._tell_early() if self.first else []
         if early and not (asked or final):
             return early  # on their way, before anything is waited for
         waiting, self._changes = self._changes, []

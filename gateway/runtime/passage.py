@@ -6,8 +6,9 @@ import numpy as np
 
 from gateway.bus.frames import FRAME, Frames, empty, joined
 from gateway.runtime.connected import Connected
-from gateway.runtime.quiet import EVERYTHING, Quiet
+from gateway.runtime.quiet import AT_ONCE, EVERYTHING, JOURNAL, NOBODY, Quiet
 from gateway.runtime.reception import refuse_unless_frames
+from gateway.servers.foretelling import Foretelling
 from gateway_fdi.errors import GatewayError
 
 _NO_FRAMES = empty(0)
@@ -51,13 +52,27 @@ class Passage(Connected):
     def quiet(self) -> Quiet:
         """Return what a pump must know to feed the engine in place of :meth:`feed`."""
         settled = self._outbox.empty and self._settled and not self._closed
-        self.store.arm_journal(settled and self.config.memory.tell == "stored")
         before_ns = self._reception.before_ns if settled else None
         due_ns = self.servers.next_ns
         if self._recorder is not None:
             due_ns = min(due_ns, self._recorder.due_ns + 1)
         before_ns = EVERYTHING if before_ns is None else before_ns
-        return Quiet(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, settled)
+        foretells = self._foretells(settled)
+        return Quiet(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, foretells, settled)
+
+    def _foretells(self, settled: bool) -> int:
+        """Return who may send DTC frames of verdicts; ``settled``: nothing waits that is to be told before."""
+        first = self._outbox.first
+        journal = self.store.arm_journal(settled and not first)
+        if not settled or self._dtc_frames is None or not (first or journal or self._upkeep.keeps_at_once):
+            return NOBODY
+        self._dtc_frames.foresee()
+        return JOURNAL if journal else AT_ONCE
+
+    @property
+    def foreseen(self) -> Foretelling | None:
+        """Tables of which a pump makes DTC frames; None: there are none."""
+        return None if self._dtc_frames is None else self._dtc_frames.foreseen
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`tell`."""
@@ -65,9 +80,18 @@ class Passage(Connected):
             self._recorder.on_frames(frames, self.engine.offset_ns)
         self._reception.hear(frames)
 
-    def tell(self) -> Frames:
-        """Take the events of the engine where a pump has left; returns the frames to send, before it goes on."""
-        return self._emit(self._reception.tell())
+    def tell(self, gone: Frames = _NO_FRAMES) -> Frames:
+        """Take the events of the engine where a pump has left; returns the frames to send, before it goes on.
+
+        Args:
+            gone: DTC frames of these events that it has sent.
+        """
+        if self._dtc_frames is None or not len(gone):
+            return self._emit(self._reception.tell())
+        self._dtc_frames.note_gone(gone)
+        sent = self._reception.tell()
+        corrected = self._dtc_frames.correct(self._outbox.noted, self.engine.now_ns)
+        return joined([self._emit(sent), corrected])
 
     def resume(self, frames: Frames, start: int) -> Frames:
         """Go on with a batch that a pump has begun, and that was taken down; returns the frames to send.

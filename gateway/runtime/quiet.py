@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from gateway.bus.heard import NOTHING, Heard
 from gateway.common.times import NEVER
 
+#: As ``foretells``: who sends the DTC frames of verdicts: Python; the pump, at once; the journal, when it has them.
+NOBODY, AT_ONCE, JOURNAL = range(3)
 #: As ``before_ns``: no frame is fed but by :meth:`gateway.runtime.app.Gateway.feed`.
 EVERYTHING = -(1 << 63)
 
@@ -21,6 +23,7 @@ class Quiet:
         prompt_ns: when a server is due, by the bus's own time.
         heard: frames that are to come by :meth:`gateway.runtime.app.Gateway.feed`.
         may_send: whether what monitors send goes to the bus.
+        foretells: NOBODY, AT_ONCE or JOURNAL.
         idle: whether nothing but frames and time is waited for.
     """
 
@@ -29,4 +32,5 @@ class Quiet:
     prompt_ns: int = NEVER
     heard: Heard = NOTHING
     may_send: bool = False
+    foretells: int = NOBODY
     idle: bool = True

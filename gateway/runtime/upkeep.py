@@ -119,6 +119,11 @@ class Upkeep:
         return self._memory.clean and self._tested and not (self._down or self._store.happened)
 
     @property
+    def keeps_at_once(self) -> bool:
+        """Whether the next change is stored in the same call: in this process, with no file and no thread."""
+        return self._writer is None and self._store.path is None and self._pace.ready
+
+    @property
     def failures(self) -> int:
         """Attempts to write that failed."""
         return self._memory.outage.failures

@@ -6,21 +6,30 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from cantools.database.can import Message
+from numpy.typing import NDArray
 from pydantic import Field
 
-from gateway.bus.frames import Frames, empty, payload, put
+from gateway.bus.frames import FRAME, URGENT, Frames, empty, payload
 from gateway.faults.dtc import Dtc
-from gateway.faults.entries import DtcChange
+from gateway.faults.entries import UNKNOWN, DtcChange
 from gateway.faults.memory import FaultMemory
 from gateway.servers.bus_server import BusServer
+from gateway.servers.foretelling import Foretelling, foretelling, put_report
 from gateway.signals.database import load_database
+from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.tomlfile import StrictModel
+from gateway_fdi.jit import bound
 
 MESSAGE = "GW_DTC"
+#: Faults of which it is foreseen in one call what becomes of them: frames wait meanwhile.
+AT_ONCE = 100
+_CELLS = FRAME.itemsize // 8
+
+log = get_logger(__name__)
 
 
 class DtcFrameParams(StrictModel):
@@ -74,6 +83,14 @@ def read_dtc_frame(frame: np.void, database: Path) -> DtcReport | None:
     )
 
 
+class _Gone(NamedTuple):
+    """A frame that was sent before its change came, or is by the journal: ``number`` there, 0: it has been sent."""
+
+    payload: bytes
+    told: tuple[int, int]  # status byte and failures
+    number: int
+
+
 class DtcFrameSender(BusServer):
     """Sends the DTC frames, driven by the time it is given; it listens to nothing.
 
@@ -83,6 +100,9 @@ class DtcFrameSender(BusServer):
         bus: index of the bus.
         memory: the fault memory.
         counter_of: fault id -> its fault detection counter now.
+
+    Attributes:
+        withdraw: takes a number in the journal; returns whether its frame has been sent, else it never is.
     """
 
     urgent = True
@@ -97,20 +117,28 @@ class DtcFrameSender(BusServer):
     ) -> None:
         self._params = params
         self._memory = memory
-        self._message = message_of(database)
-        self._can_id = self._message.frame_id
-        self._bus = bus
         self._next_ns: int | None = None
         self._held: dict[str, DtcChange] = {}
         self._sent_ns: dict[str, int] = {}
         self._counter_of = counter_of
+        self._places = {definition.id: k for k, definition in enumerate(memory.catalogue)}
+        self._foreseen = foretelling(message_of(database), bus, len(self._places))
+        self._from_ns = self._foreseen.following["from_ns"]
+        self._stale: set[str] = set()  # it is not foreseen what becomes of these
+        self._gone: dict[str, _Gone] = {}
+        self.withdraw: Callable[[int], bool] = lambda number: True
+        self._corrected = 0
+        example = np.zeros(_CELLS, np.uint64)
+        self._put = bound(put_report, self._foreseen, rest=(example, 0, 0, 0, 0, 0, 0, 0))
 
     def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
         """Tell the changes that were held back, and go on with the cyclic list."""
         if isinstance(old, DtcFrameSender):
             known = self._memory.catalogue.get
             self._held = {name: held for name, held in old._held.items() if known(name) is not None}
-            self._sent_ns = old._sent_ns
+            self._gone = {name: gone for name, gone in old._gone.items() if known(name) is not None}
+            for name, at in old._sent_ns.items():
+                self._note_sent(name, at)
             if self._params.cycle_ms == old._params.cycle_ms:
                 self._next_ns = old._next_ns
 
@@ -140,16 +168,95 @@ class DtcFrameSender(BusServer):
         if not due:
             return empty(0)
         count = memory.count_by_status_mask(self._params.status_mask)
-        frames = empty(len(due))
+        frames, cells = self._room(len(due))
         for k, change in enumerate(due):
             name = change.definition.id
             del self._held[name]
-            self._sent_ns[name] = t_ns
+            self._note_sent(name, t_ns)
             # A change that had to wait may be outdated by a clear or a new operation cycle.
             dtc, status, occurrence = memory.state(name)
             fdc = change.fdc if status == change.new_status else self._counter_of(name)
-            self._put(frames, k, t_ns, dtc, status, fdc, 0, count, occurrence)
+            self._put(cells[k], t_ns, dtc, status, fdc, 0, count, occurrence)
+        if not self._gone:
+            return frames
+        names = [change.definition.id for change in due]
+        return frames[[k for k, name in enumerate(names) if self._take_gone(name) != payload(frames[k])]]
+
+    def _note_sent(self, name: str, t_ns: int) -> None:
+        self._sent_ns[name] = t_ns
+        if name in self._places:
+            self._from_ns[self._places[name]] = t_ns + round(self._params.min_interval_ms * 1e6)
+
+    # Frames that a pump sends at a verdict
+
+    @property
+    def foreseen(self) -> Foretelling:
+        """Tables of which a pump makes DTC frames; :meth:`foresee` keeps them right."""
+        return self._foreseen
+
+    def foresee(self) -> None:
+        """Have it foreseen what the next verdicts make of the DTCs; to be called after any change."""
+        memory, following = self._memory, self._foreseen.following
+        touched = memory.take_touched()
+        if not (touched or self._stale):
+            return
+        self._stale |= touched & self._places.keys()
+        if len(self._stale) > AT_ONCE:
+            later = [self._places[name] for name in self._stale]
+            following["failed"][later] = following["passed"][later] = UNKNOWN
+        mask = self._params.status_mask
+        for name in sorted(self._stale)[:AT_ONCE]:
+            place, (dtc, status, occurrence) = self._places[name], memory.state(name)
+            failed, passed, more = memory.foresee(name)
+            now = bool(occurrence and status & mask)
+            adds = [
+                bool(count and after > 0 and after & mask) - now
+                for after, count in ((failed, more), (passed, occurrence))
+            ]
+            following[place] = (dtc, failed, passed, more, occurrence, *adds, self._from_ns[place])
+            self._stale.discard(name)
+        self._foreseen.head["count"] = memory.count_by_status_mask(mask)
+
+    def note_gone(self, frames: Frames) -> None:
+        """Note that frames of changes that come next have been sent, or are by the journal."""
+        for frame, made in zip(frames, self._foreseen.made, strict=False):
+            name = self._memory.catalogue[int(made["fault"])].id
+            self._take_gone(name)
+            told = int(made["status"]), int(made["occurrence"])
+            self._gone[name] = _Gone(payload(frame), told, int(made["number"]))
+
+    def _take_gone(self, name: str) -> bytes | None:
+        """Return the payload of a fault's frame that was sent before, once; one that the journal has still never is."""
+        gone = self._gone.pop(name, None)
+        return None if gone is None or (gone.number and not self.withdraw(gone.number)) else gone.payload
+
+    def correct(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
+        """Return frames for DTCs that were told otherwise than they have become: it must not be.
+
+        Args:
+            changes: of the verdicts after :meth:`note_gone`.
+            t_ns: now [ns].
+        """
+        became = {(change.definition.id, int(change.new_status), change.occurrence) for change in changes}
+        wrong = [name for name, gone in self._gone.items() if (name, *gone.told) not in became]
+        names = [name for name in wrong if self._take_gone(name) is not None]
+        if not names:
+            return empty(0)
+        self._corrected += len(names)
+        log.error("a DTC was told before its verdict was entered, and not as it became; it is told again", faults=names)
+        frames, cells = self._room(len(names))
+        count = self._memory.count_by_status_mask(self._params.status_mask)
+        for k, name in enumerate(names):
+            dtc, status, occurrence = self._memory.state(name)
+            self._put(cells[k], t_ns, dtc, status, self._counter_of(name), 0, count, occurrence)
+        frames["rank"] = URGENT
         return frames
+
+    def counters(self) -> dict[str, int]:
+        """Return how many DTC frames had to be corrected."""
+        return {"dtc_frames_corrected": self._corrected}
+
+    # Time
 
     def on_time(self, t_ns: int) -> Frames:
         """Return changes that were held back, and the cyclic list when it is due."""
@@ -163,44 +270,18 @@ class DtcFrameSender(BusServer):
         late = self._next_ns is None or t_ns - self._next_ns > cycle
         self._next_ns = t_ns + cycle if late or self._next_ns is None else self._next_ns + cycle
         entries = memory.by_status_mask(self._params.status_mask)
-        frames = empty(max(len(entries), 1))
+        frames, cells = self._room(max(len(entries), 1))
         if not entries:
-            self._put(frames, 0, t_ns, 0, 0, 0, 0, 0, 0)
+            self._put(cells[0], t_ns, 0, 0, 0, 0, 0, 0)
         for k, entry in enumerate(entries):
+            counter = self._counter_of(entry.fault)
             self._put(
-                frames,
-                k,
-                t_ns,
-                entry.dtc.value,
-                int(entry.status),
-                self._counter_of(entry.fault),
-                k + 1,
-                len(entries),
-                entry.occurrence,
+                cells[k], t_ns, entry.dtc.value, int(entry.status), counter, k + 1, len(entries), entry.occurrence
             )
         return frames
 
-    def _put(
-        self,
-        frames: Frames,
-        k: int,
-        t_ns: int,
-        dtc: int,
-        status: int,
-        fdc: int,
-        index: int,
-        count: int,
-        occurrence: int,
-    ) -> None:
-        payload = self._message.encode(
-            {
-                "Dtc": dtc,
-                "Status": status,
-                "FaultDetectionCounter": fdc,
-                "Index": min(index, 255),
-                "Count": min(count, 255),
-                "Occurrence": occurrence,
-            },
-            strict=False,  # all are within their ranges
-        )
-        put(frames, k, t_ns, self._can_id, payload, bus=self._bus)
+    @staticmethod
+    def _room(count: int) -> tuple[Frames, NDArray[np.uint64]]:
+        """Return frames to be filled, and the same in cells."""
+        frames = empty(count)
+        return frames, frames.view(np.uint64).reshape(count, _CELLS)

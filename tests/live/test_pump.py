@@ -40,7 +40,7 @@ class NoSocket(StructBus):
 class Rig:
     """A gateway on pairs of sockets, whose every frame and time is noted as it was fed."""
 
-    def __init__(self, config, kinds=(StructBus,)):
+    def __init__(self, config, kinds=(StructBus,), memory=None):
         self.ends, self.events, self.calls, self.why = [], [], [], []
         self.clock = Clock()
         self.links = []
@@ -53,7 +53,8 @@ class Rig:
             name = load_config(config).bus[k].name
             self.links.append(Link(f"test:{k}", k, name, lambda _, i, end=ours, kind=kind: kind(end, i), self.clock))
             self.links[-1].start()
-        self.gateway = Gateway(load_config(config))
+        self.gateway = Gateway(load_config(config), memory)
+        self.gateway.write_beside()
         self.gateway.listen(self.events.append)
         self.start_ns = self.clock.now()
         self.gateway.start(self.start_ns)
@@ -83,6 +84,9 @@ class Rig:
 
     def turn(self):
         self.live.turn()
+        self.receive()
+
+    def receive(self):
         for k, end in enumerate(self.ends):
             try:
                 while True:
@@ -345,3 +349,54 @@ def test_a_door_and_a_dead_bus_end_a_pass(rigs):
         rig.live.turn()
     assert pumping.BUS in rig.why
     os.close(door.event)
+
+
+def changes_of(sent):
+    return [raw for raw in sent if raw[:2] == DTC_ID and raw[13] == 0 and any(raw[8:11])]
+
+
+@compiled
+@pytest.mark.parametrize("way", ["in process", "first", "stored", "taken down", "switched off"])
+def test_a_dtc_leaves_before_python_has_its_verdict(rigs, tmp_path, way):
+    """Only where nobody takes down what is sent; of one that is stored on the disk the journal sends it; each once."""
+    more = '[memory]\ntell = "first"\n' if way == "first" else ""
+    memory = tmp_path / "faults.sqlite" if way in ("first", "stored") else None
+    config = write_config(tmp_path, more=more)
+    debounce = "failed_after = 1\npassed_after = 1\njump_down = true\njump_up = true\n"
+    text = config.read_text().replace("cycle_ms", "min_interval_ms = 0\ncycle_ms")
+    config.write_text(text + f'[fault."chassis.Beat.counter".debounce]\n{debounce}')
+    rig = rigs(config, (StructBus,), memory)
+    if way == "taken down":
+        rig.live._taps = [type("Tap", (), {"write": lambda self, frames: None})()]
+    if way == "switched off":
+        rig.gateway.controls.set_communication(receive=True, send=False)
+    early, tell = [], rig.gateway.tell
+
+    def noted(gone):
+        rig.receive()
+        early.extend(pack(each) for each in gone)
+        if way != "stored":  # else the journal sends them when they are on the disk
+            assert early == changes_of(rig.sent[0])[: len(early)], "they are on the bus"
+        return tell(gone)
+
+    rig.gateway.tell, count = noted, 0
+    for k in range(60):
+        count += 1 + (k in (20, 40))
+        rig.send(0, frame(0x300, beat(count)))
+        rig.turn()
+    while not rig.gateway.stored:
+        rig.turn()
+    dtcs = [event for event in rig.events if event["event"] == "dtc"]
+    assert [event["status"] & 1 for event in dtcs] == [1, 0, 1, 0][: len(dtcs)]
+    assert len(dtcs) >= 1
+    told = changes_of(rig.sent[0])
+    if way == "switched off":
+        assert not told
+        return
+    assert [raw[11] for raw in told] == [event["status"] for event in dtcs], "each once"
+    assert {event["stored"] for event in dtcs} == {way != "first"}
+    assert rig.gateway.servers.counters()["dtc_frames_corrected"] == 0
+    if way in ("first", "stored"):
+        assert early, "the next verdict may come while the file is written"
+    else:
+        assert len(early) == (0 if way == "taken down" else len(told))

@@ -18,7 +18,7 @@ FILES = ("", "-wal", "-verdicts")
 
 
 def putter(journal, faults=("m.f0", "m.f1", "m.f2")):
-    """Return what hands over: (place, kind, t_ns, status, occurrence, fdc, wire, size, fd)."""
+    """Return a function that hands a verdict of these faults over; its arguments are those of the kernel."""
     return bound(journal_put, journal.memory(faults), rest=(*[0] * 6, np.zeros(9, np.uint64), 0, 0))
 
 

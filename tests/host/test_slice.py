@@ -1,0 +1,21 @@
+"""A thread's slices of processor time, read back from the system."""
+
+import sys
+
+import pytest
+
+from gateway.host import slice as slices
+
+
+@pytest.mark.skipif(slices.slice_ns() is None, reason="this system does not tell")
+def test_they_are_short_within_and_as_before_after_it():
+    before = slices.slice_ns()
+    with slices.short_slices(200_000):
+        assert slices.slice_ns() in (200_000, before), "asked for, or a system that takes no notice"
+    assert slices.slice_ns() == before
+
+
+def test_where_there_are_none_nothing_happens(monkeypatch):
+    monkeypatch.setattr(sys, "platform", "win32")
+    with slices.short_slices(200_000):
+        assert slices.slice_ns() is None
