@@ -18,6 +18,7 @@ CHECKED = {"GATEWAY_BOUNDSCHECK": "1"}
 ENGINE = (
     "engine",
     "bus/test_adapters.py",
+    "faults/test_journal.py",
     "bus/test_readers.py",
     "bus/test_traffic.py",
     "signals/test_random_databases.py",

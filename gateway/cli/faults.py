@@ -48,8 +48,8 @@ def _say_if_behind(path: Path) -> None:
         )
     if count := service.waiting(path):
         say(
-            f"{path}: {count} verdicts that were told last, before the gateway ended suddenly, wait beside the file"
-            " for its next start; they are not shown here"
+            f"{path}: verdicts told right before the gateway ended suddenly, that its next start takes in and that are"
+            f" not shown here: {count}"
         )
 
 

@@ -81,27 +81,41 @@ def records(content: bytes) -> list[LastVerdict]:
 
 
 def _open(database: Path, flags: int) -> int:
-    """Open the journal of a fault memory that is there.
+    """Open the journal of a fault memory.
 
     Raises:
         OSError: it cannot be, or it is another user's, or no file: who may write it can report any fault.
     """
-    like = database.stat()
-    file = os.open(path_of(database), flags | _SAFELY, stat.S_IMODE(like.st_mode))
+    file = os.open(path_of(database), flags | _SAFELY)
     try:
         found = os.fstat(file)
         if not stat.S_ISREG(found.st_mode):
             raise OSError("it is no file")
-        if found.st_uid != like.st_uid and flags & os.O_CREAT and not found.st_size:
-            os.fchown(file, like.st_uid, like.st_gid)  # root's, just made: as SQLite's log it is the database's owner's
-        elif found.st_uid != like.st_uid:
+        if found.st_uid != database.stat().st_uid:
             raise OSError("it belongs to another user than the fault memory")
-        if flags & os.O_CREAT and stat.S_IMODE(found.st_mode) != stat.S_IMODE(like.st_mode):
-            os.fchmod(file, stat.S_IMODE(like.st_mode))
     except OSError:
         os.close(file)
         raise
     return file
+
+
+def _make(database: Path) -> None:
+    """Make the journal, if it is not there, with the database's owner and mode, as SQLite makes its log.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    like = database.stat()
+    try:
+        file = os.open(path_of(database), os.O_WRONLY | os.O_CREAT | os.O_EXCL | _SAFELY, 0o600)
+    except FileExistsError:
+        return
+    try:
+        if like.st_uid != os.fstat(file).st_uid:
+            os.fchown(file, like.st_uid, like.st_gid)
+        os.fchmod(file, stat.S_IMODE(like.st_mode))
+    finally:
+        os.close(file)
 
 
 def waiting(database: Path, head: bytes) -> list[LastVerdict]:
@@ -131,7 +145,8 @@ def begin(database: Path) -> tuple[int, int]:
     Raises:
         OSError: there is none, and none can be made: :func:`_open` says more.
     """
-    file = _open(database, os.O_RDWR | os.O_CREAT)
+    _make(database)
+    file = _open(database, os.O_RDWR)
     try:
         content = os.pread(file, LENGTH, 0).ljust(LENGTH, b"\0")
         os.ftruncate(file, LENGTH)

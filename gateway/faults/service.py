@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import closing, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -106,16 +107,16 @@ def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list
 
 
 def waiting(path: Path) -> int:
-    """Return how many verdicts of a gateway that has ended suddenly its next start will find beside its file.
-
-    Raises:
-        InputError: there is no fault memory at this path.
-    """
-    store = open_reader(path)
+    """Return how many verdicts of a gateway that has ended suddenly wait beside its file; 0: it cannot be read."""
+    if is_kept(path):
+        return 0
     try:
-        return 0 if is_kept(path) else len(store.waiting())
-    finally:
-        store.close()
+        store = Store(path, write=False)
+    except InputError:
+        return 0
+    with closing(store), suppress(InputError):
+        return len(store.waiting())
+    return 0
 
 
 def daemon_state(path: Path) -> dict[str, Any]:
