@@ -277,20 +277,19 @@ class Ledger:
             return sum(1 for record in self.failed() if record.status & mask)
         return sum(count for status, count in self._counts.items() if status & mask)
 
-    def _recount(self, before: int, now: int) -> None:
-        self._counts[before] -= 1
-        self._counts[now] = self._counts.get(now, 0) + 1
+    def _count(self, record: Record | None, more: int) -> None:
+        """Count a record that is shown among those that have failed (``more``: 1), or no more (-1)."""
+        if record is not None and record.occurrence:
+            self._counts[record.status] = self._counts.get(record.status, 0) + more
 
     def _keep(self, stored: Iterable[Record]) -> None:
         """Take records as they are written."""
         for record in stored:
-            before = self._stored.get(record.id)
-            if before is not None and before.occurrence:
-                self._counts[before.status] -= 1
+            self._count(self._stored.get(record.id), -1)
             self._stored[record.id] = record
+            self._count(record, 1)
             if record.occurrence:
                 self._failed.add(record.id)
-                self._counts[record.status] = self._counts.get(record.status, 0) + 1
             else:
                 self._failed.discard(record.id)
 
@@ -371,9 +370,9 @@ class Ledger:
             self._new.difference_update(record.id for record in changes.records)
         for fault, status in changes.statuses.items():
             record = self._stored[fault]
-            if record.occurrence:
-                self._recount(record.status, status)
+            self._count(record, -1)
             record.status = status
+            self._count(record, 1)
         self._stored_permanent = permanent
 
     def _start_anew(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -104,16 +105,21 @@ class Residual:
             t_s: as :meth:`run` takes them.
             known: likewise.
             size: of the fault, in its unit, not 0.
-            since: first sample with the fault.
+            since: first sample with the fault, 0 to n - 1.
 
         Raises:
-            InputError: as of :meth:`run`; it does not see the fault, or algebra does not solve the set with it.
+            InputError: as of :meth:`run`; it does not see the fault, or algebra does not solve the set with it; the size
+                is 0 or no number, or the sample is not in the record.
         """
         if fault not in self.faults:
             raise InputError(
                 named(f"the faults that {self.name} sees are", fault, self.faults), key="fault", value=fault
             )
+        if not math.isfinite(size) or size == 0.0:
+            raise InputError("a number that is not 0", key="size", value=size)
         times = self._times(t_s)
+        if not 0 <= since < len(times):
+            raise InputError(f"a sample of the record: 0 to {len(times) - 1}", key="since", value=since)
         rows = self._rows(self._faulty, times, known)
         steps = np.diff(times, prepend=times[0])
         fine, faulty = (self._constants(self._faulty, {fault: each}) for each in (0.0, size))

@@ -196,6 +196,11 @@ def test_causes_have_names():
     assert first[1] > 0.5
 
 
+def _gain(**more):
+    residual = residuals(tanks())[0]
+    return residual.gain(residual.faults[0], [0.0, 1.0], {}, **more)
+
+
 WRONG = {
     "rule": (lambda: StoppingRule("cusums", 1.0), "rule = 'cusums': .* did you mean cusum"),
     "parameter": (lambda: StoppingRule("cusum", 1.0, drif=0.5), "drif = 0.5: .* did you mean drift"),
@@ -207,6 +212,8 @@ WRONG = {
     "test": (lambda: Residual(tanks(), "1:e99"), "set 1 has"),
     "known": (lambda: residuals(tanks())[0].run([0.0, 1.0], {"u": 1.0}), "y1: "),
     "fault": (lambda: residuals(tanks())[0].gain("f_l", [0.0, 1.0], {}), "fault = 'f_l': the faults that e2 sees are"),
+    "size": (lambda: _gain(size=0.0), "size = 0.0: a number that is not 0"),
+    "since": (lambda: _gain(since=-1), "since = -1: a sample of the record: 0 to 1"),
     "times": (lambda: residuals(tanks())[0].run([1.0, 0.0], {}), "t_s: two times at least"),
     "value": (lambda: residuals(tanks(), values={"nix": 1.0}), 'values: "nix" is no parameter of tanks'),
     "wheel": (lambda: CrankWheel("60:2"), "wheel = '60:2'"),
