@@ -108,8 +108,8 @@ class Residual:
             since: first sample with the fault, 0 to n - 1.
 
         Raises:
-            InputError: as of :meth:`run`; it does not see the fault, or algebra does not solve the set with it; the size
-                is 0 or no number, or the sample is not in the record.
+            InputError: as of :meth:`run`; it does not see the fault, or algebra does not solve the set with it;
+                the size is 0 or no number, or the sample is not in the record.
         """
         if fault not in self.faults:
             raise InputError(
