@@ -18,6 +18,9 @@ from contextlib import contextmanager
 _CALLS = {"x86_64": (314, 315), "aarch64": (274, 275), "riscv64": (274, 275)}
 #: struct sched_attr: size, policy, flags, nice, priority, runtime, deadline, period, two for utilization.
 _ATTR = struct.Struct("=IIQiIQQQII")
+#: A slice that is short, the shortest there is [ns].
+SHORT_NS = 100_000
+
 _POLICY, _RUNTIME = 1, 5
 _FAIR = 0
 
@@ -50,7 +53,7 @@ def _ask(runtime_ns: int) -> bool:
 
 
 @contextmanager
-def short_slices(runtime_ns: int) -> Iterator[None]:
+def short_slices(runtime_ns: int = SHORT_NS) -> Iterator[None]:
     """Ask for short slices of processor time for this thread; where the system has none, nothing happens.
 
     Args:

@@ -39,8 +39,6 @@ REPORT_S = 1.0
 KEEP_S = 10.0
 #: How long a thread of Python that computes may have the interpreter, while a verdict waits for it [s].
 SWITCH_S = 0.00005
-#: How long the loop has a processor before others may have it: so it comes soon when frames wake it [ns].
-SLICE_NS = 100_000
 #: Batches taken from a bus when there is no next turn: more than any queue holds.
 LAST_TURN = 4096
 
@@ -213,7 +211,7 @@ class Live:
         before_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
         try:
-            with short_slices(SLICE_NS):
+            with short_slices():
                 while not stop():
                     self.turn()
                     if on_turn is not None:
@@ -275,6 +273,8 @@ class Live:
         if len(left.taken):
             self._take_down(left.taken)
             self._gateway.took(left.taken)
+            for link, mine in self._by_link(left.told):
+                self._show(link, mine)
             self._send(self._gateway.tell(left.told))
         links = list(zip(self._links, left.received, strict=True)) if left.received else []
         if left.raw:
@@ -382,25 +382,33 @@ class Live:
                 self._keep = 0.0  # at the next look
 
     def _send(self, frames: Frames) -> None:
-        if not len(frames):
-            return
-        for link in self._links:
-            mine = frames if len(self._links) == 1 else frames[frames["bus"] == link.index]
-            if not len(mine):
-                continue
+        for link, mine in self._by_link(frames):
             link.send(mine)
-            if self._door is not None and link.running:
-                stamped = mine.copy()
-                stamped["t_ns"] = self._clock.now()
-                self._door.on_frames(stamped)
-            if self._taps and link.running and not link.echoes:
-                # It is unknown when they were on the bus: taken down as they leave.
-                sent = mine.copy()
-                sent["flags"] |= OWN
-                sent["rank"] = 0
-                sent["t_ns"] = self._clock.now() + self._offset_ns
-                for tap in self._taps:
-                    tap.write(sent)
+            if link.running:
+                self._show(link, mine)
+
+    def _by_link(self, frames: Frames) -> list[tuple[Link, Frames]]:
+        if not len(frames):
+            return []
+        if len(self._links) == 1:
+            return [(self._links[0], frames)]
+        parts = [(link, frames[frames["bus"] == link.index]) for link in self._links]
+        return [(link, mine) for link, mine in parts if len(mine)]
+
+    def _show(self, link: Link, frames: Frames) -> None:
+        """Show what goes to a bus to those who watch, or take down."""
+        if self._door is not None:
+            stamped = frames.copy()
+            stamped["t_ns"] = self._clock.now()
+            self._door.on_frames(stamped)
+        if self._taps and not link.echoes:
+            # It is unknown when they were on the bus: taken down as they leave.
+            sent = frames.copy()
+            sent["flags"] |= OWN
+            sent["rank"] = 0
+            sent["t_ns"] = self._clock.now() + self._offset_ns
+            for tap in self._taps:
+                tap.write(sent)
 
     def _report(self, now: float) -> None:
         """Tell of frames that were lost in queues, once a second at most."""

@@ -377,7 +377,7 @@ def _tell(P: Any, s: Any) -> None:
     """Send the DTC frames of the verdicts that wait, if it is foreseen what they are; Python does the rest."""
     clock, foreseen = P.clock, P.foreseen
     side = P.sides[foreseen.head[0].bus]
-    if s.may_send == 0 or side.fd < 0 or clock[s.sent_at] > clock[s.taken_at]:
+    if side.fd < 0 or clock[s.sent_at] > clock[s.taken_at]:
         return
     for k in range(foretell(foreseen, P.events, clock[s.events_at], clock[s.now_at])):
         size, made = fill_struct(foreseen.frames[k], P.wire), foreseen.made[k]

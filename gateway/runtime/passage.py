@@ -62,9 +62,9 @@ class Passage(Connected):
 
     def _foretells(self, settled: bool) -> int:
         """Return who may send DTC frames of verdicts; ``settled``: nothing waits that is to be told before."""
-        first = self._outbox.first
-        journal = self.store.arm_journal(settled and not first)
-        if not settled or self._dtc_frames is None or not (first or journal or self._upkeep.keeps_at_once):
+        may, first = settled and self._dtc_frames is not None and self.controls.send, self._outbox.first
+        journal = self.store.arm_journal(may and not first)
+        if self._dtc_frames is None or not may or not (first or journal or self._upkeep.keeps_at_once):
             return NOBODY
         self._dtc_frames.foresee()
         return JOURNAL if journal else AT_ONCE
