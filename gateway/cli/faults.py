@@ -48,8 +48,8 @@ def _say_if_behind(path: Path) -> None:
         )
     if count := service.waiting(path):
         say(
-            f"{path}: verdicts told right before the gateway ended suddenly, that its next start takes in and that are"
-            f" not shown here: {count}"
+            f"{path}: {count} verdicts that were told right before the gateway ended suddenly are in its journal only;"
+            " they are shown as they were told, without evidence, until its next start takes them in"
         )
 
 

@@ -27,9 +27,11 @@ import os
 import stat
 import struct
 import zlib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from gateway.faults.records import Record
 from gateway.host.process import RAW
 
 SUFFIX = "-verdicts"
@@ -134,6 +136,19 @@ def waiting(database: Path, head: bytes) -> list[LastVerdict]:
     except OSError:
         return []
     return [record for record in records(content) if record.head == head]
+
+
+def show(verdicts: Iterable[LastVerdict], records: Iterable[Record]) -> None:
+    """Have records show verdicts that wait, for a reader: what was told of them, without what was seen."""
+    known = {name_of(record.id): record for record in records}
+    for verdict in verdicts:
+        record = known.get(verdict.fault)
+        if record is None:
+            continue
+        record.status = verdict.status
+        if record.occurrence != verdict.occurrence:
+            record.occurrence, record.last_ns, record.evidence = verdict.occurrence, verdict.t_ns, {}
+            record.first_ns = verdict.t_ns if record.first_ns is None else record.first_ns
 
 
 def begin(database: Path) -> tuple[int, int]:

@@ -107,7 +107,7 @@ def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list
 
 
 def waiting(path: Path) -> int:
-    """Return how many verdicts of a gateway that has ended suddenly wait beside its file; 0: it cannot be read."""
+    """Return how many verdicts of a gateway that has ended suddenly are in its journal only; 0: it cannot be read."""
     if is_kept(path):
         return 0
     try:

@@ -17,7 +17,7 @@ from typing import Any, cast
 from gateway.faults import chain, journal_file, rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.journal_file import LastVerdict
-from gateway.faults.lock import is_marked, mark, take_lock
+from gateway.faults.lock import is_kept, is_marked, mark, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.schema import APPLICATION_ID, CHAINED, MAGIC, MIGRATIONS
 from gateway.faults.vehicle import EcuDtc
@@ -277,11 +277,16 @@ class Store:
     def load(self) -> list[Record]:
         """Return all records, in order of their DTCs, as of one commit of the writer.
 
+        A reader gets them with the verdicts that wait for the next writer, if there is none now.
+
         Raises:
             DamagedError: the file is damaged.
         """
         with self._reading():  # else a commit could fall between records and freeze frames
-            return rows.read_records(self._db)
+            records = rows.read_records(self._db)
+            if self.path is not None and not self._write and not is_kept(self.path):
+                journal_file.show(self.waiting(), records)
+        return records
 
     def cycles(self) -> dict[str, Cycle]:
         """Return the last operation cycle of each name."""

@@ -8,7 +8,8 @@ A change of a DTC takes four steps, and no step is done before the one above it:
 4. It is *sent*: the servers make frames of it (the DTC frame, DM1).
 
 So a DTC that the next start does not find is never told, unless it is told as not stored. Where the configuration wants
-all told first, steps 3 and 4 come before 2, with ``stored`` false, and an event tells when it is stored.
+all told first, steps 3 and 4 come before 2, with ``stored`` false, and an event tells when it is stored. The journal
+(:mod:`gateway.faults.journal`) sends the DTC frame of a verdict before 1: the next start finds it there.
 """
 
 from __future__ import annotations

@@ -82,7 +82,11 @@ class ToldAndKilled(RuleBasedStateMachine):
     def kill(self):
         self.images += 1
         self.one.kill(self.folder / f"{self.images}.sqlite")
+        reader = Store(self.one.path, write=False)
+        shown = {record.id: (record.status, record.occurrence) for record in reader.load()}
+        reader.close()
         self.one.open()
+        assert shown == {f: (self.one.told[f], self.one.memory.record(f).occurrence) for f in self.one.told}
         found = {fault: self.one.memory.status_now(fault) for fault in self.one.told}
         assert found == self.one.told
         assert self.one.store.waiting() == [], "they are in the file now"
@@ -217,7 +221,11 @@ def test_readers_say_that_verdicts_wait_for_the_next_start(telling, tmp_path, ca
     telling.kill(tmp_path / "1.sqlite")
     assert service.waiting(telling.path) == 1
     assert faults.list_faults(None, memory=telling.path, json=False) == 0
-    assert "not shown here: 1" in capsys.readouterr().err
+    told = capsys.readouterr()
+    assert "1 verdicts that were told right before" in told.err
+    assert "P0300-11" in told.out
+    (entry,) = service.list_entries(telling.path)
+    assert (entry["status"], entry["occurrence"], entry["first_ns"], entry["evidence"]) == (0x2F, 1, 1, {})
     telling.open()
 
 
