@@ -12,6 +12,8 @@ from gateway.bus.traffic import Traffic
 from gateway.cli.present import print_json, say
 from gateway.config.model import Config
 from gateway.engine.buckets import nearness
+from gateway.faults.journal import NO_JOURNAL
+from gateway.faults.journal_steps import keep, withdraw
 from gateway.host.sockets import CAN
 from gateway.live.pump import Pump
 from gateway.live.pumping import patience_ms
@@ -37,7 +39,8 @@ def warmup(*, json: bool) -> int:
             say(f"monitor type {type_}: {error}")
     check = {"message": "GW_EngineSync", "timeout_ms": 500.0, "counter": {"signal": "FrameCnt"}}
     bus = {"name": "bus", "uri": "virtual:warmup", "database": [shipped("dbc/gateway.dbc")], "check": [check]}
-    gateway = Gateway(Config.model_validate({"bus": [bus]}))  # a configuration that needs no plant, and no file
+    told = {"dtc_frame": {"bus": "bus"}}
+    gateway = Gateway(Config.model_validate({"bus": [bus], "output": told}))  # a configuration that needs no plant, and no file
     gateway.start(0)
     gateway.engine.fault_detection_counters()  # signals that watchers look at
     pump = Pump(gateway.engine, 1)
@@ -50,6 +53,8 @@ def warmup(*, json: bool) -> int:
         with ours, theirs:
             RawReceiver(ours, Statistics())
             Packer()
+        bound(withdraw, NO_JOURNAL, rest=(0,))
+        bound(keep, NO_JOURNAL, rest=())
     seconds = time.monotonic() - begun
     if json:
         print_json({"seconds": seconds, "cache": str(folder())})
