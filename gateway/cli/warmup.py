@@ -40,7 +40,7 @@ def warmup(*, json: bool) -> int:
     check = {"message": "GW_EngineSync", "timeout_ms": 500.0, "counter": {"signal": "FrameCnt"}}
     bus = {"name": "bus", "uri": "virtual:warmup", "database": [shipped("dbc/gateway.dbc")], "check": [check]}
     told = {"dtc_frame": {"bus": "bus"}}
-    gateway = Gateway(Config.model_validate({"bus": [bus], "output": told}))  # a configuration that needs no plant, and no file
+    gateway = Gateway(Config.model_validate({"bus": [bus], "output": told}))  # it needs no plant, and no file
     gateway.start(0)
     gateway.engine.fault_detection_counters()  # signals that watchers look at
     pump = Pump(gateway.engine, 1)
