@@ -64,6 +64,32 @@ def writing(make, slow):
     return rig
 
 
+def test_the_journal_takes_verdicts_only_between_writes_and_each_by_the_latest_commit(make, slow):
+    rig = make()
+    rig.gateway.write_beside()
+    state, digests = rig.gateway.journal.state[0], set()
+    for k in range(3):
+        while not state.armed:
+            rig.gateway.memory.under_way(60.0)
+            rig.wait(10)
+            rig.gateway.quiet()
+        assert bytes(state.digest) == chain_head(rig)
+        digests.add(bytes(state.digest))
+        slow.stall()
+        rig.fail(k)
+        rig.gateway.quiet()
+        assert not state.armed, "a later commit may be without it"
+        slow.let_go()
+    assert len(digests) == 3
+
+
+def chain_head(rig):
+    store = Store(rig.gateway.store.path, write=False)
+    digest = store.verify().head.digest
+    store.close()
+    return digest
+
+
 def test_while_a_disk_takes_its_time_testers_are_answered_and_nothing_is_told_early(make, slow):
     rig = make(extra=FRAMES + "[output.uds]\n")
     rig.gateway.write_beside()
