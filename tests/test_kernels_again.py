@@ -1,6 +1,7 @@
 """Kernels as plain Python, and compiled with every index checked: the smallest cases of the same tests once more.
 
-Of each way a commit draws one part (GATEWAY_TESTS=full: all): all of it is a fifth of the whole time.
+Of each way a commit draws one part (GATEWAY_TESTS=full: all): all of it is a fifth of the whole time. For plain Python no
+kernels are made, so its parts are smaller: all files, dealt out in turn.
 """
 
 import os
@@ -44,24 +45,32 @@ PARTS = {part: paths for part, paths in THERE.items() if paths}
 
 #: Of these folders: of no kernel, so that one run is enough.
 WITHOUT_KERNELS = ("engine/test_depends.py",)
+_FILES = sorted({
+    str(file.relative_to(TESTS))
+    for paths in PARTS.values()
+    for path in paths
+    for file in ([TESTS / path] if path.endswith(".py") else (TESTS / path).rglob("test_*.py"))
+} - set(WITHOUT_KERNELS))  # fmt: skip
+_HANDS = 12
+DEALT = {f"{k + 1} of {_HANDS}": _FILES[k::_HANDS] for k in range(_HANDS)}
 
 # Whether something hangs is seen by the limit of each test inside.
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
 
 
-@pytest.mark.parametrize("part", PARTS if FULL else drawn(PARTS, 2)[:1])
+@pytest.mark.parametrize("part", DEALT if FULL else drawn(DEALT))
 def test_as_plain_python(part):
-    run(part, PLAIN)
+    run(DEALT[part], PLAIN)
 
 
-@pytest.mark.parametrize("part", PARTS if FULL else drawn(PARTS, 2)[1:])
+@pytest.mark.parametrize("part", PARTS if FULL else drawn(PARTS))
 def test_with_every_index_checked(part):
-    run(part, CHECKED)
+    run(PARTS[part], CHECKED)
 
 
-def run(part, setting):
-    """Run the smallest cases of a part."""
-    rest = [*(f"--ignore={path}" for path in WITHOUT_KERNELS), *PARTS[part]]
+def run(files, setting):
+    """Run the smallest cases of some files and folders."""
+    rest = [*(f"--ignore={path}" for path in WITHOUT_KERNELS), *files]
     ended = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist",
          "-W", "error::RuntimeWarning", "--durations=15", *rest],
