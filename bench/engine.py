@@ -131,8 +131,8 @@ def timed(frames, batch, theirs, take):
 def turn_path(frames, batch):
     """The daemon's loop over a bus that always has frames: so many a call of the system.
 
-    Receive, stamps, engine, servers, what the loop does besides: CPU of its thread. What the wait and the wake-up of the
-    process cost besides, where frames come singly, depends on the system: bench/live.py tells it by a sender of its own.
+    Receive, stamps, engine, servers, what the loop does besides: CPU of its thread. The wait and the wake-up of the
+    process, where frames come singly, depend on the system: bench/live.py tells their cost by a sender of its own.
     """
     from live import StructBus  # noqa: PLC0415 - tests use other functions of this file, from another folder
 

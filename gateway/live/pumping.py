@@ -56,7 +56,7 @@ _SECOND = 1_000_000_000
 #: Frames that come faster than this free those that are held back: no timer of the system's is set for these, which can
 #: cost as much as two frames.
 _DENSE_NS = 1_000_000
-#: A single bus that has more than one call takes is read again without a look at anything else: for so long at most.
+#: Longest time for which a single bus that has more than one call takes is read without a look at anything else [ns].
 _UNASKED_NS = 1_000_000
 
 
