@@ -129,37 +129,38 @@ def timed(frames, batch, theirs, take):
 
 
 def turn_path(frames, batch):
-    """The daemon's loop over a bus that always has frames: so many a call of the system, each with its wait.
+    """The daemon's loop over a bus that always has frames: so many a call of the system.
 
-    Wait, receive, stamps, engine, servers, what the loop does besides: CPU of its thread. What a wake-up of the process
-    costs besides, where frames come singly, depends on the system: bench/live.py tells it by a sender of its own.
+    Receive, stamps, engine, servers, what the loop does besides: CPU of its thread. The wait and the wake-up of the
+    process, where frames come singly, depend on the system: bench/live.py tells their cost by a sender of its own.
     """
     from live import StructBus  # noqa: PLC0415 - tests use other functions of this file, from another folder
 
     ours, theirs = pair()
     theirs.setblocking(False)
+    datagrams, sent, spent_ns = [*map(Packer(), frames)], 0, 0  # before the gateway starts: it waits for no message
     clock = Clock()
     link = Link("bench:", 0, "powertrain", lambda uri, index: StructBus(ours, index), clock)
     link.start()
-    gateway = Gateway(load_config(shipped("gateway.toml")), lasting=True)
+    gateway = Gateway(load_config(shipped("gateway.toml")))
     gateway.start(clock.now())
     at_a_call, pump.BATCH = pump.BATCH, batch
     live = Live(gateway, [link], lambda event: None, clock=clock, tick_s=0.0)
     pump.BATCH = at_a_call
     live.turn()  # RUNNING
-    datagrams, sent, spent_ns = [*map(Packer(), frames)], 0, 0
     while sent < len(datagrams):
         with suppress(BlockingIOError):
             while sent < len(datagrams):
                 theirs.send(datagrams[sent])
                 sent += 1
         begun_ns = time.thread_time_ns()
-        while gateway.engine.counters()["decoded"] < sent:
+        while link.statistics.received < sent:
             live.turn()
         spent_ns += time.thread_time_ns() - begun_ns
         with suppress(BlockingIOError):
             while theirs.recv(72):
                 pass
+    assert gateway.engine.counters()["decoded"] == len(frames)
     link.close()
     theirs.close()
     gateway.close()

@@ -442,7 +442,7 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protec
     outbox, outbox_cells = emission.outbox()
     out, clock = table(1, RESULTS), table(1, Clock)
     clock[0]["deadline_ns"] = NEVER
-    timers, heap = timers_of(
+    timers, groups, members, heap = timers_of(
         [(CHECK, others["checks"]), (HANDLER, made.rows), (DEBOUNCE, verdicts.debounces), (HEALTH, others["health"])]
     )
     return Tables(
@@ -476,6 +476,8 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protec
         outbox_cells=outbox_cells,
         reports=table(MOST_REPORTS, Report),
         timers=timers,
+        groups=groups,
+        members=members,
         heap=heap,
         clock=clock,
         **others,

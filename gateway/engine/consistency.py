@@ -52,9 +52,11 @@ def assert_consistent(t: Tables) -> None:
     assert ((t.roots >= 0) & (t.roots < max(faults, 1))).all()
     assert ((t.conditions["slot"] >= 0) & (t.conditions["slot"] < slots)).all()
     assert (t.emits["first"] + t.emits["count"] <= len(t.emit_signals)).all()
-    count = len(t.timers)
+    count = len(t.groups)
     assert 0 < count <= len(t.heap)
-    assert (t.timers["place"][t.heap["timer"][:count]] == range(count)).all()
+    assert (t.groups["place"][t.heap["group"][:count]] == range(count)).all()
+    assert (np.sort(t.members) == range(len(t.timers))).all()
+    assert (t.timers["group"][t.members] == np.repeat(range(count), t.groups["count"])).all()
     for kind, owners in ((CHECK, t.checks), (HANDLER, t.handlers), (DEBOUNCE, t.debounces), (HEALTH, t.health)):
         mine = t.timers[t.timers["kind"] == kind]
         assert (mine["index"] < len(owners)).all()

@@ -180,7 +180,8 @@ class Tables(NamedTuple):
     Gates: ``conditions`` and ``roots`` of the debounces; ``watches`` and the state of the ``cycles`` (see
     engine.gate).
     Health: a row for each bus, and one for the gateway itself (see monitors.bus_health).
-    Timers: a row for each, and the ``heap`` of what is noted of them (see engine.timers).
+    Timers: a row for each, ``groups`` of them with their ``members``, and the ``heap`` of what is noted of these (see
+    engine.timers).
     Buckets: a row for each fault, its results since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
     Strangers: ``known_keys`` and ``known_rows``, what the buses know, and a row for each unknown identifier.
@@ -227,6 +228,8 @@ class Tables(NamedTuple):
     health: NDArray[np.void]
     reports: NDArray[np.void]
     timers: NDArray[np.void]
+    groups: NDArray[np.void]
+    members: NDArray[np.int32]
     heap: NDArray[np.void]
     known_keys: NDArray[np.uint64]
     known_rows: NDArray[np.int32]

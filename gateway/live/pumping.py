@@ -59,6 +59,8 @@ _SECOND = 1_000_000_000
 #: Frames that come faster than this free those that are held back: no timer of the system's is set for these, which can
 #: cost as much as two frames.
 _DENSE_NS = 1_000_000
+#: Longest time for which a single bus that has more than one call takes is read without a look at anything else [ns].
+_UNASKED_NS = 1_000_000
 
 
 class Side(Record):
@@ -121,6 +123,9 @@ class State(Record):
     knocked: i8 = means("1: the other descriptor is readable")
     held: i8 = means("frames held back: an earlier one of another bus may still come")
     read_ns: i8 = means("when the sockets were looked at last", "ns")
+    wall_ns: i8 = means("the wall clock, as it was read last", "ns")
+    asked: i8 = means("1: they were waited for in this pass")
+    asked_ns: i8 = means("when they, and the other descriptor, were waited for last", "ns")
     gap_ns: i8 = means("time between the last two looks", "ns")
     passes: i8 = means("passes since the pump was entered")
     clock: Annotated[i8s, 2] = means("struct timespec")
@@ -172,9 +177,9 @@ def _read_clock(which: int, s: Any) -> int:
 
 
 @kernel
-def _was_set(s: Any, wall_ns: int) -> bool:
+def _was_set(s: Any) -> bool:
     """Return whether the wall clock, which was read right before this, may have been set since Python looked."""
-    change = wall_ns - _read_clock(_MONOTONIC, s) - s.difference_ns
+    change = s.wall_ns - _read_clock(_MONOTONIC, s) - s.difference_ns
     return bool(abs(change) > s.tolerance_ns)
 
 
@@ -222,7 +227,14 @@ def _wait(P: Any, s: Any, now_ns: int) -> int:
 
 
 @kernel
-def _receive(P: Any, s: Any, b: int, wall_ns: int, want: bool) -> int:
+def _asks(P: Any, s: Any, now_ns: int) -> bool:
+    """Return whether the sockets are to be waited for before they are read."""
+    one = P.sides.shape[0] == 2 and s.passes > 0
+    return not (one and P.sides[0].more == 1 and now_ns < s.asked_ns + _UNASKED_NS)
+
+
+@kernel
+def _receive(P: Any, s: Any, b: int, want: bool) -> int:
     """Receive what a bus has; returns 0, RAW where something of it is rare, BUS where its socket tells an error."""
     side = P.sides[b]
     side.count = 0
@@ -235,8 +247,9 @@ def _receive(P: Any, s: Any, b: int, wall_ns: int, want: bool) -> int:
         return 0
     got = recvmmsg(side.fd, side.headers, P.messages.shape[1], _DONTWAIT, 0)
     if got < 0:
-        return BUS
-    kept, rejected, lost, gaps = settle(P.messages[b], P.control[b], P.gaps[b], P.frames[b], got, b, wall_ns, side.lost)
+        return BUS if s.asked == 1 else 0  # it had just as much as the last call took
+    messages, frames = P.messages[b], P.frames[b]
+    kept, rejected, lost, gaps = settle(messages, P.control[b], P.gaps[b], frames, got, b, s.wall_ns, side.lost)
     side.count, side.gaps, side.lost = kept, gaps, lost
     side.received += kept
     side.rejected += rejected
@@ -441,13 +454,14 @@ def _pass_on(P: Any, s: Any) -> int:
 
 
 @kernel
-def _receive_all(P: Any, s: Any, wall_ns: int) -> int:
+def _receive_all(P: Any, s: Any) -> int:
     """Receive what the buses have, and put their stamps on the engine's time; returns a reason to leave, -1: none."""
     why, total = 0, 0
     for b in range(P.sides.shape[0] - 1):
-        why = max(why, _receive(P, s, b, wall_ns, P.polls[b] >> 48 != 0))
+        why = max(why, _receive(P, s, b, P.polls[b] >> 48 != 0))
         total += P.sides[b].count
-    if _was_set(s, _read_clock(_REALTIME, s)):
+    s.wall_ns = _read_clock(_REALTIME, s)
+    if _was_set(s):
         return STEPPED
     if why > 0:
         return RAW if total > 0 or why == RAW else BUS
@@ -487,19 +501,22 @@ def pump(P: Any) -> int:
     """
     s = P.state[0]
     _begin(P, s)
-    wall_ns = _read_clock(_REALTIME, s)
+    s.wall_ns = _read_clock(_REALTIME, s)
     while True:
-        now_ns = wall_ns - s.offset_ns
+        now_ns = s.wall_ns - s.offset_ns
         s.count = s.start = 0
         if s.passes > 0 and now_ns >= min(s.leave_ns, s.prompt_ns):
             return TIME
-        why = _wait(P, s, now_ns)
-        if why >= 0:
-            return why
+        s.asked = 1 if _asks(P, s, now_ns) else 0
+        if s.asked == 1:
+            why = _wait(P, s, now_ns)
+            if why >= 0:
+                return why
+            s.wall_ns = _read_clock(_REALTIME, s)
+            s.asked_ns = s.wall_ns - s.offset_ns
         s.passes += 1
-        wall_ns = _read_clock(_REALTIME, s)
-        s.gap_ns, s.read_ns = wall_ns - s.offset_ns - s.read_ns, wall_ns - s.offset_ns
-        why = _receive_all(P, s, wall_ns)
+        s.gap_ns, s.read_ns = s.wall_ns - s.offset_ns - s.read_ns, s.wall_ns - s.offset_ns
+        why = _receive_all(P, s)
         if why >= 0:
             return why
         why = _pass_on(P, s)
@@ -509,4 +526,3 @@ def pump(P: Any) -> int:
             return why
         if s.knocked == 1:
             return DOOR
-        wall_ns = _read_clock(_REALTIME, s)

@@ -25,6 +25,8 @@ class Tables(NamedTuple):
     health: Any
     clock: Any
     timers: Any
+    groups: Any
+    members: Any
     heap: Any
 
 
@@ -34,6 +36,7 @@ FIELD = {CHECK: "deadline_ns", HANDLER: "wake_ns", DEBOUNCE: "deadline_ns", HEAL
 def tables(checks: int, handlers: int, debounces: int, health: int) -> Tables:
     rows = (table(checks, Check), table(handlers, Handler), table(debounces, DebounceRow), table(health, Health))
     rows[DEBOUNCE]["timed"] = 1
+    rows[CHECK]["timeout_ns"] = np.resize([10, 100, 12], checks)
     for kind, field in FIELD.items():
         rows[kind][field] = NEVER
     clock = table(1, Clock)
@@ -62,7 +65,7 @@ change = st.tuples(st.integers(0, 99), deadline, st.sampled_from(["arm", "note",
 
 @settings(max_examples=200)
 @given(
-    sizes=st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(0, 4), st.integers(1, 3)),
+    sizes=st.tuples(st.integers(0, 30), st.integers(0, 4), st.integers(0, 4), st.integers(1, 3)),
     turns=st.lists(st.tuples(st.lists(change, max_size=6), st.integers(0, 12)), max_size=12),
 )
 def test_timers_fall_due_as_a_search_finds_them(sizes: Any, turns: Any) -> None:
@@ -86,15 +89,16 @@ def test_timers_fall_due_as_a_search_finds_them(sizes: Any, turns: Any) -> None:
             if found < 0:
                 break
             row, field = owner_of(t, found)
-            assert t.heap["noted_ns"][t.timers["place"][found]] == row[field]
+            assert t.heap["timer"][0] == found
+            assert t.heap["noted_ns"][0] == row[field]
             row[field] = NEVER if (found + now) % 3 else int(row[field]) + 5
             put_right(t, found)
         else:
             raise AssertionError("a timer falls due again and again")
         assert t.clock["deadline_ns"][0] == t.heap["noted_ns"].min() == t.heap["noted_ns"][0]
-        assert sorted(t.heap["timer"]) == list(range(len(t.heap)))
-        assert (t.heap["noted_ns"][len(t.timers) :] == NEVER).all()
-        noted = t.heap["noted_ns"][t.timers["place"]]
+        assert sorted(t.heap["group"][: len(t.groups)]) == list(range(len(t.groups)))
+        assert (t.heap["noted_ns"][len(t.groups) :] == NEVER).all()
+        noted = t.heap["noted_ns"][t.groups["place"][t.timers["group"]]]
         real = [int(row[field]) for row, field in (owner_of(t, k) for k in range(len(t.timers)))]
         assert (noted <= np.array(real)).all()
 
@@ -102,7 +106,7 @@ def test_timers_fall_due_as_a_search_finds_them(sizes: Any, turns: Any) -> None:
 def test_debounces_that_count_have_no_timer() -> None:
     debounces = table(3, DebounceRow)
     debounces["timed"] = (0, 1, 0)
-    timers, heap = timers_of([(DEBOUNCE, debounces), (HEALTH, table(1, Health))])
+    timers, _, _, heap = timers_of([(CHECK, table(0, Check)), (DEBOUNCE, debounces), (HEALTH, table(1, Health))])
     assert list(debounces["timer"]) == [-1, 0, -1]
     assert list(timers["kind"]) == [DEBOUNCE, HEALTH]
     assert list(heap["timer"][:2]) == [0, 1]
