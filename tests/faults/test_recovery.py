@@ -21,6 +21,7 @@ from gateway.cli import faults
 from gateway.engine.events import QUALIFIED_FAILED
 from gateway.faults import service
 from gateway.faults.catalogue import Catalogue
+from gateway.faults.explained import WAITING
 from gateway.faults.journal_file import path_of
 from gateway.faults.journal_steps import journal_put
 from gateway.faults.kept import KeptStore
@@ -158,6 +159,16 @@ def test_the_status_is_the_one_that_was_told_also_by_other_rules(telling, tmp_pa
     told = {name: telling.memory.status_now(name) for name in ("m.f0", "m.f1")}
     assert told == {"m.f0": telling.told["m.f0"], "m.f1": telling.told["m.f1"]}
     assert told["m.f0"] & Status.CONFIRMED_DTC
+
+
+def test_a_dtc_that_was_told_while_its_confirmation_waits_waits_on(telling, tmp_path):
+    telling.memory.wait_for_causes({"m.f0"})
+    telling.verdicts((0, True), (0, False), (0, True))
+    telling.kill(tmp_path / "1.sqlite")
+    telling.open()
+    assert telling.memory.status_now("m.f0") == telling.told["m.f0"] == 0x27
+    assert [(record.id, record.hold) for record in telling.memory.unsettled()] == [("m.f0", WAITING)]
+    assert telling.memory.confirm("m.f0", 127, 9)
 
 
 def test_a_new_file_at_the_place_of_another_takes_nothing_of_its_journal(telling, tmp_path):
