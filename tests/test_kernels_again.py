@@ -1,7 +1,7 @@
 """Kernels as plain Python, and compiled with every index checked: the smallest cases of the same tests once more.
 
-Of each way a commit draws one part (GATEWAY_TESTS=full: all): all of it is a fifth of the whole time. For plain Python no
-kernels are made, so its parts are smaller: all files, dealt out in turn.
+Of each way a commit draws one part (GATEWAY_TESTS=full: all): all of it is a fifth of the whole time. For plain Python
+no kernels are made, so its parts are smaller: all files, dealt out in turn.
 """
 
 import os
