@@ -214,10 +214,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 @kernel
 def _degrees(c: Const, f: place.State, tooth: int, delay_us: float) -> float:
     """Return the crank angle of an edge so long behind a tooth [deg], tooth 0 at zero."""
-    total = 0.0
-    for i in range(tooth):
-        total += c.fast.wheel.nominal[i]
-    total += min(delay_us / place.period(f), c.fast.wheel.nominal[tooth])
+    total = c.fast.wheel.place[tooth] + min(delay_us / place.period(f), c.fast.wheel.nominal[tooth])
     return float(total / c.fast.turn * 360.0)
 
 
