@@ -1,10 +1,6 @@
 """What was told last is there at the next start, wherever the power went."""
 
-import json
-import random
 import shutil
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -260,42 +256,3 @@ def test_a_gateway_tells_what_it_recovered(tmp_path):
     assert again.gateway.memory.status("b.M1.length") & Status.CONFIRMED_DTC
     maker.close()
     bus.close()
-
-
-KILLED = """
-import json, sys
-sys.path[:0] = {path!r}
-from pathlib import Path
-from fault_examples import catalogue
-from journalled import Telling
-one = Telling(Path({memory!r}), catalogue((1, 1, 1)))
-one.memory.start_cycle(0)
-one.note_told()
-for k in range(10**9):
-    failed = not one.memory.status_now(f"m.f{{k % 3}}") & 1
-    if one.verdicts((k % 3, failed)):
-        print(json.dumps(one.told), flush=True)
-    sys.stdin.readline()  # a disk that takes its time: SQLite has nothing until then
-    one.commit()
-"""
-
-
-@pytest.mark.long
-def test_kill_9_between_the_journal_and_the_file(tmp_path):
-    rng, path = random.Random(49), tmp_path / "m.sqlite"
-    print("seed 49")
-    code = KILLED.format(path=sys.path, memory=str(path))
-    for _ in range(amount(50, 3, 1)):
-        process = subprocess.Popen([sys.executable, "-c", code], stdin=-1, stdout=-1, text=True)
-        for _ in range(rng.randrange(5)):
-            assert process.stdout.readline()
-            process.stdin.write("\n")
-            process.stdin.flush()
-        told = json.loads(process.stdout.readline())
-        process.kill()
-        process.communicate(timeout=60)
-        assert service.waiting(path) == 1
-        store = KeptStore(path)
-        memory = FaultMemory(catalogue((1, 1, 1)), store)
-        assert {fault: memory.status_now(fault) for fault in told} == told
-        store.close()
