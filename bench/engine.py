@@ -24,6 +24,7 @@ from filterpy.kalman import KalmanFilter
 from gateway.bus.base import Statistics
 from gateway.bus.can_structs import Packer, RawReceiver
 from gateway.bus.frames import empty, to_message
+from gateway.bus.logs import CHUNK
 from gateway.config.load import load_config
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
@@ -91,7 +92,7 @@ def user_loop(messages):
     return alarms
 
 
-def replay_path(frames, chunk=100_000):
+def replay_path(frames, chunk=CHUNK):
     """Frames in chunks through the whole gateway."""
     gateway = Gateway(load_config(shipped("gateway.toml")), lasting=True)
     gateway.start(0)

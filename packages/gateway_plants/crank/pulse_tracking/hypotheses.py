@@ -64,6 +64,14 @@ class Limits(NamedTuple):
 
 
 @kernel
+def _seen(beyond: float, span: float, z: float) -> tuple[float, float]:
+    """Return a residual [pitch] and q by the series of :func:`short`; ``beyond`` is u - S, and abs(z) at most SMALL."""
+    square = z * z
+    q = (1.0 + 0.5 * z) + square * (0.0625 * z - 0.125)
+    return beyond * q + span * z * (0.25 - 0.015625 * square), q
+
+
+@kernel
 def short(tr: Tracker, pulses: Pulses, limits: Limits, residuals: f8s, at: int) -> int:
     """Take regular pulses the short way: one prediction, one gate, gains of the steady state; returns how many.
 
@@ -102,10 +110,8 @@ def short(tr: Tracker, pulses: Pulses, limits: Limits, residuals: f8s, at: int) 
             break
         if abs(span - 1.0) > EVEN or abs(z) > SMALL:
             break
-        square = z * z
-        q = (1.0 + 0.5 * z) + square * (0.0625 * z - 0.125)
         way = off + before * y
-        residual = ((way - span) + change * way) * q + span * z * (0.25 - 0.015625 * square)
+        residual, q = _seen((way - span) + change * way, span, z)
         if residual * residual >= gate * variance:
             break
         growth = decayed + k3 * pull
@@ -114,7 +120,7 @@ def short(tr: Tracker, pulses: Pulses, limits: Limits, residuals: f8s, at: int) 
         before = pace * q
         pace = before + before * change
         off = left * e
-        decayed = growth * (1.0 - span * (1.0 / LASTS)) * ((1.0 - z) * (1.0 + square))
+        decayed = growth * (1.0 - span * (1.0 / LASTS)) * ((1.0 - z) * (1.0 + z * z))
         variance = _adapted(variance, swing * (e - latest) * (e - latest))
         latest = e
         taken += 1
@@ -147,8 +153,11 @@ def plain(tr: Tracker, pulses: int, acceleration: float, y: float) -> float:
         return -1.0
     index = int(h.index)
     span = tr.pitches[index]
-    dt, q = travel(h, span)
-    e = (h.elapsed + y - dt) * (q / h.period)
+    if abs(h.growth * span) <= SMALL:
+        e, q = _seen((h.elapsed + y) / h.period - span, span, h.growth * span)
+    else:
+        dt, q = travel(h, span)
+        e = (h.elapsed + y - dt) * q / h.period
     scale = 1.0 / tr.variance
     v = tr.variance * (spread(h, span, scale) + 1.0)
     if not e * e < 2.0 * (ADDED_COST - BRANCH) * v:
