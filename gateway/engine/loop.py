@@ -93,12 +93,19 @@ def mark_not_tested(T: Any, t_ns: int, h: Any) -> None:
 
 
 @kernel
-def inputs_valid(T: Any, t_ns: int, h: Any) -> bool:
-    """Return whether all that feeds a monitor has come: messages that are not overdue, pages of multiplexed ones."""
+def inputs_valid(T: Any, t_ns: int, h: Any, row: int) -> bool:
+    """Return whether all that feeds a monitor has come: messages that are not overdue, pages of multiplexed ones.
+
+    Args:
+        T: the tables.
+        t_ns: now.
+        h: the monitor.
+        row: of the message that has just come.
+    """
     for k in range(h.first_source, h.first_source + h.sources):
-        source = T.sources[k]
+        source = T.sources[np.uint64(k)]
         if source >= 0:
-            if not is_valid(T, t_ns, source):
+            if source != row and not is_valid(T, t_ns, source):
                 return False
         elif T.pages[-1 - source].came == 0:
             return False
@@ -217,9 +224,9 @@ def step(T: Any, t_ns: int, trigger: int, h: Any) -> None:
                 break
         else:
             if h.sampled == 0:
-                cells, slots = T.pool[h.cells :], T.slots[h.first_slot :]
+                cell, slot = int(h.cells), int(h.first_slot)
                 for k in range(h.slots):
-                    cells[k] = T.mailbox[slots[k]]
+                    T.pool[np.uint64(cell + k)] = T.mailbox[np.uint64(T.slots[np.uint64(slot + k)])]
             T.pool_ns[h.inputs] = t_ns
         T.pool_ns[h.inputs + 1] = trigger
         if _enter(T, t_ns, trigger, h):
@@ -374,7 +381,7 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any, 
         watch(T, t_ns, T.watches[k])
     for k in range(v.first, v.first + v.count):
         h = T.handlers[T.triggers[k]]
-        if inputs_valid(T, t_ns, h):
+        if inputs_valid(T, t_ns, h, row):
             step(T, t_ns, row, h)
         else:
             if h.sampled > 0 and h.off == 0:

@@ -109,6 +109,7 @@ class Recorder:
             window = 2 * self._before_ns + self._after_ns
             if full or self._chunks[0].latest_ns < first - window:
                 self._trim(first)
+                self._grown = False  # after a long pause no chunk is left
         if self._filled + count > CHUNK:
             self._close()
         if count > CHUNK:

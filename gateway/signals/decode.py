@@ -16,7 +16,8 @@ UNSIGNED, SIGNED, FLOAT16, FLOAT32, FLOAT64 = range(5)
 #: One signal. ``parent`` is the multiplexer's place among the message's signals (-1: always there),
 #: present when its value is one of ``mux_ids[first_id:+ids]``; a multiplexer's own known values are
 #: ``mux_ids[first_known:+known]``. ``slot`` is -1 for a signal that is not asked for. A floating-point signal is valid
-#: between ``low`` and ``high``.
+#: between ``low`` and ``high``. A ``plain`` one is an unsigned number of less than 64 bits that lies little-endian in
+#: one word, and is neither multiplexed nor a multiplexer.
 SIGNAL = record(
     scale=f8,
     offset=f8,
@@ -34,6 +35,7 @@ SIGNAL = record(
     big=u1,
     spill=u1,
     kind=u1,
+    plain=u1,
 )
 
 #: One message: bytes it needs, its signals ``signals[first:first + count]``, its identity, and whether floating-point
@@ -175,9 +177,15 @@ def decode(
     m = messages[row]
     if length < m.length:
         return TOO_SHORT
-    mine = signals[m.first : m.first + m.count]
-    for j in range(mine.shape[0]):
-        s = mine[j]
+    first = int(m.first)
+    for j in range(m.count):
+        s = signals[np.uint64(first + j)]
+        if s.plain == 1:
+            present[j] = 1
+            unused = np.uint64(64 - s.length)
+            bits = ((words[s.word] >> np.uint64(s.shift)) << unused) >> unused
+            values[j] = np.int64(bits) * s.scale + s.offset
+            continue
         if s.parent >= 0 and (present[s.parent] == 0 or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)):
             present[j] = 0
             continue
@@ -217,8 +225,8 @@ def void(row: int, messages: Any, signals: Any, values: Any, present: Any) -> No
 def commit(row: int, messages: Any, signals: Any, values: Any, present: Any, mailbox: Any) -> None:
     """Copy the decoded signals that are asked for into the mailbox."""
     m = messages[row]
-    mine = signals[m.first : m.first + m.count]
-    for j in range(mine.shape[0]):
-        slot = mine[j].slot
+    first = int(m.first)
+    for j in range(m.count):
+        slot = signals[np.uint64(first + j)].slot
         if slot >= 0 and present[j] == 1:
-            mailbox[slot] = values[j]
+            mailbox[np.uint64(slot)] = values[j]

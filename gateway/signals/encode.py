@@ -22,9 +22,11 @@ def insert(words: Any, s: Any, value: float) -> None:
         s: record of SIGNAL.
         value: physical value.
     """
-    low, high = 0.0, 2.0**s.length - 1.0
+    most = ~np.uint64(0) >> np.uint64(64 - s.length)
+    low, high = 0.0, float(most)
     if s.kind == SIGNED:
-        low, high = -(2.0 ** (s.length - 1)), 2.0 ** (s.length - 1) - 1.0
+        high = float(most >> np.uint64(1))
+        low = -high - 1.0
     raw = np.rint((value - s.offset) / s.scale)
     if np.isnan(raw):
         raw = 0.0

@@ -378,6 +378,8 @@ class _Rows:
             known = sorted(_known_values(message.signal_tree, signal.name))
             entry["first_known"], entry["known"] = len(self.mux_ids), len(known)
             self.mux_ids += known
+        number = entry["kind"] == UNSIGNED and entry["length"] < 64 and not (entry["big"] or entry["spill"])
+        entry["plain"] = number and entry["parent"] < 0 and entry["known"] == 0
         return entry
 
 

@@ -3,7 +3,7 @@
 import zlib
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from gateway.bus.conditions import step_frame
@@ -13,15 +13,18 @@ from gateway.faults.recorder import CHUNK, Recorder, RecorderParams
 MS = 1_000_000
 
 
-def traffic(count, step_at):
+def traffic(count, step_at, pause_at=None):
+    """Return a frame each millisecond; ten seconds of silence, and a set wall clock, where it says so."""
     frames = empty(count)
     frames["t_ns"] = np.arange(count) * MS
+    if pause_at is not None:
+        frames["t_ns"][pause_at:] += 10_000 * MS
     frames["can_id"] = 0x100 + np.arange(count) % 7
     frames["length"] = 2
     frames["data"][:, 0] = np.arange(count) % 251
     if step_at is None:
         return frames
-    return np.insert(frames, step_at, step_frame(step_at * MS, 5_000_000)[0])
+    return np.insert(frames, step_at, step_frame(int(frames["t_ns"][step_at]), 5_000_000)[0])
 
 
 def recorded(frames, cuts, fails_at, params, *, step_ns):
@@ -41,17 +44,19 @@ def recorded(frames, cuts, fails_at, params, *, step_ns):
 
 
 @settings(max_examples=40, deadline=None)
+@example(count=CHUNK + 3, cuts=[], fails=[CHUNK + 2], step_at=None, pause_at=CHUNK + 1)  # right after a full chunk
 @given(
     count=st.integers(2, 3 * CHUNK),
     cuts=st.lists(st.integers(0, 3 * CHUNK), max_size=12),
     fails=st.lists(st.integers(0, 3 * CHUNK), min_size=1, max_size=3, unique=True),
     step_at=st.one_of(st.none(), st.integers(0, 3 * CHUNK)),
+    pause_at=st.one_of(st.none(), st.integers(0, 3 * CHUNK)),
 )
-def test_a_recording_is_the_same_however_the_frames_were_batched(count, cuts, fails, step_at):
-    step_at = None if step_at is None else step_at % count
-    frames = traffic(count, step_at)
+def test_a_recording_is_the_same_however_the_frames_were_batched(count, cuts, fails, step_at, pause_at):
+    step_at, pause_at = (None if at is None else at % count for at in (step_at, pause_at))
+    frames = traffic(count, step_at, pause_at)
     params = RecorderParams(before_ms=300, after_ms=200, most_frames=200_000, cooldown_s=0)
-    fails_at = sorted({f % count * MS for f in fails})
+    fails_at = sorted({int(frames["t_ns"][f % count]) for f in fails})
     cuts = [cut % len(frames) for cut in cuts]
     in_pieces = recorded(frames, cuts, fails_at, params, step_ns=5 * 10**9)
     one_by_one = recorded(frames, range(1, len(frames)), fails_at, params, step_ns=5 * 10**9)

@@ -285,7 +285,8 @@ def counter_step(c: Any, received: int) -> int:
         return -1
     if c.seen == 0 or c.last_counter < p.first or c.last_counter >= p.first + p.modulus:
         return 1
-    return int((received - c.last_counter) % p.modulus)
+    step = received - int(c.last_counter)
+    return step if step >= 0 else step + int(p.modulus)
 
 
 @kernel

@@ -15,7 +15,7 @@ import numpy as np
 from gateway.signals.bits import mask_of, swapped
 from gateway.signals.protection.cmac import Mac
 from gateway.signals.protection.crc import Crc, register_of
-from gateway_fdi.jit import Record, i4, i8, kernel, means, u1, u1s, u8, u8s
+from gateway_fdi.jit import Record, i4, i8, kernel, lowest_bit, means, u1, u1s, u8, u8s
 
 NONE, CRC, SUM, XOR, MAC = range(5)
 
@@ -153,8 +153,9 @@ def take_bytes(register: Any, word: Any, count: int, reflect: int, table: Any) -
         register >>= np.uint64(8 * count)
     else:
         register <<= np.uint64(8 * count)
-    for k in range(count):
-        register ^= table[count - 1 - k, (index >> np.uint64(8 * k)) & np.uint64(0xFF)]
+    for k in range(count - 1, -1, -1):
+        register ^= table[np.uint64(k), index & np.uint64(0xFF)]
+        index >>= np.uint64(8)
     return register
 
 
@@ -171,8 +172,11 @@ def crc_forwards(register: Any, words: Any, p: Any, last: int, table: Any) -> An
     for at in range(p.first >> 3, (last + 7) >> 3):
         begin, end = max(p.first, 8 * at), min(last, 8 * at + 8)
         word = words[at] & ~p.cleared[at]
-        for k in range(begin, end):
-            if (p.skipped >> np.uint64(k)) & np.uint64(1) == np.uint64(1):
+        own = np.int64((p.skipped >> np.uint64(8 * at)) & np.uint64(0xFF))
+        while own != 0:
+            k = 8 * at + lowest_bit(int(own))
+            own &= own - 1
+            if begin <= k < end:
                 register = take_bytes(register, word >> np.uint64(8 * (begin & 7)), k - begin, p.reflected, table)
                 begin = k + 1
         register = take_bytes(register, word >> np.uint64(8 * (begin & 7)), end - begin, p.reflected, table)

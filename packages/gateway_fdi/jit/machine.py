@@ -71,7 +71,8 @@ def optimise(module: Any, *, checked: bool) -> bytes:
     module.data_layout = str(target.target_data)
     module.verify()
     tuning = llvm.create_pipeline_tuning_options(speed_level=1 if checked else 3)
-    tuning.loop_vectorization = tuning.slp_vectorization = not checked
+    tuning.loop_vectorization = not checked
+    tuning.slp_vectorization = False  # it lengthens recurrences: their numbers go from one place to another and back
     builder = llvm.create_pass_builder(target, tuning)
     passes = builder.getModulePassManager()
     passes.add_strip_symbols_pass()  # names of what is inside count what was compiled before

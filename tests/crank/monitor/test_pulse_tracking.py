@@ -157,9 +157,16 @@ def test_ripple_learned_at_another_speed_is_brought_to_this_one():
     assert np.abs(believed).max() < 0.3 * np.abs(ripple[plain]).max()
 
 
+def numbers(value):
+    """All numbers of a record, those of records in it, too."""
+    if value.dtype.names:
+        return np.concatenate([numbers(value[name]) for name in value.dtype.names])
+    return np.ravel(value).astype(float)
+
+
 @pytest.mark.costly
 def test_regular_pulses_in_a_run_are_what_they_are_one_by_one():
-    """Bit for bit, whatever the length of the runs: a frame brings 4, 27, or the pulses of a whole log at once."""
+    """But for rounding, whatever the length of the runs: a frame brings 4, 27, or the pulses of a whole log at once."""
     wheel = Wheel.parse("60-2")
     rng = np.random.default_rng(17)
     print("seed 17")
@@ -178,10 +185,11 @@ def test_regular_pulses_in_a_run_are_what_they_are_one_by_one():
                 out[0].n = 0
                 adaptive.tooth(state[0], const[0], y[k], out[0])
                 k += 1
-        ends.append(state.tobytes())
+        ends.append(numbers(state))
         assert state[0].index == len(y) % 58
         assert regular > 0.7 * len(y), "few were taken the short way"
-    assert len(set(ends)) == 1
+    for end in ends[1:]:
+        np.testing.assert_allclose(end, ends[0], rtol=1e-9, atol=1e-12)
 
 
 def test_what_the_profile_says_of_the_wheel_is_what_its_pitches_say():

@@ -12,7 +12,7 @@ import numpy as np
 from gateway_fdi.jit import f8s, kernel
 from gateway_plants.crank import wheel_pairs, wheel_seen
 from gateway_plants.crank.monitor import anchor, defects, noise, reversal, waiting, wrong_wheel
-from gateway_plants.crank.monitor.faults import RESIDUALS, Reports
+from gateway_plants.crank.monitor.faults import Reports
 from gateway_plants.crank.monitor.isolation import (
     UNSEEN_PULSES,
     decide,
@@ -38,7 +38,7 @@ from gateway_plants.crank.monitor.turns import decided, turned, turned_back
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import WINDOW, restart, seek
 from gateway_plants.crank.pulse_tracking.branching import MOST_MISSED
-from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS, Limits, Pulses, plain, short, take
+from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS, RING, Limits, Pulses, plain, short, take
 from gateway_plants.crank.pulse_tracking.tracker import (
     agreed,
     begin,
@@ -52,6 +52,8 @@ from gateway_plants.crank.pulse_tracking.tracker import (
 
 #: Mean cost of a pulse [nat] above which the hypotheses are given up.
 MOST_MEAN_COST = 8.0
+#: Pulses that no frame brought, below which they fall no more, as :data:`LEAST_COST` does.
+LEAST_UNSEEN = 1e-9
 #: Least time between two pulses, and of a pitch [us]: a frame may tell of none.
 LEAST_US = 0.1
 #: An engine does not slow down by this factor from one tooth to the next.
@@ -130,7 +132,7 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         return
     y = max(y, LEAST_US)
     s.teeth += 1
-    s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
+    _see(s, 1)
     if s.burst.count > 0:
         _wait_for_end(s, c, y, out)
         return
@@ -201,20 +203,30 @@ def regular(s: State, c: Const, us: f8s, first: int, last: int) -> int:
         return 0
     last = min(last, first + c.pulses - NEAR - index, first + c.pulses + 1 - s.anchor.age)
     learned = pr.turns > 0
-    limits = Limits(c.longest_us, pr.slow if learned else np.inf, pr.fast if learned else 0.0)
-    taken = short(s.tracker, Pulses(us, first, last), limits, s.residuals, s.teeth % RESIDUALS)
+    limits = Limits(c.longest_us, 1.0 / pr.slow if learned else 0.0, 1.0 / pr.fast if learned else np.inf)
+    taken = short(s.tracker, Pulses(us, first, last), limits, s.residuals, s.teeth)
+    at, size, total, y1, y2 = int(s.anchor.at), int(c.anchor.length), pr.turn_us, s.y1, s.y2
     for k in range(first, first + taken):
-        y = us[k]
-        s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
-        anchor.note(s.anchor, c.anchor.length, y)
-        profile.note(pr, index, y)
+        y = us[np.uint64(k)]
+        at = anchor.put(s.anchor, at, size, y)
+        pr.intervals[np.uint64(index)] = y
+        total += y
         index += 1
-        s.y2 = s.y1
-        s.y1 = y
+        y1, y2 = y, y1
+    s.anchor.at, pr.turn_us, s.y1, s.y2 = at, total, y1, y2
+    s.anchor.age += taken
+    _see(s, taken)
     s.teeth += taken
     s.index = index
     s.since += taken
     return taken
+
+
+@kernel
+def _see(s: State, number: int) -> None:
+    """Let the pulses that no frame brought lie further back, by as many that have come."""
+    if s.unseen > LEAST_UNSEEN:
+        s.unseen = max(s.unseen * (1.0 - 1.0 / UNSEEN_PULSES) ** number, LEAST_UNSEEN)
 
 
 @kernel
@@ -232,9 +244,9 @@ def _plain(s: State, c: Const, y: float) -> bool:
     if plain(tr, c.pulses, c.acceleration, y) < 0.0:
         return False
     s.teeth += 1
-    s.unseen *= 1.0 - 1.0 / UNSEEN_PULSES
+    _see(s, 1)
     anchor.note(s.anchor, c.anchor.length, y)
-    s.residuals[s.teeth % RESIDUALS] = tr.residual
+    s.residuals[s.teeth & (RING - 1)] = tr.residual
     profile.note(pr, index, y)
     s.index = index + 1
     s.since += 1
@@ -339,7 +351,7 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     tr = s.tracker
     before = int(s.index)
     cost = take(tr, c.pulses, c.acceleration, c.ripple, y)
-    s.residuals[s.teeth % RESIDUALS] = tr.residual
+    s.residuals[s.teeth & (RING - 1)] = tr.residual
     if not (cost <= HOPELESS and tr.mean_cost <= MOST_MEAN_COST and best(tr).period > LEAST_US):
         count = noise.crowd(s.burst, s.teeth)
         if count >= noise.BURST and s.reversal.stood == 0:

@@ -96,17 +96,22 @@ def restart(an: State) -> None:
 @kernel
 def note(an: State, size: int, y: float) -> None:
     """Note one interval [us]."""
-    an.intervals[an.at] = y
-    an.at = an.at + 1 if an.at + 1 < size else 0
+    an.at = put(an, int(an.at), size, y)
     an.age += 1
+
+
+@kernel
+def put(an: State, at: int, size: int, y: float) -> int:
+    """Put an interval [us] at its place; returns the place of the next one."""
+    an.intervals[np.uint64(at)] = y
+    return at + 1 if at + 1 < size else 0
 
 
 @kernel
 def skip(an: State, size: int, number: int) -> None:
     """Pass over intervals that nobody told."""
     for _ in range(min(number, size)):
-        an.intervals[an.at] = 0.0
-        an.at = an.at + 1 if an.at + 1 < size else 0
+        an.at = put(an, int(an.at), size, 0.0)
     an.age += number
     an.verified = 0
 

@@ -214,10 +214,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 @kernel
 def _degrees(c: Const, f: place.State, tooth: int, delay_us: float) -> float:
     """Return the crank angle of an edge so long behind a tooth [deg], tooth 0 at zero."""
-    total = 0.0
-    for i in range(tooth):
-        total += c.fast.wheel.nominal[i]
-    total += min(delay_us / place.period(f), c.fast.wheel.nominal[tooth])
+    total = c.fast.wheel.place[tooth] + min(delay_us / place.period(f), c.fast.wheel.nominal[tooth])
     return float(total / c.fast.turn * 360.0)
 
 
@@ -293,8 +290,8 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
 
 
 @kernel
-def _show(s: State, c: Const) -> float:
-    """Bring what people and other monitors see up to date; returns the speed now [rpm]."""
+def _show(s: State, c: Const) -> None:
+    """Bring what people and other monitors see up to date."""
     f = s.fast
     s.sync = place.shown(f)
     s.revolutions = place.revolutions(f, c.fast)
@@ -308,11 +305,10 @@ def _show(s: State, c: Const) -> float:
     s.losses = f.losses
     s.reversals = f.reversal.total
     s.half = s.cam.half
-    return place.speed(f, c.fast)
 
 
 @kernel
-def _send(s: State, c: Const, t_ns: int, speed_rpm: float, out: Out[Evidence, Outputs]) -> None:
+def _send(s: State, c: Const, t_ns: int, out: Out[Evidence, Outputs]) -> None:
     """Send angle and speed, when it is time or when synchronisation has changed."""
     changed = s.sync != s.sent_sync or s.corrections != s.sent_corrections
     if not changed and t_ns - s.sent_ns < SYNC_EVERY_NS:
@@ -326,7 +322,7 @@ def _send(s: State, c: Const, t_ns: int, speed_rpm: float, out: Out[Evidence, Ou
     out.values.sync = s.sync
     cycle = 720.0 if s.cam.half >= 0 else 360.0
     out.values.angle = (turn * 360.0 + c.tooth_0_deg) % cycle
-    out.values.speed = speed_rpm
+    out.values.speed = place.speed(s.fast, c.fast)
     out.values.corrections = (s.corrections + 128) % 256 - 128
     out.values.index = min(index, MOST_INDEX)
     out.values.cycle_known = s.cam.half >= 0
@@ -352,7 +348,8 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
             cam.turned(s.cam, out, place.revolutions(s.fast, c.fast) - turns)
         else:
             cam.forget(s.cam)
-    _send(s, c, u.t_ns, _show(s, c), out)
+    _show(s, c)
+    _send(s, c, u.t_ns, out)
     if s.stalls_ns > u.t_ns:
         out.wake_ns = s.stalls_ns
 

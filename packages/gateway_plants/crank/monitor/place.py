@@ -12,6 +12,7 @@ from gateway_plants.crank.monitor.faults import RESIDUALS, Shape
 from gateway_plants.crank.monitor.reversal import Reversal
 from gateway_plants.crank.monitor.runout import ALLOWED, ALLOWED_RPM, FIRING_RPM, Law
 from gateway_plants.crank.pulse_tracking.acquisition import Search, restart
+from gateway_plants.crank.pulse_tracking.hypotheses import RING
 from gateway_plants.crank.pulse_tracking.profile import (
     MOST_ORDERS,
     REST_ORDER,
@@ -107,7 +108,7 @@ class State(Record):
     sure: u1 = means("1: the gap was seen where the place was found")
     held_fault: i4 = means("fault that a tentative place found; -1: none")
     held: Shape = means("its evidence")
-    residuals: Annotated[f8s, RESIDUALS] = means("residuals of the last pulses", "pitch")
+    residuals: Annotated[f8s, RING] = means("residuals of the last pulses, each at its number modulo RING", "pitch")
     missed: i8 = means("pulses missed at proven places")
     added: i8 = means("pulses added at proven places")
     corrections: i8 = means("pulses missed less those added")
@@ -199,6 +200,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     wh.lone = wheel.lone
     wh.orders = 0 if few else min(MOST_ORDERS, count // 5)
     wh.nominal[:count] = pitches
+    wh.place[:count] = laid.positions
     middle = 2 * np.pi * (np.asarray(laid.positions) + pitches / 2) / laid.turn
     harmonics(wh, middle)
     tr = s.tracker
@@ -376,7 +378,7 @@ def shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
     e.tooth = tooth_of(s, c, first)
     e.speed = speed(s, c)
     for k in range(RESIDUALS):
-        e.residual[k] = s.residuals[(s.teeth + 1 + k) % RESIDUALS]
+        e.residual[k] = s.residuals[(s.teeth + 1 - RESIDUALS + k) & (RING - 1)]
 
 
 @kernel
@@ -388,7 +390,4 @@ def period(s: State) -> float:
 @kernel
 def angle(s: State, c: Const) -> float:
     """Return the angle of the last tooth [share of a revolution], tooth 0 at zero."""
-    total = 0.0
-    for i in range(s.index % c.teeth):
-        total += c.wheel.nominal[i]
-    return float(total / c.turn)
+    return float(c.wheel.place[s.index % c.teeth] / c.turn)

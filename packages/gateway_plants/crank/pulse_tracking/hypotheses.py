@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from gateway_fdi.jit import f8s, kernel
 from gateway_plants.crank.pulse_tracking.branching import ADDED_COST, BRANCH, branch
 from gateway_plants.crank.pulse_tracking.motion import LASTS, TORQUE, correct, spread, torque, travel
@@ -19,10 +21,14 @@ from gateway_plants.crank.pulse_tracking.tracker import LEAST_VARIANCE, MOST, MO
 
 #: Nothing fits: even the best explanation of one pulse costs more [nat].
 HOPELESS = 45.0
+#: Mean cost of a pulse [nat] below which it falls no more: numbers near 0 take the processor ten times as long.
+LEAST_COST = 1e-9
 #: Share of a new residual in the variance of the edges.
 ADAPTATION = 0.03
 #: Regular pulses in a row over pitches within this of one, after which the covariance is that of the steady state.
 STEADY, EVEN = 4, 0.15
+#: Residuals kept, of as many pulses: a power of two.
+RING = 8
 #: Gate of the short way [variances]: nothing that is likelier than noise lies within.
 GATE = 6.0
 #: Growth over a pitch up to which three terms of the series of sqrt(1 + z) are exact enough (error below z^4 / 25).
@@ -48,8 +54,8 @@ class Limits(NamedTuple):
 
     Attributes:
         longest: interval [us].
-        slow: longest time of a pitch [us].
-        fast: shortest time of a pitch [us].
+        slow: least pace [pitch/us].
+        fast: greatest pace [pitch/us].
     """
 
     longest: float
@@ -62,57 +68,64 @@ def short(tr: Tracker, pulses: Pulses, limits: Limits, residuals: f8s, at: int) 
     """Take regular pulses the short way: one prediction, one gate, gains of the steady state; returns how many.
 
     With one hypothesis, over equal pitches, the covariance of the filter has come to its limit: neither it nor the
-    gains have to be computed. With z = r S the motion is a series, so that but one division is left::
+    gains have to be computed. The state is the pace w = 1 / T, so that no division is left, and the motion a series of
+    z = r S. With the way u that has passed since the last tooth [pitch], c = k2 e, and primes for the tooth before::
 
-        q = 1 + z/2 - z^2/8 + z^3/16,   dt = T S (1 - z/4 + z^2/8 - 5 z^3/64),   1/q = 1 - z/2 + 3 z^2/8 - 5 z^3/16
+        q = 1 + z/2 - z^2/8 + z^3/16,      2 q / (1 + q) = q - z/4 + z^3/64,      1/q^2 = (1 - z) (1 + z^2)
+        w = w' q' (1 - c' + c'^2/2),       u = (1 - c' + c'^2/2) ((1 - k1) e' + w' q' y),
+        e = u q - 2 S q / (1 + q) = (u - S) q + S z (1/4 - z^2/64)
 
-    The state is in variables while pulses follow each other: what one tooth costs is the time from one residual to the
-    next.
+    as 1 - c + c^2/2 is the inverse of 1 + c + c^2/2 but for c^4/4. A tooth takes the time from one residual to the
+    next, so sums are ordered for the shortest way between these, and the state is in variables.
 
     Args:
         tr: record of Tracker; its one hypothesis does not come to the end of the turn in these pulses.
         pulses: the pulses.
         limits: within which they are regular.
-        residuals: ring of the last residuals [pitch].
-        at: place of the latest one in it.
+        residuals: of the last pulses [pitch], each at the pulse's number modulo :data:`RING`.
+        at: number of the latest pulse.
     """
     if tr.steady < STEADY:
         return 0
     h = tr.banks[tr.bank * MOST]
-    index, elapsed, period, growth = int(h.index), h.elapsed, h.period, h.growth
-    k1, k2, k3, gate, share = 1.0 - tr.k1, tr.k2, tr.k3, tr.gate, tr.spread
-    variance, latest, cost = tr.variance, tr.last, tr.mean_cost
-    taken, e = 0, tr.residual
-    for k in range(pulses.first, pulses.last):
-        y = pulses.us[k]
-        span = tr.pitches[index + taken]
-        z = growth * span
-        if y > limits.longest or period > limits.slow or period < limits.fast:
+    first, index, pace = pulses.first, int(h.index), 1.0 / h.period
+    k2, k3, gate, half, left = tr.k2, tr.k3, tr.gate, 0.5 * tr.k2, 1.0 - tr.k1
+    variance, share = tr.variance, tr.spread
+    swing = ADAPTATION * 0.5 * share * share
+    decayed, before, change, off = h.growth, pace, 0.0, h.elapsed * pace
+    latest, e, pull = tr.last / share, tr.residual, 0.0
+    taken = 0
+    while first + taken < pulses.last:
+        y, span = pulses.us[np.uint64(first + taken)], tr.pitches[np.uint64(index + taken)]
+        z = decayed * span + span * k3 * pull
+        if y > limits.longest or pace < limits.slow or pace > limits.fast:
             break
         if abs(span - 1.0) > EVEN or abs(z) > SMALL:
             break
-        q = 1.0 + z * (0.5 - z * (0.125 - 0.0625 * z))
-        residual = ((elapsed + y) / period - span * (1.0 - z * (0.25 - z * (0.125 - 0.078125 * z)))) * q
+        square = z * z
+        q = (1.0 + 0.5 * z) + square * (0.0625 * z - 0.125)
+        way = off + before * y
+        residual = ((way - span) + change * way) * q + span * z * (0.25 - 0.015625 * square)
         if residual * residual >= gate * variance:
             break
-        e = residual
-        back = 1.0 - z * (0.5 - z * (0.375 - 0.3125 * z))
-        change = k2 * e
-        elapsed = e * (period * back) * k1
-        period = period * back * (1.0 + change + 0.5 * change * change)
-        growth = growth * back * back * (1.0 - span / LASTS) + k3 * e
-        variance = _adapted(variance, e * share - latest)
-        latest = e * share
-        cost *= 0.9
-        at = at + 1 if at + 1 < residuals.shape[0] else 0
-        residuals[at] = e
+        growth = decayed + k3 * pull
+        e = pull = residual
+        change = k2 * e * (half * e - 1.0)
+        before = pace * q
+        pace = before + before * change
+        off = left * e
+        decayed = growth * (1.0 - span * (1.0 / LASTS)) * ((1.0 - z) * (1.0 + square))
+        variance = _adapted(variance, swing * (e - latest) * (e - latest))
+        latest = e
         taken += 1
+        residuals[(at + taken) & (RING - 1)] = e
     if taken > 0:
         h.index = index + taken
-        h.elapsed, h.period, h.growth = elapsed, period, growth
+        h.elapsed, h.period, h.growth = off / before, 1.0 / pace, decayed + k3 * e
         h.associated = 1
         h.outlier = 0
-        tr.residual, tr.last, tr.variance, tr.mean_cost = e, latest, variance, cost
+        tr.residual, tr.last, tr.variance = e, e * share, variance
+        _settle(tr, taken)
     return taken
 
 
@@ -135,7 +148,7 @@ def plain(tr: Tracker, pulses: int, acceleration: float, y: float) -> float:
     index = int(h.index)
     span = tr.pitches[index]
     dt, q = travel(h, span)
-    e = (h.elapsed + y - dt) * q / h.period
+    e = (h.elapsed + y - dt) * (q / h.period)
     scale = 1.0 / tr.variance
     v = tr.variance * (spread(h, span, scale) + 1.0)
     if not e * e < 2.0 * (ADDED_COST - BRANCH) * v:
@@ -150,8 +163,15 @@ def plain(tr: Tracker, pulses: int, acceleration: float, y: float) -> float:
     h.associated = 1
     h.outlier = 0
     _adapt(tr, e * tr.spread)
-    tr.mean_cost *= 0.9
+    _settle(tr, 1)
     return float(0.5 * e * e / v)
+
+
+@kernel
+def _settle(tr: Tracker, number: int) -> None:
+    """Take pulses that cost nothing beyond noise into the mean cost."""
+    if tr.mean_cost > LEAST_COST:
+        tr.mean_cost = max(tr.mean_cost * 0.9**number, LEAST_COST)
 
 
 @kernel
@@ -202,17 +222,21 @@ def take(tr: Tracker, pulses: int, acceleration: float, ripple: float, y: float)
 @kernel
 def _adapt(tr: Tracker, e: float) -> None:
     """Follow the variance of the edges by one more residual, in units of its deviation."""
-    tr.variance = _adapted(tr.variance, e - tr.last)
+    tr.variance = _adapted(tr.variance, ADAPTATION * 0.5 * (e - tr.last) * (e - tr.last))
     tr.last = e
 
 
 @kernel
-def _adapted(variance: float, change: float) -> float:
-    """Return the variance of the edges, as it is after one more change from residual to residual.
+def _adapted(variance: float, step: float) -> float:
+    """Return the variance of the edges as it is after one more change from residual to residual.
 
     Residuals that keep their sign are not edges that jitter but a speed that is wrong; they must not make a
     wrong speed credible. One large change counts no more than three deviations.
+
+    Args:
+        variance: before [pitch^2].
+        step: half the square of the change, by :data:`ADAPTATION` [pitch^2].
     """
-    most = min(9.0 * variance, MOST_VARIANCE)
-    variance += ADAPTATION * (min(0.5 * change * change, most) - variance)
+    most = (1.0 + 8.0 * ADAPTATION) * variance
+    variance = min((1.0 - ADAPTATION) * variance + min(step, ADAPTATION * MOST_VARIANCE), most)
     return float(max(variance, LEAST_VARIANCE))

@@ -62,6 +62,7 @@ class LearnedWheel(Record):
     lone: u1 = means("1: the last slot is the only gap")
     whole: f8 = means("pitches of a turn")
     nominal: Annotated[f8s, MOST_TEETH] = means("nominal pitches", "pitch")
+    place: Annotated[f8s, MOST_TEETH] = means("their sum before each slot", "pitch")
     gap: Annotated[u1s, MOST_TEETH] = means("1: the slot is a gap, or follows one")
     cosine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("cosine of each order in the middle of each slot")
     sine: Annotated[f8s, MOST_ORDERS * MOST_TEETH] = means("sine likewise")
@@ -205,7 +206,8 @@ def _learn(pr: Profile, wh: LearnedWheel, us: float, growth: float) -> bool:
     total = 0.0
     for i in range(wh.pulses):
         a = wh.nominal[i]
-        w = log(pr.intervals[i] / a) + 0.5 * log(1.0 + growth * (angle + a / 2))
+        y = pr.intervals[i] / a
+        w = 0.5 * log(y * y * (1.0 + growth * (angle + a / 2)))
         angle += a
         pr.intervals[i] = w
         total += a * w
