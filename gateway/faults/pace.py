@@ -28,11 +28,6 @@ class Pace:
         """Whether there has been little to write lately."""
         return 2 * self._credit_ns >= self._most_ns
 
-    @property
-    def ready(self) -> bool:
-        """Whether :meth:`allows` will say yes."""
-        return self._credit_ns >= self._interval_ns
-
     def allows(self, t_ns: int, faults: int = 0) -> bool:
         """Return whether to write now; a yes is used up, and more of it the more there is to write.
 

@@ -64,7 +64,7 @@ class Passage(Connected):
         """Return who may send DTC frames of verdicts; ``settled``: nothing waits that is to be told before."""
         may, first = settled and self._dtc_frames is not None and self.controls.send, self._outbox.first
         journal = self.store.arm_journal(may and not first)
-        if self._dtc_frames is None or not may or not (first or journal or self._upkeep.keeps_at_once):
+        if self._dtc_frames is None or not may or not (first or journal or self._upkeep.in_process):
             return NOBODY
         self._dtc_frames.foresee()
         return JOURNAL if journal else AT_ONCE

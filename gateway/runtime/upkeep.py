@@ -119,9 +119,9 @@ class Upkeep:
         return self._memory.clean and self._tested and not (self._down or self._store.happened)
 
     @property
-    def keeps_at_once(self) -> bool:
-        """Whether the next change is stored in the same call: in this process, with no file and no thread."""
-        return self._writer is None and self._store.path is None and self._pace.ready
+    def in_process(self) -> bool:
+        """Whether changes are kept in this process only: there is no file, nor a thread that writes."""
+        return self._writer is None and self._store.path is None
 
     @property
     def failures(self) -> int:
