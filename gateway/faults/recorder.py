@@ -103,9 +103,10 @@ class Recorder:
         # Not at each batch: up to twice of what can be asked for is kept. A failure in this batch may ask for
         # what was before it, so that only what came before is given up.
         full = self._kept >= 2 * self._params.most_frames
+        times = frames["t_ns"].copy() if count > CHUNK else frames["t_ns"]  # looked at twice, and far apart
         if full or self._grown:
             self._grown = False
-            first = int(frames["t_ns"].min())
+            first = int(times.min())
             window = 2 * self._before_ns + self._after_ns
             if full or self._chunks[0].latest_ns < first - window:
                 self._trim(first)
@@ -113,7 +114,7 @@ class Recorder:
         if self._filled + count > CHUNK:
             self._close()
         if count > CHUNK:
-            self._keep(frames if self._lasting else copied(frames), offset_ns)
+            self._keep(frames if self._lasting else copied(frames), offset_ns, int(times.max()))
         else:
             if not self._filled:
                 self._offset_ns = offset_ns
@@ -121,14 +122,15 @@ class Recorder:
             self._filled += count
         self._kept += count
 
-    def _keep(self, frames: Frames, offset_ns: int) -> None:
-        self._chunks.append(_Chunk(int(frames["t_ns"].max()), offset_ns, frames))
+    def _keep(self, frames: Frames, offset_ns: int, latest_ns: int) -> None:
+        self._chunks.append(_Chunk(latest_ns, offset_ns, frames))
         self._grown = True
 
     def _close(self) -> None:
         """Begin a new chunk."""
         if self._filled:
-            self._keep(copied(self._filling[: self._filled]), self._offset_ns)
+            filled = copied(self._filling[: self._filled])
+            self._keep(filled, self._offset_ns, int(filled["t_ns"].max()))
             self._filled = 0
 
     def on_failure(self, fault: str, t_ns: int, *, wall_ns: int | None = None) -> None:
