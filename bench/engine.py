@@ -24,7 +24,6 @@ from filterpy.kalman import KalmanFilter
 from gateway.bus.base import Statistics
 from gateway.bus.can_structs import Packer, RawReceiver
 from gateway.bus.frames import empty, to_message
-from gateway.bus.logs import CHUNK
 from gateway.config.load import load_config
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
@@ -34,6 +33,7 @@ from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
+from gateway.runtime.replay import FED
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef
 from gateway_fdi.common.resources import shipped
@@ -92,7 +92,7 @@ def user_loop(messages):
     return alarms
 
 
-def replay_path(frames, chunk=CHUNK):
+def replay_path(frames, chunk=FED):
     """Frames in chunks through the whole gateway."""
     gateway = Gateway(load_config(shipped("gateway.toml")), lasting=True)
     gateway.start(0)

@@ -23,11 +23,11 @@ from engine import make_log
 from growth import DBC, MESSAGE, chunks_of, shape_of, timeout_ms
 
 from gateway.bus.frames import EXTENDED, empty, joined
-from gateway.bus.logs import CHUNK, open_writer, read_log
+from gateway.bus.logs import open_writer, read_log
 from gateway.bus.timeline import LogTime
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
+from gateway.runtime.replay import FED, replay
 from gateway_fdi.common.resources import shipped
 
 BUS = '[[bus]]\nname = "powertrain"\nuri = "virtual:bench"\nbitrate = 500_000\ndatabase = {files}\n'
@@ -80,8 +80,8 @@ def loop_ns(config, frames, *, whole):
     settling = min(len(frames) // 2, 100_000)  # the first pass of each test is a verdict
     gateway.feed(frames[:settling])
     begun = time.thread_time_ns()
-    for k in range(settling, len(frames), CHUNK):
-        part = frames[k : k + CHUNK]
+    for k in range(settling, len(frames), FED):
+        part = frames[k : k + FED]
         _ = gateway.feed(gateway.without_own(part)) if whole else gateway.engine.process(part, ignored)
     took = time.thread_time_ns() - begun
     gateway.close()
@@ -91,8 +91,8 @@ def loop_ns(config, frames, *, whole):
 def even_ns(frames):
     """Return what the even time of a log takes of a frame [ns]."""
     even, begun = LogTime(), time.thread_time_ns()
-    for k in range(0, len(frames), CHUNK):
-        even.apply(frames[k : k + CHUNK])
+    for k in range(0, len(frames), FED):
+        even.apply(frames[k : k + FED])
     return (time.thread_time_ns() - begun) / len(frames)
 
 

@@ -54,8 +54,8 @@ READERS: Registry[Callable[[Path], Reader]] = Registry("gateway.readers", _accep
 
 #: Formats of lines.
 _LINES: dict[str, Callable[[Path], Lines]] = {".log": Candump, ".asc": Asc, ".trc": Trc, ".csv": Csv}
-#: Frames of a batch at most: all that looks at them finds them in the cache of a core (1.3 MB).
-CHUNK = 16_384
+#: Frames of a batch at most.
+CHUNK = 100_000
 
 
 def is_format(suffix: str) -> bool:

@@ -8,9 +8,9 @@ that, and needs no right to ask (sched(7), ``sched_setattr``; Linux 6.12, earlie
 from __future__ import annotations
 
 import ctypes
+import os
 import platform
 import struct
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -31,7 +31,7 @@ def _call(number: int, room: ctypes.Array[ctypes.c_char], *more: int) -> bool:
 
 def _attributes() -> list[int] | None:
     """Return how this thread is scheduled; None: the system does not tell."""
-    calls = _CALLS.get(platform.machine()) if sys.platform == "linux" else None
+    calls = _CALLS.get(platform.machine()) if hasattr(os, "sched_getaffinity") else None
     room = ctypes.create_string_buffer(_ATTR.size)
     if calls is None or not _call(calls[1], room, _ATTR.size, 0):
         return None

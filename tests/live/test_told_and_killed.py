@@ -4,6 +4,7 @@ import random
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,7 @@ from gateway.live.machine import Machine
 save, config, memory, fd = Store.save, Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
 def slow(store, changes, whole=None):
     if threading.current_thread() is not threading.main_thread():
-        time.sleep(0.05)
+        time.sleep(0.1)
     save(store, changes, whole)
 Store.save = slow
 bus = socket.socket(fileno=fd)
@@ -68,6 +69,7 @@ def test_what_was_told_right_before_a_kill_is_there(tmp_path):
         process, bus = start(config, memory)
         while int.from_bytes(bus.recv(72)[:4], "little") != MESSAGE.frame_id:
             pass  # the list at the start
+        time.sleep(0.5)  # until its writes are done: the journal takes verdicts between two writes
         told, short, counts = {}, [False] * 8, [0] * 8
         for _ in range(1 + 2 * rng.randrange(5)):  # told by the journal, then, while SQLite is at work, after that, ...
             k = rng.randrange(8)
