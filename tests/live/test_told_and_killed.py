@@ -69,9 +69,11 @@ def test_what_was_told_right_before_a_kill_is_there(tmp_path):
         process, bus = start(config, memory)
         while int.from_bytes(bus.recv(72)[:4], "little") != MESSAGE.frame_id:
             pass  # the list at the start
-        time.sleep(0.5)  # until its writes are done: the journal takes verdicts between two writes
         told, short, counts = {}, [False] * 8, [0] * 8
-        for _ in range(1 + 2 * rng.randrange(5)):  # told by the journal, then, while SQLite is at work, after that, ...
+        changes = rng.randrange(6)
+        for n in range(changes + 1):  # some while SQLite is at work, the last one by the journal
+            if n == changes:
+                time.sleep(1.0)  # until all writes are done: the journal takes verdicts between two of them
             k = rng.randrange(8)
             short[k], counts[k] = not short[k], counts[k] + 1
             one = empty(1)
