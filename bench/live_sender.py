@@ -30,6 +30,19 @@ def spoilt(datagram: bytes) -> bytes:
     return datagram[:8] + bytes([datagram[8] ^ 0xFF]) + datagram[9:]
 
 
+def told_at(sock: socket.socket, message: int) -> float:
+    """Read what has come; returns when a change of a message's DTC was among it, 0.0: it was not."""
+    told = 0.0
+    try:
+        while True:
+            got = sock.recv(72)
+            # A change (index 0) of this message's DTC: bits 8 to 15 of the DTC are the message.
+            if got[0] == DTC_ID & 0xFF and got[9] == message and got[13] == 0:
+                told = time.perf_counter()
+    except BlockingIOError:
+        return told
+
+
 def send_at(
     sock: socket.socket,
     rate: float,
@@ -71,19 +84,16 @@ def send_at(
                     raise
                 full += 1
             sent += 1
-            if wrong:
-                break
-        try:
-            while True:
-                got = sock.recv(72)
-                # A change (index 0) of this message's DTC: bits 8 to 15 of the DTC are the message.
-                if got[0] == DTC_ID & 0xFF and got[9] == waiting and got[13] == 0:
-                    told = time.perf_counter()
-                    times.append((told - asked) * 1e3)
-                    spans.append((asked, told))
-                    waiting = -1
-        except BlockingIOError:
-            pass
+            if waiting >= 0 and (told := told_at(sock, waiting)):
+                times.append((told - asked) * 1e3)
+                spans.append((asked, told))
+                waiting = -1
+        if waiting >= 0 and (told := told_at(sock, waiting)):
+            times.append((told - asked) * 1e3)
+            spans.append((asked, told))
+            waiting = -1
+        elif waiting < 0:
+            told_at(sock, waiting)  # a queue that nobody reads gets full
         if waiting >= 0 and time.perf_counter() - asked > 1.0:
             times.append(1e3)
             waiting = -1

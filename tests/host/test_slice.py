@@ -1,6 +1,7 @@
 """A thread's slices of processor time, read back from the system."""
 
 import os
+import threading
 
 import pytest
 
@@ -19,3 +20,17 @@ def test_where_there_are_none_nothing_happens(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     with slices.short_slices(200_000):
         assert slices.slice_ns() is None
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="this system has no such classes")
+def test_a_thread_comes_first_if_its_user_may():
+    found = []
+
+    def run():
+        found.append((slices.come_first(), os.sched_getscheduler(0) == os.SCHED_FIFO))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert found in ([(True, True)], [(False, False)])
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER, "no other thread"
