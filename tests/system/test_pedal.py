@@ -25,7 +25,7 @@ EVIDENCE = {
     "P057A-2A": ("repeated [samples]", lambda v: v >= 4),
     "P157A-64": ("innovation [%]", lambda v: 5 < v < 7.5),
     "P057A-2F": ("position [%]", lambda v: v != 0),
-    "P157C-28": ("mismatch [%]", lambda v: 2 <= v < 3),
+    "P157C-28": ("mismatch [%]", lambda v: 1.6 <= v < 3),  # begins at 2, and may be 1.6 where it is confirmed
     "P157C-62": ("without agreement [share]", lambda v: v > 0.5),
     "P157A-14": ("reading", lambda v: v == 0),
     "P157C-29": ("channel 1 [%]", lambda v: v == -12.5),

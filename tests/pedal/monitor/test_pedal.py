@@ -60,6 +60,7 @@ class Qualified:
             if e["kind"] in (QUALIFIED_FAILED, QUALIFIED_PASSED):
                 name = self.names[e["fault"]]
                 values = dict(zip(self.evidence[name], map(float, e["evidence"]), strict=False))
+                values |= {"value": float(e["value"]), "threshold": float(e["threshold"])}
                 failed = e["kind"] == QUALIFIED_FAILED
                 self.events.append((int(e["t_ns"]) / 1e9, name, failed, values))
 
@@ -212,6 +213,19 @@ def test_a_reading_beyond_the_travel():
     raw(engine, [(0.5, 4.5)] * 20 + [(0.28, 4.5)] * 50, sink=seen)
     assert seen.failed() == ["channel_1_range"]
     assert seen.events[0][3]["position [%]"] == pytest.approx(-5.5, abs=0.05)
+
+
+def test_a_drift_is_kept_with_the_limit_that_judged_it():
+    """The channels move apart beyond the tolerance of 2 %, and back below it before that is confirmed."""
+    engine = engine_of()
+    seen = Qualified(engine)
+    rng = np.random.default_rng(7)
+    apart = np.concatenate([np.zeros(100), np.linspace(0.0, 2.6, 110), np.linspace(2.6, 1.8, 10), np.full(400, 1.8)])
+    rows = [(0.5 + 4 * (0.3 + d / 100) + rng.normal(0, 0.0005), 4.5 - 4 * 0.3 + rng.normal(0, 0.0005)) for d in apart]
+    raw(engine, rows, sink=seen)
+    assert seen.failed() == ["drift"]
+    (evidence,) = (values for _, _, failed, values in seen.events if failed)
+    assert 2.0 > evidence["value"] > evidence["threshold"], evidence
 
 
 @pytest.mark.costly

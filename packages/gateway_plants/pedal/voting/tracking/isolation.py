@@ -216,12 +216,12 @@ def drifting(s: State, c: Const) -> None:
     """Look at the slow mismatch: of three channels the one that drifts can be named, of two it cannot."""
     n, b = c.channels, s.mismatch
     s.spread = mismatch.spread(b, n, s.isolated)
+    # A lag that is small, and the steps of the readings, are learned as a mismatch for a while.
+    usual = c.tolerance + s.scale.step + (s.slack if n < MOST_CHANNELS else 0.0)
+    s.slow_limit = 0.8 * c.tolerance if s.drift else usual
     if s.drift == 0 and (s.slack >= s.scale.agree or (n < MOST_CHANNELS and _undecided(s, c))):
         return  # it may be a lag: at rest it goes, a drift stays
-    # A lag that is less than that, and the steps of the readings, are learned as a mismatch for a while.
-    usual = c.tolerance + s.scale.step + (s.slack if n < MOST_CHANNELS else 0.0)
-    limit = 0.8 * c.tolerance if s.drift else usual
-    s.drift = 1 if s.spread > limit else 0
+    s.drift = 1 if s.spread > s.slow_limit else 0
     if n < MOST_CHANNELS or s.drift == 0 or s.isolated != 0:
         return
     middle = mismatch.centre(b, n)

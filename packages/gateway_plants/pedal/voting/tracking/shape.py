@@ -64,6 +64,7 @@ class State(Record):
     why: Annotated[i8s, MOST_CHANNELS] = means("reason of each channel")
     drift: i8 = means("1: the slow mismatch exceeds the tolerance, and no channel is known to be the cause")
     spread: f8 = means("mismatch of the channels")
+    slow_limit: f8 = means("what the slow mismatch was judged by: less to end a drift than to begin one")
     rejected: Annotated[i8s, MOST_CHANNELS] = means("how often each channel was rejected, lately")
     back: Annotated[i8s, MOST_CHANNELS] = means("for how long an isolated channel has followed the track", "samples")
     innovation: Annotated[f8s, MOST_CHANNELS] = means("reading less the track")
