@@ -14,6 +14,12 @@ def assert_consistent(t: Tables) -> None:
     """Assert what the loop takes for granted of the tables to each other: it checks no index."""
     messages, slots, faults = len(t.messages), len(t.mailbox), len(t.debounces)
     assert len(t.vectors) == messages
+    whole = t.messages[t.messages["whole"] == 1]
+    assert (whole["slot"] + whole["count"] <= slots).all()
+    for m in whole:
+        mine = t.signals[m["first"] :][: m["count"]]
+        assert (mine["slot"] == m["slot"] + np.arange(m["count"])).all()
+        assert (mine["parent"] < 0).all()
     assert (t.vectors["first"] + t.vectors["count"] <= len(t.triggers)).all()
     assert (t.vectors["check"] < len(t.checks)).all()
     assert (t.checks["sync"] < len(t.checks)).all()

@@ -69,6 +69,7 @@ from gateway.signals.decode import (
     UNKNOWN_MUX,
     commit,
     decode,
+    decode_whole,
     exact_key,
     find,
     invalid_value,
@@ -328,15 +329,18 @@ def leave_out(T: Any, t_ns: int, row: int, verdict: int) -> None:
 
 @kernel
 def accepted(T: Any, t_ns: int, row: int, length: int, words: Any) -> int:
-    """Decode a frame and check it; returns ACCEPT, IN_PART or REJECT."""
-    v, clock = T.vectors[row], T.clock[0]
-    status = decode(words, length, row, T.messages, T.signals, T.mux_ids, T.values, T.present)
+    """Decode a frame and check it; returns ACCEPT, IN_PART or REJECT. A whole one is decoded if it is accepted."""
+    v, m, clock = T.vectors[row], T.messages[row], T.clock[0]
+    if m.whole == 1:
+        status = OK if length >= m.length else TOO_SHORT
+    else:
+        status = decode(words, length, row, T.messages, T.signals, T.mux_ids, T.values, T.present)
     if status == TOO_SHORT:
         clock.too_short += 1
     elif status == UNKNOWN_MUX:
         clock.unknown_mux += 1
     bad = -1  # place of a signal that carries no value
-    if status == OK and T.messages[row].floats == 1:
+    if status == OK and m.floats == 1:
         bad = invalid_value(row, T.messages, T.signals, T.values, T.present)
         if bad >= 0:
             clock.invalid_values += 1
@@ -371,9 +375,12 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any, 
     if verdict != ACCEPT:
         leave_out(T, t_ns, row, verdict)
         return
-    v = T.vectors[row]
+    v, m = T.vectors[row], T.messages[row]
     clock.decoded += 1
-    commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)
+    if m.whole == 1:
+        decode_whole(words, m, T.signals, T.mailbox)
+    else:
+        commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)
     if v.page >= 0:
         turn_pages(T, t_ns, row)
     v.arrived_ns = t_ns

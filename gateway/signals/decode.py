@@ -39,8 +39,9 @@ SIGNAL = record(
 )
 
 #: One message: bytes it needs, its signals ``signals[first:first + count]``, its identity, and whether floating-point
-#: signals are among them.
-MESSAGE = record(length=i4, first=i4, count=i4, can_id=u4, bus=u1, floats=u1)
+#: signals are among them. A ``whole`` one has only integers that are always there and asked for, with one slot after the
+#: other from ``slot`` on: a frame that is long enough has all of them.
+MESSAGE = record(length=i4, first=i4, count=i4, can_id=u4, slot=i4, bus=u1, floats=u1, whole=u1)
 
 _PGN = np.uint64(1 << 40)  # marks keys that match by PGN
 
@@ -140,6 +141,14 @@ def extract(words: Any, s: Any) -> float:
 
 
 @kernel
+def plain_value(words: Any, s: Any) -> float:
+    """Return the physical value of a plain signal; arguments as those of :func:`extract`."""
+    unused = np.uint64(64 - s.length)
+    bits = ((words[s.word] >> np.uint64(s.shift)) << unused) >> unused
+    return float(np.int64(bits) * s.scale + s.offset)
+
+
+@kernel
 def among(value: int, ids: Any, first: int, count: int) -> bool:
     """Return whether a value is one of ``ids[first:first + count]``."""
     for k in range(first, first + count):
@@ -182,9 +191,7 @@ def decode(
         s = signals[np.uint64(first + j)]
         if s.plain == 1:
             present[j] = 1
-            unused = np.uint64(64 - s.length)
-            bits = ((words[s.word] >> np.uint64(s.shift)) << unused) >> unused
-            values[j] = np.int64(bits) * s.scale + s.offset
+            values[j] = plain_value(words, s)
             continue
         if s.parent >= 0 and (present[s.parent] == 0 or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)):
             present[j] = 0
@@ -230,3 +237,19 @@ def commit(row: int, messages: Any, signals: Any, values: Any, present: Any, mai
         slot = signals[np.uint64(first + j)].slot
         if slot >= 0 and present[j] == 1:
             mailbox[np.uint64(slot)] = values[j]
+
+
+@kernel
+def decode_whole(words: Any, m: Any, signals: Any, mailbox: Any) -> None:
+    """Decode a frame that is long enough into the mailbox.
+
+    Args:
+        words: payload, 8 little-endian uint64, zero beyond its length.
+        m: record of MESSAGE, a whole one.
+        signals: shape (signals,) of SIGNAL.
+        mailbox: float64, shape (slots,).
+    """
+    first, slot = int(m.first), int(m.slot)
+    for j in range(m.count):
+        s = signals[np.uint64(first + j)]
+        mailbox[np.uint64(slot + j)] = plain_value(words, s) if s.plain == 1 else extract(words, s)

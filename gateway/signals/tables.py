@@ -355,6 +355,8 @@ class _Rows:
         entry["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
         entry["bus"] = bus
         entry["floats"] = any(signal.is_float for signal in needed)
+        alone = not any(signal.is_float or signal.is_multiplexer or signal.multiplexer_ids for signal in needed)
+        entry["whole"], entry["slot"] = alone and all(s.name in names for s in needed), len(self.slots)
         for j, signal in enumerate(needed):
             ref = SignalRef(bus, message.name, signal.name)
             self.positions[ref] = j
