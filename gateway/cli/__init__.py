@@ -95,6 +95,9 @@ def run(
     status: StatusOption = None,
     page: Annotated[bool, typer.Option("--serve", help="Also serve the web page, in its own process.")] = False,
     port: PortOption = 8808,
+    realtime: Annotated[
+        bool, typer.Option(help="Come before all other programs on the processor (root or LimitRTPRIO=1).")
+    ] = False,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -110,6 +113,7 @@ def run(
             duration=duration,
             status=status,
             page=port if page else None,
+            realtime=realtime,
             json=json,
             fail_on_dtc=fail_on_dtc,
         )

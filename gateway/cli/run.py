@@ -8,7 +8,7 @@ import signal
 import socket
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Self
 
@@ -19,8 +19,12 @@ from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.faults.catalogue import FaultDefinition
 from gateway.host.process import ENDS
+from gateway.host.slice import real_time
 from gateway.live.daemon import Daemon
 from gateway.live.notify import Notifier
+from gateway_fdi.common.log import get_logger
+
+log = get_logger(__name__)
 
 
 class Ending:
@@ -88,10 +92,14 @@ def run(
     duration: float | None,
     status: Path | None = None,
     page: int | None = None,
+    realtime: bool = False,
     json: bool,
     fail_on_dtc: bool,
 ) -> int:
-    """Monitor until told to stop; returns the exit code. ``page``: port of a page to be served beside."""
+    """Monitor until told to stop; returns the exit code.
+
+    ``page`` is the port of a page to be served beside, ``realtime`` whether the loop comes before other programs.
+    """
     ending = Ending(starting=0)
     path = find_config(config_path)
     printer = EventPrinter(as_json=json, start_ns=time.time_ns())
@@ -128,7 +136,10 @@ def run(
             signal.signal(signal.SIGHUP, daemon.reloader.request)
         say(daemon.describe())
         begun = time.monotonic()
-        daemon.run(ending.after(duration))
+        with real_time() if realtime else nullcontext(True) as may:
+            if not may:
+                log.warning("--realtime: not granted; it needs root or LimitRTPRIO=1, and Linux")
+            daemon.run(ending.after(duration))
         printer(daemon.gateway.summary(time.monotonic() - begun))
         lost = say_unless_stored(daemon.gateway.stored, daemon.gateway.store.path)
     if lost:

@@ -1,4 +1,4 @@
-"""The slice of processor time that a thread asks for: a short one has it come soon after it was woken.
+"""When a thread gets the processor: real time, or slices that it asks for. Short ones have it come soon after it woke.
 
 Linux' fair scheduler (EEVDF) gives the processor to the thread whose slice has to end first. So of two threads with the
 same share the one that asks for short slices does not wait for the other's (3 ms) to end. It gets no more time by
@@ -69,14 +69,26 @@ def short_slices(runtime_ns: int = SHORT_NS) -> Iterator[None]:
 
 
 def come_first() -> bool:
-    """Have this thread come before all that share processors; returns whether its user may (root, or ``LimitRTPRIO``).
+    """Have this thread come before all others on its processor; returns whether it may (root, or ``LimitRTPRIO``).
 
-    For one that does little at a time: it is of real time then, at the least priority (sched(7)).
+    It is of real time then, at the least priority (sched(7)), until it waits. Threads and processes that it begins are
+    not.
     """
-    if not hasattr(os, "sched_setscheduler"):
+    if not hasattr(os, "SCHED_RESET_ON_FORK"):  # Linux alone has it
         return False
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
     except OSError:
         return False
     return True
+
+
+@contextmanager
+def real_time() -> Iterator[bool]:
+    """Have this thread come first for a while; gives whether it may."""
+    came = come_first()
+    try:
+        yield came
+    finally:
+        if came:  # to take the flag back, too, would be another right
+            os.sched_setscheduler(0, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))

@@ -39,7 +39,7 @@ SIGNAL = record(
 )
 
 #: One message: bytes it needs, its signals ``signals[first:first + count]``, its identity, and whether floating-point
-#: signals are among them. A ``whole`` one has only integers that are always there and asked for, with one slot after the
+#: signals are among them. A ``whole`` one has only integers that are always there and asked for, one slot after the
 #: other from ``slot`` on: a frame that is long enough has all of them.
 MESSAGE = record(length=i4, first=i4, count=i4, can_id=u4, slot=i4, bus=u1, floats=u1, whole=u1)
 

@@ -3,11 +3,23 @@
 import os
 import platform
 import re
+import subprocess
+import sys
 import threading
 
 import pytest
 
 from gateway.host import slice as slices
+
+#: ``gateway run`` where real time is refused.
+REFUSED = """
+import os, sys
+def refuse(*_):
+    raise PermissionError
+os.sched_setscheduler = refuse
+from gateway.cli import main
+main()
+"""
 
 #: Linux takes notice from 6.12 on.
 TAKEN = tuple(int(part) for part in re.findall(r"\d+", platform.release())[:2]) >= (6, 12)
@@ -27,15 +39,42 @@ def test_where_there_are_none_nothing_happens(monkeypatch):
         assert slices.slice_ns() is None
 
 
-@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="this system has no such classes")
-def test_a_thread_comes_first_if_its_user_may():
+@pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="this system has no such classes")
+def test_a_thread_comes_first_if_its_user_may_and_none_that_it_begins():
     found = []
 
+    def first():
+        return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+
     def run():
-        found.append((slices.come_first(), os.sched_getscheduler(0) == os.SCHED_FIFO))
+        with slices.real_time() as may:
+            found.append((may, first()))
+            mine = threading.Thread(target=lambda: found.append(first()))
+            mine.start()
+            mine.join()
+        found.append(first())
 
     thread = threading.Thread(target=run)
     thread.start()
     thread.join()
-    assert found in ([(True, True)], [(False, False)])
+    assert found in ([(True, True), False, False], [(False, False), False, False])
     assert os.sched_getscheduler(0) == os.SCHED_OTHER, "no other thread"
+
+
+def test_who_may_not_come_first_goes_on(monkeypatch):
+    def refuse(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse, raising=False)
+    with slices.real_time() as may:
+        assert not may
+
+
+def test_a_daemon_that_may_not_is_told_so_and_monitors(tmp_path):
+    (tmp_path / "car.toml").write_text('[[bus]]\nname = "b"\nuri = "virtual:x"\ndatabase = ["car.dbc"]\n')
+    (tmp_path / "car.dbc").write_text('VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n SG_ S : 0|8@1+ (1,0) [0|255] "" A\n')
+    command = [sys.executable, "-c", REFUSED, "run", "car.toml", "--realtime", "--duration", "0.1"]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert "--realtime: not granted" in ended.stderr
+    assert "bus b open" in ended.stdout
