@@ -184,7 +184,7 @@ class EventMemory:
         """Remove what is stored of a fault; its status byte stays."""
         fresh = Record(record.id, record.dtc, record.status)
         fresh.peak_fdc, fresh.near_misses = record.peak_fdc, record.near_misses
-        record.__dict__.update(fresh.__dict__)
+        record.take_over(fresh)
         self.room = True
         self._held.touch(record.id)
 

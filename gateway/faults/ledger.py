@@ -142,18 +142,23 @@ class Ledger:
         touched, self._touched = self._touched, set()
         return touched
 
-    def complete(self, records: Iterable[Record]) -> None:
-        """Have the tests of records be complete; of a record that the store has, nothing else is written."""
-        new, statuses = self._new, self._pending.statuses
-        for record in records:
-            status = record.status & PASSED
-            if status == record.status:
+    def complete(self, records: Sequence[Record], statuses: Sequence[int]) -> None:
+        """Have the tests of records be complete; of a record that the store has, nothing else is written.
+
+        Args:
+            records: as they are.
+            statuses: their status bytes.
+        """
+        new, waiting = self._new, self._pending.statuses
+        for record, before in zip(records, statuses, strict=True):
+            status = before & PASSED
+            if status == before:
                 continue
             record.status = status
             if new and record.id in new:
                 self._dirty.add(record.id)
             else:
-                statuses[record.id] = status
+                waiting[record.id] = status
 
     def note_cycle(self, name: str, cycle: Cycle) -> None:
         """Note the state of an operation cycle."""
@@ -370,9 +375,12 @@ class Ledger:
             self._new.difference_update(record.id for record in changes.records)
         for fault, status in changes.statuses.items():
             record = self._stored[fault]
-            self._count(record, -1)
-            record.status = status
-            self._count(record, 1)
+            if record.occurrence:
+                self._count(record, -1)
+                record.status = status
+                self._count(record, 1)
+            else:  # as nearly all: a car's first seconds complete thousands
+                record.status = status
         self._stored_permanent = permanent
 
     def _start_anew(self) -> None:

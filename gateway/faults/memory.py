@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import suppress
+from itertools import compress
 from typing import Any
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Event
@@ -105,6 +106,8 @@ class FaultMemory(Readable):
                 view[definition.id].dtc = definition.dtc.value
         for record in self._records.values():  # no longer in the catalogue: usual rules
             self._definitions.setdefault(record.id, FaultDefinition(record.id, Dtc(record.dtc), "no longer monitored"))
+        self._ids = [definition.id for definition in self.catalogue]
+        self._cycle_of = [definition.cycle for definition in self.catalogue]
         self._lamps = [fault for fault, definition in self._definitions.items() if lights_mil(definition)]
         self._put_in_order()
 
@@ -223,17 +226,19 @@ class FaultMemory(Readable):
         Returns:
             whether it was so; else nothing was taken, and each is to be told by :meth:`apply`.
         """
-        found = [self.catalogue[place] for place in places]
-        records = [self._records[definition.id] for definition in found]
-        if any(record.status & _TEST_FAILED for record in records):
+        # A car's first seconds have thousands: without steps of Python where there is another way.
+        records = [*map(self._records.__getitem__, map(self._ids.__getitem__, places))]
+        statuses = [record.status for record in records]
+        if any(map(_TEST_FAILED.__and__, statuses)):
             return False
-        counts = {cycle for cycle in {definition.cycle for definition in found} if self._cycles.counts(cycle)}
-        self._held.complete([r for r, definition in zip(records, found, strict=True) if definition.cycle in counts])
+        if not all(map(self._cycles.counts, set(map(self._cycle_of.__getitem__, places)))):
+            counting = [self._cycles.counts(self._cycle_of[place]) for place in places]
+            records, statuses = [*compress(records, counting)], [*compress(statuses, counting)]
+        self._held.complete(records, statuses)
         if self.performance.offered or self._entries.waits:
-            for definition, record in zip(found, records, strict=True):
-                if definition.cycle in counts:
-                    self.performance.completed(definition.id)
-                    self._entries.give_up(record)
+            for record in records:
+                self.performance.completed(record.id)
+                self._entries.give_up(record)
         return True
 
     def _changed(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from gateway.faults.explained import Cause
@@ -21,7 +22,7 @@ class FreezeFrame:
     content: dict[str, float | None]
 
 
-@dataclass
+@dataclass(slots=True)
 class Record:
     """The memory's record of one fault.
 
@@ -71,15 +72,23 @@ class Record:
 
     def copy(self) -> Record:
         """Return a copy; its contents are replaced later, not changed."""
-        made = Record.__new__(Record)
-        made.__dict__.update(self.__dict__)  # a tenth of the time that the module copy takes
+        made = Record(*_contents(self))  # a tenth of the time that the module copy takes
         made.freeze_frames = dict(self.freeze_frames)
         return made
+
+    def take_over(self, other: Record) -> None:
+        """Become what another record is."""
+        for name in _NAMES:
+            setattr(self, name, getattr(other, name))
 
     def become(self, status: Status, cycles: Cycles) -> None:
         """Take what a transition of the status byte returned."""
         self.status = int(status)
         self.failed_cycles, self.passed_cycles, self.aged_cycles = cycles.failed, cycles.passed, cycles.aged
+
+
+_NAMES = tuple(each.name for each in fields(Record))
+_contents = attrgetter(*_NAMES)
 
 
 @dataclass

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from gateway.config.model import Config
 from gateway.engine.events import (
     CLOCK_STEPPED,
@@ -35,8 +37,6 @@ from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_events
 
 _TEST_FAILED = int(Status.TEST_FAILED)
-#: Kinds of which there may be thousands at once, at a start.
-_OFTEN = (RESULT_CHANGED, QUALIFIED_PASSED)
 
 
 class Verdicts:
@@ -82,22 +82,22 @@ class Verdicts:
         self.count = 0
 
     def take(self, events: Events) -> None:
-        """Take events of the engine, in order; it is the sink of :class:`gateway.engine.core.Engine`."""
+        """Take events of the engine, in order; it is the sink of :class:`gateway.engine.core.Engine`.
+
+        Of changed results and passes there may be thousands at once, at a start: they are taken together.
+        """
         self.count += len(events)
-        kinds, faults, at = events["kind"].tolist(), events["fault"].tolist(), 0
-        while at < len(kinds):
-            end = at
-            while end < len(kinds) and kinds[end] in _OFTEN:
-                end += 1
-            passed = [faults[k] for k in range(at, end) if kinds[k] == QUALIFIED_PASSED]
+        kinds, faults, at = events["kind"], events["fault"], 0
+        rare = np.flatnonzero((kinds != RESULT_CHANGED) & (kinds != QUALIFIED_PASSED)).tolist()
+        for end in (*rare, len(events)):
+            passed = faults[at:end][kinds[at:end] == QUALIFIED_PASSED].tolist()
             if end > at and self._memory.complete(passed):  # none of these faults is there
                 if self._outbox.is_heard:
                     self._tell(each(events[at:end]))
-            else:
-                end = max(end, at + 1)
-                for event in each(events[at:end]):
-                    self._take_one(event)
-            at = end
+                at = end
+            for event in each(events[at : end + 1]):
+                self._take_one(event)
+            at = end + 1
         self._causes.take(events)
 
     def _tell(self, events: Sequence[Event]) -> None:
