@@ -131,7 +131,7 @@ lowest_bit: Callable[[int], int] = cast(Any, Intrinsic(_lowest_bit, _build_lowes
 
 
 def _read_ahead(record: Any) -> None:
-    """Have the processor fetch a record's beginning, two lines of its cache, while it goes on with other things."""
+    """Have the processor fetch a record's beginning, three lines of its cache, while it goes on with other things."""
 
 
 def _build_read_ahead() -> Any:
@@ -146,7 +146,7 @@ def _build_read_ahead() -> Any:
             prefetch = builder.module.declare_intrinsic("llvm.prefetch", (byte,), kind)
             first = builder.bitcast(arguments[0], byte)
             for_writing, to_stay, data = (ir.Constant(number, value) for value in (1, 3, 1))
-            for at in range(0, min(record.size, 2 * LINE), LINE):
+            for at in range(0, min(record.size, 3 * LINE), LINE):
                 place = builder.gep(first, [ir.Constant(ir.IntType(64), at)])
                 builder.call(prefetch, [place, for_writing, to_stay, data])
             return ir.Constant(ir.IntType(8).as_pointer(), None)
@@ -156,5 +156,5 @@ def _build_read_ahead() -> Any:
     return intrinsic(read_ahead)
 
 
-#: Has the processor fetch the beginning of a record, two lines of its cache, while it goes on with other things.
+#: Has the processor fetch the beginning of a record, three lines of its cache, while it goes on with other things.
 read_ahead: Callable[[Any], None] = cast(Any, Intrinsic(_read_ahead, _build_read_ahead))
