@@ -142,7 +142,7 @@ class Gateway(Passage):
         if self.config.memory.tell == "stored":
             self.store.begin_journal()
             if self._dtc_frames is not None:
-                self._dtc_frames.withdraw = self.store.withdraw
+                self._dtc_frames.foretold.withdraw = self.store.withdraw
 
     @property
     def journal(self) -> Journalled:

@@ -66,13 +66,13 @@ class Passage(Connected):
         journal = self.store.arm_journal(may and not first)
         if self._dtc_frames is None or not may or not (first or journal or self._upkeep.in_process):
             return NOBODY
-        self._dtc_frames.foresee()
+        self._dtc_frames.foretold.foresee()
         return JOURNAL if journal else AT_ONCE
 
     @property
     def foreseen(self) -> Foretelling | None:
         """Tables of which a pump makes DTC frames; None: there are none."""
-        return None if self._dtc_frames is None else self._dtc_frames.foreseen
+        return None if self._dtc_frames is None else self._dtc_frames.foretold.tables
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`tell`."""
@@ -88,7 +88,7 @@ class Passage(Connected):
         """
         if self._dtc_frames is None or not len(gone):
             return self._emit(self._reception.tell())
-        self._dtc_frames.note_gone(gone)
+        self._dtc_frames.foretold.note(gone)
         sent = self._reception.tell()
         corrected = self._dtc_frames.correct(self._outbox.noted, self.engine.now_ns)
         return joined([self._emit(sent), corrected])

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from cantools.database.can import Message
@@ -15,18 +15,17 @@ from pydantic import Field
 
 from gateway.bus.frames import FRAME, URGENT, Frames, empty, payload
 from gateway.faults.dtc import Dtc
-from gateway.faults.entries import UNKNOWN, DtcChange
+from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
 from gateway.servers.bus_server import BusServer
-from gateway.servers.foretelling import Foretelling, foretelling, put_report
+from gateway.servers.foretelling import put_report
+from gateway.servers.foretold import Foretold
 from gateway.signals.database import load_database
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.jit import bound
 
 MESSAGE = "GW_DTC"
-#: Faults of which it is foreseen in one call what becomes of them: frames wait meanwhile.
-AT_ONCE = 100
 _CELLS = FRAME.itemsize // 8
 
 log = get_logger(__name__)
@@ -83,14 +82,6 @@ def read_dtc_frame(frame: np.void, database: Path) -> DtcReport | None:
     )
 
 
-class _Gone(NamedTuple):
-    """A frame that was sent before its change came, or is by the journal: ``number`` there, 0: it has been sent."""
-
-    payload: bytes
-    told: tuple[int, int]  # status byte and failures
-    number: int
-
-
 class DtcFrameSender(BusServer):
     """Sends the DTC frames, driven by the time it is given; it listens to nothing.
 
@@ -102,7 +93,7 @@ class DtcFrameSender(BusServer):
         counter_of: fault id -> its fault detection counter now.
 
     Attributes:
-        withdraw: takes a number in the journal; returns whether its frame has been sent, else it never is.
+        foretold: the frames that are told before their changes come.
     """
 
     urgent = True
@@ -121,22 +112,17 @@ class DtcFrameSender(BusServer):
         self._held: dict[str, DtcChange] = {}
         self._sent_ns: dict[str, int] = {}
         self._counter_of = counter_of
-        self._places = {definition.id: k for k, definition in enumerate(memory.catalogue)}
-        self._foreseen = foretelling(message_of(database), bus, len(self._places))
-        self._from_ns = self._foreseen.following["from_ns"]
-        self._stale: set[str] = set()  # it is not foreseen what becomes of these
-        self._gone: dict[str, _Gone] = {}
-        self.withdraw: Callable[[int], bool] = lambda number: True
+        self.foretold = Foretold(message_of(database), bus, memory, params.status_mask)
         self._corrected = 0
         example = np.zeros(_CELLS, np.uint64)
-        self._put = bound(put_report, self._foreseen, rest=(example, 0, 0, 0, 0, 0, 0, 0))
+        self._put = bound(put_report, self.foretold.tables, rest=(example, 0, 0, 0, 0, 0, 0, 0))
 
     def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
         """Tell the changes that were held back, and go on with the cyclic list."""
         if isinstance(old, DtcFrameSender):
             known = self._memory.catalogue.get
             self._held = {name: held for name, held in old._held.items() if known(name) is not None}
-            self._gone = {name: gone for name, gone in old._gone.items() if known(name) is not None}
+            self.foretold.succeed(old.foretold)
             for name, at in old._sent_ns.items():
                 self._note_sent(name, at)
             if self._params.cycle_ms == old._params.cycle_ms:
@@ -177,69 +163,23 @@ class DtcFrameSender(BusServer):
             dtc, status, occurrence = memory.state(name)
             fdc = change.fdc if status == change.new_status else self._counter_of(name)
             self._put(cells[k], t_ns, dtc, status, fdc, 0, count, occurrence)
-        if not self._gone:
+        if not self.foretold.gone:
             return frames
         names = [change.definition.id for change in due]
-        return frames[[k for k, name in enumerate(names) if self._take_gone(name) != payload(frames[k])]]
+        return frames[[k for k, name in enumerate(names) if self.foretold.take(name) != payload(frames[k])]]
 
     def _note_sent(self, name: str, t_ns: int) -> None:
         self._sent_ns[name] = t_ns
-        if name in self._places:
-            self._from_ns[self._places[name]] = t_ns + round(self._params.min_interval_ms * 1e6)
-
-    # Frames that a pump sends at a verdict
-
-    @property
-    def foreseen(self) -> Foretelling:
-        """Tables of which a pump makes DTC frames; :meth:`foresee` keeps them right."""
-        return self._foreseen
-
-    def foresee(self) -> None:
-        """Have it foreseen what the next verdicts make of the DTCs; to be called after any change."""
-        memory, following = self._memory, self._foreseen.following
-        touched = memory.take_touched()
-        if not (touched or self._stale):
-            return
-        self._stale |= touched & self._places.keys()
-        if len(self._stale) > AT_ONCE:
-            later = [self._places[name] for name in self._stale]
-            following["failed"][later] = following["passed"][later] = UNKNOWN
-        mask = self._params.status_mask
-        for name in sorted(self._stale)[:AT_ONCE]:
-            place, (dtc, status, occurrence) = self._places[name], memory.state(name)
-            failed, passed, more = memory.foresee(name)
-            now = bool(occurrence and status & mask)
-            adds = [
-                bool(count and after > 0 and after & mask) - now
-                for after, count in ((failed, more), (passed, occurrence))
-            ]
-            following[place] = (dtc, failed, passed, more, occurrence, *adds, self._from_ns[place])
-            self._stale.discard(name)
-        self._foreseen.head["count"] = memory.count_by_status_mask(mask)
-
-    def note_gone(self, frames: Frames) -> None:
-        """Note that frames of changes that come next have been sent, or are by the journal."""
-        for frame, made in zip(frames, self._foreseen.made, strict=False):
-            name = self._memory.catalogue[int(made["fault"])].id
-            self._take_gone(name)
-            told = int(made["status"]), int(made["occurrence"])
-            self._gone[name] = _Gone(payload(frame), told, int(made["number"]))
-
-    def _take_gone(self, name: str) -> bytes | None:
-        """Return the payload of a fault's frame that was sent before, once; one that the journal has still never is."""
-        gone = self._gone.pop(name, None)
-        return None if gone is None or (gone.number and not self.withdraw(gone.number)) else gone.payload
+        self.foretold.wait(name, t_ns + round(self._params.min_interval_ms * 1e6))
 
     def correct(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
         """Return frames for DTCs that were told otherwise than they have become: it must not be.
 
         Args:
-            changes: of the verdicts after :meth:`note_gone`.
+            changes: of the verdicts that were foretold.
             t_ns: now [ns].
         """
-        became = {(change.definition.id, int(change.new_status), change.occurrence) for change in changes}
-        wrong = [name for name, gone in self._gone.items() if (name, *gone.told) not in became]
-        names = [name for name in wrong if self._take_gone(name) is not None]
+        names = self.foretold.take_wrong(changes)
         if not names:
             return empty(0)
         self._corrected += len(names)

@@ -17,6 +17,7 @@ from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway
+from gateway.runtime.quiet import NOBODY
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import COMPILED
 from tests.system.bench_config import beat, write_config
@@ -391,6 +392,8 @@ def test_a_dtc_leaves_before_python_has_its_verdict(rigs, tmp_path, way):
 
     rig.gateway.tell, count = noted, 0
     for k in range(60):
+        while k == 20 and way != "switched off" and rig.gateway.quiet().foretells == NOBODY:
+            rig.turn()  # the start is being written
         count += 1 + (k in (20, 40))
         rig.send(0, frame(0x300, beat(count)))
         rig.turn()

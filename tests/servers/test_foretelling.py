@@ -13,7 +13,7 @@ from gateway.bus.frames import FRAME, payload
 from gateway.engine.events import EVENT, RESULT_CHANGED
 from gateway.faults.settings import POWER
 from gateway.faults.store import Store
-from gateway.servers import dtc_frame
+from gateway.servers import foretold as knowledge
 from gateway.servers.dtc_frame import DtcFrameParams, DtcFrameSender
 from gateway.servers.foretelling import MOST, foretell
 
@@ -29,13 +29,13 @@ def sender(memory, **params):
 
 def foretold(made, verdicts, t_ns):
     """Return the frames made at events at a time, before these are taken."""
-    made.foresee()
+    made.foretold.foresee()
     events = np.zeros(max(len(verdicts), 1), EVENT)
     for row, told in zip(events, verdicts, strict=False):
         for name in ("t_ns", "fault", "kind", "fdc"):
             row[name] = getattr(told, name)
-    count = foretell(made.foreseen, events.view(np.recarray), len(verdicts), t_ns)
-    return made.foreseen.frames[:count].copy().view(FRAME).reshape(-1)
+    count = foretell(made.foretold.tables, events.view(np.recarray), len(verdicts), t_ns)
+    return made.foretold.tables.frames[:count].copy().view(FRAME).reshape(-1)
 
 
 def taken(made, memory, verdicts, t_ns):
@@ -107,7 +107,7 @@ def test_an_event_of_another_kind_is_pythons():
 
 
 def test_many_faults_are_foreseen_in_several_calls(monkeypatch):
-    monkeypatch.setattr(dtc_frame, "AT_ONCE", 2)
+    monkeypatch.setattr(knowledge, "AT_ONCE", 2)
     memory = AtOnce(catalogue((1,) * FAULTS), Store(None))
     memory.start_cycle(0)
     made, last = sender(memory), [event(FAULTS - 1, True)]
@@ -121,14 +121,14 @@ def test_a_frame_that_has_gone_is_not_sent_again_and_a_wrong_one_is_corrected(ca
     memory = AtOnce(catalogue(), Store(None))
     memory.start_cycle(0)
     made, verdicts = sender(memory), [event(0, True), event(1, True)]
-    made.note_gone(foretold(made, verdicts, 0)[:1])
+    made.foretold.note(foretold(made, verdicts, 0)[:1])
     changes = [change for each in verdicts for change in memory.apply(each, nothing)]
     assert not len(made.correct(changes, 0))
     (left,) = made.on_changes(changes, 0)
     assert MESSAGE.decode(payload(left))["Dtc"] == 0x030111
-    made.foresee()
-    made.foreseen.following["passed"][0] = 0x55
-    made.note_gone(foretold(made, [event(0, False)], 20 * MS))
+    made.foretold.foresee()
+    made.foretold.tables.following["passed"][0] = 0x55
+    made.foretold.note(foretold(made, [event(0, False)], 20 * MS))
     changes = memory.apply(event(0, False), nothing)
     (again,) = made.correct(changes, 20 * MS)
     assert MESSAGE.decode(payload(again))["Status"] == int(memory.status("m.f0"))
@@ -143,11 +143,11 @@ def test_of_what_the_journal_has_not_sent_python_sends_the_newest(sent):
     memory, asked = AtOnce(catalogue(), Store(None)), []
     memory.start_cycle(0)
     made = sender(memory, min_interval_ms=0.0)
-    made.withdraw = lambda number: asked.append(number) or sent
+    made.foretold.withdraw = lambda number: asked.append(number) or sent
     for again in (False, True):
         frames = foretold(made, [event(0, True)], 0)
-        made.foreseen.made["number"][0] = 7
-        made.note_gone(frames)
+        made.foretold.tables.made["number"][0] = 7
+        made.foretold.note(frames)
         changes = memory.apply(event(0, True), nothing)
         assert not len(made.correct(changes, 0))
         if again:
