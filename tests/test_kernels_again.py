@@ -16,12 +16,12 @@ from drawn import drawn
 TESTS = Path(__file__).parent
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
 CHECKED = {"GATEWAY_BOUNDSCHECK": "1"}
-ENGINE = (
-    "engine",
+ENGINE = ("engine",)
+BUSES = (
     "bus/test_adapters.py",
-    "faults/test_journal.py",
     "bus/test_readers.py",
     "bus/test_traffic.py",
+    "faults/test_journal.py",
     "signals/test_random_databases.py",
     "signals/test_tooth_codec.py",
 )
@@ -36,8 +36,8 @@ FDI = (
 CRANK = sorted(str(path.relative_to(TESTS)) for path in TESTS.glob("crank/monitor/test_*.py"))
 
 ALL = {
-    "engine": ENGINE, "crank": CRANK[::2], "crank, too": CRANK[1::2], "monitors": MONITORS, "plants": PLANTS,
-    "mathematics": FDI,
+    "engine": ENGINE, "buses": BUSES, "crank": CRANK[::2], "crank, too": CRANK[1::2], "monitors": MONITORS,
+    "plants": PLANTS, "mathematics": FDI,
 }  # fmt: skip
 #: Without those of plants that are not in this checkout.
 THERE = {part: [path for path in paths if (TESTS / path).exists()] for part, paths in ALL.items()}
