@@ -226,6 +226,9 @@ def test_a_drift_is_kept_with_the_limit_that_judged_it():
     assert seen.failed() == ["drift"]
     (evidence,) = (values for _, _, failed, values in seen.events if failed)
     assert 2.0 > evidence["value"] > evidence["threshold"], evidence
+    (first, *_) = (values for _, name, _, values in seen.events if name == "drift")
+    assert first["value"] <= first["threshold"], "of the first pass"
+    assert first["threshold"] >= 2.0
 
 
 @pytest.mark.costly

@@ -195,7 +195,8 @@ def diagnose(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
         d.split += ((0.0 if agreed or not judged else 1.0) - d.split) / SPLIT_OVER
         if d.split > SPLIT_FAILS or d.split < SPLIT_PASSES:
             _of_all(s, c, CORRELATION, d.split > SPLIT_FAILS, d.split, SPLIT_FAILS, out)
-        _of_all(s, c, DRIFT, judged and v.drift == 1, v.spread, v.slow_limit, out)
+        if v.slow_limit > 0.0:  # the voter has looked at it
+            _of_all(s, c, DRIFT, judged and v.drift == 1, v.spread, v.slow_limit, out)
     # A sample of another time, there and back, is no jump: it has to be farther than the quantity moves meanwhile.
     jumped = v.source == COMMON_MODE and d.split < SPLIT_JUMP
     for i in range(c.channels):
