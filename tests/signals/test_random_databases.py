@@ -11,8 +11,16 @@ from random_messages import messages
 
 from gateway.bus.frames import EXTENDED, empty, put
 from gateway.signals.database import Database
-from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX, commit, decode, lookup
+from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX, commit, decode, decode_whole, lookup
 from gateway.signals.tables import SignalRef, compile_plan
+
+
+def assert_whole(plan, words, mailbox):
+    """Assert that the short way of a whole message gives the same mailbox."""
+    if plan.messages[0]["whole"]:
+        short = np.full(plan.n_slots + 1, np.nan)
+        decode_whole(words, plan.messages[0], plan.signals, short)
+        np.testing.assert_equal(short, mailbox)
 
 
 def same(ours, theirs):
@@ -49,6 +57,7 @@ def test_decoding_equals_cantools(message, data):
     assert status == OK
     mailbox = np.full(plan.n_slots + 1, np.nan)
     commit(0, plan.messages, plan.signals, values, present, mailbox)
+    assert_whole(plan, words, mailbox)
     there = {
         name: mailbox[plan.slot(3, "M", name)]
         for name in (s.name for s in message.signals)
@@ -64,12 +73,14 @@ def test_what_is_wanted_does_not_change_what_is_decoded(message, data):
     """Strictness about multiplexers must not depend on the signals that somebody asked for."""
     database = Database([(message, None)])
     names = [signal.name for signal in message.signals]
+    alone = not any(signal.is_float or signal.is_multiplexer or signal.multiplexer_ids for signal in message.signals)
     chosen = data.draw(st.sets(st.sampled_from(names)) if names else st.just(set()))
     whole = compile_plan([(0, database)])
     part = compile_plan([(0, database)], {SignalRef(0, "M", n) for n in chosen}, messages=[(0, "M")])
     body = data.draw(st.binary(min_size=message.length, max_size=message.length))
     frames = empty(1)
     put(frames, 0, 0, message.frame_id, body)
+    assert bool(whole.messages[0]["whole"]) == alone
     found = []
     for plan in (whole, part):
         values = np.zeros(plan.max_signals + 1)
@@ -87,6 +98,7 @@ def test_what_is_wanted_does_not_change_what_is_decoded(message, data):
         )
         if status == OK:
             commit(0, plan.messages, plan.signals, values, present, mailbox)
+            assert_whole(plan, frames["data"].view("<u8")[0], mailbox)
         found.append((status, {n: mailbox[plan.slot(0, "M", n)] for n in chosen}))
     assert found[0][0] == found[1][0]
     for name in chosen:
