@@ -64,6 +64,14 @@ def send_at(
     sent = full = 0
     next_wrong, asked, waiting = every_s, 0.0, -1  # message whose DTC is waited for
     times, spans = [], []
+
+    def look() -> None:
+        nonlocal waiting
+        if (told := told_at(sock, waiting)) and waiting >= 0:
+            times.append((told - asked) * 1e3)
+            spans.append((asked, told))
+            waiting = -1
+
     while (now := time.perf_counter() - begun) < seconds:
         if rest_s:
             time.sleep(rest_s)
@@ -84,16 +92,9 @@ def send_at(
                     raise
                 full += 1
             sent += 1
-            if waiting >= 0 and (told := told_at(sock, waiting)):
-                times.append((told - asked) * 1e3)
-                spans.append((asked, told))
-                waiting = -1
-        if waiting >= 0 and (told := told_at(sock, waiting)):
-            times.append((told - asked) * 1e3)
-            spans.append((asked, told))
-            waiting = -1
-        elif waiting < 0:
-            told_at(sock, waiting)  # a queue that nobody reads gets full
+            if waiting >= 0:
+                look()
+        look()  # also where nothing is waited for: a queue that nobody reads gets full
         if waiting >= 0 and time.perf_counter() - asked > 1.0:
             times.append(1e3)
             waiting = -1

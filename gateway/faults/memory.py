@@ -226,7 +226,7 @@ class FaultMemory(Readable):
         Returns:
             whether it was so; else nothing was taken, and each is to be told by :meth:`apply`.
         """
-        # A car's first seconds have thousands: without steps of Python where there is another way.
+        # A car's first seconds have thousands: maps take them with fewer steps of Python.
         records = [*map(self._records.__getitem__, map(self._ids.__getitem__, places))]
         statuses = [record.status for record in records]
         if any(map(_TEST_FAILED.__and__, statuses)):

@@ -68,13 +68,22 @@ def short_slices(runtime_ns: int = SHORT_NS) -> Iterator[None]:
             _ask(before)
 
 
+def is_real_time() -> bool:
+    """Return whether this thread is of real time: somebody has said how it is scheduled, and it is left as it is."""
+    if not hasattr(os, "SCHED_RESET_ON_FORK"):  # Linux alone has it
+        return False
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK in (os.SCHED_FIFO, os.SCHED_RR)
+
+
 def come_first() -> bool:
     """Have this thread come before all others on its processor; returns whether it may (root, or ``LimitRTPRIO``).
 
-    It is of real time then, at the least priority (sched(7)), until it waits. Threads and processes that it begins are
-    not.
+    From then on it is of real time, at the least priority (sched(7)): it has the processor until it waits. Threads and
+    processes that it begins are not of real time.
     """
-    if not hasattr(os, "SCHED_RESET_ON_FORK"):  # Linux alone has it
+    if is_real_time():
+        return True
+    if not hasattr(os, "SCHED_RESET_ON_FORK"):
         return False
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(1))
@@ -86,9 +95,10 @@ def come_first() -> bool:
 @contextmanager
 def real_time() -> Iterator[bool]:
     """Have this thread come first for a while; gives whether it may."""
+    before = is_real_time()
     came = come_first()
     try:
         yield came
     finally:
-        if came:  # to take the flag back, too, would be another right
+        if came and not before:  # to take the flag back, too, would be another right
             os.sched_setscheduler(0, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))

@@ -61,6 +61,17 @@ def test_a_thread_comes_first_if_its_user_may_and_none_that_it_begins():
     assert os.sched_getscheduler(0) == os.SCHED_OTHER, "no other thread"
 
 
+@pytest.mark.skipif(not hasattr(os, "SCHED_RESET_ON_FORK"), reason="this system has no such classes")
+def test_a_thread_that_is_of_real_time_already_stays_as_it_is(monkeypatch):
+    def change(*_):
+        raise AssertionError("it was changed")
+
+    monkeypatch.setattr(os, "sched_getscheduler", lambda _: os.SCHED_RR | os.SCHED_RESET_ON_FORK)
+    monkeypatch.setattr(os, "sched_setscheduler", change)
+    with slices.real_time() as may:
+        assert may
+
+
 def test_who_may_not_come_first_goes_on(monkeypatch):
     def refuse(*_):
         raise PermissionError
