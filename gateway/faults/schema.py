@@ -1,4 +1,14 @@
-"""Tables of the fault memory's file, and how a file comes from one version to the next."""
+"""Tables of the fault memory's file, and how a file comes from one version to the next.
+
+A script that is there is never changed: files were made by it, and the chain names the columns of its version
+(:mod:`gateway.faults.chain`). A new column or table is a new script.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from functools import cache
 
 #: First bytes of each SQLite file.
 MAGIC = b"SQLite format 3\0"
@@ -130,7 +140,27 @@ CREATE TABLE ecu_dtc (
 );
 """
 
+# A number that no other file has, beside the file too: one that was put in its place shows
+# (gateway/faults/rollback.py). And the version that a link's digests are of.
+_NINTH = """
+CREATE TABLE generation (id INTEGER NOT NULL);
+INSERT INTO generation SELECT (random() & 0x3FFFFFFFFFFFFFFF) | 1;
+ALTER TABLE link ADD COLUMN version INTEGER NOT NULL DEFAULT 8;
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH, _SEVENTH, _EIGHTH)
+MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH, _SEVENTH, _EIGHTH, _NINTH)
 #: First version that has a chain.
 CHAINED = 6
+
+
+@cache
+def columns_of(scripts: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Return the columns of each table, in their order, as these scripts make them."""
+    with closing(sqlite3.connect(":memory:")) as db:
+        db.executescript("".join(scripts))
+        tables = db.execute("SELECT name FROM sqlite_schema WHERE type = 'table'").fetchall()
+        return {
+            table: tuple(name for (name,) in db.execute("SELECT name FROM pragma_table_info(?)", (table,)))
+            for (table,) in tables
+        }

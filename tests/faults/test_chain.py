@@ -142,28 +142,6 @@ def test_interventions_that_had_to_go_are_no_loss(tmp_path):
     store.close()
 
 
-def test_a_file_from_before_causes_keeps_its_chain_and_all_it_has(tmp_path):
-    """The digests are those of the old version: what somebody changed before the migration shows after it."""
-    path = tmp_path / "f.sqlite"
-    filled(path)
-    before = service.list_entries(path)
-    assert before
-    for wrong in (False, True):
-        db = sqlite3.connect(path, isolation_level=None)
-        db.executescript("DROP TABLE ecu_dtc; DROP TABLE cause; PRAGMA user_version = 6;")
-        if wrong:
-            db.execute("UPDATE fault SET occurrence = occurrence + 1 WHERE occurrence > 0")
-        db.close()
-        with pytest.raises(InputError, match="earlier gateway"):
-            service.verify(path)
-        store, memory = kept(path)
-        assert [mishap.kind for mishap in store.mishaps()] == (["damaged"] if wrong else [])
-        assert all(entry.cause is None and entry.hold == "" for entry in memory.entries())
-        store.close()
-        assert service.verify(path)["whole"]
-    assert [entry["fault"] for entry in service.list_entries(path)] == [entry["fault"] for entry in before]
-
-
 def test_a_cause_that_somebody_changes_shows(tmp_path):
     path = tmp_path / "f.sqlite"
     store, memory = kept(path)
