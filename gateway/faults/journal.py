@@ -43,14 +43,15 @@ class Journal:
 
     Args:
         database: the fault memory's file, which is there.
+        generation: of that file.
 
     Raises:
         OSError: it cannot have a journal.
     """
 
-    def __init__(self, database: Path) -> None:
+    def __init__(self, database: Path, generation: int = 0) -> None:
         self._path = path_of(database)
-        self._file, latest = begin(database)
+        self._file, latest = begin(database, generation)
         self._event = os.eventfd(0, os.EFD_CLOEXEC)
         self._state, self._entries = zeros(1, steps.State), zeros(SLOTS, steps.Entry)
         state = self._state[0]
@@ -76,15 +77,18 @@ class Journal:
         """
         return _memory(self._state, self._entries, faults)
 
-    def arm(self, head: bytes) -> bool:
+    def arm(self, head: bytes, link: int = 0, generation: int = 0) -> bool:
         """Let verdicts be taken, or not; returns whether they are.
 
         Args:
             head: digest of the last link of the memory's file, if no write is under way; else b"".
+            link: its number.
+            generation: of the file.
         """
         cells = self._cells
         if head and head != self._head:
             cells[_PLACE["before"]] = cells[_PLACE["number"]]
+            cells[_PLACE["link"]], cells[_PLACE["generation"]] = link, generation
             for k, word in enumerate(struct.unpack("<4q", head)):
                 cells[_PLACE["digest"] + k] = word
             self._head = head

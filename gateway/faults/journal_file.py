@@ -4,8 +4,8 @@ It matters only where a process ends, or the power goes, in the moment between t
 fixed size, each in a sector of its own: a write that is torn harms no other. A record has the digest of the last link
 of the chain (:mod:`gateway.faults.chain`) that the memory's file had then, and no write was under way. So each later
 commit has the verdict in it, or came from another process, and the record counts only as long as that link is the last
-one. The digest names the file, too: no other one has it. Nothing is ever deleted here: a record ends with the commit
-that makes it superfluous.
+one. A record ends with the commit that makes it superfluous; it still says that the file had this link
+(:mod:`gateway.faults.rollback`). Records of another generation of the file are of no use, and go at the next start.
 
 ==========  =============================================================================
 byte        content (little endian)
@@ -16,8 +16,12 @@ byte        content (little endian)
 48 to 63    the fault: first half of the SHA-256 of its id, because places change
 64 to 71    time of the wall clock [ns]
 72 to 75    1 failed or 2 passed; status byte after it; failures; fault detection counter
-80 to 87    CRC-32 of all before
+80 to 87    number of the last link
+88 to 95    generation of the memory's file
+96 to 103   CRC-32 of all before
 ==========  =============================================================================
+
+Records of earlier versions (``GWVERD1``) end at byte 80, with their CRC.
 """
 
 from __future__ import annotations
@@ -32,13 +36,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gateway.faults.records import Record
+from gateway.faults.rollback import LastLink
 from gateway.host.process import RAW
 
 SUFFIX = "-verdicts"
 SLOTS, SLOT = 32, 512
 LENGTH = SLOTS * SLOT
-MAGIC = int.from_bytes(b"GWVERD1\0", "little")
-_CONTENT, _SUM = struct.Struct("<QQ32s16sqBBBbi"), struct.Struct("<Q")
+MAGIC = int.from_bytes(b"GWVERD2\0", "little")
+_EARLIER = int.from_bytes(b"GWVERD1\0", "little")
+_CONTENT, _SUM = struct.Struct("<QQ32s16sqBBBb4xqq"), struct.Struct("<Q")
+_FORMATS = {MAGIC: _CONTENT, _EARLIER: struct.Struct("<QQ32s16sqBBBb4x")}
 #: Bytes of a record.
 RECORD = _CONTENT.size + _SUM.size
 #: A greater number is no verdict's.
@@ -47,7 +54,7 @@ _SAFELY = RAW | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 class LastVerdict(NamedTuple):
-    """A record of the journal; ``fault`` as of :func:`name_of`, ``kind`` that of an event."""
+    """A record of the journal; ``fault`` as of :func:`name_of`, ``kind`` that of an event; 0: no link is named."""
 
     number: int
     head: bytes
@@ -57,6 +64,8 @@ class LastVerdict(NamedTuple):
     status: int
     occurrence: int
     fdc: int
+    link: int = 0
+    generation: int = 0
 
 
 def path_of(database: Path) -> Path:
@@ -73,11 +82,13 @@ def records(content: bytes) -> list[LastVerdict]:
     """Return the whole records of a journal, in order; what is garbage is none."""
     found = []
     for at in range(0, len(content) - RECORD + 1, SLOT):
-        part = content[at : at + _CONTENT.size]
-        magic, *rest, _ = _CONTENT.unpack(part)
-        record = LastVerdict(*rest)
-        whole = _SUM.unpack_from(content, at + _CONTENT.size)[0] == zlib.crc32(part)
-        if magic == MAGIC and whole and 0 < record.number < _MOST:
+        form = _FORMATS.get(int.from_bytes(content[at : at + 8], "little"))
+        if form is None:
+            continue
+        part = content[at : at + form.size]
+        record = LastVerdict(*form.unpack(part)[1:])
+        whole = _SUM.unpack_from(content, at + form.size)[0] == zlib.crc32(part)
+        if whole and 0 < record.number < _MOST:
             found.append(record)
     return sorted(found)
 
@@ -120,22 +131,32 @@ def _make(database: Path) -> None:
         os.close(file)
 
 
-def waiting(database: Path, head: bytes) -> list[LastVerdict]:
+def _read(database: Path) -> list[LastVerdict]:
+    """Return the records of a fault memory's journal; none, if it cannot be read."""
+    try:
+        file = _open(database, os.O_RDONLY)
+        try:
+            return records(os.read(file, LENGTH))
+        finally:
+            os.close(file)
+    except OSError:
+        return []
+
+
+def waiting(database: Path, head: bytes, generation: int = 0) -> list[LastVerdict]:
     """Return the verdicts that were told, and that a fault memory does not have, in order.
 
     Args:
         database: its file.
         head: digest of the last link of its chain.
+        generation: of the file.
     """
-    try:
-        file = _open(database, os.O_RDONLY)
-        try:
-            content = os.read(file, LENGTH)
-        finally:
-            os.close(file)
-    except OSError:
-        return []
-    return [record for record in records(content) if record.head == head]
+    return [record for record in _read(database) if record.head == head and record.generation in (0, generation)]
+
+
+def links(database: Path) -> list[LastLink]:
+    """Return the links that the journal's verdicts came after: the memory's file had them."""
+    return [LastLink(record.generation, record.link, record.head) for record in _read(database) if record.link]
 
 
 def show(verdicts: Iterable[LastVerdict], records: Iterable[Record]) -> None:
@@ -151,8 +172,12 @@ def show(verdicts: Iterable[LastVerdict], records: Iterable[Record]) -> None:
             record.first_ns = verdict.t_ns if record.first_ns is None else record.first_ns
 
 
-def begin(database: Path) -> tuple[int, int]:
+def begin(database: Path, generation: int = 0) -> tuple[int, int]:
     """Have a journal whose blocks are all there, so that a record needs no new one; its records stay.
+
+    Args:
+        database: the fault memory's file.
+        generation: of that file: records of another one go.
 
     Returns:
         its descriptor; the number of its latest record, 0: there is none.
@@ -164,6 +189,11 @@ def begin(database: Path) -> tuple[int, int]:
     file = _open(database, os.O_RDWR)
     try:
         content = os.pread(file, LENGTH, 0).ljust(LENGTH, b"\0")
+        latest = max((record.number for record in records(content)), default=0)
+        content = b"".join(
+            bytes(SLOT) if any(record.generation not in (0, generation) for record in records(slot)) else slot
+            for slot in (content[at : at + SLOT] for at in range(0, LENGTH, SLOT))
+        )
         os.ftruncate(file, LENGTH)
         os.pwrite(file, content, 0)
         os.fsync(file)
@@ -175,4 +205,4 @@ def begin(database: Path) -> tuple[int, int]:
     except OSError:
         os.close(file)
         raise
-    return file, max((record.number for record in records(content)), default=0)
+    return file, latest

@@ -43,7 +43,9 @@ class State(Record):
     done: i8 = means("number of the latest entry that is dealt with")
     kept: i8 = means("verdicts that were synchronised")
     sent: i8 = means("frames that were sent")
-    digest: Annotated[u8s, 4] = means("of the last link of the memory's file")
+    link: i8 = means("number of the last link of the memory's file")
+    generation: i8 = means("of that file")
+    digest: Annotated[u8s, 4] = means("of that link")
     one: Annotated[u8s, 1] = means("the number 1")
     woken: Annotated[u8s, 1] = means("count of the event, as read")
 
@@ -55,7 +57,7 @@ class Entry(Record):
     number: i8 = means("of the verdict")
     fd: i8 = means("socket that its frame leaves by")
     length: i8 = means("bytes of its frame")
-    record: Annotated[u8s, 11] = means("as in the file")
+    record: Annotated[u8s, 13] = means("as in the file")
     wire: Annotated[u8s, 9] = means("the frame as a struct of the system")
 
 
@@ -98,6 +100,7 @@ def journal_put(
     record[6], record[7] = J.names[fault, 0], J.names[fault, 1]
     record[8] = np.uint64(np.int64(t_ns))
     record[9] = np.uint64(kind | status << 8 | occurrence << 16 | (fdc & 0xFF) << 24)
+    record[10], record[11] = np.uint64(s.link), np.uint64(s.generation)
     register = np.uint64(0xFFFFFFFF)
     for k in range(_CELLS):
         register = take_bytes(register, record[k], 8, 1, J.table)

@@ -2,7 +2,8 @@
 
 - It cannot be opened or written (disk full, read-only, I/O error): everything stays in this process, and the file is
   tried again when the memory saves next.
-- It is damaged: it is put aside with its date, its readable parts are recovered, and a new one is begun.
+- It is damaged, or went back to an earlier state (:mod:`gateway.faults.rollback`): it is put aside with its date, its
+  readable parts are recovered, and a new one is begun.
 - It is deleted, or another one is put in its place, under the running gateway: likewise; all that this process knows
   goes into the new one, but nothing from the other file.
 - It is cut off or overwritten in place, under the running gateway: likewise (see :mod:`gateway.faults.watched_file`).
@@ -21,7 +22,7 @@ from typing import TypeVar
 from gateway.faults import chain, journal_file, rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.journal import Journal
-from gateway.faults.lock import InUseError, is_in_place, take_lock
+from gateway.faults.lock import InUseError, is_in_place, is_marked, take_lock
 from gateway.faults.mishaps import Mishap, Mishaps
 from gateway.faults.place import Place
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
@@ -31,6 +32,7 @@ from gateway.faults.store import (
     Connect,
     DamagedError,
     ForeignError,
+    OlderError,
     Store,
     StoreError,
     UnusableError,
@@ -70,9 +72,12 @@ class KeptStore(Store):
         self._recordings: list[Recording] = []  # of a file that is gone, for the next one
         self._unsaved = False
         self._unread = False  # whether there is a file that could not be read when this began
+        gone = path is not None and not path.exists() and is_marked(path)
         try:
             super().__init__(path, connect=connect)
             self._read_all()
+            if gone:
+                self._mishaps.deleted()
         except DamagedError as error:
             assert path is not None
             self._begin_with(path, error)
@@ -81,7 +86,7 @@ class KeptStore(Store):
             found = salvage(path) if path.exists() else Salvage()
             self._unread = path.exists() and found.lost > 0
             self._detach(error.message, found)
-            self._waiting = journal_file.waiting(path, found.head)
+            self._waiting = journal_file.waiting(path, found.head, found.generation)
         self._note_place()
 
     # Reading: a running gateway replaces a damaged file by a new one with all that it knows
@@ -161,11 +166,12 @@ class KeptStore(Store):
 
     def tend_log(self) -> None:
         """Spare commits the care of the file's log; no other thread uses this store meanwhile."""
-        self._logged = 0
-        if self.path is not None and self.look() and self.examine():
-            with suppress(sqlite3.Error, OSError):  # errors are found at the next commit
-                write_ahead.lengthen(self._db, self.path.resolve(), self._place.log)
-            self._copy_log()
+        with self._alone():
+            self._logged = 0
+            if self.path is not None and self.look() and self.examine():
+                with suppress(sqlite3.Error, OSError):  # errors are found at the next commit
+                    write_ahead.lengthen(self._db, self.path.resolve(), self._place.log)
+                self._copy_log()
 
     def _copy_log(self) -> None:
         """Copy the log into the file, which no other process has touched."""
@@ -178,8 +184,9 @@ class KeptStore(Store):
         """Check the file whole, and give back what it does not use (see :meth:`Store.compact`)."""
         if not self.examine():
             raise GatewayError(f"{self.path}: fault memory not compacted: {self._place.what_changed}")
-        super().compact()
-        self._copy_log()
+        with self._alone():
+            super().compact()
+            self._copy_log()
 
     # The journal
 
@@ -188,7 +195,7 @@ class KeptStore(Store):
         if self.journal is not None or self.path is None or not CAN:
             return
         try:
-            self.journal = Journal(self.path)
+            self.journal = Journal(self.path, self.generation)
         except OSError as error:
             self._say_without(error.strerror or str(error))
 
@@ -203,7 +210,8 @@ class KeptStore(Store):
         """
         if self.journal is None:
             return False
-        return self.journal.arm(self._head.digest if settled and not (self.detached or self._suspect) else b"")
+        armed = settled and not (self.detached or self._suspect)
+        return self.journal.arm(self._head.digest if armed else b"", self._head.number, self.generation)
 
     def withdraw(self, number: int) -> bool:
         """Return whether the journal has sent the frame of a verdict; if not, it never will."""
@@ -232,15 +240,19 @@ class KeptStore(Store):
         if self.path is None:
             super().save(changes)
             return
+        with self._alone():
+            self._save(self.path, changes, whole)
+
+    def _save(self, path: Path, changes: Changes, whole: Callable[[], Changes] | None) -> None:
         nested = self._db.in_transaction
         if nested and self._place.file_is_doubtful:
-            raise StoreError(self.path, "its file may have been changed in place")  # the next commit looks
+            raise StoreError(path, "its file may have been changed in place")  # the next commit looks
         if not nested:
             self.examine()
         if whole is not None and (self.detached or self._suspect):
-            self._restore(self.path, whole())
+            self._restore(path, whole())
             return
-        self._refuse_overwritten(self.path)
+        self._refuse_overwritten(path)
         try:
             super().save(changes)
         except StoreError as error:
@@ -251,10 +263,10 @@ class KeptStore(Store):
         self._count_recordings(changes)
         if not self._place.is_same:
             self.examine()
-            if whole is not None and (any(self._place.overwritten) or not self._place.is_in_place(self.path)):
-                self._restore(self.path, whole())  # written, but into a file that no reader will find
+            if whole is not None and (any(self._place.overwritten) or not self._place.is_in_place(path)):
+                self._restore(path, whole())  # written, but into a file that no reader will find
                 return
-            self._refuse_overwritten(self.path)
+            self._refuse_overwritten(path)
         if self._logged >= write_ahead.PAGES:
             self._copy_log()
 
@@ -275,21 +287,13 @@ class KeptStore(Store):
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """One transaction, durable at its end (see :meth:`Store.transaction`); the log is noted as this one left it."""
-        if not self._place.watched or self._db.in_transaction:
+        with self._alone():
+            # A commit must not hide a change of the log by another process.
+            ours = self._place.watched and not self._db.in_transaction and self._place.log_is_same
             with super().transaction():
                 yield
-            return
-        head = self._head
-        # A commit must not hide a change of the log by another process.
-        ours = self._place.log_is_same
-        try:
-            with super().transaction():
-                yield
-        except BaseException:
-            self._head = head
-            raise
-        if ours:
-            self._place.note_commit()
+            if ours:
+                self._place.note_commit()
 
     def close(self) -> None:
         """Close the file."""
@@ -339,6 +343,7 @@ class KeptStore(Store):
             self._recordings = self._own_recordings() if any(self._place.overwritten) else self.recordings()
         self._recordings_lost = max(self._recorded - len(self._recordings), 0)
         self._place.keep_from_copying()
+        self._close_reader()
         with suppress(sqlite3.Error):
             self._db.close()
         self._place.end()
@@ -442,7 +447,8 @@ class KeptStore(Store):
         try:
             self._mishaps.damaged(path, damage, found)
             super().__init__(path, connect=self._open_database)
-            self._waiting = journal_file.waiting(path, found.head)
+            if not isinstance(damage, OlderError):  # else they were told in a time that is not that of the file
+                self._waiting = journal_file.waiting(path, found.head, found.generation)
             Store.save(self, found.changes())
         except UnusableError as error:
             self._unread = found.lost > 0
@@ -452,6 +458,7 @@ class KeptStore(Store):
 
     def _detach(self, reason: str, found: Salvage) -> None:
         """Keep everything in this process until the file can be written."""
+        self._close_reader()
         with suppress(sqlite3.Error):
             self._db.close()
         self._place.end()

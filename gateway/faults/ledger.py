@@ -80,15 +80,16 @@ class Ledger:
 
     def __init__(self, store: Store, recordings: int = 1, *, ahead: bool = False) -> None:
         self.store, self._ahead = store, ahead
-        self.records: dict[str, Record] = {record.id: record for record in store.load()}
-        self.cycles: dict[str, Cycle] = store.cycles()
-        self.identifiers: dict[int, bytes] = store.identifiers()
+        with store.reading():
+            self.records: dict[str, Record] = {record.id: record for record in store.load()}
+            self.cycles: dict[str, Cycle] = store.cycles()
+            self.identifiers: dict[int, bytes] = store.identifiers()
+            self.interventions = Interventions(store.interventions())
+            self.vehicle = VehicleMemory(store.ecu_dtcs())
+            self._facts = store.facts()
+            self._permanent = PermanentDtcs(store.permanent())
         self.outage = Outage()
         self.commits = 0
-        self.interventions = Interventions(store.interventions())
-        self.vehicle = VehicleMemory(store.ecu_dtcs())
-        self._facts = store.facts()
-        self._permanent = PermanentDtcs(store.permanent())
         self._pending = Changes(kept_recordings=recordings)
         self._dirty: set[str] = set()
         self._new: set[str] = set()  # records that the store does not have

@@ -1,13 +1,16 @@
-"""The right to write a fault memory: one process at a time."""
+"""The right to write a fault memory: one process at a time; and, in the file of the lock, the last link it wrote."""
 
 from __future__ import annotations
 
 import os
+import struct
 import time
+import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from gateway.faults.rollback import LastLink
 from gateway.host import locks
 from gateway.host.process import RAW
 from gateway_fdi.errors import InputError
@@ -16,6 +19,11 @@ from gateway_fdi.errors import InputError
 LOOK_S = 0.02
 #: Bytes that SQLite locks for reading: the first, and how many (https://www.sqlite.org/lockingv3.html).
 _SHARED = (0x40000002, 510)
+
+#: In the lock's file: what earlier versions wrote there; a link, and places for two of them, a sector each.
+_EARLIER, _MAGIC = b"kept", b"GWLOCK1\0"
+_LINK = struct.Struct("<8sqq32s")
+_SLOTS, _SLOT = 2, 512
 
 
 class InUseError(InputError):
@@ -55,20 +63,57 @@ def keep_from_copying(database: int) -> None:
     locks.share(database, *_SHARED)
 
 
-def mark(lock: int) -> None:
-    """Note in the lock's file that there was a fault memory beside it."""
-    with suppress(OSError):  # a full disk
-        if not os.fstat(lock).st_size:
-            os.lseek(lock, 0, os.SEEK_SET)
-            os.write(lock, b"kept\n")
-
-
 def is_marked(path: Path) -> bool:
-    """Return whether there was a fault memory under this name before (see :func:`mark`)."""
+    """Return whether there was a fault memory under this name before."""
     try:
-        return Path(f"{path.resolve()}-lock").stat().st_size > 0
+        content = Path(f"{path.resolve()}-lock").read_bytes()
     except OSError:
         return False
+    return content.startswith(_EARLIER) or any(link.number for link in _links(content))
+
+
+def note(lock: int, place: int, link: LastLink) -> None:
+    """Note the last link in the lock's file, which nothing else has: a file that went back shows.
+
+    It is to be called when the link is on the disk. It is not synchronised: after a power cut the lock may know an
+    earlier link than the file has, never a later one.
+
+    Args:
+        lock: its descriptor.
+        place: counted: each second one is overwritten, so that a write that is torn leaves the other.
+        link: the last link of the memory's file.
+    """
+    content = _LINK.pack(_MAGIC, *link)
+    with suppress(OSError):  # a full disk
+        os.lseek(lock, place % _SLOTS * _SLOT, os.SEEK_SET)
+        os.write(lock, content + zlib.crc32(content).to_bytes(4, "little"))
+
+
+def expect(lock: int, folder: Path, place: int, generation: int) -> None:
+    """Note, on the disk, the generation of a file that is about to be begun: it is none that was put there."""
+    note(lock, place, LastLink(generation, 0, bytes(32)))
+    for file in (os.dup(lock), os.open(folder, os.O_RDONLY | RAW) if hasattr(os, "O_DIRECTORY") else None):
+        if file is not None:
+            with suppress(OSError):
+                os.fsync(file)
+            os.close(file)
+
+
+def noted(path: Path) -> list[LastLink]:
+    """Return the last links that were noted beside a fault memory, and generations that were expected (number 0)."""
+    try:
+        return _links(Path(f"{path.resolve()}-lock").read_bytes())
+    except OSError:
+        return []
+
+
+def _links(content: bytes) -> list[LastLink]:
+    found = []
+    for at in range(0, _SLOTS * _SLOT, _SLOT):
+        part, total = content[at : at + _LINK.size], content[at + _LINK.size : at + _LINK.size + 4]
+        if len(total) == 4 and part.startswith(_MAGIC) and zlib.crc32(part) == int.from_bytes(total, "little"):
+            found.append(LastLink(*_LINK.unpack(part)[1:]))
+    return found
 
 
 def is_in_place(path: Path, lock: int) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gateway.faults.salvage import Salvage, put_aside
-from gateway.faults.store import DamagedError, ForeignError, UnusableError
+from gateway.faults.store import DamagedError, ForeignError, OlderError, UnusableError
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,7 @@ class Mishap:
     """Something that happened to the file, and the remedy.
 
     Attributes:
-        kind: "damaged", "deleted", "replaced", "overwritten", "foreign" or "unread".
+        kind: "damaged", "older", "deleted", "replaced", "overwritten", "foreign" or "unread".
         reason: in a few words.
         aside: where what was found is kept now; None: there was nothing, or it could not be put aside.
         recovered, lost: rows that were read of it, and that could not be.
@@ -92,14 +92,15 @@ class Mishaps:
         self._found.append(Mishap("foreign", error.message, aside))
 
     def damaged(self, path: Path, error: DamagedError, found: Salvage) -> None:
-        """Put a damaged file aside, of which something could be read.
+        """Put a damaged file aside, or an older one, of which something could be read.
 
         Raises:
             UnusableError: it cannot be put aside.
         """
+        kind = "older" if isinstance(error, OlderError) else "damaged"
         try:
-            aside = put_aside(path, "damaged")
+            aside = put_aside(path, kind)
         except OSError as problem:
-            raise UnusableError(f"damaged, and not put aside: {problem}", file=path) from problem
+            raise UnusableError(f"{kind}, and not put aside: {problem}", file=path) from problem
         reason = error.message.partition(";")[0]
-        self._found.append(Mishap("damaged", reason, aside, found.recovered, found.lost))
+        self._found.append(Mishap(kind, reason, aside, found.recovered, found.lost))

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 from gateway.faults import chain, rows
 from gateway.faults.interventions import PROTOCOLS, Intervention
 from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
+from gateway.faults.rollback import generation_of
 from gateway.faults.vehicle import EcuDtc
 
 T = TypeVar("T")
@@ -51,6 +52,7 @@ class Salvage:
         records, cycles, permanent, recordings, identifiers, facts, interventions, ecu_dtcs: as a :class:`Store` gives
             them.
         head: digest of the last link of its chain, b"": not known.
+        generation: of the file, 0: not known.
         recovered: rows read.
         lost: rows, or tables, of which it is known that they could not be read.
     """
@@ -64,6 +66,7 @@ class Salvage:
     interventions: list[Intervention] = field(default_factory=list)
     ecu_dtcs: list[EcuDtc] = field(default_factory=list)
     head: bytes = b""
+    generation: int = 0
     recovered: int = 0
     lost: int = 0
 
@@ -162,6 +165,7 @@ def _read(db: sqlite3.Connection) -> Salvage:
     found.interventions = list(_rows(db, found, rows.SELECT_INTERVENTIONS, "intervention", _intervention))
     with suppress(sqlite3.Error):
         found.head = chain.head(db).digest
+        found.generation = generation_of(db)
     if "ecu_dtc" in tables:
         found.ecu_dtcs = list(_rows(db, found, rows.SELECT_ECU_DTCS, "ecu_dtc", rows.read_ecu_dtc))
     return found

@@ -21,7 +21,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Record, Recording
 from gateway.faults.remedy import severity_names
 from gateway.faults.status import Status
-from gateway.faults.store import OutdatedError, Store
+from gateway.faults.store import OutdatedError, Store, last_links
 from gateway.faults.vehicle import EcuDtc
 from gateway.host.process import user_in_words
 from gateway_fdi.errors import GatewayError, InputError
@@ -209,11 +209,12 @@ def verify(path: Path) -> dict[str, Any]:
     """
     if not path.exists():
         raise InputError("there is no fault memory here", file=path)
+    known = last_links(path)
     try:
         store = Store(path, write=False)
         try:
             store.refuse_damaged()
-            verdict = store.verify()
+            verdict = store.verify(known)
             store.load()
         finally:
             store.close()

@@ -2,6 +2,9 @@
 
 Write-ahead log with ``synchronous=FULL``: changes for which :meth:`Store.save` has returned survive ``kill -9`` and
 power loss. Other processes may read at any time; to clear they ask the writer through the ``request`` table.
+
+One connection writes, for one thread at a time: a second thread that would write meanwhile gets an error. Whoever reads
+in this process does so by another connection, which sees whole commits, and never touches the one that writes.
 """
 
 from __future__ import annotations
@@ -9,15 +12,16 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
-from gateway.faults import chain, journal_file, rows, write_ahead
+from gateway.faults import chain, journal_file, lock, rollback, rows, write_ahead
 from gateway.faults.interventions import Intervention
 from gateway.faults.journal_file import LastVerdict
-from gateway.faults.lock import is_kept, is_marked, mark, take_lock
+from gateway.faults.lock import is_kept, is_marked, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.schema import APPLICATION_ID, CHAINED, MAGIC, MIGRATIONS
 from gateway.faults.vehicle import EcuDtc
@@ -39,6 +43,10 @@ class OutdatedError(InputError):
 
 class DamagedError(InputError):
     """The file was a fault memory, and is damaged."""
+
+
+class OlderError(DamagedError):
+    """The file is whole, but of an earlier time than the files beside it."""
 
 
 class ForeignError(InputError):
@@ -83,9 +91,12 @@ class Store:
         write: False opens an existing file for reading beside its writer.
         connect: opens the database.
 
+    Attributes:
+        generation: number that no other file has; 0: it is none.
+
     Raises:
         InputError: the file is missing (reading), is not a fault memory, or is of a later version.
-        DamagedError: it is a damaged one.
+        DamagedError: it is a damaged one, or went back to an earlier state (:mod:`gateway.faults.rollback`).
         UnusableError: it cannot be written.
         InUseError: it has a writer already.
     """
@@ -96,13 +107,19 @@ class Store:
         self._write = write
         self._lock: int | None = None
         self._was_kept = False
-        self._head = chain.NO_HEAD  # the last link that this one wrote
+        self._known: list[rollback.LastLink] = []  # last links, as the files beside had them before it was opened
+        self._turn, self._writing = threading.RLock(), 0  # who writes: the thread's number
+        self._readings = threading.RLock()
+        self._reader: sqlite3.Connection | None = None  # None: the one that writes reads, too
+        self.generation = 0
+        self._head = self._next = chain.NO_HEAD  # the last link on the disk, and within a transaction
+        self._notes = 0  # of last links
         self._logged = write_ahead.MANY  # pages of the log since it was tended, as estimated: a new one is due
         self._unwritten = Changes()  # of a store without a file: rows are made of them when they are read
         self._kept: dict[str, Record] = {}  # likewise, by id
         self._db = sqlite3.connect(":memory:")  # until the file is open
+        self._waiting: list[LastVerdict] = []
         self._connect()
-        self._waiting = self.waiting() if write else []
 
     def _connect(self) -> None:
         """Open the file, and become its writer if that is asked for."""
@@ -119,12 +136,9 @@ class Store:
                 if self._lock is None:
                     self._lock = take_lock(path)
                 self._was_kept = path.exists() and is_marked(path)
-            self._db = self._open_database(
-                ":memory:" if path is None else path,
-                isolation_level=None,
-                timeout=PATIENCE_S,
-                check_same_thread=False,  # one thread at a time, but not always the same
-            )
+                self._known = last_links(path)
+            self._close_reader()
+            self._db = self._connection(":memory:" if path is None else path)
         except (sqlite3.Error, OSError) as error:
             self._unlock()
             raise UnusableError(f"not usable as a fault memory: {error}", file=path) from error
@@ -133,8 +147,8 @@ class Store:
             raise
         try:
             self._open()
-            if self._lock is not None:
-                mark(self._lock)
+            if path is not None and self._write:
+                self._reader = self._connection(f"{path.resolve().as_uri()}?mode=ro", uri=True)
         except sqlite3.Error as error:
             self.close()
             if _code(error) in _DAMAGE:
@@ -143,6 +157,23 @@ class Store:
         except InputError:
             self.close()
             raise
+
+    def _connection(self, place: Path | str, **options: bool) -> sqlite3.Connection:
+        return self._open_database(
+            place,
+            isolation_level=None,
+            timeout=PATIENCE_S,
+            check_same_thread=False,  # one thread at a time, but not always the same
+            **options,
+        )
+
+    def _close_reader(self) -> None:
+        """Close the connection that reads: the last one that is closed must be the one that writes."""
+        with self._readings:
+            reader, self._reader = self._reader, None
+            if reader is not None:
+                with suppress(sqlite3.Error):
+                    reader.close()
 
     def _open(self) -> None:
         version = int(self._db.execute("PRAGMA user_version").fetchone()[0])
@@ -169,20 +200,51 @@ class Store:
                 )
             return
         self.refuse_damaged()
+        if version >= CHAINED:
+            self._refuse_older(version)
         self._db.execute("PRAGMA journal_mode = WAL")
         self._db.execute("PRAGMA synchronous = FULL")
         self._db.execute(f"PRAGMA wal_autocheckpoint = {write_ahead.PAGES}")
         self._db.execute("PRAGMA foreign_keys = ON")
-        if version < len(MIGRATIONS):  # in one transaction: a new file is there at once
-            self._db.executescript(
-                f"BEGIN IMMEDIATE; PRAGMA application_id = {APPLICATION_ID};"
-                f"{''.join(MIGRATIONS[version:])} PRAGMA user_version = {len(MIGRATIONS)};"
-            )
-            if version < CHAINED:
-                chain.begin(self._db)
-            self._db.execute("COMMIT")
+        if version < len(MIGRATIONS):
+            self._migrate(version)
         # Processes that asked a writer that is gone have been told that nothing was done.
         self._db.execute("DELETE FROM request")
+        self.generation, self._head = rollback.generation_of(self._db), chain.head(self._db)
+        self._note_head()
+
+    def _refuse_older(self, version: int) -> None:
+        """Refuse a file that went back; else find the verdicts that wait for it.
+
+        Raises:
+            OlderError: it did.
+        """
+        if missing := rollback.what_is_missing(self._db, self._known):
+            broken = chain.verify(self._db).broken if version == len(MIGRATIONS) else []
+            raise damage(self.path, broken[0]) if broken else OlderError(missing, file=self.path)
+        if self.path is not None:  # a migration may write links: the verdicts came after the last one that is there now
+            generation = rollback.generation_of(self._db)
+            self._waiting = journal_file.waiting(self.path, chain.head(self._db).digest, generation)
+
+    def _migrate(self, version: int) -> None:
+        """Bring the file to the version of today, in one transaction; a new file is there at once."""
+        self._db.executescript(
+            f"BEGIN IMMEDIATE; PRAGMA application_id = {APPLICATION_ID};"
+            f"{''.join(MIGRATIONS[version:])} PRAGMA user_version = {len(MIGRATIONS)};"
+        )
+        if version < CHAINED:
+            chain.begin(self._db)
+        if self._lock is not None and self.path is not None:
+            self._notes = int(bool(self._known) and self._known[0].number > self._known[-1].number)
+            lock.expect(self._lock, self.path.resolve().parent, self._notes, rollback.generation_of(self._db))
+            self._notes += 1
+        self._db.execute("COMMIT")
+
+    def _note_head(self) -> None:
+        """Note the last link, which is on the disk, beside the file."""
+        if self._lock is not None and self._head.number:
+            lock.note(self._lock, self._notes, rollback.LastLink(self.generation, *self._head))
+            self._notes += 1
 
     def refuse_damaged(self) -> None:
         """Refuse now what would otherwise fail, or be missed, later.
@@ -190,9 +252,9 @@ class Store:
         Raises:
             DamagedError: the file is damaged.
         """
-        with self._reading():
-            found = self._db.execute("PRAGMA integrity_check(1)").fetchone()[0]
-            orphan = self._db.execute("PRAGMA foreign_key_check").fetchone()
+        with self._reading() as db:
+            found = db.execute("PRAGMA integrity_check(1)").fetchone()[0]
+            orphan = db.execute("PRAGMA foreign_key_check").fetchone()
         if found != "ok":
             raise damage(self.path, found)
         if orphan is not None:
@@ -204,75 +266,118 @@ class Store:
         Raises:
             GatewayError: it is damaged, or cannot be written.
         """
-        try:
-            found = self._db.execute("PRAGMA integrity_check(1)").fetchone()[0]
-            if found != "ok":
-                raise GatewayError(f"{self.path}: a damaged fault memory: {found}")
-            self._db.execute("VACUUM")
-        except sqlite3.Error as error:
-            raise GatewayError(f"{self.path}: fault memory not compacted: {error}") from error
+        with self._alone():
+            try:
+                found = self._db.execute("PRAGMA integrity_check(1)").fetchone()[0]
+                if found != "ok":
+                    raise GatewayError(f"{self.path}: a damaged fault memory: {found}")
+                self._db.execute("VACUUM")
+            except sqlite3.Error as error:
+                raise GatewayError(f"{self.path}: fault memory not compacted: {error}") from error
 
     def close(self) -> None:
-        """Close the file."""
-        self._db.close()
-        self._unlock()
+        """Close the file, after the thread that writes has ended its write."""
+        with self._turn:
+            self._close_reader()
+            self._db.close()
+            self._unlock()
 
     def _unlock(self) -> None:
         if self._lock is not None:
             os.close(self._lock)
             self._lock = None
 
+    @property
+    def _mine(self) -> bool:
+        """Whether this thread writes."""
+        return self._writing == threading.get_ident()
+
     @contextmanager
-    def transaction(self) -> Iterator[None]:
-        """One transaction, durable at its end; inside another one, a part of that.
+    def _alone(self) -> Iterator[None]:
+        """Have the connection that writes for this thread alone.
 
         Raises:
-            StoreError: it could not be written (disk full, file system gone); nothing of it was.
+            StoreError: another thread writes.
         """
-        nested = self._db.in_transaction
-        if nested:
-            yield
-            return
-        self._write_rows()
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            yield
-            self._db.execute("COMMIT")
-        except BaseException as error:
-            if self._db.in_transaction:  # SQLite has rolled back already when the disk is full
-                with suppress(sqlite3.Error):
-                    self._db.execute("ROLLBACK")
-            if isinstance(error, sqlite3.Error):
-                full = _code(error) in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_BUSY)
-                raise StoreError(self.path, str(error), full=full) from error
-            raise
+        if self._writing and not self._mine:
+            raise StoreError(self.path, "another thread writes it now", full=True)
+        with self._turn:
+            before, self._writing = self._writing, threading.get_ident()
+            try:
+                yield
+            finally:
+                self._writing = before
 
     @contextmanager
-    def _reading(self) -> Iterator[None]:
-        """See the file as of one commit of its writer.
+    def transaction(self) -> Iterator[None]:
+        """One transaction, durable at its end; inside another one of this thread, a part of that.
+
+        Raises:
+            StoreError: it could not be written (disk full, file system gone), or another thread writes; nothing of it
+                was.
+        """
+        with self._alone():
+            nested = self._db.in_transaction
+            if nested:
+                yield
+                return
+            self._write_rows()
+            self._next = self._head
+            try:
+                self._db.execute("BEGIN IMMEDIATE")
+                yield
+                self._db.execute("COMMIT")
+            except BaseException as error:
+                if self._db.in_transaction:  # SQLite has rolled back already when the disk is full
+                    with suppress(sqlite3.Error):
+                        self._db.execute("ROLLBACK")
+                if isinstance(error, sqlite3.Error):
+                    full = _code(error) in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_BUSY)
+                    raise StoreError(self.path, str(error), full=full) from error
+                raise
+            if self._next != self._head:
+                self._head = self._next
+                self._note_head()
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """Have all that is read within be of one commit.
+
+        Raises:
+            InputError: it cannot be read.
+        """
+        with self._reading():
+            yield
+
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        """Give the connection that reads, within one transaction; in a transaction of this thread, the one that writes.
 
         Raises:
             DamagedError: it is damaged.
             InputError: it cannot be read.
         """
-        nested = self._db.in_transaction
-        self._write_rows()
-        try:
-            if not nested:
-                self._db.execute("BEGIN")
+        apart = self._reader is not None and not self._mine
+        with self._readings if apart else self._turn:
+            db = self._reader if apart and self._reader is not None else self._db
+            nested = db.in_transaction
             try:
-                yield
-            finally:
+                self._write_rows()
                 if not nested:
-                    self._db.execute("ROLLBACK")
-        except (sqlite3.Error, ValueError) as error:
-            # Our statements are right for the schema: one that SQLite cannot make sense of means another schema.
-            # An error without a code is the driver's: a text that is not UTF-8.
-            other = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) == sqlite3.SQLITE_ERROR
-            operational = isinstance(error, sqlite3.OperationalError) and not other
-            if operational and _code(cast(sqlite3.Error, error)) not in _DAMAGE:
-                raise InputError(f"fault memory not readable: {error}", file=self.path) from error
-            raise damage(self.path, error) from error
+                    db.execute("BEGIN")
+                try:
+                    yield db
+                finally:
+                    if not nested:
+                        db.execute("ROLLBACK")
+            except (sqlite3.Error, ValueError) as error:
+                # Our statements are right for the schema: one that SQLite cannot make sense of means another schema.
+                # An error without a code is the driver's: a text that is not UTF-8.
+                other = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) == sqlite3.SQLITE_ERROR
+                operational = isinstance(error, sqlite3.OperationalError) and not other
+                if operational and _code(cast(sqlite3.Error, error)) not in _DAMAGE:
+                    raise InputError(f"fault memory not readable: {error}", file=self.path) from error
+                raise damage(self.path, error) from error
 
     def load(self) -> list[Record]:
         """Return all records, in order of their DTCs, as of one commit of the writer.
@@ -282,29 +387,29 @@ class Store:
         Raises:
             DamagedError: the file is damaged.
         """
-        with self._reading():  # else a commit could fall between records and freeze frames
-            records = rows.read_records(self._db)
+        with self._reading() as db:  # else a commit could fall between records and freeze frames
+            records = rows.read_records(db)
             if self.path is not None and not self._write and not is_kept(self.path):
                 journal_file.show(self.waiting(), records)
         return records
 
     def cycles(self) -> dict[str, Cycle]:
         """Return the last operation cycle of each name."""
-        with self._reading():
-            found = list(self._db.execute("SELECT name, number, open, t_ns FROM operation_cycle"))
+        with self._reading() as db:
+            found = list(db.execute("SELECT name, number, open, t_ns FROM operation_cycle"))
         return {name: Cycle(number, bool(opened), t_ns) for name, number, opened, t_ns in found}
 
     def permanent(self) -> list[Permanent]:
         """Return the permanent DTCs, the oldest first."""
-        with self._reading():
-            found = list(self._db.execute("SELECT fault, dtc, t_ns FROM permanent ORDER BY rowid"))
+        with self._reading() as db:
+            found = list(db.execute("SELECT fault, dtc, t_ns FROM permanent ORDER BY rowid"))
         return [Permanent(*row) for row in found]
 
     def recordings(self, fault: str | None = None) -> list[Recording]:
         """Return the recordings of a fault, or of all, the oldest first."""
-        with self._reading():
+        with self._reading() as db:
             found = list(
-                self._db.execute(
+                db.execute(
                     f"{rows.SELECT_RECORDINGS} WHERE ?1 IS NULL OR fault = ?1 ORDER BY id",
                     (fault,),
                 )
@@ -313,37 +418,43 @@ class Store:
 
     def recorded(self) -> dict[str, int]:
         """Return how many recordings there are of each fault that has some; their logs are not read."""
-        with self._reading():
-            return dict(self._db.execute("SELECT fault, count(*) FROM recording GROUP BY fault"))
+        with self._reading() as db:
+            return dict(db.execute("SELECT fault, count(*) FROM recording GROUP BY fault"))
 
     def identifiers(self) -> dict[int, bytes]:
         """Return the values that testers wrote, by data identifier."""
-        with self._reading():
-            return dict(self._db.execute("SELECT did, data FROM identifier"))
+        with self._reading() as db:
+            return dict(db.execute("SELECT did, data FROM identifier"))
 
     def interventions(self) -> list[Intervention]:
         """Return what testers did, the oldest first."""
-        with self._reading():
-            return [Intervention(*row) for row in self._db.execute(f"{rows.SELECT_INTERVENTIONS} ORDER BY number")]
+        with self._reading() as db:
+            return [Intervention(*row) for row in db.execute(f"{rows.SELECT_INTERVENTIONS} ORDER BY number")]
 
     def ecu_dtcs(self) -> list[EcuDtc]:
         """Return the DTCs of other ECUs."""
-        with self._reading():
-            return rows.read_ecu_dtcs(self._db)
+        with self._reading() as db:
+            return rows.read_ecu_dtcs(db)
 
     def facts(self) -> dict[str, int]:
         """Return numbers by name."""
-        with self._reading():
-            return dict(self._db.execute("SELECT name, value FROM fact"))
+        with self._reading() as db:
+            return dict(db.execute("SELECT name, value FROM fact"))
 
-    def verify(self) -> chain.Verdict:
+    def verify(self, known: Iterable[rollback.LastLink] = ()) -> chain.Verdict:
         """Return what of the file is as its chain says, as of one commit of the writer.
+
+        Args:
+            known: last links that it must have, if it did not go back (:func:`last_links`).
 
         Raises:
             DamagedError: it cannot be read.
         """
-        with self._reading():
-            return chain.verify(self._db)
+        with self._reading() as db:
+            verdict = chain.verify(db)
+            if missing := rollback.what_is_missing(db, known):
+                verdict.broken.append(chain.Broken("file", "", 0, missing))
+            return verdict
 
     def save(self, changes: Changes, whole: Callable[[], Changes] | None = None) -> None:
         """Write changes in one transaction; durable on return.
@@ -361,7 +472,7 @@ class Store:
             if self.path is None:
                 rows.write(self._db, changes)
             else:
-                self._head = chain.write(self._db, changes)
+                self._next = chain.write(self._db, changes)
         self._logged += 3 + 2 * changes.faults + sum(len(r.log) for r in changes.recordings) // write_ahead.PAGE
 
     def _keeps_unwritten(self, changes: Changes) -> bool:
@@ -377,6 +488,8 @@ class Store:
 
     def _write_rows(self) -> None:
         """Make rows of what a store without a file has kept as it is."""
+        if self.path is not None:
+            return
         unwritten, self._unwritten = self._unwritten, Changes()
         unwritten.records, self._kept = list(self._kept.values()), {}
         if unwritten.faults or unwritten.facts:
@@ -386,8 +499,8 @@ class Store:
         """Return the verdicts that were told and that the file does not have, in order (see :mod:`.journal_file`)."""
         if self.path is None:
             return []
-        with self._reading():
-            return journal_file.waiting(self.path, chain.head(self._db).digest)
+        with self._reading() as db:
+            return journal_file.waiting(self.path, chain.head(db).digest, rollback.generation_of(db))
 
     def take_waiting(self) -> list[LastVerdict]:
         """Return, once, the verdicts that waited when the file was opened for writing."""
@@ -396,8 +509,8 @@ class Store:
 
     def buses(self) -> list[dict[str, Any]]:
         """Return what the daemon said last of its buses."""
-        with self._reading():
-            found = list(self._db.execute("SELECT name, uri, state, t_ns, counters FROM bus"))
+        with self._reading() as db:
+            found = list(db.execute("SELECT name, uri, state, t_ns, counters FROM bus"))
         return [
             {"bus": name, "uri": uri, "state": state, "t_ns": t_ns, **json.loads(counters)}
             for name, uri, state, t_ns, counters in found
@@ -405,14 +518,14 @@ class Store:
 
     def descriptions(self) -> dict[str, Description]:
         """Return what faults are called, by their id."""
-        with self._reading():
-            found = self._db.execute("SELECT fault, description, severity, remedy FROM catalogue")
+        with self._reading() as db:
+            found = db.execute("SELECT fault, description, severity, remedy FROM catalogue")
             return {fault: Description(*description) for fault, *description in found}
 
     def requests(self) -> list[tuple[int, str, str]]:
         """Return the requests of other processes not answered yet: (id, kind, argument)."""
-        with self._reading():
-            return list(self._db.execute("SELECT id, kind, argument FROM request WHERE done IS NULL ORDER BY id"))
+        with self._reading() as db:
+            return list(db.execute("SELECT id, kind, argument FROM request WHERE done IS NULL ORDER BY id"))
 
     def request(self, kind: str, argument: str) -> int:
         """Ask the writer for something; returns the request's id."""
@@ -422,7 +535,8 @@ class Store:
 
     def answer(self, request: int) -> int | None:
         """Return what the writer answered, None before it did."""
-        row = self._db.execute("SELECT done FROM request WHERE id = ?", (request,)).fetchone()
+        with self._reading() as db:
+            row = db.execute("SELECT done FROM request WHERE id = ?", (request,)).fetchone()
         return None if row is None else row[0]
 
     def withdraw(self, request: int) -> int | None:
@@ -439,14 +553,20 @@ class Store:
         def changed() -> bool:
             nonlocal last
             try:
-                version = int(self._db.execute("PRAGMA data_version").fetchone()[0])
-            except sqlite3.Error:  # errors are found at the next commit
+                with self._alone():
+                    version = int(self._db.execute("PRAGMA data_version").fetchone()[0])
+            except (sqlite3.Error, StoreError):  # errors are found at the next commit
                 return False
             different = version != last
             last = version
             return different
 
         return changed
+
+
+def last_links(path: Path) -> list[rollback.LastLink]:
+    """Return the last links of a fault memory as the files beside it have them; to be read before the memory is."""
+    return [*lock.noted(path), *journal_file.links(path)]
 
 
 def _refuse_foreign(path: Path) -> None:
