@@ -242,16 +242,16 @@ class Daemon:
         self._notifier.alive()
         if self.reloader.begin():
             self._notifier.reloading()
+        if not self.reloader.ready:
+            return
+        # Frames go on; what they change waits, also in a storm and with a slow disk: a change reads the file.
+        self.gateway.pause()
         if self.gateway.writing:
-            return  # a change reads the file; until the thread is done, even with a slow disk, all goes on
-        found = self.reloader.take()
-        if found is None:
             return
         try:
-            if isinstance(found, GatewayError):
-                raise found
-            self._change(found)
+            self._change(self.reloader.take())
         except GatewayError as error:
+            self.gateway.go_on()
             log.error("new configuration refused", file=str(self._path), error=str(error))
             self._tell_config("refused", str(error))
         else:
@@ -288,8 +288,8 @@ class Daemon:
         """Go on with another configuration; one that cannot be built or opened changes nothing.
 
         The order matters. Opening may take long, and frames that come meanwhile are for the old gateway: all are fed
-        before the new one reads the fault memory. From there to the end nothing is fed to anybody; frames wait in the
-        queues of the buses.
+        before the new one reads the fault memory, and the last write has ended, too. From there to the end nothing is
+        fed to anybody; frames wait in the queues of the buses.
         """
         old = self.gateway
         kept = {link.uri: link for link in self._live.links}
@@ -316,7 +316,6 @@ class Daemon:
             if self._machine.monotonic() - began_s >= SOON_S:
                 self._live.hold()
         except GatewayError:
-            old.go_on()
             for link in opened:
                 link.close()
             self._close_new(doors)

@@ -49,13 +49,23 @@ class Reloader:
         self._thread = self._begin_thread(self._work, "reload")
         return True
 
-    def take(self) -> Prepared | GatewayError | None:
-        """Return what was prepared, or what is wrong with it, once; None: nothing yet."""
-        if self._thread is None or self._thread.is_alive():
-            return None
+    @property
+    def ready(self) -> bool:
+        """Whether a configuration was prepared, or found to be wrong."""
+        return self._thread is not None and not self._thread.is_alive()
+
+    def take(self) -> Prepared:
+        """Return what was prepared, once it is ready.
+
+        Raises:
+            GatewayError: the configuration is wrong.
+        """
+        assert self._thread is not None
         self._thread.join()
         self._thread = None
         result, self._result = self._result, None
+        if not isinstance(result, Prepared):
+            raise result or GatewayError("the thread that prepares it has ended")
         return result
 
     def _work(self) -> None:

@@ -66,6 +66,10 @@ class Gateway(Passage):
         path = self.store.path
         self._outbox.note(*self._off.keep_off(None if path is None else hung_beside(path)))
 
+    def pause(self) -> None:
+        """Begin no further write in the thread until :meth:`go_on`, or a successor does; what changes waits."""
+        self._upkeep.pause()
+
     def finish(self, t_ns: int) -> Frames:
         """Put down all that a successor is to find in the fault memory; returns frames to send.
 
@@ -74,17 +78,18 @@ class Gateway(Passage):
         Args:
             t_ns: now.
         """
-        self._upkeep.pause()
+        self.pause()
         self._proofs.look(final=True)
         sent = self.poll(t_ns)  # answers that were promised
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
         if not self._upkeep.beside:  # else the successor has it from this one, and writes it
             self.memory.commit(self.engine.now_ns)
+        self.memory.join()
         return sent
 
     def go_on(self) -> None:
-        """Write again, after :meth:`finish`, where no successor could be made."""
+        """Write again, after :meth:`pause` or :meth:`finish`, where no successor could be made."""
         self._upkeep.resume()
 
     def succeed(self, old: Gateway) -> None:
