@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from gateway.faults import journal_steps as steps
-from gateway.faults.journal_file import SLOTS, begin, name_of, path_of
+from gateway.faults.journal_file import SLOTS, begin, name_of, note, path_of
+from gateway.faults.rollback import LastLink
 from gateway.host.slice import come_first
 from gateway.signals.protection.crc import KNOWN, table_of
 from gateway_fdi.jit import bound, zeros
@@ -94,6 +95,10 @@ class Journal:
             self._head = head
         cells[_PLACE["armed"]] = armed = bool(head) and not self._over
         return armed
+
+    def note(self, link: LastLink) -> None:
+        """Note the last link of a commit, which is on the disk (see :mod:`gateway.faults.rollback`)."""
+        note(self._file, self._cells[_PLACE["number"]] + 1, link)
 
     def withdraw(self, number: int) -> bool:
         """Return whether a verdict's frame has been sent; if not, it will not be, and the caller sends his.

@@ -21,7 +21,8 @@ byte        content (little endian)
 96 to 103   CRC-32 of all before
 ==========  =============================================================================
 
-Records of earlier versions (``GWVERD1``) end at byte 80, with their CRC.
+Records of earlier versions (``GWVERD1``) end at byte 80, with their CRC. From byte 256 on stands the last link of a
+commit that came since, written into the place that the next verdict overwrites, and put on the disk with that.
 """
 
 from __future__ import annotations
@@ -32,15 +33,16 @@ import stat
 import struct
 import zlib
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from gateway.faults.records import Record
-from gateway.faults.rollback import LastLink
+from gateway.faults.rollback import LastLink, packed, unpacked
 from gateway.host.process import RAW
 
 SUFFIX = "-verdicts"
-SLOTS, SLOT = 32, 512
+SLOTS, SLOT, LINK_AT = 32, 512, 256
 LENGTH = SLOTS * SLOT
 MAGIC = int.from_bytes(b"GWVERD2\0", "little")
 _EARLIER = int.from_bytes(b"GWVERD1\0", "little")
@@ -131,16 +133,16 @@ def _make(database: Path) -> None:
         os.close(file)
 
 
-def _read(database: Path) -> list[LastVerdict]:
-    """Return the records of a fault memory's journal; none, if it cannot be read."""
+def _read(database: Path) -> bytes:
+    """Return the journal of a fault memory; b"", if it cannot be read."""
     try:
         file = _open(database, os.O_RDONLY)
         try:
-            return records(os.read(file, LENGTH))
+            return os.read(file, LENGTH)
         finally:
             os.close(file)
     except OSError:
-        return []
+        return b""
 
 
 def waiting(database: Path, head: bytes, generation: int = 0) -> list[LastVerdict]:
@@ -151,12 +153,35 @@ def waiting(database: Path, head: bytes, generation: int = 0) -> list[LastVerdic
         head: digest of the last link of its chain.
         generation: of the file.
     """
-    return [record for record in _read(database) if record.head == head and record.generation in (0, generation)]
+    return [
+        record for record in records(_read(database)) if record.head == head and record.generation in (0, generation)
+    ]
 
 
-def links(database: Path) -> list[LastLink]:
-    """Return the links that the journal's verdicts came after: the memory's file had them."""
-    return [LastLink(record.generation, record.link, record.head) for record in _read(database) if record.link]
+def links(content: bytes) -> list[LastLink]:
+    """Return the last links that a journal knows: that its verdicts came after, and of later commits."""
+    noted = [unpacked(content[at + LINK_AT : at + SLOT]) for at in range(0, len(content), SLOT)]
+    return [
+        *(LastLink(record.generation, record.link, record.head) for record in records(content) if record.link),
+        *(link for link in noted if link is not None),
+    ]
+
+
+def links_beside(database: Path) -> list[LastLink]:
+    """Return the last links that the journal of a fault memory knows (see :func:`links`)."""
+    return links(_read(database))
+
+
+def note(file: int, number: int, link: LastLink) -> None:
+    """Note the last link of a commit, which is on the disk.
+
+    Args:
+        file: descriptor of the journal.
+        number: of the next verdict.
+        link: of the memory's file.
+    """
+    with suppress(OSError):
+        os.pwrite(file, packed(link), number % SLOTS * SLOT + LINK_AT)
 
 
 def show(verdicts: Iterable[LastVerdict], records: Iterable[Record]) -> None:
@@ -191,7 +216,7 @@ def begin(database: Path, generation: int = 0) -> tuple[int, int]:
         content = os.pread(file, LENGTH, 0).ljust(LENGTH, b"\0")
         latest = max((record.number for record in records(content)), default=0)
         content = b"".join(
-            bytes(SLOT) if any(record.generation not in (0, generation) for record in records(slot)) else slot
+            bytes(SLOT) if any(link.generation != generation for link in links(slot)) else slot
             for slot in (content[at : at + SLOT] for at in range(0, LENGTH, SLOT))
         )
         os.ftruncate(file, LENGTH)

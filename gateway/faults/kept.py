@@ -26,6 +26,7 @@ from gateway.faults.lock import InUseError, is_in_place, is_marked, take_lock
 from gateway.faults.mishaps import Mishap, Mishaps
 from gateway.faults.place import Place
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
+from gateway.faults.rollback import LastLink
 from gateway.faults.salvage import SUFFIXES, Salvage, salvage
 from gateway.faults.schema import MIGRATIONS
 from gateway.faults.store import (
@@ -189,6 +190,11 @@ class KeptStore(Store):
             self._copy_log()
 
     # The journal
+
+    def _note_head(self) -> None:
+        super()._note_head()
+        if self.journal is not None:
+            self.journal.note(LastLink(self.generation, *self._head))
 
     def begin_journal(self) -> None:
         """Begin the journal, if there is none, and the system can have one."""

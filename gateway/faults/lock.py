@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import os
-import struct
 import time
-import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from gateway.faults.rollback import LastLink
+from gateway.faults.rollback import LastLink, packed, unpacked
 from gateway.host import locks
 from gateway.host.process import RAW
 from gateway_fdi.errors import InputError
@@ -20,9 +18,9 @@ LOOK_S = 0.02
 #: Bytes that SQLite locks for reading: the first, and how many (https://www.sqlite.org/lockingv3.html).
 _SHARED = (0x40000002, 510)
 
-#: In the lock's file: what earlier versions wrote there; a link, and places for two of them, a sector each.
-_EARLIER, _MAGIC = b"kept", b"GWLOCK1\0"
-_LINK = struct.Struct("<8sqq32s")
+#: Written into the lock's file by earlier versions.
+_EARLIER = b"kept"
+#: Places for last links in it, a sector each.
 _SLOTS, _SLOT = 2, 512
 
 
@@ -83,10 +81,9 @@ def note(lock: int, place: int, link: LastLink) -> None:
         place: counted: each second one is overwritten, so that a write that is torn leaves the other.
         link: the last link of the memory's file.
     """
-    content = _LINK.pack(_MAGIC, *link)
     with suppress(OSError):  # a full disk
         os.lseek(lock, place % _SLOTS * _SLOT, os.SEEK_SET)
-        os.write(lock, content + zlib.crc32(content).to_bytes(4, "little"))
+        os.write(lock, packed(link))
 
 
 def expect(lock: int, folder: Path, place: int, generation: int) -> None:
@@ -108,12 +105,7 @@ def noted(path: Path) -> list[LastLink]:
 
 
 def _links(content: bytes) -> list[LastLink]:
-    found = []
-    for at in range(0, _SLOTS * _SLOT, _SLOT):
-        part, total = content[at : at + _LINK.size], content[at + _LINK.size : at + _LINK.size + 4]
-        if len(total) == 4 and part.startswith(_MAGIC) and zlib.crc32(part) == int.from_bytes(total, "little"):
-            found.append(LastLink(*_LINK.unpack(part)[1:]))
-    return found
+    return [link for at in range(0, _SLOTS * _SLOT, _SLOT) if (link := unpacked(content[at:])) is not None]
 
 
 def is_in_place(path: Path, lock: int) -> bool:

@@ -11,8 +11,14 @@ All files of an earlier time, put back together, cannot be told from that time.
 from __future__ import annotations
 
 import sqlite3
+import struct
+import zlib
 from collections.abc import Iterable
 from typing import NamedTuple
+
+_MAGIC, _CONTENT, _SUM = b"GWLINK1\0", struct.Struct("<8sqq32s"), struct.Struct("<I")
+#: Bytes of a link beside the file.
+LINK = _CONTENT.size + _SUM.size
 
 
 class LastLink(NamedTuple):
@@ -27,6 +33,20 @@ class LastLink(NamedTuple):
     generation: int
     number: int
     digest: bytes
+
+
+def packed(link: LastLink) -> bytes:
+    """Return a link as it stands beside the file: magic, generation, number, digest, CRC-32; little endian."""
+    content = _CONTENT.pack(_MAGIC, *link)
+    return content + _SUM.pack(zlib.crc32(content))
+
+
+def unpacked(content: bytes) -> LastLink | None:
+    """Return the link that :func:`packed` made these bytes of; None: there is none, or it is torn."""
+    part = content[: _CONTENT.size]
+    if not part.startswith(_MAGIC) or content[_CONTENT.size : LINK] != _SUM.pack(zlib.crc32(part)):
+        return None
+    return LastLink(*_CONTENT.unpack(part)[1:])
 
 
 def generation_of(db: sqlite3.Connection) -> int:

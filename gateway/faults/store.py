@@ -566,7 +566,7 @@ class Store:
 
 def last_links(path: Path) -> list[rollback.LastLink]:
     """Return the last links of a fault memory as the files beside it have them; to be read before the memory is."""
-    return [*lock.noted(path), *journal_file.links(path)]
+    return [*lock.noted(path), *journal_file.links_beside(path)]
 
 
 def _refuse_foreign(path: Path) -> None:
