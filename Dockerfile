@@ -3,6 +3,7 @@
 # Build: a virtual environment with the package, which brings its compiled kernels.
 FROM python:3.13-slim AS build
 WORKDIR /src
+COPY deploy/requirements.lock ./deploy/
 COPY pyproject.toml hatch_build.py README.md LICENSE gateway.toml ./
 COPY gateway ./gateway
 COPY packages ./packages
@@ -11,13 +12,11 @@ COPY scenarios ./scenarios
 COPY examples ./examples
 # docker build --build-arg COMMIT=$(git rev-parse --short=12 HEAD) . has gateway --version say it.
 ARG COMMIT=
-# --build-arg EXTRAS=serve brings the page.
-ARG EXTRAS=
-# It is this folder that is installed. Tests of other packages are left out.
-# hadolint ignore=DL3013
+# Packages are those of the lock, by their hashes; of this folder the gateway itself. Tests of other packages are left out.
 RUN if [ -n "$COMMIT" ]; then echo "$COMMIT" > COMMIT; fi \
     && python -m venv --without-pip /opt/gateway/venv \
-    && pip --python /opt/gateway/venv/bin/python install --no-cache-dir ".${EXTRAS:+[$EXTRAS]}" \
+    && pip --python /opt/gateway/venv/bin/python install --no-cache-dir --require-hashes -r deploy/requirements.lock \
+    && pip --python /opt/gateway/venv/bin/python install --no-cache-dir --no-deps --no-build-isolation . \
     && find /opt/gateway/venv -type d -name tests -prune -exec rm -r {} +
 
 # Run: no compiler, no source, not root.

@@ -35,6 +35,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
 import hostile
+from page_address import address_of
 
 from gateway.config.load import load_config
 from gateway.live.clock import Clock
@@ -84,7 +85,7 @@ def watch(path, pages, harm, opened, end, out):
     command += ["--port", "0", "--parent", str(os.getpid())]
     page = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    url, token = re.search(r"(http://\S+?/)#control=(\S+)", page.stderr.readline()).groups()
+    url, _, token = address_of(page.stderr.readline()).partition("#control=")
     counts = [0] * pages
     refused = 0
 

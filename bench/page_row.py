@@ -31,6 +31,9 @@ import numpy as np
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
+from page_address import address_of
+
 #: How long a row is waited for [s].
 PATIENCE_S = 10.0
 
@@ -170,7 +173,7 @@ def main() -> None:
             running.append(page)
             client = Client(int(uri[1]))
             driver = chromium(folder)
-            found = measured(said.split()[1], driver, client, options.rows)
+            found = measured(address_of(said), driver, client, options.rows)
         finally:
             if client is not None:
                 client.close()

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 from gateway.cli.present import find_config, say
@@ -45,7 +46,7 @@ def serve(
 ) -> int:
     """Serve until a signal comes; returns the exit code. Arguments as the command has them."""
     need("serve", "pages")
-    from gateway.serve.server import ServeSettings, open_socket, rights_of, url_of  # noqa: PLC0415 - of an extra
+    from gateway.serve.server import ServeSettings, kept_address, open_socket, rights_of, url_of, url_with_token  # noqa: PLC0415 - of an extra
     from gateway.serve.server import serve as work  # noqa: PLC0415
 
     place = status or socket_of(load_config(find_config(config_path)))
@@ -55,13 +56,18 @@ def serve(
     if parent is not None:
         give_way()
     rights = rights_of(settings)
-    with open_socket(settings) as listener:
+    with ExitStack() as stack:
+        listener = stack.enter_context(open_socket(settings))
         url = url_of(settings, rights, listener.getsockname()[1])
-        say(f"page: {url}")
+        own = url_with_token(settings, rights, url)
+        if own is None or sys.stderr.isatty():
+            say(f"page: {own or url}")
+        else:  # a journal or a log, which others may read
+            say(f"page: {url} (with the control token: {stack.enter_context(kept_address(settings, own))})")
         if open_page:
             import webbrowser  # noqa: PLC0415 - few want it
 
-            webbrowser.open(url)
+            webbrowser.open(own or url)
         work(settings, rights, listener)
     return 0
 

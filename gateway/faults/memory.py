@@ -402,13 +402,13 @@ class FaultMemory(Readable):
             self._held.set_identifier(did, data)
             self._held.write(self._now_ns)
 
-    def attempts(self, level: int) -> int:
-        """Return how many wrong keys a security level has had since the last right one."""
-        return self._held.fact(f"attempts.{level}")
+    def attempts(self, lock: str) -> int:
+        """Return how many wrong attempts a lock of testers has had since the last right one."""
+        return self._held.fact(f"attempts.{lock}")
 
-    def keep_attempts(self, level: int, wrong: int) -> None:
-        """Keep how many wrong keys a security level has had; durable on return, if anything can be written."""
-        self._held.set_fact(f"attempts.{level}", wrong)
+    def keep_attempts(self, lock: str, wrong: int) -> None:
+        """Keep how many wrong attempts a lock has had; durable on return, if anything can be written."""
+        self._held.set_fact(f"attempts.{lock}", wrong)
         with suppress(StoreError):  # it is tried again, and counts in this process in any case
             self._held.write(self._now_ns)
 

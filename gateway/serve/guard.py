@@ -15,6 +15,7 @@ import asyncio
 import contextlib
 import hmac
 import ipaddress
+import re
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -36,6 +37,10 @@ DRAIN_BYTES = 16 << 20
 PATH_BYTES = 8 << 10
 #: Type of refusals.
 TEXT = b"text/plain; charset=utf-8"
+#: Host and port in a Host header; an address of IPv6 stands in brackets.
+_HOST = re.compile(
+    r"(?:\[(?P<address>[0-9A-Fa-f:.]{2,45})\]|(?P<name>[A-Za-z0-9._~-]{1,1024}))(?::(?P<port>[0-9]{0,5}))?", re.ASCII
+)
 #: Largest headers together [byte], and how many at most.
 HEAD_BYTES, MOST_HEADERS = 8 << 10, 100
 
@@ -141,7 +146,10 @@ class Guard:
     def _wrong(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
         """Return what is wrong with a request: status and text."""
         hosts = [value for name, value in headers if name == "host"]
-        if len(hosts) != 1 or _name(hosts[0]) not in self._rights.hosts:
+        names = [host_name(host) for host in hosts]
+        if None in names:
+            return 400, "this is no host"
+        if len(names) != 1 or names[0] not in self._rights.hosts:
             return 421, "this is not a name of this server"
         origins = [value for name, value in headers if name == "origin"]
         own = f"{'https' if self._rights.secure else 'http'}://{hosts[0].lower()}"
@@ -207,12 +215,22 @@ def _same(one: str, other: str) -> bool:
     return hmac.compare_digest(one.encode(), other.encode())
 
 
-def _name(host: str) -> str:
-    """Return a Host header without its port."""
-    host = host.strip().lower()
-    if host.startswith("["):
-        return host.partition("]")[0][1:]
-    return host.partition(":")[0]
+def host_name(value: str) -> str | None:
+    """Return the name in a Host header, in lower case, an IP address in its shortest form; None: it is no such header.
+
+    ``host [ ":" port ]`` (RFC 9110, 7.2; RFC 3986, 3.2.2 and 3.2.3), but what no server here is called: names with
+    percent signs or sub-delimiters, and IPvFuture. Any port will do: who forwards one (ssh -L) asks for another than
+    this server's, and pages of other origins are known by Origin.
+    """
+    found = _HOST.fullmatch(value)
+    if found is None or int(found["port"] or 0) > 0xFFFF:
+        return None
+    if found["address"] is None:
+        return found["name"].lower()
+    try:
+        return str(ipaddress.IPv6Address(found["address"]))
+    except ValueError:
+        return None
 
 
 async def _body(receive: Receive, most: int = BODY_BYTES, *, keep: bool = True) -> bytes:

@@ -9,6 +9,7 @@ import re
 import secrets
 import signal
 import socket
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +21,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from gateway.host.process import ENDS, open_to_others
 from gateway.host.sockets import reuse
 from gateway.serve.app import Page
-from gateway.serve.guard import CONTROL, Guard, Rights, is_loopback
+from gateway.serve.guard import CONTROL, Guard, Rights, host_name, is_loopback
 from gateway.serve.hub import Hub
 from gateway_fdi.errors import GatewayError, InputError
 
@@ -135,13 +136,25 @@ def rights_of(settings: ServeSettings) -> Rights:
     every = [read, control, *clients.values()]
     if any(every.count(each) > 1 for each in every if each):
         raise InputError("reading and changing are two rights: two tokens, all different", key="--control-token-file")
-    names = {settings.host.strip("[]").lower(), *(name.lower() for name in settings.names)}
+    names = {_name(settings.host, "--host"), *(_name(name, "--name") for name in settings.names)}
     if local:
         names |= {"localhost", "127.0.0.1", "::1"}
     names -= {"0.0.0.0", "::"}  # noqa: S104 - these are no names
     if not names:
         raise InputError("listening everywhere needs the names that this server is known by", key="--name")
     return Rights(frozenset(names), read, control, secure=settings.certificate is not None, clients=clients)
+
+
+def _name(text: str, key: str) -> str:
+    """Return a name of this server as the Host header is compared with it.
+
+    Raises:
+        InputError: no Host header can say it.
+    """
+    found = host_name(f"[{text}]" if ":" in text and not text.startswith("[") else text)
+    if found is None:
+        raise InputError("a host name or an IP address, without a port", key=key, value=text)
+    return found
 
 
 def _tokens(file: Path | None) -> tuple[str, dict[str, str]]:
@@ -189,11 +202,42 @@ def open_socket(settings: ServeSettings) -> socket.socket:
 
 
 def url_of(settings: ServeSettings, rights: Rights, port: int) -> str:
-    """Return the address of the page, the control token after its #, where no server sees it."""
+    """Return the address of the page."""
     host = f"[{settings.host}]" if ":" in settings.host and "[" not in settings.host else settings.host
-    scheme = "https" if rights.secure else "http"
-    own = rights.control_token and settings.control_token_file is None
-    return f"{scheme}://{host}:{port}/" + (f"#control={rights.control_token}" if own else "")
+    return f"{'https' if rights.secure else 'http'}://{host}:{port}/"
+
+
+def url_with_token(settings: ServeSettings, rights: Rights, url: str) -> str | None:
+    """Return the address with the control token after its #, where no server sees it; None: the token is of a file."""
+    return f"{url}#control={rights.control_token}" if rights.control_token and not settings.control_token_file else None
+
+
+@contextlib.contextmanager
+def kept_address(settings: ServeSettings, address: str) -> Iterator[Path]:
+    """Keep an address with its token in a file beside the status socket, for this user only, while the page is served.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    file = settings.socket.with_name(f"{settings.socket.name}.page")
+    try:
+        made, name = tempfile.mkstemp(prefix=f"{file.name}-", dir=file.parent)  # mode 0600, and nobody's before
+        try:
+            with os.fdopen(made, "w", encoding="ascii") as out:
+                out.write(f"{address}\n")
+            Path(name).replace(file)
+        except OSError:
+            Path(name).unlink()
+            raise
+    except OSError as error:
+        text = f"the control token cannot be kept here ({error.strerror or error}); give one by --control-token-file"
+        raise InputError(text, file=file) from error
+    try:
+        yield file
+    finally:
+        with contextlib.suppress(OSError):
+            if file.read_text(encoding="ascii").strip() == address:  # else it is another page's by now
+                file.unlink()
 
 
 class _Server(uvicorn.Server):

@@ -13,9 +13,16 @@ from test_access import SERVERS, by_j1939, by_mode_04
 from uds_tester import EXTRA, Asked
 from udsoncan.services import Authentication
 
+from gateway.runtime.app import Gateway
+from gateway.servers.uds import authentication
+from gateway.servers.uds.certificates import Certificates
+from gateway.servers.uds.nrc import NegativeError, Nrc
+
 NOW = dt.datetime.fromtimestamp(0, dt.UTC)  # the rig's clock begins there
 DAY = dt.timedelta(days=1)
-AUTH = 'authentication = { roots = ["root.pem"], roles = ["workshop", "development"], revoked = [666] }\n'
+AUTH = (
+    'authentication = { roots = ["root.pem"], roles = ["workshop", "development"], revoked = [666], attempts = 255 }\n'
+)
 
 
 def name(common, unit=None):
@@ -79,10 +86,10 @@ def certificates(folder, **options):
 def make(tmp_path):
     rigs = []
 
-    def build(uds=AUTH, more="", root=True):
+    def build(uds=AUTH, more="", root=True, memory=None):
         if root:
             certificates(tmp_path)
-        rigs.append(Rig(write_config(tmp_path, extra=EXTRA.format(uds=uds) + more)))
+        rigs.append(Rig(write_config(tmp_path, extra=EXTRA.format(uds=uds) + more), memory))
         return rigs[-1], Asked(rigs[-1])
 
     yield build
@@ -350,6 +357,134 @@ def test_a_proof_is_of_this_challenge_and_this_key(make):
     rig.wait(1)
     kinds = {(each.action, each.outcome) for each in rig.gateway.memory.interventions()}
     assert ("authenticate", 0x58) in kinds
+
+
+FEW = AUTH.replace("attempts = 255", "attempts = 3, delay_s = 4.0")
+
+
+def wrong_proof(ask, shown=None):
+    """Show a good certificate, and prove it with a signature of something else; returns the last answer."""
+    key, certificate = shown or a_tester()
+    ours = show(ask, certificate)
+    return ours if isinstance(ours, str) else prove(ask, signed(key, b"something else"))
+
+
+@pytest.fixture
+def looks(monkeypatch):
+    """Count what costs milliseconds of the loop: chains that are verified, and proofs."""
+    counted = []
+    verified, is_signed = Certificates.verified, authentication._is_signed
+    monkeypatch.setattr(Certificates, "verified", lambda *given: counted.append("01") or verified(*given))
+    monkeypatch.setattr(authentication, "_is_signed", lambda *given: counted.append("03") or is_signed(*given))
+    return counted
+
+
+def test_after_too_many_wrong_proofs_nothing_is_looked_at_until_the_delay_is_over(make, looks):
+    rig, ask = make(FEW.replace("4.0", "60.0"))
+    assert ask("1003")
+    shown = a_tester()
+    assert [wrong_proof(ask, shown) for _ in range(3)] == ["7f2958", "7f2958", "7f2936"]
+    assert looks == ["01", "03"] * 3
+    for _ in range(50):
+        assert wrong_proof(ask, shown) == "7f2937"
+    assert len(looks) == 6
+    assert ask("3e00") == "7e00"
+    rig.wait(60_000, step=1000)
+    assert ask("1003")
+    assert wrong_proof(ask, shown) == "7f2936", "one attempt after each delay"
+    assert len(looks) == 8
+    rig.wait(60_100, step=1000)
+    assert ask("1003")
+    assert log_in(ask) == "6903120000"
+    assert wrong_proof(ask, shown) == "7f2958", "a right proof forgives"
+    rig.wait(1)
+    noted = [(each.action, each.outcome) for each in rig.gateway.memory.interventions()]
+    assert noted.count(("lockout", 0x36)) == 2
+
+
+@pytest.mark.parametrize("shown", ["bad", "good"])
+def test_certificates_without_a_proof_count_too(make, looks, shown):
+    """Whoever has heard a good certificate can show it: it costs the same."""
+    _, ask = make(FEW.replace("4.0", "60.0"))
+    assert ask("1003")
+    _, certificate = a_tester(serial=666 if shown == "bad" else 7)
+    answers = [show(ask, certificate) for _ in range(30)]
+    if shown == "bad":
+        assert answers[:3] == ["7f2957", "7f2957", "7f2936"]
+    else:
+        assert all(isinstance(answer, bytes) for answer in answers[:3])
+        assert answers[3] == "7f2936"
+    assert set(answers[4:]) == {"7f2937"}
+    assert looks == ["01"] * 3
+
+
+def test_wrong_proofs_outlast_restarts_and_reloads(make, tmp_path, looks):
+    memory = tmp_path / "m.sqlite"
+    rig, ask = make(FEW, memory=memory)
+    for answer in ("7f2958", "7f2958", "7f2936"):
+        assert ask("1003")
+        assert wrong_proof(ask) == answer
+        if answer == "7f2958":
+            rig.gateway.store.close()  # as kill -9: nothing is ended, nothing written any more
+            rig, ask = make(FEW, memory=memory)
+    old = rig.gateway
+    old.finish(rig.now)
+    rig.gateway = Gateway(old.config, None, file=tmp_path / "rig.toml", store=old.store)
+    rig.gateway.succeed(old)
+    assert ask("1003")
+    assert wrong_proof(ask) == "7f2937", "a reload"
+    rig.gateway.store.close()
+    rig, ask = make(FEW, memory=memory)
+    assert ask("1003")
+    rig.wait(3500)
+    assert ask("1003")
+    assert wrong_proof(ask) == "7f2937", "the whole delay again"
+    rig.wait(600)
+    assert ask("1003")
+    assert log_in(ask) == "6903120000"
+
+
+def test_a_proof_is_counted_before_it_is_looked_at(make, tmp_path, monkeypatch):
+    """Who cuts the power at the answer has used an attempt up all the same."""
+    rig, ask = make(FEW, memory=tmp_path / "m.sqlite")
+    seen = []
+
+    def verified(*given):
+        seen.append(rig.gateway.store.facts().get("attempts.authentication"))
+        raise NegativeError(Nrc.CERTIFICATE_CHAIN)
+
+    monkeypatch.setattr(Certificates, "verified", verified)
+    assert ask("1003")
+    assert wrong_proof(ask) == "7f2952"
+    assert seen == [1]
+
+
+def test_wrong_proofs_count_for_all_addresses_and_challenges_asked_for_before_are_no_way_around(make):
+    further = "further = [{ request = 0x7E4, response = 0x7EC }]\n"
+    rig, a = make(FEW + further)
+    b = Asked(rig, 0x7E4, 0x7EC)
+    assert a("1003")
+    assert b("1003")
+    key, certificate = a_tester()
+    kept = show(b, certificate)
+    assert wrong_proof(a) == "7f2958"
+    assert wrong_proof(a) == "7f2936"
+    assert prove(b, signed(key, kept)) == "7f2937"
+    assert wrong_proof(b) == "7f2937"
+
+
+def test_one_look_a_turn_whoever_asks(make, looks):
+    rig, _ = make(AUTH)
+    testers = rig.gateway.local
+    answers = []
+    _, certificate = a_tester()
+    request = bytes.fromhex("290100" + field(certificate) + field(b""))
+    for k in range(5):
+        testers.ask(1, "somebody", f"t{k}", ("self", b"\x10\x03"), lambda told: None)
+        testers.ask(1, "somebody", f"t{k}", ("self", request), lambda told: answers.append(told[-1].hex()))
+    testers.on_time(rig.now + 1)
+    assert looks == ["01"]
+    assert [answer[:6] for answer in answers] == ["690111", *["7f2921"] * 4]
 
 
 def test_a_session_that_ends_takes_the_role_with_it(make):

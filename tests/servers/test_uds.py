@@ -275,6 +275,15 @@ def test_a_key_is_counted_before_it_is_looked_at(uds, tmp_path):
     assert seen == [1]
 
 
+def test_seeds_that_were_asked_for_before_a_delay_are_no_way_around_it(uds):
+    rig, a = uds(uds=SECURE + "further = [{ request = 0x7E4, response = 0x7EC }]\n")
+    b = Asked(rig, 0x7E4, 0x7EC)
+    assert b("1003")
+    seed = bytes.fromhex(b("2701")[4:])
+    assert (wrong_key(a), wrong_key(a)) == ("7f2735", "7f2736")
+    assert b("2702" + hmac_sha256(seed, bytes.fromhex(SECRET), 1).hex()) == "7f2737"
+
+
 def test_a_reload_forgives_nothing(uds, tmp_path):
     memory = tmp_path / "m.sqlite"
     rig, ask = uds(uds=SECURE, memory=memory)

@@ -20,6 +20,7 @@ import pytest
 import shared_signal
 from browser import asked_for, browser, complaints
 from kernel_can import wait_for
+from page_address import address_of
 from processes import GATEWAY, bus, gateway, process
 from selenium.webdriver.common.by import By
 from testers import isotp_stack
@@ -57,7 +58,7 @@ def site(tmp_path_factory):
         page = stack.enter_context(
             process("serve", "--status", folder / "status", "--port", "0", cwd=folder, ready="page:")
         )
-        url = page.said.split()[1]
+        url = address_of(page.said)
         driver = stack.enter_context(browser(folder))
         made = SimpleNamespace(folder=folder, uri=uri, url=url, driver=driver, daemon=daemon, daemons=daemons)
         made.plays = 0

@@ -15,8 +15,9 @@ from typing import Any
 
 from pydantic import Field
 
+from gateway.servers.uds.attempts import Attempts
 from gateway.servers.uds.certificates import Certificates
-from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
+from gateway.servers.uds.nrc import NegativeError, Nrc
 from gateway_fdi.common.tomlfile import StrictModel
 
 #: Bytes of the gateway's challenge.
@@ -35,6 +36,10 @@ class AuthenticationParams(StrictModel):
         min_length=1, description="roles that there are: organizational units of testers' certificates"
     )
     revoked: tuple[int, ...] = Field((), description="serial numbers of certificates that are not good any more")
+    attempts: int = Field(
+        5, ge=1, le=255, description="certificates shown without a right proof after them, before the delay"
+    )
+    delay_s: float = Field(10.0, gt=0, le=3600, description="delay after them, for all testers [s]")
 
 
 class Authentication:
@@ -53,6 +58,7 @@ class Authentication:
     ) -> None:
         self._random = random
         self._certificates = None if params is None else Certificates(params.roots, params.roles, params.revoked)
+        self._attempts = None if params is None else Attempts("authentication", params.attempts, params.delay_s)
         self._pending: tuple[Any, str, bytes] | None = None  # public key, role, bytes to be signed
         self.role = ""
 
@@ -62,44 +68,65 @@ class Authentication:
         return self._certificates is not None
 
     def beside(self) -> Authentication:
-        """Return the authentication of another tester."""
+        """Return the authentication of another tester: a role of its own, but wrong attempts count for both."""
         other = Authentication(None, self._random)
-        other._certificates = self._certificates
+        other._certificates, other._attempts = self._certificates, self._attempts
         return other
+
+    @property
+    def attempts(self) -> list[Attempts]:
+        """Attempts to prove a role, of all testers."""
+        return [] if self._attempts is None else [self._attempts]
 
     def end(self) -> None:
         """Forget who the tester is."""
         self._pending, self.role = None, ""
 
-    def challenge(self, certificate: bytes, challenge: bytes, wall_ns: int) -> bytes:
-        """Take a tester's certificate and challenge; returns the gateway's challenge.
+    def challenge(self, certificate: bytes, challenge: bytes, wall_ns: int, t_ns: int) -> bytes:
+        """Take a tester's certificate and challenge, which begins an attempt; returns the gateway's challenge.
 
         Args:
             certificate: X.509, DER; after it those between it and a root, each of which has signed the one before.
             challenge: of the tester; may be empty.
             wall_ns: now, for the certificate's validity.
+            t_ns: now, for attempts and their delay.
 
         Raises:
-            NegativeError: the certificate is not good, and why.
+            NegativeError: the certificate is not good, and why; or there were too many attempts.
         """
         self._pending = None
         assert self._certificates is not None, "not offered"
-        key, role = self._certificates.verified(certificate, datetime.fromtimestamp(wall_ns / 1e9, UTC))
+        assert self._attempts is not None, "not offered"
+        self._attempts.check(t_ns)
+        self._attempts.look(t_ns)
+        self._attempts.begin(t_ns)
+        try:
+            key, role = self._certificates.verified(certificate, datetime.fromtimestamp(wall_ns / 1e9, UTC))
+        except NegativeError as error:
+            self._attempts.fail(t_ns, error.nrc)
         ours = self._random(CHALLENGE)
         self._pending = key, role, ours + challenge
         return ours
 
-    def prove(self, proof: bytes) -> None:
-        """Take the signature over our challenge and the tester's, in this order.
+    def prove(self, proof: bytes, t_ns: int) -> None:
+        """Take the signature over our challenge and the tester's, in this order, which ends the attempt.
+
+        Args:
+            proof: the signature.
+            t_ns: now, for attempts and their delay.
 
         Raises:
-            NegativeError: none was asked for, or it is not the certificate's.
+            NegativeError: none was asked for, it is not the certificate's, or there were too many attempts.
         """
-        pending, self._pending = self._pending, None
-        if pending is None:
+        if self._pending is None:
             raise NegativeError(Nrc.REQUEST_SEQUENCE_ERROR)
-        key, role, signed = pending
-        refuse_unless(_is_signed(key, proof, signed), Nrc.OWNERSHIP_NOT_PROVEN)
+        assert self._attempts is not None, "not offered"
+        self._attempts.check(t_ns)
+        self._attempts.look(t_ns)
+        (key, role, signed), self._pending = self._pending, None
+        if not _is_signed(key, proof, signed):
+            self._attempts.fail(t_ns, Nrc.OWNERSHIP_NOT_PROVEN)
+        self._attempts.forgive()
         self.role = role
 
 

@@ -1,4 +1,4 @@
-"""Security access (ISO 14229-1, 0x27): seeds, keys, attempts, delay."""
+"""Security access (ISO 14229-1, 0x27): seeds and keys."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import cast
 
 from gateway.common.plugins import Registry
-from gateway.servers.uds.nrc import NegativeError, Nrc, refuse_unless
+from gateway.servers.uds.attempts import Attempts
+from gateway.servers.uds.nrc import NegativeError, Nrc
 from gateway.servers.uds.params import SecurityLevel
 from gateway_fdi.errors import InputError, under
 
@@ -51,27 +52,11 @@ def key_function(name: str) -> KeyFunction:
 class _Level:
     params: SecurityLevel
     key: KeyFunction
-    wrong: int = 0  # keys since the last right one; at most as many as are allowed
-    locked_until_ns: int = 0
-
-    def lock_out(self, t_ns: int, seconds: float) -> None:
-        self.locked_until_ns = max(self.locked_until_ns, t_ns + round(seconds * 1e9))
-
-    @property
-    def is_spent(self) -> bool:
-        return self.wrong >= self.params.attempts
-
-
-#: Keeps how many wrong keys a level has had, durable on return; returns that number.
-Keep = Callable[[int, int], None]
-Kept = Callable[[int], int]
+    attempts: Attempts
 
 
 class Security:
     """State of security access.
-
-    Wrong keys are counted in the fault memory's file, before they are looked at: neither a restart nor a power cut
-    makes them forgotten. Restarting the gateway during a delay restarts the delay.
 
     Args:
         levels: those of the configuration.
@@ -89,36 +74,22 @@ class Security:
         self._levels: dict[int, _Level] = {}
         for k, params in enumerate(levels):
             with under(f"output.uds.security[{k}].key"):
-                self._levels[params.level] = _Level(params, key_function(params.key))
+                attempts = Attempts(str(params.level), params.attempts, params.delay_s, params.start_delay_s)
+                self._levels[params.level] = _Level(params, key_function(params.key), attempts)
         self._random = random
-        self._keep: Keep = lambda level, wrong: None
-        self._started = [False]  # one for all testers
         self._seed: tuple[int, bytes] | None = None
         self.unlocked = 0
 
     def beside(self) -> Security:
         """Return the security of another tester: unlocked by itself, but wrong keys count for both."""
         other = Security((), self._random)
-        other._levels, other._keep, other._started = self._levels, self._keep, self._started
+        other._levels = self._levels
         return other
 
-    def keep_in(self, kept: Kept, keep: Keep) -> None:
-        """Count wrong keys where they outlast this process.
-
-        Args:
-            kept: level -> how many it has had.
-            keep: takes level and number.
-        """
-        self._keep = keep
-        for level, state in self._levels.items():
-            state.wrong = min(max(kept(level), 0), state.params.attempts)
-
-    def start(self, t_ns: int) -> None:
-        """Begin the delays of a start, with the first request: before it no time is known."""
-        if not self._started[0]:
-            self._started[0] = True
-            for state in self._levels.values():
-                state.lock_out(t_ns, state.params.delay_s if state.is_spent else state.params.start_delay_s)
+    @property
+    def attempts(self) -> list[Attempts]:
+        """Attempts at each level."""
+        return [level.attempts for level in self._levels.values()]
 
     @property
     def levels(self) -> list[int]:
@@ -139,7 +110,7 @@ class Security:
         state = self._levels[level]
         if self.unlocked == level:
             return bytes(state.params.seed_length)
-        refuse_unless(t_ns >= state.locked_until_ns, Nrc.REQUIRED_TIME_DELAY_NOT_EXPIRED)
+        state.attempts.check(t_ns)
         seed = self._random(state.params.seed_length)
         while not any(seed):  # would say "unlocked"
             seed = self._random(state.params.seed_length)
@@ -157,17 +128,9 @@ class Security:
             raise NegativeError(Nrc.REQUEST_SEQUENCE_ERROR)
         seed = self._seed[1]
         self._seed = None
-        self._count(level, state, min(state.wrong + 1, state.params.attempts))
+        state.attempts.begin(t_ns)
         right = state.key(seed, bytes.fromhex(state.params.secret), level)
-        if hmac.compare_digest(right, key):
-            self._count(level, state, 0)
-            self.unlocked = level
-            return
-        if state.is_spent:  # and stays so: one attempt after each further delay (Annex I)
-            state.lock_out(t_ns, state.params.delay_s)
-            raise NegativeError(Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS)
-        raise NegativeError(Nrc.INVALID_KEY)
-
-    def _count(self, level: int, state: _Level, wrong: int) -> None:
-        state.wrong = wrong
-        self._keep(level, wrong)
+        if not hmac.compare_digest(right, key):
+            state.attempts.fail(t_ns, Nrc.INVALID_KEY)
+        state.attempts.forgive()
+        self.unlocked = level

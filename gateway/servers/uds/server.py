@@ -70,7 +70,8 @@ class UdsServer(Application):
     def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         c = self.context
         c.now_ns = self._last_request_ns = t_ns
-        c.security.start(t_ns)
+        for attempts in (*c.security.attempts, *c.authentication.attempts):
+            attempts.start(t_ns)
         c.asked_in = c.session, c.security.unlocked, c.authentication.role
         c.asked_by = (c.params.functional or 0) if functional else c.params.request
         sid = request[0]

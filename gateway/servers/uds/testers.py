@@ -17,7 +17,7 @@ class Testers:
     """The testers of one gateway.
 
     Args:
-        memory: the fault memory, which also counts wrong keys.
+        memory: the fault memory, which also counts wrong keys and certificates.
         identifiers: the data identifiers.
         authority: judges what they ask for.
         security: of the configuration's levels.
@@ -34,7 +34,8 @@ class Testers:
         authentication: Authentication,
         trace_did: int | None,
     ) -> None:
-        security.keep_in(memory.attempts, memory.keep_attempts)
+        for attempts in (*security.attempts, *authentication.attempts):
+            attempts.keep_in(memory.attempts, memory.keep_attempts)
         self._memory, self._identifiers, self._authority = memory, identifiers, authority
         self._security, self._authentication, self._trace_did = security, authentication, trace_did
         self._all: list[Context] = []

@@ -40,11 +40,11 @@ def _handle(c: Context, request: bytes) -> bytes:
         certificate, challenge = _parts(request[3:], 2)
         refuse_unless(request[2] == 0, Nrc.REQUEST_OUT_OF_RANGE)  # the next messages are not encrypted
         c.check_conditions()
-        ours = c.authentication.challenge(certificate, challenge, c.control.wall_ns())
+        ours = c.authentication.challenge(certificate, challenge, c.control.wall_ns(), c.now_ns)
         return bytes([number, PROVE_NEXT]) + _field(ours) + _field(b"")
     proof, _ephemeral = _parts(request[2:], 2)
     c.check_conditions()
-    c.authentication.prove(proof)
+    c.authentication.prove(proof, c.now_ns)
     return bytes([number, COMPLETE]) + _field(b"")
 
 
