@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import ERROR, FRAME, REMOTE, Frames
 from gateway.signals.bits import read_bits
-from gateway.signals.decode import OK, decode, lookup
+from gateway.signals.decode import FLOAT16, OK, decode, lookup
 from gateway.signals.tables import DecodePlan
 from gateway_fdi.jit import kernel
 
@@ -122,11 +122,15 @@ def decode_columns(frames: Frames, plan: DecodePlan, row: int) -> Columns:
         plan: with all its signals.
         row: of the message in the plan.
     """
-    count = int(plan.messages[row]["count"])
+    return decode_payloads(words_of(frames), frames["length"].astype(np.int64), plan, row)
+
+
+def decode_payloads(words: NDArray[np.uint64], lengths: NDArray[np.int64], plan: DecodePlan, row: int) -> Columns:
+    """Decode payloads of one message: shape (frames, 8), zero beyond their lengths [byte]; else as above."""
+    count, frames = int(plan.messages[row]["count"]), len(words)
     values, present = np.zeros(max(count, 1)), np.zeros(max(count, 1), np.uint8)
-    out, there = np.zeros((count, len(frames))), np.zeros((count, len(frames)), np.uint8)
-    results = np.zeros(len(frames), np.uint8)
-    words, lengths = words_of(frames), frames["length"].astype(np.int64)
+    out, there = np.zeros((count, frames)), np.zeros((count, frames), np.uint8)
+    results = np.zeros(frames, np.uint8)
     decode_all(words, lengths, row, plan.messages, plan.signals, plan.mux_ids, values, present, out, there, results)
     return Columns(out, there.view(np.bool_), results, words)
 
@@ -148,10 +152,18 @@ def columns(frames: Frames, plan: DecodePlan, row: int) -> tuple[NDArray[np.floa
         row: of the message in the plan.
 
     Returns:
-        shape (frames, signals), in the plan's order; NaN where a frame has no such signal, or cannot be decoded.
+        shape (frames, signals), in the plan's order; NaN where a frame has none, or one without a value.
     """
-    found = decode_columns(frames, plan, row)
+    return valued(decode_columns(frames, plan, row), plan, row)
+
+
+def valued(found: Columns, plan: DecodePlan, row: int) -> tuple[NDArray[np.float64], int]:
+    """Return what was decoded as :func:`columns` does."""
     found.values[~found.there] = np.nan
+    first, count = int(plan.messages[row]["first"]), len(found.values)
+    for values, signal in zip(found.values, plan.signals[first : first + count], strict=True):
+        if signal["kind"] >= FLOAT16:
+            values[~((values >= signal["low"]) & (values <= signal["high"]))] = np.nan
     return np.ascontiguousarray(found.values.T), int((found.results == OK).sum())
 
 

@@ -27,6 +27,7 @@ class Course:
         changes: how often it changed.
         rest_s: the longest time without change, while it came [s].
         values: the first different ones, at most MOST_VALUES + 1.
+        swings: how often it went from one end of its span to the other; of floating-point signals only.
     """
 
     count: int = 0
@@ -38,6 +39,7 @@ class Course:
     changes: int = 0
     rest_s: float = 0.0
     values: set[float] = field(default_factory=set)
+    swings: int = 0
 
     @property
     def span(self) -> float:
@@ -59,6 +61,12 @@ class Course:
         self.changes += other.changes
         self.rest_s = max(self.rest_s, other.rest_s)
         self.values = set(sorted(self.values | other.values)[: MOST_VALUES + 1])
+
+    def count_swings(self, values: NDArray[np.float64]) -> None:
+        """Count how often values, in order, go from a quarter at one end of their span to that at the other."""
+        with np.errstate(invalid="ignore"):
+            side = np.sign((values > self.highest - 0.25 * self.span) * 1 - (values < self.lowest + 0.25 * self.span))
+        self.swings = int(np.count_nonzero(np.diff(side[side != 0])))
 
     def data(self) -> list[Any]:
         """Return it for a file."""

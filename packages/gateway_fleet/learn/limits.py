@@ -16,6 +16,8 @@ from cantools.database.can.signal import Signal
 from gateway.bus.frames import ID_MASK
 from gateway.monitors.signal.params import MOST_CODES, MOST_VALUES
 from gateway.monitors.signal.parts import no_value
+from gateway.signals.columns import limits
+from gateway.signals.tables import signal_row
 from gateway_fleet.learn import gaps
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter, signal_of
@@ -32,6 +34,9 @@ LOST = 0.005
 LEAST_VALUES = 100
 #: Share of its bits' range that a signal must have gone through, and the margin on either side, of its span.
 EXPLORED, ROOM = 0.2, 2.0
+#: The bits of a floating-point signal say nothing of its range: one that swung this often from end to end has shown it,
+#: else a value beyond is wild that is larger than any by this factor.
+SWINGS, WILD = 10, 10.0
 #: Margin on either side of the database's range, of its width: steering wheels turn farther than databases say.
 MARGIN = 0.1
 #: Steepest change seen -> limit, at least the whole range in this time [s]: a log of gentle driving shows no emergency.
@@ -180,13 +185,7 @@ def _limits(signal: Signal, course: Course, period: float, seconds: float) -> tu
 
 def representable(signal: Signal) -> tuple[float, float]:
     """Return the physical values that a signal's bits can say."""
-    if signal.is_float:
-        return -np.inf, np.inf
-    low, high = (
-        (-(1 << signal.length - 1), (1 << signal.length - 1) - 1) if signal.is_signed else (0, (1 << signal.length) - 1)
-    )
-    ends = sorted((low * signal.scale + signal.offset, high * signal.scale + signal.offset))
-    return float(ends[0]), float(ends[1])
+    return limits(signal_row(signal))
 
 
 def database_range(signal: Signal) -> tuple[float, float] | None:
@@ -212,15 +211,17 @@ def _range(signal: Signal, course: Course, _period: float, _seconds: float) -> t
             return {}, ""
         return {"plausible": [short(wide[0]), short(wide[1])]}, f"database {shown(given[0])} to {shown(given[1])}"
     beyond = "" if given is None else f"beyond the database's {shown(given[0])} to {shown(given[1])}"
-    if course.states or course.count < LEAST_VALUES or not np.isfinite(high - low):
+    if course.states or course.count < LEAST_VALUES:
         return {}, beyond
-    if course.span < EXPLORED * (high - low):
+    room, text = ROOM * course.span, "range of the logs, and twice as much on either side"
+    if signal.is_float and course.swings < SWINGS:
+        room = WILD * max(abs(course.lowest), abs(course.highest))
+        text = "its largest value ten times, as a number of its kind says nothing of a range"
+    elif not signal.is_float and course.span < EXPLORED * (high - low):
         return {}, beyond
-    room = ROOM * course.span
     wide = course.lowest - room, course.highest + room
     if wide[0] <= low and wide[1] >= high:
         return {}, beyond
-    text = "range of the logs, and twice as much on either side"
     return {"plausible": [short(wide[0]), short(wide[1])]}, "; ".join(part for part in (beyond, text) if part)
 
 

@@ -14,8 +14,6 @@ import numpy as np
 from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
-from gateway.signals.bits import field_of
-from gateway.signals.payloads import bits_of
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter
 from gateway_fleet.learn.gaps import cycle_ns
@@ -116,31 +114,40 @@ def moving(
         return
     count = max(VALUES, int(np.ceil(LEAST_S / period)))
     speed = next((each for each in speeds if each.message != seen.message.name), None)
-    for signal, course in zip(seen.signals, seen.courses.each, strict=True):
+    runs = [seen.values(run) for run in seen.samples.runs]
+    for k, (signal, course) in enumerate(zip(seen.signals, seen.courses.each, strict=True)):
         quantity = not (signal.choices or signal.multiplexer_ids or signal.is_multiplexer) and signal.length > 1
         called = called_checksum(signal.name) or called_counter(signal.name) or signal.name in own
         if not quantity or (called and signal.name != checksum) or course.changes < LEAST_BLOCKS or course.none:
             continue
-        each = [(found, times * count) for times in LONGER if (found := _asked(seen, signal, speed, times * count))]
+        columns = [values[:, k] for values in runs]
+        stamps = seen.samples.stamps
+        each = [(found, n * count) for n in LONGER if (found := _asked(columns, stamps, speed, n * count))]
         if each:
             (share, condition, text), values = max(each, key=lambda one: one[0][0] >= TWICE)
             yield signal, {"seconds": short(values * period, 2), "share": share} | condition, text
 
 
-def _asked(seen: Seen, signal: Signal, speed: Drives | None, count: int) -> tuple[float, dict[str, Any], str] | None:
-    """Return the least share of values that move, when it is asked for, and its evidence; None: nothing is."""
-    field = field_of(signal)
+def _asked(
+    columns: Sequence[NDArray[np.float64]], times: Sequence[NDArray[np.int64]], speed: Drives | None, count: int
+) -> tuple[float, dict[str, Any], str] | None:
+    """Return the least share of values that move, when it is asked for, and its evidence; None: nothing is.
+
+    Args:
+        columns: values of the signal, NaN where there is none, in runs of frames without a gap.
+        times: stamps of the runs [ns].
+        speed: of the car.
+        count: values of one share.
+    """
     shares, lows = [], []
     low, high, ways = np.inf, -np.inf, set[int]()
-    for run, stamps in zip(seen.samples.runs, seen.samples.stamps, strict=True):
-        raw = bits_of(run.words, field).astype(np.int64)
-        moved = raw[1:] != raw[:-1]
-        ways |= {int(way) for way in np.unique(np.sign(np.diff(raw))) if way}
-        value = _physical(raw, signal)
+    for value, stamps in zip(columns, times, strict=True):
+        moved = value[1:] != value[:-1]
+        ways |= {int(way) for way in np.unique(np.sign(np.diff(value[~np.isnan(value)]))) if way}
         fast = value if speed is None else speed.at(stamps)
         for first in range(0, len(moved) - count + 1, max(count // 2, 1)):
             part = slice(first, first + count)
-            if np.isnan(fast[part]).any():
+            if np.isnan(fast[part]).any() or np.isnan(value[part]).any():
                 continue
             shares.append(float(moved[part].mean()))
             lows.append(float(fast[part].min()))
@@ -172,10 +179,3 @@ def _asked(seen: Seen, signal: Signal, speed: Drives | None, count: int) -> tupl
                 condition = {"during": speed.name, "within": [short(start, 3), most]}
             return share, condition, f"{middle:.2f} of its values move, {mine.min():.2f} at least, of {len(mine)} times"
     return None
-
-
-def _physical(raw: NDArray[np.int64], signal: Signal) -> NDArray[np.float64]:
-    value = raw.astype(np.float64)
-    if signal.is_signed:
-        value = np.where(value >= 2.0 ** (signal.length - 1), value - 2.0**signal.length, value)
-    return np.asarray(value * float(signal.scale) + float(signal.offset), np.float64)

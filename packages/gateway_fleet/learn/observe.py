@@ -17,11 +17,12 @@ from gateway.config.model import Config
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
 from gateway.signals.decode import lookup, of_a_tester
-from gateway.signals.payloads import columns, words_of
+from gateway.signals.payloads import columns, decode_payloads, valued, words_of
 from gateway.signals.tables import compile_plan
 from gateway_fleet.learn import observers
 from gateway_fleet.learn.course import Courses
 from gateway_fleet.learn.gaps import WAKE_MS, Gaps
+from gateway_fleet.learn.judged import Payloads
 from gateway_fleet.learn.pauses import Pauses, tell_wakes
 from gateway_fleet.learn.samples import Samples
 from gateway_fleet.learn.snapshots import Snapshots
@@ -46,6 +47,7 @@ class Seen:
         columns: of its signals among all.
         observers: of other packages.
         unknown: no database has its identifier, but the one that ``learn`` itself makes.
+        values: payloads -> its signals in them, shape (frames, signals), as :func:`gateway.signals.payloads.columns`.
     """
 
     bus: int
@@ -62,6 +64,7 @@ class Seen:
     last_ns: int | None = None
     observers: list[observers.Observer] = field(default_factory=list)
     unknown: bool = False
+    values: Callable[[Payloads], NDArray[np.float64]] = lambda payloads: np.zeros((len(payloads), 0))
 
 
 @dataclass
@@ -163,7 +166,12 @@ class Observer:
         names = [signal.name for signal in signals]
         shown = [found for kind in observers.OBSERVERS.values() if (found := kind.of(name, names)) is not None]
         unknown = self._own[bus] is not None and dict(databases)[bus].file_of(name) == self._own[bus]
-        return Seen(bus, message, signals, slice(first, self._last_column), courses, observers=shown, unknown=unknown)
+        place = slice(first, self._last_column)
+        return Seen(bus, message, signals, place, courses, observers=shown, unknown=unknown, values=self._values(row))
+
+    def _values(self, row: int) -> Callable[[Payloads], NDArray[np.float64]]:
+        plan = self._plan
+        return lambda some: valued(decode_payloads(some.words, some.lengths, plan, row), plan, row)[0]
 
     def read(self, path: Path, batches: Iterator[tuple[Frames, float]], hold_out: float, progress: Progress) -> None:
         """Read a log, but for a share at its end.
@@ -289,6 +297,10 @@ class Observer:
         """Return what was seen."""
         for bus in range(len(self._pauses)):
             tell_wakes([seen.gaps for seen in self._made if seen.bus == bus])
+        floats = [(seen, k) for seen in self._made for k, signal in enumerate(seen.signals) if signal.is_float]
+        matrix = self._snapshots.matrix() if floats else np.zeros((0, 0))
+        for seen, k in floats:
+            seen.courses.each[k].count_swings(matrix[:, seen.columns.start + k])
         return Observation(
             {(seen.bus, seen.message.name): seen for seen in self._made if seen.frames},
             [(seen.bus, seen.message.name) for seen in self._made if not seen.frames],
