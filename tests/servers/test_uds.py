@@ -172,12 +172,13 @@ def test_communication_off_silences_what_the_gateway_says_by_itself(uds):
     assert {can_id for can_id, _ in rig.sent} == {0x6F0, 0x98FECAF9}, "the end of the session ends it"
 
 
-def test_ecu_reset_starts_the_next_operation_cycle(uds):
+@pytest.mark.parametrize("kind", ["01", "02", "03"])
+def test_ecu_reset_starts_the_next_operation_cycle(uds, kind):
     rig, ask = uds()
     rig.fail(0)
     assert ask("1003")
     number = rig.gateway.memory.cycle_number()
-    assert ask("1101") == "5101"
+    assert ask(f"11{kind}") == f"51{kind}"
     assert rig.gateway.memory.cycle_number() == number + 1
     assert ask("22f186") == "62f18601"
     assert rig.status(0) == 0x6D
