@@ -5,6 +5,7 @@ import os
 
 import pytest
 from amount import SMALL, examples
+from outcomes import Outcomes, note_ids
 from uses import missing
 
 from gateway_fdi.common import log
@@ -13,6 +14,9 @@ from gateway_fdi.jit import BOUNDSCHECK, COMPILED
 
 def pytest_configure(config):
     """Say how many examples hypothesis tries; where its plugin is not loaded (a test kernel), it is not imported."""
+    outcomes = os.environ.pop("GATEWAY_OUTCOMES", None)  # not for the processes that tests start
+    if outcomes is not None:
+        config.pluginmanager.register(Outcomes(outcomes))
     if not config.pluginmanager.hasplugin("hypothesispytest"):
         return
     from hypothesis import settings
@@ -39,6 +43,7 @@ def pytest_collection_modifyitems(config, items):
 
     What runs other tests again comes first: at the end it would keep one processor busy alone.
     """
+    note_ids(items)
     items.sort(key=lambda item: "test_kernels_again" not in item.nodeid)
     if not SMALL:
         return

@@ -39,6 +39,7 @@ def silence_of_a_lost_bus(gateway):
     return dtcs(gateway)
 
 
+@pytest.mark.evidence("Nothing is silent: lost bus")
 def test_a_lost_bus_is_one_dtc_by_default(tmp_path):
     gateway = gateway_of(tmp_path)
     assert silence_of_a_lost_bus(gateway) == ["U0001-31"]
@@ -86,6 +87,7 @@ def test_a_wrong_setting_is_named(tmp_path):
     assert "bus[0].health.errors" in str(error.value)
 
 
+@pytest.mark.evidence("Live is replay: bus faults")
 def test_a_recording_with_its_conditions_replays_to_the_same_faults(tmp_path):
     """What happened to the bus is in the log, as candump writes error frames."""
     from gateway.bus.logs import open_writer, read_log
@@ -214,6 +216,7 @@ def test_a_long_gap_says_of_the_clock_what_its_windows_say_one_by_one(passes, tm
     assert healed == [1002 * MS + passes * 10_000 * MS]
 
 
+@pytest.mark.evidence("Healthy parts: tester")
 def test_what_was_sent_while_a_tester_had_reception_switched_off_is_missed_by_nobody(tmp_path):
     at_once = '\n[fault."chassis.Beat.counter"]\ndebounce = { failed_after = 1 }\n'
     gateway = gateway_of(tmp_path, lambda text: text + at_once)

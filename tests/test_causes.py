@@ -89,6 +89,7 @@ def test_while_a_slower_test_can_speak_nothing_is_certain():
     assert second["t_ns"] - first["t_ns"] >= before["waits_for"][0]["for_s"] * 1e9 > 0.0
 
 
+@pytest.mark.evidence("Healthy parts: two faults")
 def test_two_faults_that_no_test_of_one_explains_are_named_together():
     """A plant's monitor knows single faults only: by its tests, brake's resistance and force's sensor are wrong."""
     scenario = load_scenario(shipped("scenarios/brake_faults.toml"))
@@ -177,6 +178,7 @@ def test_a_cleared_fault_has_no_cause_until_it_fails_again():
     gateway.close()
 
 
+@pytest.mark.evidence("Healthy parts: plants")
 @pytest.mark.parametrize("name", ["pedal_healthy", "crank_healthy", "truck_healthy", "tanks_healthy"])
 def test_healthy_plants_have_no_cause(name):
     config, frames = frames_of(name, 10.0)

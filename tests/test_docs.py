@@ -39,6 +39,7 @@ def broken(page, text):
     return found
 
 
+@pytest.mark.evidence("Releases: docs")
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_links_point_at_exists(page):
     assert broken(page, prose(page)) == []

@@ -234,6 +234,7 @@ def test_frames_before_and_after_a_failure_are_kept(make, tmp_path):
     assert (recording.frames, recording.dropped) == (31, 0)
 
 
+@pytest.mark.evidence("Bounded: storm")
 def test_a_storm_of_failures_is_bounded(make, tmp_path):
     """[snapshot storm] A cap for each fault, a cooldown, and a count of what was left out."""
     rig = make(extra=RECORDING)
@@ -260,6 +261,7 @@ def test_a_flood_of_frames_keeps_those_nearest_the_failure(make, tmp_path):
     assert recording.dropped == 26
 
 
+@pytest.mark.evidence("Live is replay: recorded freeze frames")
 @pytest.mark.parametrize("most", [40, 5])
 def test_a_replay_in_any_chunks_keeps_the_same_recordings(make, most):
     rows = [(256 + (t % 3), bytes(8 if t % 50 else 1)) for t in range(400)]

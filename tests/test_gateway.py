@@ -81,6 +81,7 @@ SINGLY = {
 }  # fmt: skip
 
 
+@pytest.mark.evidence("Live is replay: scenarios")
 @pytest.mark.parametrize(
     "name",
     [pytest.param(name, marks=CHAIN if name == "crank_missed_tooth" else pytest.mark.long) for name in SCENARIOS],
@@ -99,6 +100,7 @@ def test_every_scenario_meets_its_expectations_and_live_equals_replay(name, tmp_
         assert len(events) > 0
 
 
+@pytest.mark.evidence("Live is replay: chunks")
 @pytest.mark.long
 @settings(
     max_examples=examples(12),
@@ -268,6 +270,7 @@ def config_error(tmp_path, *changes):
     return str(caught.value)
 
 
+@pytest.mark.evidence("Nothing is silent: error")
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
@@ -337,6 +340,7 @@ def test_a_voted_value_can_go_out_as_another_message(tmp_path):
     assert (sent["can_id"] == 0x2B1).sum() == 100
 
 
+@pytest.mark.evidence("Nothing is silent: mistakes")
 def test_all_mistakes_are_named_at_once(tmp_path):
     text = config_error(
         tmp_path,

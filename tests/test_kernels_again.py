@@ -58,11 +58,13 @@ DEALT = {f"{k + 1} of {_HANDS}": _FILES[k::_HANDS] for k in range(_HANDS)}
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
 
 
+@pytest.mark.evidence("Live is replay: kernels")
 @pytest.mark.parametrize("part", DEALT if FULL else drawn(DEALT))
 def test_as_plain_python(part):
     run(DEALT[part], PLAIN)
 
 
+@pytest.mark.evidence("Live is replay: kernels")
 @pytest.mark.parametrize("part", PARTS if FULL else drawn(PARTS))
 def test_with_every_index_checked(part):
     run(PARTS[part], CHECKED)

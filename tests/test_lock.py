@@ -26,6 +26,7 @@ def text():
     return (ROOT / "deploy" / "requirements.lock").read_text()
 
 
+@pytest.mark.evidence("Releases: lock")
 def test_every_package_has_a_version_and_hashes_and_fits_the_project(lock, text):
     assert lock.wrong(text, PROJECT) == []
     found = lock.entries(text)

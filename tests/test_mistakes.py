@@ -202,6 +202,7 @@ ends = { signal = "Wheel.Gear", max = 0 }
 """
 
 
+@pytest.mark.evidence("Nothing is silent: mistakes")
 def test_the_mistakes_of_all_stages_are_told_at_once_in_the_order_of_the_file(tmp_path, capsys):
     path = write(tmp_path, DBC, ALL_STAGES)
     wanted = [

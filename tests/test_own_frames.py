@@ -1,6 +1,7 @@
 """What the gateway sends itself: ranked for the bus, and known again when it comes back."""
 
 import numpy as np
+import pytest
 
 from gateway.bus.frames import ANSWER, CYCLIC, OWN, URGENT, empty, put
 from gateway.config.load import load_config
@@ -37,6 +38,7 @@ def test_frames_are_ranked_by_what_must_go_first():
     assert gateway.engine.emitted == [ENGINE]
 
 
+@pytest.mark.evidence("Live is replay: recording")
 def test_a_recording_with_our_own_frames_replays_to_what_was():
     """As the ring has it: what we sent is in it, marked, right behind what made us send it."""
     frames, events, sent, _ = drive()

@@ -73,6 +73,7 @@ def wheel(tmp_path_factory):
     return built("wheel", tree, tree / "made")
 
 
+@pytest.mark.evidence("Releases: image")
 def test_the_wheel_is_made_of_what_is_copied(wheel):
     names = set(ZipFile(wheel).namelist())
     packages = {file.removeprefix("packages/") for file in tracked() if file.startswith(("gateway/", "packages/"))}
@@ -85,6 +86,7 @@ def test_the_wheel_is_made_of_what_is_copied(wheel):
     assert names - packages == {name for name in names if name.startswith("gateway/shipped/") or ".dist-info/" in name}
 
 
+@pytest.mark.evidence("Releases: same bytes")
 def test_the_wheel_of_the_source_package_is_the_same_byte_for_byte(wheel, tmp_path):
     for name in tracked():
         (tmp_path / "tree" / name).parent.mkdir(parents=True, exist_ok=True)
@@ -100,6 +102,7 @@ def test_the_wheel_of_the_source_package_is_the_same_byte_for_byte(wheel, tmp_pa
     assert again.read_bytes() == wheel.read_bytes()
 
 
+@pytest.mark.evidence("Releases: version")
 def test_the_version_is_that_of_the_tag_and_tells_the_commit(tmp_path):
     """Of a folder without git, of commits without tags, with the right one, a changed file, and a wrong tag."""
     spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")

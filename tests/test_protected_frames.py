@@ -46,6 +46,7 @@ def p01(tmp_path):
     return Car(write(tmp_path, PLAIN, P01))
 
 
+@pytest.mark.evidence("AUTOSAR E2E: counter")
 def test_a_healthy_counter_from_0_to_14_wraps_in_silence(p01):
     p01.feed(e2e_p01(3000))
     assert p01.failed() == []
@@ -53,6 +54,7 @@ def test_a_healthy_counter_from_0_to_14_wraps_in_silence(p01):
     assert p01.gateway.engine.counters()["crc_failed"] == 0
 
 
+@pytest.mark.evidence("AUTOSAR E2E: CRC")
 @pytest.mark.parametrize("bit", range(0, 64, 7))
 def test_flips_are_the_crc_s_fault(p01, bit):
     frames = e2e_p01(40)
@@ -63,6 +65,7 @@ def test_flips_are_the_crc_s_fault(p01, bit):
     assert p01.feed(frames).failed() == ["crc"]
 
 
+@pytest.mark.evidence("AUTOSAR E2E: counter")
 def test_repeats_losses_and_swaps_are_the_counter_s_fault(tmp_path):
     frames = e2e_p01(60)
     lost = frames[:20] + frames[20:40:3] + frames[40:]
@@ -123,6 +126,7 @@ class StateMachine:
         return self.state
 
 
+@pytest.mark.evidence("AUTOSAR E2E: E2E state machine")
 @settings(max_examples=examples(40), deadline=None)
 @given(
     st.lists(
@@ -251,6 +255,7 @@ def test_j1939_by_pgn_with_several_senders(tmp_path):
     assert "crc" not in car.failed()
 
 
+@pytest.mark.evidence("Healthy parts: wrong rule")
 def test_a_rule_that_no_frame_passes_is_doubted_not_the_sender(tmp_path):
     name = "toyota_new_mc_pt_generated"
     packer = pytest.importorskip("opendbc.can.packer").CANPacker(name)

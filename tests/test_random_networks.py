@@ -35,6 +35,7 @@ def messages_of(network, bus, ecu=None):
     return {f"{bus}.M{can_id:X}.timeout" for own in ecus.values() for can_id, _ in own}
 
 
+@pytest.mark.evidence("Healthy parts: networks")
 @pytest.mark.parametrize("seed", range(FIRST, FIRST + amount(40, 4)))
 def test_healthy(tmp_path, seed):
     rng = random.Random(seed)
@@ -61,6 +62,7 @@ def test_a_recorder_that_pauses_accuses_no_message(tmp_path, seed):
     assert causes(told) <= {(f"bus {only}",)}
 
 
+@pytest.mark.evidence("Healthy parts: dead ECU")
 @pytest.mark.parametrize("seed", range(FIRST, FIRST + amount(40, 6)))
 def test_an_ecu_that_dies_is_one_cause(tmp_path, seed):
     """Told in time: each timeout comes, and the cause behind the slowest."""

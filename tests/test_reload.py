@@ -47,6 +47,7 @@ def play(config, frames, cuts, change=lambda config: config):
     return events, np.concatenate(sent), gateway
 
 
+@pytest.mark.evidence("Live is replay: reload same")
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_a_reload_of_the_same_configuration_changes_nothing(name):
     config, frames = frames_of(name, 8.0)

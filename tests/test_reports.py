@@ -81,6 +81,7 @@ def bench(tmp_path):
 # What a result does
 
 
+@pytest.mark.evidence("AUTOSAR DEM: monitor-internal debounce")
 def test_prefailed_and_prepassed_are_debounced_failed_and_passed_qualify_at_once(bench):
     one = bench.enter()
 

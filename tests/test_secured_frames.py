@@ -71,6 +71,7 @@ def test_lost_frames_are_no_fault_as_many_as_attempts_reach(car):
     assert car.count("crc_failed") == 0
 
 
+@pytest.mark.evidence("AUTOSAR E2E: SecOC freshness")
 def test_a_replay_is_the_freshness_s_fault_and_is_not_used(car):
     sent = frames(range(300))
     car.feed(sent).feed(sent[280:290])
@@ -100,6 +101,7 @@ def test_a_wrong_key_accuses_the_configuration_and_a_changed_one_the_sender(tmp_
     assert car.failed() == ["mac"]
 
 
+@pytest.mark.evidence("AUTOSAR E2E: SecOC forged")
 def test_what_is_forged_never_reaches_a_monitor(tmp_path):
     path = write(tmp_path, more=SPEED)
     good = [secured((5).to_bytes(2, "little") + b"\0\0", k) for k in range(300)]
@@ -109,6 +111,7 @@ def test_what_is_forged_never_reaches_a_monitor(tmp_path):
     assert Car(path).feed(good[:30]).feed(high).failed() == ["high"], "or the test shows nothing"
 
 
+@pytest.mark.evidence("AUTOSAR E2E: SecOC restart")
 def test_freshness_survives_a_restart(tmp_path):
     memory, sent = tmp_path / "faults.sqlite", frames(range(400))
     first = Car(write(tmp_path), memory=memory).feed(sent[:350])
@@ -120,6 +123,7 @@ def test_freshness_survives_a_restart(tmp_path):
     assert again.count("unsynchronised") == 0
 
 
+@pytest.mark.evidence("Healthy parts: SecOC sender")
 def test_a_sender_that_went_on_unheard_is_found_again_and_never_accused(tmp_path):
     memory = tmp_path / "faults.sqlite"
     first = Car(write(tmp_path), memory=memory).feed(frames(range(50)))

@@ -35,6 +35,7 @@ def traffic(buses, *rest):
 SEEDS = range(amount(40, 4))
 
 
+@pytest.mark.evidence("Healthy parts: sleep")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_bus_that_sleeps_at_any_time_and_wakes_late_is_one_cause(tmp_path, seed):
     """Its ECUs wake 0 to 10 s late, each message a while after its ECU; before, all fall silent at once."""
@@ -49,6 +50,7 @@ def test_a_bus_that_sleeps_at_any_time_and_wakes_late_is_one_cause(tmp_path, see
     assert told[-1]["groups"] == []
 
 
+@pytest.mark.evidence("Healthy parts: recorder")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_recorder_that_pauses_accuses_nobody(tmp_path, seed):
     """All buses pause, for 10 ms to 20 s, again and again: nothing is at fault, not even a bus."""
@@ -89,6 +91,7 @@ def test_an_ecu_whose_critical_half_stops_is_the_cause(tmp_path, seed):
     assert causes(told) == {("ecu drive.Engine",)}
 
 
+@pytest.mark.evidence("Healthy parts: cut bus")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_bus_that_is_cut_off_is_one_cause(tmp_path, seed):
     rng = random.Random(400 + seed)
@@ -139,6 +142,7 @@ def test_power_tells_sleep_from_a_cut(tmp_path, seed, is_on):
     assert causes(told) == ({("bus drive",)} if is_on else set())
 
 
+@pytest.mark.evidence("Healthy parts: low voltage")
 def test_under_a_low_voltage_nobody_is_accused(tmp_path):
     """While the engine starts, other ECUs reset; after the voltage is good again they have time to come."""
     power = """[power]

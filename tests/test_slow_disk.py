@@ -90,6 +90,7 @@ def chain_head(rig):
     return digest
 
 
+@pytest.mark.evidence("Durability: slow disk")
 def test_while_a_disk_takes_its_time_testers_are_answered_and_nothing_is_told_early(make, slow):
     rig = make(extra=FRAMES + "[output.uds]\n")
     rig.gateway.write_beside()
@@ -309,6 +310,7 @@ def test_told_first_a_dtc_does_not_wait_for_the_disk_and_says_when_it_is_stored(
     assert rig.gateway.summary(1.0)["counters"]["memory_not_stored"] == 0
 
 
+@pytest.mark.evidence("Durability: told first")
 def test_told_first_an_outage_counts_what_is_not_stored(make, slow):
     rig = make(extra=FRAMES + '[memory]\ntell = "first"\n')
     rig.gateway.write_beside()

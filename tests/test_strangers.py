@@ -74,6 +74,7 @@ def test_what_belongs_to_a_bus_is_never_told(gateway):
     assert not any(event["event"] == "dtc" for event in gateway.events)
 
 
+@pytest.mark.evidence("Nothing is silent: strangers")
 @pytest.mark.parametrize("gateway", ["tell", "fault", "none"], indirect=True)
 def test_an_unknown_identifier_is_told_with_its_first_payload_and_count(gateway):
     mode = gateway.config.bus[0].health.unknown

@@ -96,6 +96,7 @@ def off(gateway):
     return [event for event in gateway.told if event["event"] == "monitor_off"]
 
 
+@pytest.mark.evidence("Nothing is silent: monitor")
 def test_a_step_that_raises_is_told_with_its_file_and_sets_a_code_of_our_own(tmp_path, gateway_of, caplog):
     path = monitor(tmp_path, "slip_raises", RAISES)
     gateway = gateway_of(path)

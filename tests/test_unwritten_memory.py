@@ -33,6 +33,7 @@ def disk(monkeypatch):
     return state
 
 
+@pytest.mark.evidence("Durability: full disk")
 def test_a_fault_met_by_a_full_disk_is_told_and_stored_when_there_is_room(make, disk):
     rig = make()
     rig.wait(100)
@@ -63,6 +64,7 @@ def test_a_fault_met_by_a_full_disk_is_told_and_stored_when_there_is_room(make, 
     assert of(rig, "dtc")[-1]["stored"] is True
 
 
+@pytest.mark.evidence("Durability: events")
 def test_events_are_told_after_they_are_stored(make):
     rig = make()
     seen = []
@@ -79,6 +81,7 @@ def test_events_are_told_after_they_are_stored(make):
     assert all(seen)
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x14 72")
 def test_testers_are_not_told_that_something_was_stored_or_cleared_that_was_not(make, disk):
     rig = make(
         extra=FRAMES + "[output.uds]\n[output.obd]\n[output.j1939]\naddress = 0x80\n[[did]]\nid = 0xF190\n"
@@ -123,6 +126,7 @@ def test_a_deleted_file_is_noticed_without_any_change(make):
     assert stored(rig)["b.M0.length"]["description"], "what faults are called is in the new file too"
 
 
+@pytest.mark.evidence("AUTOSAR DEM: NVRAM")
 def test_a_damaged_file_is_put_aside_recovered_and_told(make, tmp_path):
     rig = make()
     rig.fail(0)

@@ -77,6 +77,7 @@ def placed(tmp_path):
     return tmp_path / "motor_load", tmp_path / "battery_voltage"
 
 
+@pytest.mark.evidence("Releases: upgrade")
 @pytest.mark.long
 def test_strangers_packages_survive_an_upgrade(wheels, environment, tmp_path):
     """In the full size their scenarios run with each version."""

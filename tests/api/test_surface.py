@@ -4,6 +4,7 @@ import importlib
 import inspect
 from pathlib import Path
 
+import pytest
 from surface import MODULES, surface
 
 import gateway_fdi
@@ -11,6 +12,7 @@ import gateway_fdi
 LISTED = Path(__file__).parents[2] / "docs/api.txt"
 
 
+@pytest.mark.evidence("Releases: surface")
 def test_the_surface_is_the_listed_one():
     assert surface() == LISTED.read_text(), (
         "meant? python tests/api/surface.py > docs/api.txt, and a line in CHANGELOG.md"

@@ -137,6 +137,7 @@ def test_an_object_of_blf_outside_of_containers_that_is_too_long_is_refused(tmp_
     assert most < FLAT
 
 
+@pytest.mark.evidence("Bounded: archives")
 @pytest.mark.parametrize("kind", ["mf4", "parquet"])
 def test_what_is_held_whole_is_bounded(kind, tmp_path, monkeypatch):
     pytest.importorskip({"mf4": "asammdf", "parquet": "pyarrow.parquet"}[kind])  # its own memory does not count

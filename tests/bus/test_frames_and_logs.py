@@ -135,6 +135,7 @@ def test_python_can_reads_our_candump(tmp_path):
             assert bytes(theirs.data) == payload(ours)
 
 
+@pytest.mark.evidence("Nothing is silent: damaged log")
 @pytest.mark.long
 @pytest.mark.parametrize("suffix", sorted(FORMATS))
 def test_a_damaged_log_is_one_clear_error_after_its_good_frames(tmp_path, suffix):

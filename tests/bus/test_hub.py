@@ -144,6 +144,7 @@ def test_many_frames_between_processes_keep_their_order(hub):
     assert (np.diff(got["t_ns"]) >= 0).all()
 
 
+@pytest.mark.evidence("Bounded: hub")
 def test_a_client_that_does_not_read_loses_its_oldest_and_holds_up_nobody(hub):
     deaf = socket.create_connection(hub.address)
     deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -96,6 +96,7 @@ CARRIES = {
 }
 
 
+@pytest.mark.evidence("Live is replay: logs")
 @pytest.mark.parametrize("suffix", sorted(CARRIES))
 def test_random_logs_are_read_as_python_can_reads_them(suffix, tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")

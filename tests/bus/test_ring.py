@@ -27,6 +27,7 @@ def numbers_of(segment):
     return [line for line in segment.read_text().splitlines() if line]
 
 
+@pytest.mark.evidence("Bounded: ring of recordings")
 @settings(max_examples=examples(25))
 @given(
     st.lists(st.integers(1, 200), min_size=1, max_size=40),

@@ -36,6 +36,7 @@ def broken(*_, **__):
     raise KeyError("volts")
 
 
+@pytest.mark.evidence("Nothing is silent: bug")
 def test_a_bug_is_one_line_that_says_where_to_report_it(gateway, monkeypatch):
     importlib.import_module("gateway.cli.check")
     monkeypatch.setattr(sys.modules["gateway.cli.check"], "load_config", broken)

@@ -189,6 +189,7 @@ def written(folder, suffix):
     return path
 
 
+@pytest.mark.evidence("Nothing is silent: cut log")
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc", ".csv"])
 def test_a_log_cut_off_is_told_and_shown_up_to_there(replay, tmp_path, suffix):
     path = written(tmp_path, suffix)

@@ -39,6 +39,7 @@ def frames_of(message, *, mode=isotp.AddressingMode.Normal_11bits, fd=False):
     raise AssertionError("can-isotp did not end")
 
 
+@pytest.mark.evidence("ISO 15765-2: heard")
 @pytest.mark.parametrize("mode", ["Normal_11bits", "Extended_11bits"])
 @pytest.mark.parametrize("fd", [False, True])
 def test_messages_of_can_isotp_are_put_together(mode, fd):
@@ -53,6 +54,7 @@ def test_messages_of_can_isotp_are_put_together(mode, fd):
     assert heard.errors == 0
 
 
+@pytest.mark.evidence("ISO 15765-2: heard")
 def test_messages_that_are_cut_are_counted_and_left_out():
     first, *rest = frames_of(bytes(range(40)))
     heard = Reassembler()

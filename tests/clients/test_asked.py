@@ -98,6 +98,7 @@ def relevant(events):
     return [event for event in events if event["event"] != "summary"]
 
 
+@pytest.mark.evidence("Live is replay: answers")
 @pytest.mark.parametrize("own", ["with our requests", "without them", "as another tester's"])
 def test_a_log_replays_to_the_live_verdict(battery, own, tmp_path):
     made, last, file = battery

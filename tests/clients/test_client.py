@@ -122,6 +122,7 @@ def test_a_request_under_way_is_given_up_for_another_tester(tmp_path):
     assert settled(found.state())
 
 
+@pytest.mark.evidence("Bounded: polling")
 def test_no_more_requests_leave_than_the_bus_may_have(tmp_path):
     ecus, cars = "", []
     for k in range(20):
@@ -219,6 +220,7 @@ read = [{ service = 0x22, identifier = 2, every_ms = 500 }]
     assert all(found.state(k)["answers"] >= 1 for k in (0, 1))
 
 
+@pytest.mark.evidence("SAE J1939-21: request")
 def test_groups_of_j1939_are_requested(tmp_path):
     toml = """
 [[ecu]]

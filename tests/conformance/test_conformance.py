@@ -52,6 +52,7 @@ def found(cases, target):
     return {name.partition("[")[0] for name, said in cases if target in name and said in ("Failure", "Error")}
 
 
+@pytest.mark.evidence("ISO 14229-1: others kit")
 @pytest.mark.long
 def test_our_server_passes_and_defects_are_found(tmp_path):
     targets = {number: f"inside:conformance_wires:Wrong:{'+'.join(defects)}" for number, defects in WRONG.items()}

@@ -69,6 +69,7 @@ def frame(kind, t_ms, value, tools):
     return tools.alpha(t_ms, value - 8.0, count=value % 16)
 
 
+@pytest.mark.evidence("Live is replay: reload")
 @pytest.mark.parametrize("timed", [False, True])
 @settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(

@@ -3,6 +3,7 @@
 from fractions import Fraction
 from math import ceil, floor
 
+import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -29,6 +30,7 @@ def row(debounce):
     return rows
 
 
+@pytest.mark.evidence("AUTOSAR DEM: debounce counter")
 def test_counter_reaches_the_limits_in_the_asked_number_of_results():
     for number in (1, 2, 3, 7, 50, 100, 128, 300, 1000):
         rows = row(Debounce(failed_after=number, passed_after=number))
@@ -86,6 +88,7 @@ DEBOUNCES = st.builds(
 )
 
 
+@pytest.mark.evidence("AUTOSAR DEM: debounce counter")
 @given(
     DEBOUNCES,
     st.lists(st.booleans(), max_size=300),
@@ -122,6 +125,7 @@ def test_what_is_settled_one_more_pass_does_not_change(debounce, runs):
     assert settled >= 300 - 261, "at the end it is, whatever came before"
 
 
+@pytest.mark.evidence("AUTOSAR DEM: debounce time")
 @given(
     st.integers(1, 1000),
     st.integers(1, 1000),

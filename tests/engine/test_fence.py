@@ -145,6 +145,7 @@ class Rig:
         return self.engine.tables.debounces[self.of(name)["fault"]]["last"]
 
 
+@pytest.mark.evidence("Nothing is silent: monitor")
 @pytest.mark.parametrize("step", [beyond, beyond_below, raises], ids=lambda s: s.__name__)
 def test_a_step_that_fails_switches_its_monitor_off_and_nothing_else(database, step):
     rig = Rig(database, step).feed(12.0, 30.0, 10.0, 10.0)
@@ -186,6 +187,7 @@ def test_ours_are_not_checked():
     assert GOOD.outside
 
 
+@pytest.mark.evidence("Healthy parts: NaN")
 @pytest.mark.parametrize("step", [no_number, no_threshold], ids=lambda s: s.__name__)
 def test_no_number_neither_passes_nor_heals_and_is_counted(database, step):
     rig = Rig(database, step).feed(10.0, 30.0, 30.0)

@@ -34,6 +34,7 @@ def gated(build, *, debounce=None, **gate):
     )
 
 
+@pytest.mark.evidence("AUTOSAR DEM: enable conditions")
 @pytest.mark.parametrize("resets", [False, True])
 def test_results_count_only_while_the_enable_condition_is_met(build, tools, resets):
     engine = gated(build, debounce=Debounce(3, 3), conditions=(Condition(BETA, 5, 10),), resets=resets)
@@ -67,6 +68,7 @@ def test_a_condition_whose_signal_is_unknown_or_overdue_is_not_met(build, tools)
     assert kinds(seen)[-1] == (18, QUALIFIED_FAILED)
 
 
+@pytest.mark.evidence("AUTOSAR DEM: event dependencies")
 def test_a_root_cause_comes_before_its_symptom(build, tools):
     """The sensor's own fault takes longer to qualify than what is computed from it, and still comes alone."""
     engine = build(
@@ -207,6 +209,7 @@ def test_time_alone_reaches_for_the_freeze_frame_too(build, tools):
     assert failed == 100 * 10**6
 
 
+@pytest.mark.evidence("AUTOSAR DEM: fault detection counter")
 def test_near_misses_are_counted_from_half_the_way_up(build, tools):
     engine = gated(build, debounce=Debounce(10, 1, jump_down=True))
     t = 0
@@ -222,6 +225,7 @@ def test_near_misses_are_counted_from_half_the_way_up(build, tools):
     assert engine.fold_statistics(HIGH) == (0, 127), "a failure is no near miss"
 
 
+@pytest.mark.evidence("AUTOSAR DEM: cycle signals")
 def test_signals_begin_and_end_operation_cycles(build, tools):
     cycles = [
         CycleWatch(Condition(BETA, 400, math.inf), Condition(BETA, -math.inf, 50)),

@@ -108,6 +108,7 @@ def test_a_message_timeout_is_reported_at_each_deadline_and_heals(build, tools):
     assert seen.events[-1][2] == QUALIFIED_PASSED
 
 
+@pytest.mark.evidence("Healthy parts: clock")
 def test_a_jump_of_the_clock_by_decades_is_one_timeout(build, tools):
     engine = build(checks=[{"message": "Alpha", "timeout_ms": 0.001}])
     seen = tools.Collector()
@@ -143,6 +144,7 @@ def test_a_monitor_with_a_missing_or_stale_input_reports_not_tested(build, tools
     assert [e[0] for e in changed] == [60_000_000]
 
 
+@pytest.mark.evidence("Nothing is silent: events ring")
 def test_events_beyond_the_ring_are_counted(build, tools):
     engine = build(*((f"m{k}", 0, {}) for k in range(5)), ring=2)
     seen = tools.Collector()
@@ -151,6 +153,7 @@ def test_events_beyond_the_ring_are_counted(build, tools):
     assert engine.counters()["events_lost"] == 3
 
 
+@pytest.mark.evidence("Nothing is silent: late frames")
 def test_late_frames_are_handled_and_counted(build, tools):
     engine = build(("m", 0, {}))
     seen = tools.Collector()
@@ -160,6 +163,7 @@ def test_late_frames_are_handled_and_counted(build, tools):
     assert engine.now_ns == 5_000_000
 
 
+@pytest.mark.evidence("AUTOSAR DEM: debounce reset")
 def test_clearing_resets_the_debounce(build, tools):
     engine = build(("m", 0, {}))
     seen = tools.Collector()
@@ -189,6 +193,7 @@ rows = st.lists(
 )
 
 
+@pytest.mark.evidence("Live is replay: batches")
 @settings(
     deadline=None,
     max_examples=examples(60),

@@ -56,6 +56,7 @@ def test_what_the_gateway_writes_is_whole(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.evidence("Durability: chain")
 @pytest.mark.parametrize(
     ("statement", "first"),
     [
@@ -97,6 +98,7 @@ def test_what_somebody_else_changes_is_named(tmp_path, statement, first):
     whole(path)
 
 
+@pytest.mark.evidence("Durability: chain random")
 @pytest.mark.parametrize("seed", range(amount(60, 6, 2)))
 def test_random_changes_are_whole_at_each_commit_and_one_changed_row_is_found(tmp_path, seed, monkeypatch):
     monkeypatch.setattr(chain, "MOST", 40)

@@ -40,6 +40,7 @@ def damaged(path, rng):
     return way
 
 
+@pytest.mark.evidence("Durability: damaged file")
 @pytest.mark.parametrize("seed", range(40))
 def test_any_damage_is_survived_and_said(tmp_path, seed):
     """Whatever has happened to a file, a gateway starts, and either nothing is missing or it says what it did."""
@@ -69,6 +70,7 @@ def test_any_damage_is_survived_and_said(tmp_path, seed):
     again.close()
 
 
+@pytest.mark.evidence("Durability: recovered")
 def test_what_can_be_read_of_a_damaged_file_is_recovered(tmp_path):
     """One page of many is destroyed: most of the records come through, with their freeze frames and recordings."""
     path = tmp_path / "f.sqlite"

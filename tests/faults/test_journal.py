@@ -50,6 +50,7 @@ def put(put_one, number, bus, place=0, kind=QUALIFIED_FAILED, t_ns=5):
     return put_one(place, kind, t_ns, 0x2F, 3, -128, Bus.wire(number), 16, bus.inside.fileno())
 
 
+@pytest.mark.evidence("Durability: journal frame")
 def test_a_verdict_is_in_the_file_when_its_frame_comes(journal, database, bus):
     hand_over = putter(journal)
     journal.arm(HEAD)

@@ -38,6 +38,7 @@ def stored(memory):
 # Freeze frames and extended data
 
 
+@pytest.mark.evidence("AUTOSAR DEM: freeze frames")
 def test_records_are_the_first_failure_and_the_latest_ones():
     memory = AtOnce(catalogue(confirm=(1,), freeze_frames=(4,)), Store(None))
     for t in range(1, 7):
@@ -58,6 +59,7 @@ def test_with_one_record_the_first_stays():
     assert [f.t_ns for f in memory.entry("m.f0").freeze_frames] == [1]
 
 
+@pytest.mark.evidence("AUTOSAR DEM: freeze frame trigger")
 @pytest.mark.parametrize(("at", "stored_at"), [("failed", [1, 2, 4]), ("pending", [1]), ("confirmed", [4])])
 def test_what_stores_a_freeze_frame_can_be_chosen(at, stored_at):
     memory = AtOnce(catalogue(confirm=(2,), freeze_frame_at=(at,), freeze_frames=(9,)), Store(None))
@@ -69,6 +71,7 @@ def test_what_stores_a_freeze_frame_can_be_chosen(at, stored_at):
     assert sorted(f.t_ns for f in memory.entry("m.f0").freeze_frames) == stored_at
 
 
+@pytest.mark.evidence("AUTOSAR DEM: freeze frame trigger")
 def test_a_freeze_frame_asked_for_on_the_way_up_is_of_that_moment():
     memory = AtOnce(catalogue(confirm=(1,), freeze_frame_at=(60,)), Store(None))
     early = event(0, True, 5)
@@ -99,6 +102,7 @@ def test_evidence_and_inputs_are_of_the_latest_failure(tmp_path):
     store.close()
 
 
+@pytest.mark.evidence("AUTOSAR DEM: order of events")
 def test_the_order_of_failures_and_confirmations():
     memory = AtOnce(catalogue(confirm=(1, 2, 1)), Store(None))
     memory.start_cycle(0)
@@ -137,6 +141,7 @@ def full(size, count, **settings):
     return memory
 
 
+@pytest.mark.evidence("AUTOSAR DEM: displacement")
 def test_a_full_memory_keeps_the_more_important():
     memory = full(2, 4, priority=(50, 100, 200, 100), emission_related=(False,) * 4)
     fail(memory, 1)
@@ -152,6 +157,7 @@ def test_a_full_memory_keeps_the_more_important():
     assert memory.status("m.f3") & Status.TEST_FAILED
 
 
+@pytest.mark.evidence("AUTOSAR DEM: displacement")
 def test_of_the_same_priority_passive_goes_before_active_and_old_before_new():
     memory = full(3, 5, emission_related=(False,) * 5)
     for fault in (0, 1, 2):
@@ -165,6 +171,7 @@ def test_of_the_same_priority_passive_goes_before_active_and_old_before_new():
     assert stored(memory) == ["m.f0", "m.f3", "m.f4"]
 
 
+@pytest.mark.evidence("AUTOSAR DEM: emission")
 def test_an_emission_related_dtc_with_the_lamp_on_never_gives_way_to_a_lesser_one():
     memory = full(1, 3, priority=(100, 200, 1), emission_related=(False, True, False))
     fail(memory, 1)  # the second of the catalogue asks for the indicator
@@ -173,6 +180,7 @@ def test_an_emission_related_dtc_with_the_lamp_on_never_gives_way_to_a_lesser_on
     assert stored(memory) == ["m.f1"]
 
 
+@pytest.mark.evidence("AUTOSAR DEM: displacement back")
 def test_a_displaced_fault_comes_back_when_there_is_room():
     memory = full(1, 2, priority=(1, 2), emission_related=(False, False))
     fail(memory, 1)
@@ -209,6 +217,7 @@ def test_a_bounded_memory_never_holds_more_and_never_less_important_than_it_coul
 # Aging, permanent DTCs, other operation cycles
 
 
+@pytest.mark.evidence("AUTOSAR DEM: aging")
 def test_aging_goes_on_where_it_was_after_a_restart(tmp_path):
     path = tmp_path / "f.sqlite"
 
@@ -234,6 +243,7 @@ def permanent(memory):
     return [entry.fault for entry in memory.permanent()]
 
 
+@pytest.mark.evidence("AUTOSAR DEM: permanent")
 def test_a_permanent_dtc_survives_a_clear_until_its_test_has_passed_in_a_whole_cycle(tmp_path):
     path = tmp_path / "f.sqlite"
     store = Store(path)
@@ -291,6 +301,7 @@ def test_a_permanent_dtc_that_heals_by_itself_goes_with_its_lamp():
     assert permanent(memory) == []
 
 
+@pytest.mark.evidence("AUTOSAR DEM: cycles")
 def test_each_fault_has_its_operation_cycle_and_its_aging_cycle():
     memory = AtOnce(
         catalogue(confirm=(1, 1), cycle=("power", "driving"), aging_cycle=("warm_up", "driving")),
@@ -372,6 +383,7 @@ def test_near_misses_add_up_over_cycles_and_go_with_a_clear():
     assert (entry.near_misses, entry.peak_fdc) == (0, 0)
 
 
+@pytest.mark.evidence("AUTOSAR DEM: readiness")
 def test_readiness_of_each_kind_of_monitor():
     memory = AtOnce(
         catalogue(
@@ -393,6 +405,7 @@ def test_readiness_of_each_kind_of_monitor():
     assert readiness(memory, this_cycle=True).obd_bytes == bytes([0x44, 0x01, 0x01])
 
 
+@pytest.mark.evidence("Durability: versions")
 def test_a_file_of_the_first_version_is_brought_up_to_date_and_keeps_everything(tmp_path):
     path = tmp_path / "old.sqlite"
     db = sqlite3.connect(path)

@@ -18,6 +18,7 @@ from gateway_fdi.errors import InputError
 S = 1_000_000_000
 
 
+@pytest.mark.evidence("Durability: deleted")
 def test_a_file_that_is_deleted_is_written_anew_with_everything(tmp_path):
     path = tmp_path / "f.sqlite"
     fill(path)

@@ -80,6 +80,7 @@ def change_in_place(path, backup, other, rng):
     return f"{way} of {target.name}"
 
 
+@pytest.mark.evidence("Durability: overwritten")
 @pytest.mark.parametrize("part", range(amount(20, 4, 1)))
 def test_whatever_is_changed_in_place_is_noticed_or_harmless(tmp_path, part):
     """Within one commit; ten changes each."""

@@ -35,6 +35,7 @@ def fails(kept, k):
     kept.apply(event(k, True), nothing)
 
 
+@pytest.mark.evidence("AUTOSAR DEM: IUMPR")
 def test_a_result_counts_once_a_cycle():
     kept = memory()
     kept.start_cycle(0)
@@ -48,6 +49,7 @@ def test_a_result_counts_once_a_cycle():
     assert kept.performance.ignition_cycles == 2
 
 
+@pytest.mark.evidence("AUTOSAR DEM: IUMPR")
 def test_a_clear_resets_nothing_and_lets_nothing_count_twice():
     kept = memory()
     kept.start_cycle(0)
@@ -91,6 +93,7 @@ def test_faults_of_other_cycles_and_others_than_emission_related_have_no_ratio()
     assert kept.performance.by_group() == {"catalyst": (1, 1)}
 
 
+@pytest.mark.evidence("AUTOSAR DEM: IUMPR groups")
 def test_of_a_group_the_lowest_ratio_is_shown_and_of_alike_ones_that_of_more_chances():
     assert min(Ratio(1, 2), Ratio(2, 3), key=lambda r: r.order) == (1, 2)
     assert min(Ratio(1, 2), Ratio(2, 4), key=lambda r: r.order) == (2, 4)
@@ -99,6 +102,7 @@ def test_of_a_group_the_lowest_ratio_is_shown_and_of_alike_ones_that_of_more_cha
     assert min(Ratio(0, 3), Ratio(0, 0), key=lambda r: r.order) == (0, 3)
 
 
+@pytest.mark.evidence("AUTOSAR DEM: IUMPR groups")
 def test_counts_at_their_end_are_halved_together():
     kept = memory()
     kept._held.set_fact("numerator.m.f2", MOST)

@@ -105,6 +105,7 @@ class ToldAndKilled(RuleBasedStateMachine):
         ToldAndKilled.steps += 1
 
 
+@pytest.mark.evidence("Durability: journal")
 @pytest.mark.long
 def test_after_a_kill_at_any_point_each_status_is_the_one_told_last():
     ToldAndKilled.steps = ToldAndKilled.told = 0

@@ -36,6 +36,7 @@ def disk(monkeypatch):
     return BrokenDisk(monkeypatch)
 
 
+@pytest.mark.evidence("AUTOSAR DEM: NVRAM")
 def test_what_cannot_be_written_stays_and_is_written_later(tmp_path, disk):
     store, memory = kept(tmp_path / "f.sqlite")
     memory.start_cycle(0)
@@ -110,6 +111,7 @@ def test_a_clock_that_goes_back_does_not_put_an_attempt_off_for_ever():
     assert outage.is_due(0)
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x14 72")
 def test_nothing_is_cleared_and_nothing_written_that_cannot_be_made_durable(tmp_path, disk):
     store, memory = kept(tmp_path / "f.sqlite", recordings=2)
     memory.start_cycle(0)

@@ -250,6 +250,7 @@ class MemoryAgainstModel(RuleBasedStateMachine):
                 assert status & Status.CONFIRMED_DTC
 
 
+@pytest.mark.evidence("AUTOSAR DEM: status byte")
 @pytest.mark.long
 def test_random_lives_agree_with_the_model():
     """100 000 steps if all of it is run."""
@@ -262,6 +263,7 @@ def test_random_lives_agree_with_the_model():
     assert MemoryAgainstModel.steps >= amount(100_000, 6_000, 900)
 
 
+@pytest.mark.evidence("AUTOSAR DEM: failure")
 def test_a_failure_and_its_healing_by_hand():
     memory = AtOnce(catalogue(), Store(None))
     assert memory.status("m.f0") == CLEARED == 0x50
@@ -291,6 +293,7 @@ def one_cycle(memory, fault, *failed):
     return int(memory.status(f"m.f{fault}"))
 
 
+@pytest.mark.evidence("AUTOSAR DEM: healing")
 def test_healing_and_aging_by_hand():
     """m.f1: confirmed by 2 failed cycles, healed by 2 good ones, aged by 3 more; it asks for the indicator."""
     memory = AtOnce(catalogue(), Store(None))
@@ -307,6 +310,7 @@ def test_healing_and_aging_by_hand():
     assert memory.entries() == []
 
 
+@pytest.mark.evidence("AUTOSAR DEM: confirmation")
 @pytest.mark.parametrize("confirm", [2, 3])
 def test_confirmation_takes_failed_cycles(confirm):
     memory = AtOnce(catalogue(confirm=(confirm,)), Store(None))
@@ -320,6 +324,7 @@ def test_confirmation_takes_failed_cycles(confirm):
         memory.end_cycle(cycle)
 
 
+@pytest.mark.evidence("AUTOSAR DEM: confirmation")
 def test_a_good_cycle_starts_the_count_anew():
     memory = AtOnce(catalogue(confirm=(2,)), Store(None))
     for results in ([True], [False], [True]):
@@ -330,6 +335,7 @@ def test_a_good_cycle_starts_the_count_anew():
     assert not memory.status("m.f0") & Status.CONFIRMED_DTC
 
 
+@pytest.mark.evidence("AUTOSAR DEM: operation cycle")
 def test_a_failure_outside_its_operation_cycle_is_no_trip():
     """Two trips confirm: a failure before the drive, and one in the first drive, are one trip."""
     memory = AtOnce(catalogue(confirm=(2,), cycle=("drive",)), Store(None))

@@ -22,6 +22,7 @@ from gateway.faults.store import Store
 from gateway_fdi.errors import GatewayError, InputError
 
 
+@pytest.mark.evidence("Durability: restart")
 def test_everything_survives_a_restart(tmp_path):
     path = tmp_path / "f.sqlite"
     store = Store(path)
@@ -44,6 +45,7 @@ def test_everything_survives_a_restart(tmp_path):
     ]
 
 
+@pytest.mark.evidence("Durability: commit")
 def test_nothing_is_durable_before_commit(tmp_path):
     path = tmp_path / "f.sqlite"
     store = Store(path)
@@ -105,6 +107,7 @@ for k in range(10**9):
 """
 
 
+@pytest.mark.evidence("Durability: kill -9")
 @pytest.mark.long
 def test_kill_9_at_random_moments_loses_nothing_that_was_committed(tmp_path):
     rng = random.Random(41)
@@ -131,6 +134,7 @@ def test_kill_9_at_random_moments_loses_nothing_that_was_committed(tmp_path):
         writable.close()
 
 
+@pytest.mark.evidence("Durability: second writer")
 def test_a_second_writer_is_refused_and_readers_are_not(tmp_path):
     path = tmp_path / "f.sqlite"
     store = Store(path)
@@ -229,6 +233,7 @@ def test_show(tmp_path):
         service.show(path, "P0300-11")
 
 
+@pytest.mark.evidence("AUTOSAR DEM: occurrence counter")
 def test_occurrences_stop_at_255():
     memory = AtOnce(catalogue((1,)), Store(None))
     for k in range(300):
@@ -243,6 +248,7 @@ def test_two_faults_with_one_dtc_are_refused():
         Catalogue(same)
 
 
+@pytest.mark.evidence("Durability: commit")
 def test_a_commit_reaches_the_disk(tmp_path):
     """Power loss cannot be tested here; the setting that guards against it can."""
     store = Store(tmp_path / "f.sqlite")

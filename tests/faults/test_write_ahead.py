@@ -73,6 +73,7 @@ def test_what_is_written_before_and_after_is_there_after_a_kill(store, tmp_path)
     assert copied(store, tmp_path / "again") == told(record(1, 2), record(2))
 
 
+@pytest.mark.evidence("Durability: log length")
 def test_a_kill_while_the_log_gets_its_length_loses_nothing(store, tmp_path):
     store.save(Changes(records=[record(1)]))
     size = log_of(store).stat().st_size

@@ -18,6 +18,7 @@ SEEDS = [int(os.environ["GATEWAY_SEED"])] if "GATEWAY_SEED" in os.environ else r
 SECONDS = 30.0
 
 
+@pytest.mark.evidence("Durability: machine")
 @pytest.mark.parametrize(
     "seed", [pytest.param(seed, marks=pytest.mark.long if k else ()) for k, seed in enumerate(SEEDS)]
 )

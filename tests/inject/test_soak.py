@@ -27,6 +27,7 @@ def resident():
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
+@pytest.mark.evidence("Bounded: memory")
 @pytest.mark.skipif(not FRAMES, reason="minutes: GATEWAY_TESTS=full")
 @pytest.mark.timeout(300 + FRAMES / 20_000)
 def test_memory_stays_flat_whatever_goes_wrong(tmp_path):

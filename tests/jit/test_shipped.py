@@ -42,6 +42,7 @@ COMMAND = "import sys; from gateway.cli import main; sys.exit(main())"
 LOADED = COMMAND.replace("sys.exit(main())", "\ntry: main()\nfinally: print('numba' in sys.modules)")
 
 
+@pytest.mark.evidence("Bounded: first start")
 @pytest.mark.long
 @pytest.mark.parametrize(
     "scenario",

@@ -34,6 +34,7 @@ def found(tmp_path_factory):
     return out, result
 
 
+@pytest.mark.evidence("Healthy parts: learned")
 def test_half_a_drive_is_learned_and_the_other_half_is_silent(found):
     _, result = found
     assert result.alarms == ()
@@ -79,6 +80,7 @@ def test_the_configuration_is_one_line_each_and_what_gateway_check_takes(found):
     assert "counter" not in checks["ID_63B"], "a time: it goes up by five"
 
 
+@pytest.mark.evidence("Healthy parts: stranger car")
 def test_a_healthy_stranger_of_the_same_car_is_not_accused(found):
     """Limits leave room for what the drive did not show: full throttle, standstill, a steering wheel at its stop."""
     out, _ = found

@@ -72,6 +72,7 @@ def kept(path):
     }
 
 
+@pytest.mark.evidence("Live is replay: causes")
 @pytest.mark.parametrize(
     ("make", "cause"), [(aircraft, "actuator flight.Aircraft_Command.Rudder"), (car, "signal can0.Speed.V")]
 )

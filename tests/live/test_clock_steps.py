@@ -156,6 +156,7 @@ def test_a_step_changes_nothing_but_stamps(step_s, at, undisturbed, tmp_path):
     assert 0 < place < len(theirs)
 
 
+@pytest.mark.evidence("Nothing is silent: clock")
 @pytest.mark.parametrize("at", ["debounce", "silence"])
 @pytest.mark.parametrize("step_s", STEPS)
 def test_a_step_is_a_fault_of_the_gateway_that_heals(step_s, at, tmp_path):
@@ -210,6 +211,7 @@ def replayed(config, frames, channels=None):
     return [e for e in events if e["event"] in ("dtc", "clock")], gateway
 
 
+@pytest.mark.evidence("Live is replay: clock")
 @pytest.mark.parametrize("at", ["debounce", "silence"])
 @pytest.mark.parametrize("step_s", STEPS)
 def test_its_recording_replays_to_the_same_verdicts(step_s, at, tmp_path):

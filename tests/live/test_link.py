@@ -191,6 +191,7 @@ def test_a_bus_that_goes_again_while_it_is_opened_is_tried_again_and_told_when_i
     assert conditions(link.receive()[0]) == [RUNNING]
 
 
+@pytest.mark.evidence("Nothing is silent: lost frames")
 def test_lost_frames_are_told_where_they_are_missing():
     world = World()
     link = world.link()

@@ -1,6 +1,7 @@
 """Frames of several buses in one order of time, whenever and in whatever pieces they are read."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -61,6 +62,7 @@ def test_a_clock_in_the_future_holds_nobody_for_long():
     assert got["t_ns"].tolist() == [ahead]
 
 
+@pytest.mark.evidence("Live is replay: order")
 @given(
     st.lists(st.tuples(st.integers(0, 2), st.integers(1, 400_000)), min_size=1, max_size=60),
     st.lists(st.integers(1, 900_000), min_size=1, max_size=60),

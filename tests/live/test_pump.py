@@ -159,6 +159,7 @@ def assert_sent(ours, theirs):
     assert others[0] == others[1], f"monitors' messages and answers; seed {SEED}"
 
 
+@pytest.mark.evidence("Live is replay: pump")
 @compiled
 @pytest.mark.parametrize(("bus", "can"), [(StructBus, True), (NoSocket, True), (NoSocket, False)])
 def test_a_rough_bus_gives_what_python_gives(rigs, bus, can, monkeypatch):

@@ -136,6 +136,7 @@ def dtcs(events, shift_ns=0):
     ]
 
 
+@pytest.mark.evidence("Live is replay: buses")
 @pytest.mark.long
 def test_two_buses_give_what_one_gives(tmp_path, drive):
     """The second channel's bus lags 0.3 ms: the verdicts are those of one bus, that much later."""

@@ -166,6 +166,7 @@ def test_what_a_reader_switched_off_is_on_again_when_it_leaves(bench):
     bench.play(script())
 
 
+@pytest.mark.evidence("Nothing is silent: readers")
 def test_a_reader_that_does_not_read_loses_ticks_and_no_event(bench, monkeypatch):
     monkeypatch.setattr(module, "ENOUGH_BYTES", 4000)
     slow = Client(bench.path)

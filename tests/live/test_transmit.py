@@ -64,6 +64,7 @@ def test_dtcs_go_first_then_answers_then_the_latest_of_each_cyclic_message():
     assert len(waiting) == 0
 
 
+@pytest.mark.evidence("Bounded: send queue")
 def test_a_bus_that_takes_nothing_costs_bounded_memory_and_the_urgent_last():
     bus, waiting = Full(), Transmitter()
     waiting.send(bus, frames(*[(ANSWER, 0x7E8, 0)] * MOST))

@@ -50,6 +50,7 @@ def rig(tmp_path):
     sys.path.pop(0)
 
 
+@pytest.mark.evidence("Nothing is silent: watchdog")
 def test_who_does_not_return_is_named_and_noted(rig, capsys):
     engine, look, _, file = rig
     engine.clock["stepping"] = 4

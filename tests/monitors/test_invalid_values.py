@@ -69,6 +69,7 @@ def test_the_twin_is_healthy_and_steps_every_monitor(case):
         assert row["steps"] > 50 * SHARE
 
 
+@pytest.mark.evidence("Healthy parts: invalid value")
 def test_one_invalid_value_is_as_a_frame_that_was_not_there(case):
     rng = np.random.default_rng(SEED)
     _, _, usual = run(case, case.frames)
@@ -85,6 +86,7 @@ def test_one_invalid_value_is_as_a_frame_that_was_not_there(case):
         assert not any(np.isnan(engine.tables.mailbox[:-1])), told
 
 
+@pytest.mark.evidence("AUTOSAR DEM: invalid signals")
 def test_invalid_values_for_ever_are_not_tested_and_accuse_nobody(case):
     rng = np.random.default_rng(SEED)
     _, _, usual = run(case, case.frames)

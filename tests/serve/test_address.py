@@ -36,6 +36,7 @@ def test_a_person_at_a_terminal_reads_the_address_with_the_token(said):
     assert kept is None
 
 
+@pytest.mark.evidence("Releases: page token")
 def test_a_journal_has_the_place_of_the_token_and_not_the_token(said, tmp_path):
     line, kept = said(terminal=False)
     url, file = re.fullmatch(r"page: (\S+) \(with the control token: (.+)\)\n", line).groups()

@@ -39,6 +39,7 @@ def test_a_name_of_this_server_is_answered_with_any_port(host):
     assert asked(host) == 0
 
 
+@pytest.mark.evidence("Releases: Host")
 @pytest.mark.parametrize(
     "host",
     ["127.0.0.1:8899/sovd?x", "127.0.0.1/", "127.0.0.1:8808@evil.example", "localhost:evil.example", "127.0.0.1:65536",
@@ -55,6 +56,7 @@ def test_other_names_and_none_or_two_are_refused():
     assert asked() == asked("127.0.0.1", "127.0.0.1") == 421
 
 
+@pytest.mark.evidence("Releases: Host")
 @given(st.text(max_size=20), st.text(max_size=20), st.sampled_from([*sorted(OWN - {"::1"}), "[::1]"]))
 def test_a_name_with_anything_around_it_is_that_name_only_with_a_port(before, after, name):
     """Whatever stands around a name of this server: the whole header is the name, a colon and a number, or refused."""

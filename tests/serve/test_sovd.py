@@ -51,6 +51,7 @@ def doors(tmp_path):
         yield made
 
 
+@pytest.mark.evidence("ISO 17978-3: entities")
 def test_entities_are_buses_ecus_and_monitors(doors):
     client = Client(doors, "")
     assert client.good("GET", "/sovd/version-info")["sovd_info"][0]["base_uri"] == "/sovd/v1"
@@ -65,6 +66,7 @@ def test_entities_are_buses_ecus_and_monitors(doors):
             assert client("GET", place)[0] == 200, place
 
 
+@pytest.mark.evidence("ISO 17978-3: faults")
 def test_faults_have_status_environment_and_evidence_and_are_filtered(doors):
     client = Client(doors, "")
     doors.rig.fail(0)
@@ -108,6 +110,7 @@ def test_faults_have_status_environment_and_evidence_and_are_filtered(doors):
         validate(described.pop("schema"), described)
 
 
+@pytest.mark.evidence("ISO 17978-3: locks")
 def test_what_intervenes_needs_a_token_and_a_lock_that_nobody_can_steal(doors):
     doors.rig.fail(0)
     nobody, client, anna = Client(doors, ""), Client(doors), Client(doors, "anna")
@@ -136,6 +139,7 @@ def test_what_intervenes_needs_a_token_and_a_lock_that_nobody_can_steal(doors):
     assert noted == [("clear", 0, "local sovd.control")], "twice, and nothing else was tried"
 
 
+@pytest.mark.evidence("ISO 17978-3: locks end")
 def test_a_lock_keeps_the_session_and_its_end_switches_on_again(doors):
     client = Client(doors)
     lock = client.lock(3600)
@@ -155,6 +159,7 @@ def test_a_lock_keeps_the_session_and_its_end_switches_on_again(doors):
     assert client.good("PUT", "modes/dtcsetting", {"value": "off"})["value"] == "off"
 
 
+@pytest.mark.evidence("ISO 17978-3: modes")
 def test_a_security_level_is_unlocked_by_seed_and_key(tmp_path):
     with Doors(tmp_path, uds=LEVEL) as doors:
         doors.drive(0.0)
@@ -175,6 +180,7 @@ def test_a_security_level_is_unlocked_by_seed_and_key(tmp_path):
         assert client("DELETE", "faults")[0] == 204
 
 
+@pytest.mark.evidence("ISO 17978-3: faults delete")
 def test_conditions_are_those_of_access(doors):
     """The vehicle moves: nothing is done, and it is said why."""
     doors.drive(50.0)
@@ -188,6 +194,7 @@ def test_conditions_are_those_of_access(doors):
         assert (status, error["parameters"]["nrc"], error["error_code"]) == (409, 0x22, "precondition-not-fulfilled")
 
 
+@pytest.mark.evidence("ISO 17978-3: data")
 def test_data_are_read_and_configurations_written(doors):
     client = Client(doors)
     doors.drive(1.5)
@@ -210,6 +217,7 @@ def test_data_are_read_and_configurations_written(doors):
     assert client("PUT", "configurations/did-F186", {"data": {"raw": "01"}})[0] == 404
 
 
+@pytest.mark.evidence("ISO 17978-3: operations")
 def test_operations_logs_and_status(doors):
     client = Client(doors)
     client.lock()
@@ -225,6 +233,7 @@ def test_operations_logs_and_status(doors):
     assert told == ["routine", "reset", "routine"]
 
 
+@pytest.mark.evidence("ISO 17978-3: errors")
 def test_every_failure_is_a_generic_error(doors):
     client = Client(doors)
     assert client("GET", "/sovd/v1/nothing")[0] == 404
@@ -264,6 +273,7 @@ def ecu(request):
     return [(1, bytes.fromhex(answers.get(request.hex(), f"{request[0] + 0x40:02x}" + request[1:2].hex())))]
 
 
+@pytest.mark.evidence("ISO 17978-3: components")
 @pytest.mark.parametrize("rule", ["", '[access]\nroute = { sessions = ["default", "extended"] }\n'])
 def test_an_ecu_is_a_component_and_the_firewall_holds(tmp_path, rule):
     with Behind(tmp_path, ecu, rule) as doors:
@@ -286,6 +296,7 @@ def test_an_ecu_is_a_component_and_the_firewall_holds(tmp_path, rule):
         assert asked == (["1003", "14ffffff", "1001"] if rule else [])
 
 
+@pytest.mark.evidence("ISO 17978-3: times")
 def test_times_are_those_of_the_wall_clock_to_the_microsecond():
     shown = instant(1_700_000_000_123_456_789)
     assert shown is not None

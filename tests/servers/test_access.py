@@ -32,6 +32,7 @@ def unlock(ask):
     assert ask("2702" + hmac_sha256(seed, bytes.fromhex(SECRET), 1).hex()) == "6702"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x10 03")
 @pytest.mark.parametrize("request_", GUARDED)
 def test_what_is_guarded_needs_the_extended_session(uds, request_):
     _, ask = uds()
@@ -40,6 +41,7 @@ def test_what_is_guarded_needs_the_extended_session(uds, request_):
     assert ask(request_) == GUARDED[request_]
 
 
+@pytest.mark.evidence("ISO 14229-1: NRC 33")
 @pytest.mark.parametrize("request_", GUARDED)
 def test_what_is_guarded_needs_the_least_security_level_there_is(uds, request_):
     _, ask = uds(uds=LEVEL)
@@ -214,6 +216,7 @@ def test_a_server_of_its_own_goes_by_the_rule_too(tmp_path):
 # The order of refusal (D16)
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x2E 31")
 def test_an_identifier_comes_before_its_security(uds):
     _, ask = uds(uds=LEVEL + 'write = { sessions = ["default", "extended"], security = 1 }\n')
     assert ask("2e1234aa") == "7f2e31"
@@ -232,6 +235,7 @@ def test_a_routine_comes_before_its_sub_function(uds):
     assert ask("3101020100") == "7f3113"
 
 
+@pytest.mark.evidence("ISO 14229-1: NRC order", "ISO 14229-1: NRC 22")
 def test_conditions_come_last(uds):
     _, ask = uds(uds=LEVEL, more=STANDS)
     assert ask("1003")

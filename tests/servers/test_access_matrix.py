@@ -4,7 +4,6 @@ table of docs/security.md; and that page's tests are there.
 ``python tests/servers/test_access_matrix.py`` (with tests/support, tests/servers in PYTHONPATH) prints the table anew.
 """
 
-import re
 import tempfile
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import pytest
 from rig import FUNCTIONAL, Rig, Tester, write_config
 from test_access import LEVEL, STANDS, by_j1939, by_mode_04, unlock
 from uds_tester import EXTRA, Asked
-from uses import PLANTS, lacking
 
 from gateway.servers.access import FREE, GUARDED
 from gateway.servers.uds.services import SERVICES
@@ -110,19 +108,6 @@ def test_a_functional_request_opens_nothing(tmp_path):
         answers = tester.exchange(bytes.fromhex(request), functional=FUNCTIONAL)
         assert not answers or answers[0][0] == 0x7F, request
     rig.close()
-
-
-def test_the_tests_that_the_page_names_are_there():
-    named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", PAGE.read_text())
-    assert len(named) > 25
-    gone = {plant for plant in PLANTS if lacking(plant)}
-    missing = [
-        f"{file}::{name}"
-        for file, name in named
-        if Path(file).parts[1] not in gone
-        and not ((ROOT / file).exists() and re.search(rf"^def {name}\(", (ROOT / file).read_text(), re.M))
-    ]
-    assert missing == []
 
 
 if __name__ == "__main__":

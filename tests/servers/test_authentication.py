@@ -126,6 +126,7 @@ def log_in(ask, unit="workshop", key=None, challenge=b""):
     return prove(ask, signed(key, ours + challenge))
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 00", "ISO 14229-1: 0x29 01", "ISO 14229-1: 0x29 08")
 @pytest.mark.parametrize(
     "key",
     [
@@ -148,6 +149,7 @@ def test_who_proves_his_role_may(make, key):
     assert ask("14ffffff") == "7f1434", "logged out"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 01")
 def test_udsoncan_asks_and_reads_the_same(make):
     """Requests made, and answers read, by a library that nobody here wrote."""
     _, ask = make()
@@ -181,6 +183,7 @@ def test_the_testers_challenge_is_signed_too(make):
     assert log_in(ask, challenge=b"mine" * 8) == "6903120000"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 50", "ISO 14229-1: 0x29 56", "ISO 14229-1: 0x29 57")
 @pytest.mark.parametrize(
     ("options", "nrc", "why"),
     [
@@ -202,6 +205,7 @@ def test_certificates_that_are_not_good(make, options, nrc, why):
     assert [f"{each.outcome:02x}" for each in rig.gateway.memory.interventions()] == [nrc]
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 51", "ISO 14229-1: 0x29 52")
 def test_certificates_of_others(make):
     _, ask = make()
     assert ask("1003")
@@ -258,6 +262,7 @@ def test_others_may_sign_between_tester_and_root(make, between):
     assert rig.gateway.memory.interventions()[-1].role == "workshop"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 52", "ISO 14229-1: 0x29 53", "ISO 14229-1: 0x29 55")
 @pytest.mark.parametrize(
     ("between", "tester", "nrc", "why"),
     [
@@ -291,6 +296,7 @@ def test_chains_that_are_not_good(make, between, tester, nrc, why):
     assert [f"{each.outcome:02x}" for each in rig.gateway.memory.interventions()] == [nrc, "34"]
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 54")
 def test_chains_with_parts_of_others(make):
     _, ask = make()
     assert ask("1003")
@@ -332,6 +338,7 @@ def test_what_signs_no_others_is_no_root(make, tmp_path, options):
         make(root=False)
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 51")
 def test_a_forgeable_signature_is_none(make):
     _, ask = make()
     assert ask("1003")
@@ -342,6 +349,7 @@ def test_a_forgeable_signature_is_none(make):
     assert show(ask, old) == "7f2951"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 03", "ISO 14229-1: 0x29 24", "ISO 14229-1: 0x29 58")
 def test_a_proof_is_of_this_challenge_and_this_key(make):
     rig, ask = make()
     assert ask("1003")
@@ -379,6 +387,7 @@ def looks(monkeypatch):
     return counted
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 36", "ISO 14229-1: 0x29 37")
 def test_after_too_many_wrong_proofs_nothing_is_looked_at_until_the_delay_is_over(make, looks):
     rig, ask = make(FEW.replace("4.0", "60.0"))
     assert ask("1003")
@@ -402,6 +411,7 @@ def test_after_too_many_wrong_proofs_nothing_is_looked_at_until_the_delay_is_ove
     assert noted.count(("lockout", 0x36)) == 2
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 37")
 @pytest.mark.parametrize("shown", ["bad", "good"])
 def test_certificates_without_a_proof_count_too(make, looks, shown):
     """Whoever has heard a good certificate can show it: it costs the same."""
@@ -418,6 +428,7 @@ def test_certificates_without_a_proof_count_too(make, looks, shown):
     assert looks == ["01"] * 3
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 count")
 def test_wrong_proofs_outlast_restarts_and_reloads(make, tmp_path, looks):
     memory = tmp_path / "m.sqlite"
     rig, ask = make(FEW, memory=memory)
@@ -444,6 +455,7 @@ def test_wrong_proofs_outlast_restarts_and_reloads(make, tmp_path, looks):
     assert log_in(ask) == "6903120000"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 count")
 def test_a_proof_is_counted_before_it_is_looked_at(make, tmp_path, monkeypatch):
     """Who cuts the power at the answer has used an attempt up all the same."""
     rig, ask = make(FEW, memory=tmp_path / "m.sqlite")
@@ -459,6 +471,7 @@ def test_a_proof_is_counted_before_it_is_looked_at(make, tmp_path, monkeypatch):
     assert seen == [1]
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 36")
 def test_wrong_proofs_count_for_all_addresses_and_challenges_asked_for_before_are_no_way_around(make):
     further = "further = [{ request = 0x7E4, response = 0x7EC }]\n"
     rig, a = make(FEW + further)
@@ -473,6 +486,7 @@ def test_wrong_proofs_count_for_all_addresses_and_challenges_asked_for_before_ar
     assert wrong_proof(b) == "7f2937"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x29 21")
 def test_one_look_a_turn_whoever_asks(make, looks):
     rig, _ = make(AUTH)
     testers = rig.gateway.local
@@ -499,6 +513,7 @@ def test_a_session_that_ends_takes_the_role_with_it(make):
     assert ask("14ffffff") == "7f1434"
 
 
+@pytest.mark.evidence("ISO 14229-1: NRC 34")
 def test_roles_may_different_things(make):
     rules = (
         '[access]\nclear = { roles = ["workshop", "development"] }\ndtc_setting = { roles = ["development"] }\n'

@@ -215,6 +215,7 @@ class Connection(BaseConnection):
         raise TimeoutError
 
 
+@pytest.mark.evidence("ISO 15765-2: addressing")
 def test_each_addressing_reaches_its_ecu_with_short_and_long_messages(net):
     long = "22" + "2001" * 2000
     for at, ids in enumerate((BRAKES, BODY, DOORS)):
@@ -228,6 +229,7 @@ def test_each_addressing_reaches_its_ecu_with_short_and_long_messages(net):
     assert counters["isotp_errors"] == 0, "each of two routes by 0x6F1 passes over what is to the other one"
 
 
+@pytest.mark.evidence("ISO 15765-2: escape length")
 def test_answers_above_4095_bytes_have_the_escape_length(tmp_path):
     made = Net(tmp_path, answers=[lambda request: [(0, b"\x62" + request[1:3] + bytes(range(250)) * 80)]] * 3)
     wanted = "62f190" + bytes(range(250)).hex() * 80

@@ -37,6 +37,7 @@ def doip(tmp_path):
 # Identification
 
 
+@pytest.mark.evidence("ISO 13400-2: 0001", "ISO 13400-2: 0002", "ISO 13400-2: 0003")
 def test_identification_plain_by_eid_and_by_vin(doip):
     for kind, body in ((1, b""), (2, EID), (3, VIN)):
         for version in (2, 3, 0xFF):
@@ -44,6 +45,7 @@ def test_identification_plain_by_eid_and_by_vin(doip):
     assert doip.udp(2, bytes(6)) == doip.udp(3, bytes(17)) == [], "another is meant"
 
 
+@pytest.mark.evidence("ISO 13400-2: 0004 no VIN")
 def test_a_vin_that_is_not_known_is_told_as_not_known(tmp_path):
     with net(tmp_path, more="") as made:
         made.server.identity._read = lambda number: None
@@ -52,6 +54,7 @@ def test_a_vin_that_is_not_known_is_told_as_not_known(tmp_path):
         assert body[-1] == 0x10
 
 
+@pytest.mark.evidence("ISO 13400-2: 4001")
 def test_entity_status_counts_active_testers(doip):
     assert doip.udp(0x4001) == [(0x4002, struct.pack(">BBBI", 1, 4, 0, 65536))]
     doip.peer()
@@ -59,6 +62,7 @@ def test_entity_status_counts_active_testers(doip):
     assert doip.udp(0x4001) == [(0x4002, struct.pack(">BBBI", 1, 4, 1, 65536))]
 
 
+@pytest.mark.evidence("ISO 13400-2: 4003")
 def test_power_mode_is_that_of_the_configured_conditions(tmp_path):
     with net(tmp_path, doip='ready = [{ signal = "M1.Value", min = 9.0 }]') as made:
         assert made.udp(0x4003) == [(0x4004, b"\x00")], "a signal that never came"
@@ -66,6 +70,7 @@ def test_power_mode_is_that_of_the_configured_conditions(tmp_path):
         assert made.udp(0x4003) == [(0x4004, b"\x01")]
 
 
+@pytest.mark.evidence("ISO 13400-2: datagrams")
 def test_datagrams_that_are_wrong_are_refused_and_answers_of_others_are_not_answered(doip):
     ask = doip.udp
     assert ask(0x1234) == ask(0x8001, bytes(5)) == [(0, b"\x01")]
@@ -80,6 +85,7 @@ def test_datagrams_that_are_wrong_are_refused_and_answers_of_others_are_not_answ
 # Routing activation
 
 
+@pytest.mark.evidence("ISO 13400-2: 0005")
 @pytest.mark.parametrize("version", [2, 3])
 def test_activation_speaks_the_testers_version(doip, version):
     one = doip.peer()
@@ -88,11 +94,13 @@ def test_activation_speaks_the_testers_version(doip, version):
     assert told == (version, 6, struct.pack(">HHBI", TESTER, GATEWAY, 0x10, 0))
 
 
+@pytest.mark.evidence("ISO 13400-2: 0006 10")
 def test_activation_with_and_without_what_carmakers_add(doip):
     assert codes(doip.peer().ask(5, struct.pack(">HBI", TESTER, 0, 0) + b"oems")) == 0x10
     assert codes(doip.peer().ask(5, struct.pack(">HBI", TESTER + 1, 1, 0))) == 0x10, "by regulation"
 
 
+@pytest.mark.evidence("ISO 13400-2: 0006 00", "ISO 13400-2: 0006 02", "ISO 13400-2: 0006 06")
 def test_each_denial(doip):
     for source, kind, code in ((0x0DFF, 0, 0x00), (0x1000, 0, 0x00), (TESTER, 2, 0x06), (TESTER, 0xE0, 0x06)):
         one = doip.peer()
@@ -105,6 +113,7 @@ def test_each_denial(doip):
     assert doip.rig.gateway.servers.counters()["doip_activation_denied"] == 5
 
 
+@pytest.mark.evidence("ISO 13400-2: 0006 03")
 def test_who_is_active_elsewhere_is_denied_while_the_other_is_alive(doip):
     one, two = doip.tester(), doip.peer()
     assert two.activate() is None
@@ -116,6 +125,7 @@ def test_who_is_active_elsewhere_is_denied_while_the_other_is_alive(doip):
     assert not one.closed
 
 
+@pytest.mark.evidence("ISO 13400-2: 0007")
 def test_who_is_active_elsewhere_takes_the_place_of_one_that_died(doip):
     one, two = doip.tester(), doip.peer()
     assert two.activate() is None
@@ -136,6 +146,7 @@ def test_a_tester_that_goes_makes_room_at_once(doip):
     assert codes(two.take()) == 0x10
 
 
+@pytest.mark.evidence("ISO 13400-2: 0006 01")
 def test_all_sockets_are_taken_until_one_does_not_answer(tmp_path):
     with net(tmp_path, doip="connections = 2") as made:
         testers, late = [made.tester(TESTER + k) for k in range(2)], made.peer()
@@ -166,6 +177,7 @@ certificate = "workshop"
 """
 
 
+@pytest.mark.evidence("ISO 13400-2: 0006 04", "ISO 13400-2: 0006 07")
 def test_tls_and_certificates_that_activation_needs(tmp_path, monkeypatch):
     monkeypatch.setattr("gateway.config.resolve.tls_context", lambda params: None)
     with net(tmp_path, more=TLS.format(required="true")) as made:
@@ -188,6 +200,7 @@ def test_tls_and_certificates_that_activation_needs(tmp_path, monkeypatch):
 # Diagnostic messages
 
 
+@pytest.mark.evidence("ISO 13400-2: 8003 02", "ISO 13400-2: 8003 03", "ISO 13400-2: 8003 04")
 def test_each_refusal_of_a_diagnostic_message(doip):
     one = doip.tester()
     assert one.uds("3e00", target=0x1001) == (0x8003, 0x03, [])
@@ -200,6 +213,7 @@ def test_each_refusal_of_a_diagnostic_message(doip):
     assert two.closed
 
 
+@pytest.mark.evidence("ISO 13400-2: 8002")
 def test_acknowledges_and_answers_name_their_sender(doip):
     one = doip.tester()
     address = struct.pack(">HH", TESTER, GATEWAY)
@@ -232,6 +246,7 @@ def test_all_reports_of_60_dtcs_are_those_of_can(tmp_path):
         assert seen > 20
 
 
+@pytest.mark.evidence("ISO 13400-2: 8001 long")
 def test_an_answer_of_20_kilobytes(tmp_path):
     """4095 bytes are the limit of ISO-TP, not that of DoIP; by CAN it is refused as too long (0x14)."""
     many = "".join(f'[[did]]\nid = {0x2000 + k}\nname = "n{k}"\nhex = "{bytes([k]).hex() * 400}"\n' for k in range(50))
@@ -304,6 +319,7 @@ def test_a_session_ends_by_s3_and_a_condition_that_is_unmet_ends_what_it_let(tmp
         assert one("22f186") == "62f18601"
 
 
+@pytest.mark.evidence("ISO 13400-2: 8001")
 def test_the_same_requests_get_the_same_answers_by_can_and_by_doip(tmp_path):
     """Of two gateways, one asked by CAN and one by IP: session, key, condition and request at random."""
     seed = int(os.environ.get("GATEWAY_SEED", "51"))
@@ -347,6 +363,7 @@ def unlocked(ask):
     return ask("2702" + hmac_sha256(bytes.fromhex(seed[4:]), bytes.fromhex(SECRET), 1).hex())
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x27 all")
 def test_wrong_keys_count_for_all_transports(tmp_path):
     with net(tmp_path, uds=LEVEL) as made:
         for k in range(3):
@@ -362,6 +379,7 @@ def test_wrong_keys_count_for_all_transports(tmp_path):
 # Headers
 
 
+@pytest.mark.evidence("ISO 13400-2: 0000 00", "ISO 13400-2: 0000 01", "ISO 13400-2: 0000 02", "ISO 13400-2: 0000 04")
 def test_each_refusal_of_a_header(doip):
     for wrong, code, closes in (
         (message(5, bytes(7), version=4), 0, True),
@@ -380,6 +398,7 @@ def test_each_refusal_of_a_header(doip):
     assert doip.rig.gateway.servers.counters()["doip_header_refused"] == 8
 
 
+@pytest.mark.evidence("ISO 13400-2: 0000 02")
 def test_what_is_too_large_is_passed_over_and_the_next_message_is_taken(doip):
     one = doip.peer()
     one.send(
@@ -388,6 +407,7 @@ def test_what_is_too_large_is_passed_over_and_the_next_message_is_taken(doip):
     assert one.take() == [(0, b"\x02"), (0, b"\x01"), (6, struct.pack(">HHBI", TESTER, GATEWAY, 0x10, 0))]
 
 
+@pytest.mark.evidence("ISO 13400-2: 0000 03")
 def test_unfinished_messages_of_all_testers_have_one_room(doip):
     testers = [doip.tester(TESTER + k) for k in range(3)]
     address = struct.pack(">HH", TESTER, GATEWAY)
@@ -399,6 +419,7 @@ def test_unfinished_messages_of_all_testers_have_one_room(doip):
     assert testers[2].uds("3e00") == (0x8002, 0, ["7e00"])
 
 
+@pytest.mark.evidence("ISO 13400-2: stream")
 def test_a_stream_may_come_byte_by_byte(doip):
     whole = message(5, struct.pack(">HBI", TESTER, 0, 0)) + message(
         0x8001, struct.pack(">HH", TESTER, GATEWAY) + b"\x3e\x00"
@@ -422,6 +443,7 @@ def test_many_messages_at_once_are_taken_a_few_a_turn(doip):
 # Timers and bounds
 
 
+@pytest.mark.evidence("ISO 13400-2: T_TCP_General")
 def test_inactivity(doip):
     silent, one = doip.peer(), doip.tester()
     doip.wait(1.8)
@@ -436,6 +458,7 @@ def test_inactivity(doip):
     assert one.closed
 
 
+@pytest.mark.evidence("ISO 13400-2: T_TCP_Initial")
 def test_who_only_asks_to_be_activated_is_closed_in_time(doip):
     one = doip.peer()
     for _ in range(5):
@@ -478,6 +501,7 @@ def test_a_slow_reader_is_not_served_and_holds_nobody_up(tmp_path):
 # Fuzz
 
 
+@pytest.mark.evidence("ISO 13400-2: mutants")
 def test_mutated_streams(tmp_path):
     """Whatever comes, the next tester is served as before, and nothing is left of it."""
     seed = int(os.environ.get("GATEWAY_SEED", "51"))

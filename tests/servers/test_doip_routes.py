@@ -94,6 +94,7 @@ def net(tmp_path):
     made.close()
 
 
+@pytest.mark.evidence("ISO 13400-2: 8001")
 def test_requests_go_to_their_ecu_and_answers_come_from_its_address(net):
     one = net.tester()
     for target in (BRAKES, BODY, DOORS):
@@ -111,6 +112,7 @@ def test_the_times_of_a_session_have_the_routes_part(net):
     assert net.ask(net.tester(), BRAKES, "1001") == [0, (BRAKES, f"5001{251:04x}{521:04x}")]
 
 
+@pytest.mark.evidence("ISO 13400-2: functional")
 def test_a_functional_request_goes_to_all_and_is_acknowledged_once(net):
     one = net.tester()
     told = net.ask(one, FUNCTIONAL, "3e00")

@@ -126,6 +126,7 @@ def test_a_slow_reader_holds_nobody_up_and_gets_all_when_it_reads(tmp_path):
         assert kinds(told) == [0x8002, 0x8001] * 120
 
 
+@pytest.mark.evidence("ISO 13400-2: IPv6")
 def test_ipv6_and_a_machine_without_it(tmp_path, monkeypatch):
     class NoIpv6(socket.socket):
         def __init__(self, family=socket.AF_INET, *more, **options):
@@ -160,6 +161,7 @@ def test_a_port_that_is_taken_is_named(tmp_path):
     assert raised.value.key == "output.doip.port"
 
 
+@pytest.mark.evidence("ISO 13400-2: 0004")
 def test_the_vehicle_is_announced_three_times_where_asked_for_and_only_there(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as heard:
         heard.bind(("127.0.0.2", 0))
@@ -228,6 +230,7 @@ def by_tls(port, wire, context, **more):
     return DoIPClient("127.0.0.1", GATEWAY, tcp_port=port, udp_port=wire.port, use_secure=context, **more)
 
 
+@pytest.mark.evidence("ISO 13400-2: TLS")
 @pytest.mark.parametrize("version", [ssl.TLSVersion.TLSv1_2, ssl.TLSVersion.TLSv1_3])
 def test_tls_with_and_without_a_certificate_of_the_tester(tls, version):
     wire, port, context = tls
@@ -279,6 +282,7 @@ def test_certificates_that_are_not_good_are_named(tls, tmp_path):
 # Programs of others
 
 
+@pytest.mark.evidence("ISO 13400-2: others")
 def test_doipclient_and_udsoncan(tmp_path):
     with wired(tmp_path, uds=LEVEL, messages=60) as made:
         for k in range(60):
@@ -352,6 +356,7 @@ def gallia(folder, *arguments):
     return re.sub(r"\x1b\[[0-9;]*m", "", done.stderr + done.stdout)
 
 
+@pytest.mark.evidence("ISO 13400-2: others")
 @pytest.mark.long
 def test_gallia_finds_the_entity_its_addresses_services_and_identifiers(wire, tmp_path):
     target = f"doip://127.0.0.1:{wire.port}?protocol_version=3&src_addr={TESTER:#x}&activation_type=0"
@@ -439,6 +444,7 @@ def spoken(wire):
     return talk
 
 
+@pytest.mark.evidence("ISO 13400-2: others")
 def test_scapy_and_tshark_read_every_message(wire, tmp_path):
     """No packet is malformed, and all codes that this server has are seen (04 and 07 need TLS, 01 and 03 others)."""
     talk = spoken(wire)

@@ -259,6 +259,7 @@ def standing(doors):
     return int(doors.gateway.memory.status(STANDING)) & 1
 
 
+@pytest.mark.evidence("Nothing is silent: blind")
 def test_while_monitoring_is_off_a_code_a_metric_the_page_and_every_answer_say_so(doors):
     doors.by_page("present")
     metrics = Metrics(doors.hub)

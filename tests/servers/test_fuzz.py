@@ -139,6 +139,7 @@ def grown(work, rounds):
     return after - before
 
 
+@pytest.mark.evidence("ISO 14229-1: mutants")
 @pytest.mark.long
 def test_mutated_requests(rig):
     seed = 77
@@ -187,6 +188,7 @@ def isotp_frames(rng):
     return frames
 
 
+@pytest.mark.evidence("ISO 15765-2: mutants")
 @pytest.mark.long
 def test_mutated_frames(rig):
     """ISO-TP and J1939 frames, through the servers as the gateway calls them."""

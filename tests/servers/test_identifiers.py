@@ -71,6 +71,7 @@ def test_pids_are_the_nearest_step_or_the_nearest_end(pid, value):
     assert abs(int.from_bytes(data, "big") - wanted) <= 0.5
 
 
+@pytest.mark.evidence("SAE J1939-73: parameters")
 @given(st.integers(1, 4), st.floats(-1e12, 1e12))
 def test_j1939_parameters_stay_in_the_valid_range(length, value):
     """Above 0xFA.. are error codes and "not available" (J1939-71, 5.1.3)."""

@@ -86,6 +86,7 @@ def driven(*values):
     return b"".join(value.to_bytes(2, "little") for value in values)
 
 
+@pytest.mark.evidence("SAE J1939-73: DM20")
 def test_a_cycle_counts_when_all_of_the_denominator_is_met(make):
     car = make()
     assert car.heard(DM20) == head(1, 0) + system(3050, 0, 0) + system(3058, 0, 0)
@@ -131,6 +132,7 @@ def test_neither_a_clear_nor_a_restart_resets_ratios(make, tmp_path):
     assert car.heard(DM20) == head(2, 1) + counted[4:]
 
 
+@pytest.mark.evidence("SAE J1939-73: DM21", "SAE J1979: 01 21, 31")
 def test_distance_and_time_since_the_clear_and_with_the_mil_on(make):
     car = make()
     assert car.heard(DM21) == driven(0, 0, 0, 0)
@@ -214,6 +216,7 @@ def test_what_no_signal_tells_is_not_available(make):
     assert car.heard(DM21) == bytes.fromhex("FFFFFFFF00000000")
 
 
+@pytest.mark.evidence("SAE J1979: 09 08")
 def test_infotype_08(make):
     car = make()
     car.heal(1)
@@ -282,6 +285,7 @@ def test_ratios_go_by_a_cycle_of_signals(make):
         car.drive(2, 0, rpm=0)
 
 
+@pytest.mark.evidence("SAE J1939-73: DM20")
 def test_the_id_of_dm20_is_the_one_of_the_standard(make):
     car = make()
     frames = car.request(DM20, milliseconds=0)

@@ -27,6 +27,7 @@ def kept(rig):
     ]
 
 
+@pytest.mark.evidence("Nothing is silent: interventions")
 @pytest.mark.parametrize(
     ("request_", "action"),
     [
@@ -136,6 +137,7 @@ def test_the_trace_survives_a_restart_and_a_clear(uds, tmp_path):
     assert rig.gateway.memory.interventions()[-1].count == 2
 
 
+@pytest.mark.evidence("Nothing is silent: floods")
 def test_a_flood_of_refusals_is_counted_not_written(uds, tmp_path):
     rig, _ = uds(memory=tmp_path / "m.sqlite")
     before = rig.gateway.memory.commits
@@ -162,6 +164,7 @@ def test_what_is_refused_cannot_have_what_was_done_forgotten():
     assert len(trace.all()) == MOST
 
 
+@pytest.mark.evidence("Bounded: trace")
 def test_the_trace_is_bounded_in_the_file_and_in_an_outage(uds, tmp_path, monkeypatch):
     path = tmp_path / "m.sqlite"
     rig, _ = uds(memory=path)

@@ -2,9 +2,11 @@
 
 from itertools import pairwise
 
+import pytest
 from rig import MS, Tester
 
 
+@pytest.mark.evidence("ISO 15765-2: CAN FD")
 def test_can_fd_carries_an_answer_in_frames_of_64_bytes(uds):
     rig, _ = uds(messages=40, uds="fd = true")
     for k in range(40):
@@ -20,12 +22,14 @@ def test_can_fd_carries_an_answer_in_frames_of_64_bytes(uds):
     assert data[:2] == bytes([0, 20]), "above 7 bytes a single frame has the escape form"
 
 
+@pytest.mark.evidence("ISO 15765-2: CAN FD")
 def test_a_classic_tester_is_answered_in_classic_frames(uds):
     rig, ask = uds()
     assert ask("22f190") == "62f190" + b"1HGCM82633A004352".hex()
     assert all(len(data) == 8 for can_id, data in rig.sent if can_id == 0x7E8)
 
 
+@pytest.mark.evidence("ISO 15765-2: block size")
 def test_the_testers_separation_time_and_block_size_are_kept(uds):
     rig, _ = uds(messages=20)
     for k in range(20):
@@ -46,6 +50,7 @@ def test_the_testers_separation_time_and_block_size_are_kept(uds):
     assert [data[0] for _, data in rest] == list(range(0x24, 0x2C))
 
 
+@pytest.mark.evidence("ISO 15765-2: N_Bs")
 def test_a_tester_that_falls_silent_blocks_the_server_for_a_second(uds):
     rig, ask = uds(messages=20)
     for k in range(20):
@@ -56,6 +61,7 @@ def test_a_tester_that_falls_silent_blocks_the_server_for_a_second(uds):
     assert ask("3e00") == "7e00"
 
 
+@pytest.mark.evidence("ISO 15765-2: consecutive frame")
 def test_a_long_request_is_put_together(uds):
     rig, ask = uds()
     assert ask("22" + "f190" * 5).count(b"1HGCM".hex()) == 5

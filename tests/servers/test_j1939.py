@@ -120,6 +120,7 @@ def truck(make):
     return rig
 
 
+@pytest.mark.evidence("SAE J1939-73: DM1")
 def test_the_trucks_dm1_byte_for_byte(make):
     rig = truck(make)
     rig.wait(2000)
@@ -141,6 +142,7 @@ def test_the_trucks_dm1_byte_for_byte(make):
     assert [(d["spn"], d["fmi"], d["oc"]) for d in dtcs] == list(TRUCK.values())
 
 
+@pytest.mark.evidence("SAE J1939-21: BAM")
 def test_a_broadcast_keeps_its_gaps(make):
     rig = truck(make)
     rig.wait(2000)
@@ -154,6 +156,7 @@ def test_a_broadcast_keeps_its_gaps(make):
     assert all(50 * MS <= gap <= 60 * MS for gap in gaps)
 
 
+@pytest.mark.evidence("SAE J1939-73: DM1 empty")
 def test_the_all_clear_form_and_a_single_dtc(make):
     rig = make(faults={0: coded(91, 3)})
     assert rig.of(0xFECA, rig.wait(1100)) == [bytes.fromhex("00FF00000000FFFF")]
@@ -161,6 +164,7 @@ def test_the_all_clear_form_and_a_single_dtc(make):
     assert rig.of(0xFECA, rig.wait(1100))[-1] == bytes.fromhex("00FF5B000301FFFF")
 
 
+@pytest.mark.evidence("SAE J1939-73: DM1 count")
 def test_occurrences_stop_at_126(make):
     rig = make(faults={0: coded(91, 3)})
     for _ in range(130):
@@ -170,6 +174,7 @@ def test_occurrences_stop_at_126(make):
     assert rig.of(0xFECA, rig.wait(1100))[-1] == bytes.fromhex("00FF5B00037EFFFF")
 
 
+@pytest.mark.evidence("SAE J1939-73: DM1 lamps", "AUTOSAR DEM: indicators")
 def test_lamps(make):
     faults = {
         k: coded(100 + k, 1, f'indicator = true\nlamp = "{lamp}"\n')
@@ -183,6 +188,7 @@ def test_lamps(make):
         assert rig.of(0xFECA, rig.wait(1500))[-1][0] == expected
 
 
+@pytest.mark.evidence("SAE J1939-73: DM1 rate")
 def test_a_change_is_told_at_once_and_at_most_once_a_second(make):
     rig = make(faults={0: coded(91, 3)}, more="when_clear = false\n")
     assert rig.of(0xFECA, rig.wait(1500)) == []
@@ -199,6 +205,7 @@ def test_a_change_is_told_at_once_and_at_most_once_a_second(make):
     assert rig.of(0xFECA, rig.wait(3000)) == [], "nothing is active any more"
 
 
+@pytest.mark.evidence("SAE J1939-73: DM2", "SAE J1939-73: DM6", "SAE J1939-73: DM12", "SAE J1939-73: DM28")
 def test_dm2_dm6_dm12_and_dm28(make):
     faults = {
         0: coded(100, 1, "indicator = true\n"),
@@ -224,6 +231,7 @@ def test_dm2_dm6_dm12_and_dm28(make):
     assert dtcs(0xFD80) == [(100, 1, 1)]
 
 
+@pytest.mark.evidence("SAE J1939-73: DM5")
 def test_dm5_counts_and_readiness(make):
     related = "emission_related = true\n"
     faults = dict.fromkeys(range(4), related)
@@ -238,6 +246,7 @@ def test_dm5_counts_and_readiness(make):
     assert rig.of(0xFECE, rig.request(0xFECE)) == [bytes.fromhex("0001050480000000")]
 
 
+@pytest.mark.evidence("SAE J1939-73: DM4")
 def test_freeze_frames(make):
     more = (
         'freeze_frame = [{ spn = 190, signal = "M0.Value", length = 2, scale = 0.125 },'
@@ -253,6 +262,7 @@ def test_freeze_frames(make):
     ]
 
 
+@pytest.mark.evidence("SAE J1939-73: DM3", "SAE J1939-73: DM11")
 def test_dm3_clears_what_is_no_longer_active_and_dm11_the_rest(make):
     rig = make(faults={0: coded(100, 1), 1: coded(101, 2)})
     rig.fail(0)
@@ -265,6 +275,7 @@ def test_dm3_clears_what_is_no_longer_active_and_dm11_the_rest(make):
     assert rig.status(0) == 0x50
 
 
+@pytest.mark.evidence("SAE J1939-73: denied")
 def test_clearing_can_be_denied(make):
     rig = make(faults={0: coded(100, 1)}, more="allow_clear = false\n")
     rig.fail(0)
@@ -273,6 +284,7 @@ def test_clearing_can_be_denied(make):
     assert rig.status(0) == 0x2F
 
 
+@pytest.mark.evidence("SAE J1939-73: NACK")
 def test_requests_for_what_there_is_not(make):
     rig = make()
     ((pgn, _, data),) = rig.messages(rig.request(0xFEE5))
@@ -298,6 +310,7 @@ def previous(make, count=5):
     return rig
 
 
+@pytest.mark.evidence("SAE J1939-21: RTS CTS")
 def test_a_long_answer_to_one_goes_by_rts_and_cts(make):
     rig = previous(make)
     ((can_id, data),) = rig.request(0xFECB)
@@ -316,6 +329,7 @@ def test_a_long_answer_to_one_goes_by_rts_and_cts(make):
     assert j1939_of(rig).endpoint.transport._sending is None
 
 
+@pytest.mark.evidence("SAE J1939-21: silent receiver")
 def test_a_receiver_that_falls_silent_is_given_up(make):
     rig = previous(make)
     rig.request(0xFECB)
@@ -325,6 +339,7 @@ def test_a_receiver_that_falls_silent_is_given_up(make):
     assert data[0] == 16, "and may ask again"
 
 
+@pytest.mark.evidence("SAE J1939-21: receive")
 def test_a_long_message_to_us_is_received(make):
     """A request padded to 10 bytes, sent by RTS/CTS: unusual, legal, and answered."""
     rig = make(faults={0: coded(100, 1)})
@@ -340,6 +355,7 @@ def test_a_long_message_to_us_is_received(make):
     assert rig.of(0xFECE, answers)
 
 
+@pytest.mark.evidence("SAE J1939-21: twice")
 def test_a_packet_sent_twice_does_no_harm(make):
     rig = make()
     to_me = pgn_id(0xEC00, destination=ME, priority=7)
@@ -361,6 +377,7 @@ def test_a_message_that_still_waits_is_replaced_by_its_successor(make):
     assert len(rig.of(0xFECB, rig.wait(3000))) == 2
 
 
+@pytest.mark.evidence("SAE J1939-21: abort")
 def test_a_packet_out_of_order_aborts_and_silence_does_too(make):
     rig = make()
     to_me = pgn_id(0xEC00, destination=ME, priority=7)
@@ -375,6 +392,7 @@ def test_a_packet_out_of_order_aborts_and_silence_does_too(make):
     assert rig.gateway.summary(1.0)["counters"]["j1939_aborted"] == 2
 
 
+@pytest.mark.evidence("SAE J1939-21: many senders")
 def test_interleaved_broadcasts_of_many_senders_keep_their_bounds(make):
     rig = make()
     bam = bytes([32, 20, 0, 3, 0xFF]) + (0xFECA).to_bytes(3, "little")
@@ -388,6 +406,7 @@ def test_interleaved_broadcasts_of_many_senders_keep_their_bounds(make):
 # Address claim
 
 
+@pytest.mark.evidence("SAE J1939-81: claim")
 def test_the_name_and_the_first_claim(make):
     rig = make(claimed=False, more="name = { identity = 5, manufacturer = 0x123, function = 0 }\n")
     name = NameParams(identity=5, manufacturer=0x123, function=0)
@@ -399,6 +418,7 @@ def test_the_name_and_the_first_claim(make):
     assert rig.of(0xEE00, rig.request(0xEE00, destination=ALL)) == [data]
 
 
+@pytest.mark.evidence("SAE J1939-81: contention")
 def test_a_stronger_name_takes_the_address_and_a_weaker_one_does_not(make):
     rig = make()
     weak, strong = b"\xff" * 8, bytes(8)
@@ -409,6 +429,7 @@ def test_a_stronger_name_takes_the_address_and_a_weaker_one_does_not(make):
     assert rig.wait(3000) == [], "and is silent"
 
 
+@pytest.mark.evidence("SAE J1939-81: cannot claim")
 def test_who_has_no_address_says_so_when_asked(make):
     """D13: to all and to the null address; after a delay that differs from device to device."""
     delays = set()
@@ -453,6 +474,7 @@ def test_the_contention_at_the_start_is_real_time(make):
     assert [int(frame["can_id"]) >> 8 & 0xFFFF for frame in sent] == [0xFECA]
 
 
+@pytest.mark.evidence("SAE J1939-81: times")
 def test_the_contention_counts_from_when_the_claim_has_left(make):
     """D13b: the claim had the engine's time, which was up to 95 ms old when the frame left."""
     rig = make(claimed=False)
@@ -467,6 +489,7 @@ def test_the_contention_counts_from_when_the_claim_has_left(make):
     assert int(sent[first][0]["can_id"]) >> 8 & 0xFFFF == 0xFECA
 
 
+@pytest.mark.evidence("SAE J1939-21: grant")
 @pytest.mark.parametrize(("most", "granted"), [(0xFF, [16, 4]), (20, [16, 4]), (8, [8, 8, 4]), (1, [1] * 20)])
 def test_a_grant_is_never_more_than_the_sender_can_send(make, most, granted):
     """J1939-21, 5.10.3.1: byte 5 of the RTS, packets that can be sent in response to one CTS."""
@@ -509,6 +532,7 @@ def commandable(make, more="commanded_address = true\n"):
     return make(more=more + "name = { identity = 5, manufacturer = 0x123 }\n")
 
 
+@pytest.mark.evidence("SAE J1939-81: commanded")
 def test_a_commanded_address_is_taken(make):
     rig = commandable(make)
     assert command(rig, 0x42, NameParams(identity=6)) == [], "it is another's NAME"
@@ -529,12 +553,14 @@ def test_a_commanded_address_brings_back_who_had_none(make):
     assert {can_id & 0xFF for can_id, _ in rig.wait(1500)} == {0x42}
 
 
+@pytest.mark.evidence("SAE J1939-81: commanded")
 def test_nobody_commands_an_address_unless_it_is_allowed(make):
     rig = commandable(make, "")
     assert command(rig, 0x42) == []
     assert {can_id & 0xFF for can_id, _ in rig.wait(1100)} == {ME}
 
 
+@pytest.mark.evidence("SAE J1939-73: identifications")
 def test_identifications(make):
     more = (
         'vin = "1HGCM82633A004352"\ncalibration = "GW-1"\ncalibration_check = 0x12345678\n'
@@ -552,6 +578,7 @@ def test_identifications(make):
         assert rig.of(pgn, frames) == [data], hex(pgn)
 
 
+@pytest.mark.evidence("SAE J1939-73: identifications")
 def test_identifications_that_there_are_not(make):
     rig = make()
     for pgn in (0xFEEC, 0xFEEB, 0xD300):
@@ -562,6 +589,7 @@ def test_identifications_that_there_are_not(make):
     assert data.startswith(b"\x01gateway ")
 
 
+@pytest.mark.evidence("SAE J1939-73: DM26, DM29")
 def test_dm26_and_dm29(make):
     mil = "indicator = true\nemission_related = true\n"
     faults = {0: coded(100, 1, mil), 1: coded(101, 2, "confirm_cycles = 2\n"), 2: coded(102, 3, mil)}
@@ -585,6 +613,7 @@ def test_a_claim_of_another_address_is_not_ours_to_answer(make):
     assert {can_id & 0xFF for can_id, _ in rig.wait(1100)} == {ME}
 
 
+@pytest.mark.evidence("SAE J1939-81: before")
 def test_nothing_is_answered_before_the_address_is_ours(make):
     rig = make(claimed=False)
     rig.wait(10)
@@ -593,6 +622,7 @@ def test_nothing_is_answered_before_the_address_is_ours(make):
     assert rig.of(0xFECE, rig.request(0xFECE))
 
 
+@pytest.mark.evidence("SAE J1939-81: arbitrary")
 def test_any_address_will_do_if_it_may(make):
     rig = make(more="name = { any_address = true }\n")
     rig.feed((pgn_id(0xEE00, 128), bytes(8)))

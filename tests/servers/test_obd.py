@@ -48,6 +48,7 @@ def ask(rig):
     return send
 
 
+@pytest.mark.evidence("SAE J1979: 01 00")
 def test_mode_01_supported_pids(ask):
     def bits(answer):
         base = int(answer[2:4], 16)
@@ -62,6 +63,7 @@ def test_mode_01_supported_pids(ask):
     assert ask("01c0") == ""
 
 
+@pytest.mark.evidence("SAE J1979: 01 values")
 def test_mode_01_values(rig, ask):
     rig.value(0, 812.5)
     rig.value(1, 90)
@@ -78,6 +80,7 @@ def test_mode_01_values(rig, ask):
     assert ask("01", functional=False) == "7f0112"
 
 
+@pytest.mark.evidence("SAE J1979: 01 01")
 def test_mode_01_mil_count_and_readiness(rig, ask):
     assert ask("0101") == "410100440000"
     rig.fail(0)
@@ -92,6 +95,7 @@ def test_mode_01_mil_count_and_readiness(rig, ask):
     assert ask("0141") == "414100440000", "in this cycle none has run"
 
 
+@pytest.mark.evidence("SAE J1979: MIL")
 def test_the_mil_is_that_of_mil_lamps_only(tmp_path):
     """D9: another lamp, on a dashboard's other side, is no MIL; and its DTC is no permanent one."""
     faults = {0: 'indicator = true\nlamp = "warning"\n', 3: "indicator = true\nemission_related = true\n"}
@@ -119,6 +123,7 @@ def test_only_powertrain_codes_are_emission_related_by_themselves(tmp_path):
     rig.close()
 
 
+@pytest.mark.evidence("SAE J1979: 03", "SAE J1979: 04", "SAE J1979: 07", "SAE J1979: 0A")
 def test_modes_03_07_0a_and_04(rig, ask):
     assert (ask("03"), ask("07"), ask("0a")) == ("4300", "4700", "4a00")
     for k in range(4):
@@ -133,6 +138,7 @@ def test_modes_03_07_0a_and_04(rig, ask):
     assert ask("0300") == ""
 
 
+@pytest.mark.evidence("SAE J1979: several frames")
 def test_many_dtcs_come_in_several_frames(tmp_path):
     related = dict.fromkeys(range(60), "emission_related = true\n")
     rig = Rig(write_config(tmp_path, 60, extra=EXTRA, faults=related))
@@ -147,6 +153,7 @@ def test_many_dtcs_come_in_several_frames(tmp_path):
     rig.close()
 
 
+@pytest.mark.evidence("SAE J1979: 02")
 def test_mode_02_shows_the_frame_of_the_first_failure(rig, ask):
     assert ask("020200") == "4202000000", "no freeze frame"
     rig.value(0, 800)
@@ -163,6 +170,7 @@ def test_mode_02_shows_the_frame_of_the_first_failure(rig, ask):
     assert ask("020200") == "4202000000"
 
 
+@pytest.mark.evidence("SAE J1979: 09 02", "SAE J1979: 09 04, 06", "SAE J1979: 09 0A")
 def test_mode_09(ask):
     assert ask("0900") == "490054400000"
     assert ask("0902") == "490201" + b"1HGCM82633A004352".hex()
@@ -172,6 +180,7 @@ def test_mode_09(ask):
     assert ask("0908") == ""
 
 
+@pytest.mark.evidence("SAE J1979: 09 several")
 def test_mode_09_takes_several_infotypes(ask):
     vin, name = b"1HGCM82633A004352".hex(), b"GATEWAY".ljust(20, b"\0").hex()
     assert ask("09020a08") == f"490201{vin}0a01{name}"
@@ -189,6 +198,7 @@ def results(answer):
     return [struct.unpack(">BBBhhh", data[k : k + 9]) for k in range(0, len(data), 9)]
 
 
+@pytest.mark.evidence("SAE J1979: 06 00")
 def test_mode_06_supported_monitors(ask):
     number = int(ask("06e0")[4:], 16)
     assert [0xE1 + k for k in range(32) if number >> (31 - k) & 1] == [0xE1, 0xE2, 0xE3], "the emission related ones"
@@ -199,6 +209,7 @@ def test_mode_06_supported_monitors(ask):
     assert ask("06e1e2") == "", "results come one monitor at a time"
 
 
+@pytest.mark.evidence("SAE J1979: 06")
 def test_mode_06_gives_the_residual_and_its_threshold(rig, ask):
     assert results(ask("06e1")) == [(0xE1, 0x80, 0x81, 0, 0, 0)], "not tested yet"
     rig.fail(0)
@@ -217,6 +228,7 @@ def test_mode_06_gives_the_residual_and_its_threshold(rig, ask):
     assert results(ask("06e1"))[0][3:] == (0, 0, 0), "cleared"
 
 
+@pytest.mark.evidence("SAE J1979: 06")
 @pytest.mark.parametrize(
     ("value", "limit", "failed", "wanted"),
     [
@@ -238,6 +250,7 @@ def test_results_are_scaled_so_that_they_fit(value, limit, failed, wanted):
 # OBD on UDS (SAE J1979-2)
 
 
+@pytest.mark.evidence("SAE J1979: OBDonUDS")
 def test_obd_on_uds(tmp_path):
     rig = Rig(write_config(tmp_path, 4, extra=EXTRA + "[output.uds]\n", faults=FAULTS))
     tester = Tester(rig)
@@ -265,12 +278,14 @@ def test_obd_on_uds(tmp_path):
     rig.close()
 
 
+@pytest.mark.evidence("SAE J1979: unknown")
 def test_modes_that_there_are_not(ask):
     assert ask("05") == ""
     assert ask("0501", functional=False) == "7f0511"
     assert ask("22f190", functional=False) == "7f2211", "there is no UDS server behind this address"
 
 
+@pytest.mark.evidence("SAE J1979: 29 bit")
 def test_29_bit_identifiers(tmp_path):
     ids = "request = 0x18DA10F1\nfunctional = 0x18DB33F1\nresponse = 0x18DAF110\n"
     rig = Rig(write_config(tmp_path, extra=EXTRA.replace("[output.obd]\n", f"[output.obd]\n{ids}")))

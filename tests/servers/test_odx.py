@@ -136,6 +136,7 @@ def read_all(made, rig):
     return count
 
 
+@pytest.mark.evidence("Releases: ODX")
 def test_a_tester_made_of_the_file_alone_reads_every_identifier_by_can_and_by_doip(tmp_path):
     with on_can(tmp_path, messages=3) as (net, made):
         rig = values_of(net)

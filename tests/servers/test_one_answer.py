@@ -115,6 +115,7 @@ def by_dm1(rig):
     return {(int(a | b << 8 | (c >> 5) << 16), int(c & 31), int(d & 127)) for a, b, c, d in rows.astype(int)}
 
 
+@pytest.mark.evidence("Live is replay: one answer")
 @pytest.mark.long
 def test_sixty_faults_are_the_same_by_every_door(tmp_path, capsys):
     seed = int(os.environ.get("GATEWAY_SEED", "52"))

@@ -30,6 +30,7 @@ def fed(rig, *payloads):
     return [data.hex() for _, data in rig.feed(*[(REQUEST, bytes.fromhex(data)) for data in payloads])]
 
 
+@pytest.mark.evidence("ISO 14229-1: NRC 78")
 def test_a_request_whose_last_frame_comes_meanwhile_is_promised_its_answer_once(rig):
     assert fed(rig, "101122f190f190f1") == ["300000cccccccccc"]
     rest = ["2190f190f190f190", "22f190f190cccccc"]

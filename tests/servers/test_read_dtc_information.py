@@ -23,6 +23,25 @@ FAULTS = {
 }
 
 
+@pytest.mark.evidence(
+    "ISO 14229-1: 0x19 01",
+    "ISO 14229-1: 0x19 02",
+    "ISO 14229-1: 0x19 03",
+    "ISO 14229-1: 0x19 04",
+    "ISO 14229-1: 0x19 06",
+    "ISO 14229-1: 0x19 07",
+    "ISO 14229-1: 0x19 08",
+    "ISO 14229-1: 0x19 09",
+    "ISO 14229-1: 0x19 0A",
+    "ISO 14229-1: 0x19 0B",
+    "ISO 14229-1: 0x19 0C",
+    "ISO 14229-1: 0x19 0D",
+    "ISO 14229-1: 0x19 0E",
+    "ISO 14229-1: 0x19 14",
+    "ISO 14229-1: 0x19 15",
+    "ISO 14229-1: 0x19 42",
+    "ISO 14229-1: 0x19 55",
+)
 def test_every_sub_function(uds):
     rig, ask = uds(faults=FAULTS, more=ANYBODY)
     rig.value(0, 5.0)
@@ -73,6 +92,7 @@ def test_every_sub_function(uds):
     assert ask("1915") == f"5915ff{b}50", "permanent, though cleared"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 03")
 def test_a_record_without_content_is_not_listed(uds):
     """D15: 19 03 listed record 01 of a fault without freeze frame signals, 19 04 then had none."""
     rig, ask = uds(faults={0: 'freeze_frame = ["M1.Value"]\n'})
@@ -84,6 +104,7 @@ def test_a_record_without_content_is_not_listed(uds):
         assert listed == (len(ask(f"1904{hexed(k)}ff")) > len(f"5904{hexed(k)}2f"))
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 05")
 def test_stored_data_by_record_number(uds):
     rig, ask = uds(faults=dict.fromkeys((0, 2), 'freeze_frame = ["volts"]\n'))
     assert ask("190501") == "590501", "none"
@@ -99,6 +120,7 @@ def test_stored_data_by_record_number(uds):
     assert ask("1905") == "7f1913"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 16", "ISO 14229-1: 0x19 1A")
 def test_one_extended_data_record_of_every_dtc(uds):
     rig, ask = uds()
     for k in (1, 2):
@@ -111,6 +133,7 @@ def test_one_extended_data_record_of_every_dtc(uds):
     assert ask("191677") == ask("191a77") == "7f1931"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 17", "ISO 14229-1: 0x19 18", "ISO 14229-1: 0x19 19")
 def test_what_testers_did_is_the_user_defined_memory(uds):
     rig, ask = uds()
     assert ask("1917ff01") == "591701ff"
@@ -132,6 +155,7 @@ def test_what_testers_did_is_the_user_defined_memory(uds):
     assert ask("1918abcdefff01") == ask(f"1919{reset}9901") == ask(f"1918{reset}0001") == "7f1931"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 56")
 def test_dtcs_by_readiness_group(uds):
     rig, ask = uds(faults={0: 'readiness = "egr"\n', 1: 'readiness = "egr"\n'})
     rig.fail(0)
@@ -141,6 +165,7 @@ def test_dtcs_by_readiness_group(uds):
     assert ask("19563399") == ask("19561203") == "7f1931"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 06", "AUTOSAR DEM: extended data")
 def test_extended_data_is_what_the_memory_knows(uds):
     rig, ask = uds()
     rig.fail(0)
@@ -190,6 +215,7 @@ def test_what_explains_a_fault_is_an_extended_data_record(uds):
     assert ask("191a30") == f"591aff30{hexed(0)}2f"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 mask")
 def test_the_availability_mask_hides_bits_everywhere(uds):
     rig, ask = uds(uds="status_mask = 0x09", messages=1)
     rig.fail(0)
@@ -198,6 +224,7 @@ def test_the_availability_mask_hides_bits_everywhere(uds):
     assert ask("1901f6") == "590109000000"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 02")
 @settings(
     max_examples=examples(60),
     deadline=None,
@@ -227,6 +254,7 @@ def shared(tmp_path_factory):
     rig.close()
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 long")
 def test_more_than_fifty_dtcs_in_one_answer(uds):
     rig, ask = uds(messages=120)
     for k in range(120):
@@ -239,6 +267,7 @@ def test_more_than_fifty_dtcs_in_one_answer(uds):
 # 0x86
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x86 01")
 def test_responses_on_status_changes(uds):
     rig, ask = uds()
     assert ask("860502") == "7f8624", "nothing is set up"
@@ -260,6 +289,7 @@ def test_responses_on_status_changes(uds):
     assert ask("860102082708") == "7f8631", "only reading can be the answer"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x86 session")
 def test_responses_on_events_end_with_the_session(uds):
     rig, ask = uds()
     assert ask("1003")
@@ -270,6 +300,7 @@ def test_responses_on_events_end_with_the_session(uds):
     assert ask("860402") == "c60400"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x86 window")
 def test_the_window_of_responses_on_events(uds):
     rig, ask = uds()
     assert ask("86010301190d").startswith("c601")

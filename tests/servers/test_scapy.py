@@ -123,6 +123,7 @@ def dtc(k):
     return DTC(bytes.fromhex(hexed(k)))
 
 
+@pytest.mark.evidence("ISO 14229-1: others scapy")
 def test_dtcs_are_read(rig, scapy):
     for k in range(3):
         rig.fail(k)
@@ -166,6 +167,7 @@ def test_snapshots_and_extended_data_belong_to_the_dtc_asked_for(rig, scapy):
     assert [(each.data_type, each.record) for each in record.extendedData] == [(1, 1)], "one occurrence"
 
 
+@pytest.mark.evidence("ISO 14229-1: others scapy")
 def test_services_that_change_something(rig, scapy):
     assert scapy.ask(UDS() / UDS_TP()).service == 0x7E
     assert scapy.exchange(UDS() / UDS_TP(subFunction=0x80), functional=True) == []
@@ -212,6 +214,7 @@ def test_authentication(scapy):
     assert scapy.ask(UDS() / UDS_AUTH(subFunction=0)).returnValue == 0x10
 
 
+@pytest.mark.evidence("ISO 15765-2: others")
 def test_frames_are_put_together_as_they_were_taken_apart(rig, scapy):
     for k in range(6):
         rig.fail(k)
@@ -224,6 +227,7 @@ def test_frames_are_put_together_as_they_were_taken_apart(rig, scapy):
     assert [bytes(row.data).ljust(8, b"\xcc") for row in again] == [bytes(row.data) for row in frames]
 
 
+@pytest.mark.evidence("SAE J1979: others")
 def test_obd_values(rig, scapy):
     answer = scapy.ask(OBD() / OBD_S01(pid=[0x00]), functional=True)
     assert sorted(str(answer.data_records[0].supported_pids).split("+")) == sorted(

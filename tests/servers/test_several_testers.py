@@ -20,6 +20,7 @@ def three(uds):
     return build
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x22 F186", "ISO 14229-2: testers")
 def test_each_has_its_own_session_and_security(three):
     _, a, b, c = three(LEVEL)
     assert a("1003")
@@ -33,6 +34,7 @@ def test_each_has_its_own_session_and_security(three):
     assert a("22f186") == "62f18603"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x27 all")
 def test_wrong_keys_count_for_all_of_them(three):
     _, a, b, c = three(LEVEL.replace(" }", ", attempts = 3 }"))
     for ask in (a, b, c):
@@ -43,6 +45,7 @@ def test_wrong_keys_count_for_all_of_them(three):
     assert a("2701") == "7f2737"
 
 
+@pytest.mark.evidence("ISO 14229-2: last one")
 def test_what_two_have_switched_off_is_on_when_both_have_ended(three):
     rig, a, b, _ = three()
     assert a("1003")
@@ -66,6 +69,7 @@ def test_an_idle_one_ends_by_itself(three):
     assert (a("22f186"), b("22f186")) == ("62f18601", "62f18603")
 
 
+@pytest.mark.evidence("ISO 15765-2: interleaved")
 def test_long_answers_go_to_all_of_them_at_once(three):
     rig, _, b, _ = three(messages=40)
     for k in range(40):
@@ -75,6 +79,7 @@ def test_long_answers_go_to_all_of_them_at_once(three):
     assert len(rig.feed((0x7E0, bytes.fromhex("300000")))) == 23
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x11 sessions")
 def test_a_reset_by_one_ends_the_sessions_of_all(three):
     _, a, b, c = three()
     for ask in (a, b, c):

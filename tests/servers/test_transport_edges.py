@@ -27,6 +27,7 @@ def begin(rig, flow):
 # Flow control
 
 
+@pytest.mark.evidence("ISO 15765-2: STmin")
 @pytest.mark.parametrize("stmin", [0x80, 0xA5, 0xF0, 0xFA, 0xFF])
 def test_a_reserved_separation_time_is_the_longest_one(uds, stmin):
     rig, _ = extended(uds)
@@ -38,6 +39,7 @@ def test_a_reserved_separation_time_is_the_longest_one(uds, stmin):
     assert all(127 * MS <= b - a <= 129 * MS for a, b in pairwise(times[1:]))
 
 
+@pytest.mark.evidence("ISO 15765-2: STmin")
 @pytest.mark.parametrize("stmin", [0x00, 0x7F, 0xF1, 0xF9])
 def test_other_separation_times_are_what_they_are(uds, stmin):
     from gateway.isotp.edges import judge
@@ -46,6 +48,7 @@ def test_other_separation_times_are_what_they_are(uds, stmin):
     assert judge(frame) == (frame, False)
 
 
+@pytest.mark.evidence("ISO 15765-2: flow status")
 @pytest.mark.parametrize("status", [3, 7, 0xF])
 def test_a_reserved_flow_status_ends_the_answer(uds, status):
     rig, ask = extended(uds)
@@ -54,6 +57,7 @@ def test_a_reserved_flow_status_ends_the_answer(uds, status):
     assert rig.gateway.summary(1.0)["counters"]["isotp_errors"] == 1
 
 
+@pytest.mark.evidence("ISO 15765-2: flow status")
 def test_a_reserved_flow_status_that_nobody_waits_for_does_nothing(uds):
     rig, _ = extended(uds)
     frames = begin(rig, "300305")
@@ -66,6 +70,7 @@ def test_a_reserved_flow_status_that_nobody_waits_for_does_nothing(uds):
 # First frames
 
 
+@pytest.mark.evidence("ISO 15765-2: first frame")
 @pytest.mark.parametrize(
     ("frame", "why"),
     [
@@ -84,6 +89,7 @@ def test_first_frames_that_are_none_get_no_flow_control(uds, frame, why):
     assert ask("3e00") == "7e00"
 
 
+@pytest.mark.evidence("ISO 15765-2: single frame")
 def test_a_first_frame_of_eight_bytes_is_one(uds):
     rig, _ = uds()
     ((_, data),) = rig.feed((REQUEST, bytes.fromhex("100922f190f190f1")))
@@ -92,6 +98,7 @@ def test_a_first_frame_of_eight_bytes_is_one(uds):
     assert data[0] == 0x32, "too long for us: overflow"
 
 
+@pytest.mark.evidence("ISO 15765-2: first frame")
 def test_a_first_frame_that_is_none_leaves_what_is_under_way_alone(uds):
     rig, _ = uds()
     rig.feed((REQUEST, bytes.fromhex("100922f190f190f1")))
@@ -100,6 +107,7 @@ def test_a_first_frame_that_is_none_leaves_what_is_under_way_alone(uds):
     assert frame[1][0] & 0xF0 == 0x10, "the answer begins"
 
 
+@pytest.mark.evidence("ISO 15765-2: first frame FD")
 def test_a_first_frame_in_can_fd_is_longer_than_a_single_frame():
     from gateway.isotp.edges import judge
 
@@ -115,6 +123,7 @@ def test_a_first_frame_in_can_fd_is_longer_than_a_single_frame():
 # S3
 
 
+@pytest.mark.evidence("ISO 14229-2: S3 long answer")
 def test_a_long_answer_keeps_its_session(uds):
     """At 40 ms a frame it takes 9.2 s; with the tester's presence told meanwhile, and without."""
     rig, ask = extended(uds, 400)
@@ -131,6 +140,7 @@ def test_a_long_answer_keeps_its_session(uds):
     assert rig.gateway.engine.tables.clock[0]["held"] == 1, "0x85 has lasted, too"
 
 
+@pytest.mark.evidence("ISO 14229-2: S3 answer")
 def test_the_session_ends_so_long_after_the_end_of_the_answer(uds):
     rig, ask = extended(uds, 60)
     begin(rig, "300014")
@@ -145,6 +155,7 @@ def test_the_session_ends_so_long_after_the_end_of_the_answer(uds):
     assert ask("22f186") == "62f18601"
 
 
+@pytest.mark.evidence("ISO 14229-2: S3 request")
 def test_a_request_on_its_way_keeps_the_session(uds):
     """Its first frame before the session's end, its last one after it."""
     rig, _ = extended(uds)
@@ -157,6 +168,7 @@ def test_a_request_on_its_way_keeps_the_session(uds):
     assert (data[2:] + rest[0][1][1:]).hex().startswith("62f18603f18603f18603")
 
 
+@pytest.mark.evidence("ISO 14229-2: S3 request")
 def test_a_request_that_comes_to_nothing_keeps_it_only_so_long(uds):
     rig, ask = extended(uds)
     rig.wait(4700)
@@ -168,6 +180,7 @@ def test_a_request_that_comes_to_nothing_keeps_it_only_so_long(uds):
     assert ask("22f186") == "62f18601"
 
 
+@pytest.mark.evidence("ISO 14229-2: S3 late")
 def test_a_first_frame_after_the_end_does_not_bring_the_session_back(uds):
     rig, _ = extended(uds)
     rig.now += 6000 * MS
@@ -177,6 +190,7 @@ def test_a_first_frame_after_the_end_does_not_bring_the_session_back(uds):
     assert (data[2:] + rest[0][1][1:]).hex().startswith("62f18601")
 
 
+@pytest.mark.evidence("ISO 14229-2: S3 silence")
 def test_a_tester_that_falls_silent_in_an_answer_loses_its_session(uds):
     rig, ask = extended(uds)
     rig.feed((REQUEST, bytes.fromhex("03190208")))
@@ -187,6 +201,7 @@ def test_a_tester_that_falls_silent_in_an_answer_loses_its_session(uds):
     assert ask("22f186") == "62f18601"
 
 
+@pytest.mark.evidence("ISO 14229-2: one request")
 def test_no_other_request_is_taken_during_an_answer(uds):
     rig, ask = extended(uds)
     rig.feed((REQUEST, bytes.fromhex("03190208")))

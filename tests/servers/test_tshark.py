@@ -168,6 +168,7 @@ def one(row, name):
     return int(text, 0)
 
 
+@pytest.mark.evidence("ISO 14229-1: others tshark")
 def test_nothing_is_malformed(session):
     pcap, _, _ = session
     for dissector, identifiers in (("uds", UDS_IDS), ("obd-ii", OBD_IDS)):
@@ -187,6 +188,7 @@ def test_what_is_malformed_would_be_seen(tmp_path):
     assert second["iso15765.message_type.bad"]
 
 
+@pytest.mark.evidence("ISO 14229-1: others tshark")
 def test_uds_is_read_as_it_was_meant(session):
     pcap, uds, _ = session
     fields = ["can.id", "uds.sid", "uds.reply", "uds.err.sid", "uds.err.code", "uds.rdbi.data_identifier",
@@ -219,6 +221,7 @@ def test_uds_is_read_as_it_was_meant(session):
     assert compared[0x7F] > 10
 
 
+@pytest.mark.evidence("SAE J1979: others")
 def test_obd_is_read_as_it_was_meant(session):
     """This dissector knows requests to all only, and values of one PID in an answer; we ask both ways."""
     pcap, _, obd = session
@@ -234,6 +237,7 @@ def test_obd_is_read_as_it_was_meant(session):
     assert [int(text, 16) for text in supported["obd-ii.mode01_supported_pid"]] == [0x01, 0x05, 0x0C, 0x0D, 0x1C, 0x20]
 
 
+@pytest.mark.evidence("SAE J1939-73: others")
 def test_j1939_is_read_as_it_was_meant(session):
     pcap, _, _ = session
     rows = dissect(pcap, "uds", UDS_IDS, ["j1939.pgn", "j1939.src_addr", "j1939.data"], only="j1939")
@@ -250,6 +254,7 @@ def test_j1939_is_read_as_it_was_meant(session):
     assert announced == set(LONG)
 
 
+@pytest.mark.evidence("ISO 15765-2: others")
 def test_can_fd_is_read_too(tmp_path):
     rig = Wire(write_config(tmp_path, 6, extra=f"[output.uds]\nfd = true\n{DIDS}"))
     talk = Talk(rig, can_fd=True, tx_data_length=64)

@@ -21,6 +21,15 @@ security = [{{ level = 1, secret = "{SECRET}", attempts = 2, delay_s = 3.0 }}]
 # The checks before a service, in the order of the standard
 
 
+@pytest.mark.evidence(
+    "ISO 14229-1: 0x3E",
+    "ISO 14229-1: NRC order",
+    "ISO 14229-1: NRC 11",
+    "ISO 14229-1: NRC 12",
+    "ISO 14229-1: NRC 13",
+    "ISO 14229-1: NRC 31",
+    "ISO 14229-1: NRC 7F",
+)
 @pytest.mark.parametrize(
     ("request_", "expected", "why"),
     [
@@ -58,6 +67,7 @@ def test_refusals(uds, request_, expected, why):
     assert ask(request_) == expected, why
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x14 unknown")
 @pytest.mark.parametrize(
     ("request_", "expected", "why"),
     [
@@ -73,6 +83,7 @@ def test_refusals_of_the_extended_session(uds, request_, expected, why):
     assert ask(request_) == expected, why
 
 
+@pytest.mark.evidence("ISO 14229-1: functional")
 def test_what_concerns_others_is_not_answered_to_a_functional_request(uds):
     rig, ask = uds()
     for request in ("ba00", "190f", "22beef", "2801", "14123456", "1002"):
@@ -85,6 +96,7 @@ def test_what_concerns_others_is_not_answered_to_a_functional_request(uds):
     assert rig.gateway.summary(1.0)["counters"]["isotp_errors"] == 1
 
 
+@pytest.mark.evidence("ISO 14229-1: suppress")
 def test_the_suppress_bit_silences_the_good_answer_only(uds):
     _, ask = uds()
     assert ask("3e80") == ""
@@ -97,6 +109,7 @@ def test_the_suppress_bit_silences_the_good_answer_only(uds):
 # Sessions
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x10 01", "ISO 14229-2: S3")
 def test_a_session_ends_after_s3_and_takes_everything_with_it(uds):
     rig, ask = uds()
     assert ask("1003") == "5003003201f4"
@@ -113,6 +126,7 @@ def test_a_session_ends_after_s3_and_takes_everything_with_it(uds):
     assert rig.status(0) == 0x2F, "and are updated again"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x10 01", "ISO 14229-1: 0x85", "AUTOSAR DEM: DTC setting")
 def test_dtc_setting_off_freezes_and_default_session_switches_it_on(uds):
     rig, ask = uds()
     rig.feed((256, b"\x01"))
@@ -133,6 +147,7 @@ def test_dtc_setting_off_freezes_and_default_session_switches_it_on(uds):
     assert rig.status(1) == 0x2F
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x28")
 def test_communication_control(uds):
     rig, ask = uds(uds="", messages=2)
     assert ask("1003")
@@ -150,6 +165,7 @@ def test_communication_control(uds):
     assert rig.status(0) == 0x2F
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x28")
 def test_communication_off_silences_what_the_gateway_says_by_itself(uds):
     rig, ask = uds(
         faults={0: "spn = 100\nfmi = 1\n"},
@@ -172,12 +188,14 @@ def test_communication_off_silences_what_the_gateway_says_by_itself(uds):
     assert {can_id for can_id, _ in rig.sent} == {0x6F0, 0x98FECAF9}, "the end of the session ends it"
 
 
-def test_ecu_reset_starts_the_next_operation_cycle(uds):
+@pytest.mark.evidence("ISO 14229-1: 0x11 01", "ISO 14229-1: 0x11 02", "ISO 14229-1: 0x11 03")
+@pytest.mark.parametrize("kind", ["01", "02", "03"])
+def test_ecu_reset_starts_the_next_operation_cycle(uds, kind):
     rig, ask = uds()
     rig.fail(0)
     assert ask("1003")
     number = rig.gateway.memory.cycle_number()
-    assert ask("1101") == "5101"
+    assert ask(f"11{kind}") == f"51{kind}"
     assert rig.gateway.memory.cycle_number() == number + 1
     assert ask("22f186") == "62f18601"
     assert rig.status(0) == 0x6D
@@ -188,6 +206,7 @@ def test_ecu_reset_starts_the_next_operation_cycle(uds):
 # Security
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x27 seed", "ISO 14229-1: 0x27 key")
 def test_security_access(uds):
     rig, ask = uds(uds=SECURE)
     assert ask("2701") == "7f277f"
@@ -217,6 +236,7 @@ def test_security_access(uds):
     assert ask("14ffffff") == "7f147f", "clearing is of the extended session here"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x27 seed")
 def test_a_seed_is_never_all_zero():
     """Zeros would say that the level is unlocked already."""
     drawn = iter([bytes(8), bytes(8), bytes(7) + b"\x01"])
@@ -230,6 +250,7 @@ def wrong_key(ask):
     return asked if asked.startswith("7f") else ask("2702" + "00" * 8)
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x27 35", "ISO 14229-1: 0x27 36", "ISO 14229-1: 0x27 37")
 def test_attempts_and_delay_survive_restarts(uds, tmp_path):
     """D12: kill -9, or SIGHUP, and the attempts began anew."""
     memory = tmp_path / "m.sqlite"
@@ -260,6 +281,7 @@ def test_attempts_and_delay_survive_restarts(uds, tmp_path):
     assert wrong_key(ask) == "7f2735", "a right key forgives"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x27 count")
 def test_a_key_is_counted_before_it_is_looked_at(uds, tmp_path):
     """Who cuts the power at the answer has used an attempt up all the same."""
     rig, ask = uds(uds=SECURE, memory=tmp_path / "m.sqlite")
@@ -275,6 +297,7 @@ def test_a_key_is_counted_before_it_is_looked_at(uds, tmp_path):
     assert seen == [1]
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x27 37")
 def test_seeds_that_were_asked_for_before_a_delay_are_no_way_around_it(uds):
     rig, a = uds(uds=SECURE + "further = [{ request = 0x7E4, response = 0x7EC }]\n")
     b = Asked(rig, 0x7E4, 0x7EC)
@@ -296,6 +319,7 @@ def test_a_reload_forgives_nothing(uds, tmp_path):
     assert wrong_key(ask) == "7f2737"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x27 start delay")
 def test_a_delay_after_each_start(uds):
     rig, ask = uds(uds=f'security = [{{ level = 1, secret = "{SECRET}", start_delay_s = 2.0 }}]')
     assert ask("1003")
@@ -328,6 +352,7 @@ def test_a_key_function_of_the_user(tmp_path, monkeypatch):
 # Data
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x22 one", "ISO 14229-1: 0x22 several")
 def test_identifiers_are_served_live(uds):
     rig, ask = uds()
     assert ask("22f190") == "62f190" + b"1HGCM82633A004352".hex()
@@ -337,6 +362,7 @@ def test_identifiers_are_served_live(uds):
     assert ask("220123beef0124") == "620123000e01240102", "of several, those that there are"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x2E")
 def test_writing_is_kept_over_a_restart(uds, tmp_path):
     rig, ask = uds(memory=tmp_path / "m.sqlite")
     assert ask("1003")
@@ -349,6 +375,7 @@ def test_writing_is_kept_over_a_restart(uds, tmp_path):
     assert ask("220124") == "6201240a0b"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x31")
 def test_routines(uds, tmp_path):
     rig, ask = uds(memory=tmp_path / "m.sqlite")
     assert ask("1003")
@@ -364,6 +391,7 @@ def test_routines(uds, tmp_path):
     assert rig.gateway.memory.cycle_number() == number + 1
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x31 78")
 def test_a_request_before_a_late_answer_loses_neither(uds):
     rig, ask = uds()
     assert ask("1003")
@@ -373,12 +401,14 @@ def test_a_request_before_a_late_answer_loses_neither(uds):
     assert [data[: data[0] + 1].hex() for _, data in both] == ["057101020200", "027e00"]
 
 
+@pytest.mark.evidence("ISO 14229-1: NRC 14")
 def test_an_answer_that_does_not_fit_is_refused(uds):
     _, ask = uds()
     assert len(ask("22" + "f190" * 215, patience=200)) == 2 * (1 + 215 * 19), "4086 bytes"
     assert ask("22" + "f190" * 216, patience=200) == "7f2214", "4105 bytes"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x31 78")
 def test_the_session_is_counted_from_the_late_answer(uds):
     rig, ask = uds()
     assert ask("1003")
@@ -391,6 +421,7 @@ def test_the_session_is_counted_from_the_late_answer(uds):
     assert ask("22f186") == "62f18601"
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x14 all")
 def test_a_clear_of_one_and_of_all(uds):
     rig, ask = uds(more=ANYBODY)
     for k in range(3):
@@ -401,6 +432,7 @@ def test_a_clear_of_one_and_of_all(uds):
     assert [rig.status(k) for k in range(3)] == [0x50, 0x50, 0x50]
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x14 groups")
 def test_a_clear_by_letter(uds):
     rig, ask = uds(messages=5, more=ANYBODY)
     for k in range(5):
@@ -420,11 +452,13 @@ def test_each_service_is_named_by_its_file():
         assert words == service.name.lower()
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x10 P2")
 def test_p2_is_told_as_configured(uds):
     _, ask = uds(uds="p2_ms = 25\np2_star_ms = 2000")
     assert ask("1001") == "5001001900c8"
 
 
+@pytest.mark.evidence("ISO 14229-2: P2")
 def test_answers_leave_at_the_time_of_the_request(uds):
     """No timer, no sleep: the answer is among the frames returned for the request's own frame."""
     rig, _ = uds()

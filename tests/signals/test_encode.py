@@ -52,6 +52,7 @@ def encoded(message, values):
     return words.tobytes()[: message.length]
 
 
+@pytest.mark.evidence("Live is replay: encode")
 @settings(max_examples=examples(300))
 @given(layouts(), st.data())
 def test_encoding_is_cantools(message, data):

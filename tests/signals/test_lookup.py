@@ -34,6 +34,7 @@ def name_at(plan, bus, can_id):
     return None if row < 0 else plan.message_names[row][1]
 
 
+@pytest.mark.evidence("SAE J1939-21: PDU1 PDU2")
 def test_pdu2_matches_whatever_the_priority_and_source():
     plan = plan_of(message("EEC1", 0x0CF00400, True, "j1939"))
     for can_id in (0x0CF00400, 0x18F004FE, 0x00F00421):
@@ -43,6 +44,7 @@ def test_pdu2_matches_whatever_the_priority_and_source():
     assert plan.identifiers(0) is None, "no kernel filter can be set by identifier"
 
 
+@pytest.mark.evidence("SAE J1939-21: PDU1 PDU2")
 def test_pdu1_matches_whatever_the_destination():
     plan = plan_of(message("TSC1", 0x0C000003, True, "j1939"))
     for can_id in (0x0C000003, 0x18002711, 0x0000FF00):

@@ -50,6 +50,7 @@ CRCS = [
 ]  # fmt: skip
 
 
+@pytest.mark.evidence("AUTOSAR E2E: CRC")
 @pytest.mark.parametrize("theirs", CRCS, ids=lambda crc: crc._names[0])
 def test_every_crc_of_the_catalogue(theirs):
     ours = Crc(
@@ -76,6 +77,7 @@ def test_there_are_many_crcs():
     assert {crc._width for crc in CRCS} >= {4, 5, 6, 7, 8, 10, 16, 32, 64}
 
 
+@pytest.mark.evidence("AUTOSAR E2E: E2E profiles")
 @pytest.mark.parametrize(("profile", "mode"), CASES)
 def test_e2e_frames_of_another_program_are_accepted_and_any_flip_is_not(profile, mode):
     for seed in range(amount(20)):
@@ -184,6 +186,7 @@ def test_what_a_profile_does_not_have_is_refused(profile, header, key):
     assert told.value.key == key
 
 
+@pytest.mark.evidence("AUTOSAR E2E: E2E profile 22")
 def test_profile_22_by_the_vectors_of_its_specification():
     """PRS_E2EProtocol (AUTOSAR FO), examples of profile 22: ids 1 to 16, counter 1, all other bytes zero."""
     ids = tuple(range(1, 17))

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 from amount import examples
 from cantools.database.errors import DecodeError
 from hypothesis import given, settings
@@ -33,6 +34,7 @@ def same(ours, theirs):
     return abs(theirs) > 2**53 and math.isclose(ours, theirs, rel_tol=4e-16)
 
 
+@pytest.mark.evidence("Live is replay: decode")
 @settings(max_examples=examples(400), deadline=None)
 @given(messages(), st.data())
 def test_decoding_equals_cantools(message, data):

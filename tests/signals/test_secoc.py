@@ -52,6 +52,7 @@ def test_random_blocks_beside_cryptography():
         assert block(key, data) == Cipher(AES(key), ECB()).encryptor().update(data)
 
 
+@pytest.mark.evidence("AUTOSAR E2E: SecOC MAC")
 @pytest.mark.parametrize("length", RFC_TAGS)
 def test_the_vectors_of_rfc_4493(length):
     field = np.zeros(1, ProtectionConst.dtype)[0]["field"]

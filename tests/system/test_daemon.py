@@ -116,6 +116,7 @@ def configs(running):
     return [e["state"] for e in running.events() if e["event"] == "config"]
 
 
+@pytest.mark.evidence("Live is replay: reload traffic")
 def test_a_reload_under_traffic_loses_no_frame_no_memory_and_no_state(tmp_path):
     with bus(tmp_path) as uri:
         config = write_config(tmp_path, buses=[("chassis", uri)], timeout_ms=60_000.0)
@@ -337,6 +338,7 @@ def opened(folder):
     return [line for line in lines if json.loads(line)["state"] == "open"]
 
 
+@pytest.mark.evidence("Releases: unit")
 @pytest.mark.parametrize("name", ["gateway", "gateway-page"])
 def test_the_unit_is_one_that_systemd_takes_and_calls_hardened(tmp_path, name):
     analyze = program("systemd-analyze", "systemd")

@@ -65,6 +65,7 @@ def kill_9(tmp_path, memory, kills, rng, disk=None):
     return runs
 
 
+@pytest.mark.evidence("Durability: kill -9")
 @pytest.mark.timeout(300 + 30 * KILLS)
 def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path):
     """At random moments after the daemon is up, in a storm of DTCs."""
@@ -77,6 +78,7 @@ def test_kill_9_while_dtcs_arrive_loses_none_that_was_sent_as_confirmed(tmp_path
     assert not any(told.outages for told in runs)
 
 
+@pytest.mark.evidence("Durability: kill -9 full disk")
 @pytest.mark.timeout(300 + 60 * FULL_DISK)
 def test_kill_9_with_a_disk_that_fills_up_loses_nothing_that_was_told_as_stored(tmp_path):
     seed = int(os.environ.get("GATEWAY_SEED", "51"))

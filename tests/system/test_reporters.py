@@ -89,6 +89,7 @@ def started(folder, name, seed, count, pause_s):
     )  # fmt: skip
 
 
+@pytest.mark.evidence("Nothing is silent: reports")
 @pytest.mark.system
 def test_every_report_of_four_processes_is_accounted_for_though_one_is_killed(tmp_path):
     count = amount(10_000, 800) // len(REPORTERS)

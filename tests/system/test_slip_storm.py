@@ -165,6 +165,7 @@ def hang(run, storm):
     return line.split()[1]
 
 
+@pytest.mark.evidence("Durability: monitors that misbehave")
 @pytest.mark.timeout(300 + 30 * KILLS)
 def test_kill_9_beside_monitors_that_misbehave_loses_nothing_that_was_told(tmp_path):
     seed = int(os.environ.get("GATEWAY_SEED", "52"))

@@ -130,6 +130,7 @@ def code(k):
     return Dtc.parse(dtc_text(k)).value
 
 
+@pytest.mark.evidence("ISO 14229-1: 0x19 others")
 def test_udsoncan_reads_every_sub_function_with_more_than_fifty_dtcs(bench, client):
     bench.send(0, struct.pack("<H", 25) + bytes(6))
     bench.fail(*range(COUNT))
@@ -247,6 +248,7 @@ def scanner(bench, tmp_path):
         yield lambda *arguments: scan(target, tmp_path, *arguments)
 
 
+@pytest.mark.evidence("ISO 14229-1: others gallia")
 def test_gallia_finds_exactly_our_services_and_sessions(scanner):
     results, complaints = scanner("services", "--sessions", "1", "3")
     assert complaints == []
@@ -264,6 +266,7 @@ def test_gallia_finds_exactly_our_services_and_sessions(scanner):
     assert re.findall(r"\* Session 0x(\w\w)", "\n".join(results)) == ["01", "03"]
 
 
+@pytest.mark.evidence("ISO 14229-1: others gallia")
 def test_gallia_finds_exactly_our_identifiers(scanner, bench):
     """The ranges that ours lie in; a scan of all 65536 in both sessions takes three minutes."""
     found = set()
@@ -279,6 +282,7 @@ def test_gallia_finds_exactly_our_identifiers(scanner, bench):
     assert found == ours | {0xF186}
 
 
+@pytest.mark.evidence("SAE J1939-73: others")
 def test_can_j1939_receives_our_dm1(bench, client):
     heard = []
     ecu = j1939.ElectronicControlUnit(send_message=lambda *_: None)  # it only listens

@@ -125,6 +125,7 @@ def test_an_interface_that_is_lost_and_back(rig, tools):
     assert bus.feed(condition(10, c.LOST), tools.alpha(11, 0))[-1] == (11, "a.bus_lost", PASSED)
 
 
+@pytest.mark.evidence("Healthy parts: our losses")
 def test_frames_lost_in_a_queue_are_a_fault_of_ours_not_of_the_sender(rig, tools):
     check = {"message": "Alpha", "timeout_ms": 100.0, "counter": {"signal": "Count"}}
     bus = rig(checks=[check])
@@ -232,6 +233,7 @@ HEARS_AGAIN = {
 }
 
 
+@pytest.mark.evidence("Healthy parts: bus-off")
 @pytest.mark.parametrize("how", HEARS_AGAIN)
 def test_what_was_sent_while_the_gateway_was_bus_off_is_missed_by_nobody(how, rig, tools):
     """A healthy sender counts on; its next frame comes when it is due, not at once."""
@@ -259,6 +261,7 @@ LOST = {
 }
 
 
+@pytest.mark.evidence("Healthy parts: our losses")
 @pytest.mark.parametrize("where", LOST)
 def test_frames_that_were_lost_here_are_missed_by_nobody(where, rig, tools):
     """The loss is told with the first frame after it: the deadlines before that lie in what was not heard."""

@@ -26,6 +26,7 @@ def healthy(count, first_counter=0, pt0=100, phase=0.0):
     return [frame(phase + PERIOD * k, first_counter + k, pt0) for k in range(count)]
 
 
+@pytest.mark.evidence("Healthy parts: queue")
 @pytest.mark.parametrize("seed", range(4))
 def test_frames_that_queue_are_no_second_sender(seed):
     """A healthy sender whose frames come up to 40 ms late, and then at once."""
@@ -40,6 +41,7 @@ def test_frames_that_queue_are_no_second_sender(seed):
     assert {"early passed", "second_sender passed"} <= {name for name, _ in seen}
 
 
+@pytest.mark.evidence("Healthy parts: second sender")
 @pytest.mark.parametrize("offset", [1, 3, 100, 254])
 def test_a_second_sender_is_named_and_no_other_check_accuses(offset):
     """Two counts, at an unknown phase: the values of both are used no more, and those before stay."""
