@@ -11,6 +11,8 @@ from uses import missing
 from gateway_fdi.common import log
 from gateway_fdi.jit import BOUNDSCHECK, COMPILED
 
+os.environ["GATEWAY_TRUST"] = "all"  # tests write code and run it; tests/test_trust.py takes this away
+
 
 def pytest_configure(config):
     """Say how many examples hypothesis tries; where its plugin is not loaded (a test kernel), it is not imported."""

@@ -13,7 +13,7 @@ import typer
 from jsonschema import Draft202012Validator
 
 from gateway.cli import app
-from gateway.common.plugins import importable
+from gateway.common.trust import importable
 from gateway.config.schema import schema
 from gateway_bench.vecu.scenario import Scenario
 from gateway_fdi.common.resources import all_shipped, shipped

@@ -438,6 +438,22 @@ def plot_command(
 
 
 @app.command()
+@does("gateway.cli.trust:trust")
+def trust(
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE...", help="Code: .py, .fmu, what a method has learned.")
+    ] = None,
+    system: Annotated[
+        bool, typer.Option("--system", help="For every user of this machine, in /etc/gateway/trusted.")
+    ] = False,
+) -> None:
+    """Let code run that a configuration, a scenario or a model names, as it is now; without a file list what may.
+
+    The modules beside it that it imports are taken, too.
+    """
+
+
+@app.command()
 def check(
     config: ConfigArgument = None,
     schema: Annotated[

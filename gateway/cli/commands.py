@@ -10,9 +10,10 @@ from importlib import import_module
 from typing import Any, ClassVar, get_args
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperGroup, TyperOption
 
 from gateway.common.plugins import Registry
+from gateway.common.trust import trust_all
 from gateway_fdi.errors import InputError
 
 
@@ -29,7 +30,7 @@ OTHERS: Registry[typer.Typer | Callable[..., Any]] = Registry("gateway.commands"
 ORDER = (
     "demo", "run", "serve", "watch", "mqtt", "request", "simulate", "control", "report", "structure", "learn", "import",
     "survey", "calibrate", "fit", "bus", "record", "replay", "decode", "plot", "check", "example", "new-monitor",
-    "warmup", "doctor", "faults", "convert", "fleet", "evaluate",
+    "trust", "warmup", "doctor", "faults", "convert", "fleet", "evaluate",
 )  # fmt: skip
 
 
@@ -42,6 +43,23 @@ def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:
     made = typer.main.get_command(found)
     made.name = name
     return made
+
+
+def _trust_all(_context: Any, _option: Any, wanted: bool) -> None:
+    if wanted:
+        trust_all()
+
+
+def _trusting(command: Any) -> Any:
+    """Give a command the option that takes all code that its files name."""
+    several = command is None or isinstance(command, TyperGroup) or command.name == "trust"
+    if not several and not any("--trust" in option.opts for option in command.params):
+        text = "Run all code that the files name, without asking (gateway trust)."
+        option = TyperOption(
+            param_decls=["--trust"], is_flag=True, default=False, expose_value=False, callback=_trust_all, help=text
+        )
+        command.params.append(option)
+    return command
 
 
 class Commands(TyperGroup):
@@ -77,9 +95,9 @@ class Commands(TyperGroup):
         found = super().get_command(ctx, cmd_name)
         whole = self.words + cmd_name
         if found is not None or ":" in cmd_name or " " in cmd_name or whole not in OTHERS:
-            return found
+            return _trusting(found)
         try:
-            self.commands[cmd_name] = _command(OTHERS[whole], cmd_name)
+            self.commands[cmd_name] = _trusting(_command(OTHERS[whole], cmd_name))
         except InputError as error:
             if "--help" in sys.argv[1:2] or len(sys.argv) == 1:  # the others are listed
                 typer.echo(f"gateway {whole}: {error}", err=True)

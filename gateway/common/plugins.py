@@ -6,15 +6,14 @@ The gateway's own parts come through the same door. To list types imports nothin
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, distribution, entry_points
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Generic, TypeVar
 
+from gateway.common import trust
 from gateway.plugin import API, DOORS, Plugin
 from gateway_fdi.errors import InputError
 
@@ -24,13 +23,6 @@ T = TypeVar("T")
 OURS = "ecu-gateway"
 #: Group of entry points, each a :class:`Plugin`.
 PLUGINS = "gateway.plugins"
-
-
-def importable(folder: Path) -> None:
-    """Let modules that lie in a folder be imported; installed ones come first."""
-    place = str(folder.resolve())
-    if place not in sys.path:
-        sys.path.append(place)
 
 
 def _plugin(place: str) -> Plugin:
@@ -120,7 +112,11 @@ def _load(place: str) -> object:
     module, _, name = place.partition(":")
     try:
         found: object = import_module(module)
+    except InputError:
+        raise
     except (Exception, SystemExit) as error:  # any error of a plug-in while it is imported is one line
+        if (why := trust.lacking(error)) is not None:
+            raise why from error
         told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
         raise InputError(f"{module} cannot be imported: {told}", value=place) from error
     for part in name.split("."):
@@ -158,6 +154,9 @@ class Registry(Mapping[str, T], Generic[T]):
             InputError: it cannot be imported, is not what it should be, or two packages have it.
         """
         if type_ not in self._known:
+            if ":" in type_:  # of a file: it may lie beside that, and not be installed
+                module, _, name = type_.partition(":")
+                trust.require(module, name)
             place = type_ if ":" in type_ else self._place(type_)
             self._known[type_] = self._accept(_load(place), place)
         return self._known[type_]

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from gateway.common.plugins import importable
+from gateway.common.trust import beside
 from gateway.common.uncollected import uncollected
 from gateway.config.cross_check import cross_check
 from gateway.config.model import Config
@@ -158,8 +158,7 @@ def placed(config: Config, path: Path | None, folder: Path | None = None) -> Con
     config = _with_catalogues(config, folder)
     for entry in config.monitor:
         entry.lie_in(folder)
-    if any(":" in entry.type for entry in config.monitor):
-        importable(folder)
+    beside(folder)
     wrong = [error.within(path) for error in cross_check(config)]
     if wrong:
         raise InputErrors(wrong)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import sys
 from importlib import import_module
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from gateway import __version__
 from gateway.common.extras import need
+from gateway.common.trust import verified
 from gateway_arena.contract import Method, Stepped
 from gateway_fdi.errors import InputError, nearest
 
@@ -34,7 +35,7 @@ def method(name: str) -> Method:
         name: of :data:`METHODS`, or ``FILE.py:CLASS``.
 
     Raises:
-        InputError: there is none; the file cannot be loaded, or its class has neither ``step`` nor ``run``.
+        InputError: there is none; its file cannot be loaded, or is not trusted; its class has no ``step`` and no ``run``.
     """
     if name in METHODS:
         module, _, kind = METHODS[name].partition(":")
@@ -72,13 +73,12 @@ def source_of(name: str) -> str:
 def _strangers(path: Path, kind: str) -> Method:
     # By this name what it has learned is pickled, and found again in another process.
     name = f"gateway_method_{source_of(f'{path}:{kind}')[:16]}"
+    code = verified(path)
     try:
         if name not in sys.modules:
-            spec = spec_from_file_location(name, path)
-            assert spec is not None
-            assert spec.loader is not None
-            sys.modules[name] = module = module_from_spec(spec)
-            spec.loader.exec_module(module)
+            sys.modules[name] = module = ModuleType(name)
+            module.__file__ = str(path)
+            exec(compile(code, path, "exec", dont_inherit=True), module.__dict__)
         made: Any = getattr(sys.modules[name], kind)()
     except Exception as error:
         sys.modules.pop(name, None)

@@ -1,7 +1,7 @@
 """A fitted method in a file: a line of JSON that says what it is of, and the method, pickled.
 
-All that the line says is checked before anything is unpickled, which runs code as the method's own file does: who may
-write the one may run code in the gateway, and who may write the other.
+All that the line says is checked before anything is unpickled, which runs code as the method's own file does: both must
+be trusted (:mod:`gateway.common.trust`). ``gateway fit`` trusts what it has written itself.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from gateway.common import trust
 from gateway_arena.contract import Method
 from gateway_arena.methods import method, source_of
 from gateway_arena.monitor.params import Params
@@ -109,6 +110,7 @@ def write(path: Path, p: Params, folder: Path, made: Any, facts: Mapping[str, An
     try:
         part.write_bytes(json.dumps(line).encode() + b"\n" + payload)
         part.replace(path)
+        trust.add([path], trust.user_list())
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", file=path, key="fitted", value=p.fitted) from error
 
@@ -122,7 +124,7 @@ def read(p: Params, folder: Path) -> Kept:
     facts = _facts(p, folder)
     path, again = folder / p.fitted, "gateway fit CONFIG LOG makes it"
     try:
-        head, _, payload = path.read_bytes().partition(b"\n")
+        head, _, payload = trust.verified(path, "what it has learned").partition(b"\n")
     except OSError as error:
         raise InputError(f"{error.strerror}; {again}", file=path, key="fitted", value=p.fitted) from error
     try:

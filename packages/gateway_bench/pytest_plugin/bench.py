@@ -11,7 +11,7 @@ import cantools
 import numpy as np
 
 from gateway.bus.frames import EXTENDED, FD, Frames, empty, put
-from gateway.common.plugins import importable
+from gateway.common.trust import importable
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway_bench.playing import player_of

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from gateway.common.trust import runs_already
 from gateway_bench.pytest_plugin.attached import attach
 from gateway_bench.pytest_plugin.can_log import CanLog
 from gateway_bench.pytest_plugin.fixtures import buses_of, can_log, check_monitor, dtcs, gateway_bench, uds, virtual_ecu
@@ -29,6 +30,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "requirement(id, ...): requirements that a test is for; JUnit properties")
     config.addinivalue_line("markers", "gateway(config=...): configuration of its bench, relative to the test's file")
     buses_of(config)
+    runs_already(config.rootpath)  # by pytest: its tests are code of this folder
     for folder in _folders(config):
         if not folder.is_dir():
             raise pytest.UsageError(f"gateway_scenarios: no such folder: {folder}")

@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import Field, SerializeAsAny, model_validator
 
-from gateway.common.plugins import importable
+from gateway.common.trust import beside
 from gateway.faults.settings import DtcText
 from gateway_bench.vecu.contract import EcuFault, EcuParams, VirtualEcu
 from gateway_bench.vecu.message_faults import KINDS, MessageFault
@@ -209,7 +209,7 @@ def load_scenario(path: Path) -> Scenario:
     Raises:
         InputError, InputErrors: the file cannot be read, or a key is wrong.
     """
-    importable(path.parent)
+    beside(path.parent)
     try:
         return located(load(path, Scenario), path.parent)
     except InputErrors as errors:

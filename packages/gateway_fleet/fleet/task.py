@@ -16,7 +16,6 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents
 from gateway.bus.ring import Recorded
 from gateway.common.jsonlines import line
+from gateway.common.trust import file_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.faults.cases import named
@@ -133,9 +133,9 @@ def _files_of_monitors(config: Config) -> Iterator[Path]:
             if len(value) < _LONGEST_NAME and "\0" not in value and path.is_file():
                 yield path
         module, colon, _ = entry.type.partition(":")
-        found = find_spec(module) if colon else None
-        if found is not None and found.origin is not None and Path(found.origin).is_file():
-            yield Path(found.origin)
+        found = file_of(module) if colon else None
+        if found is not None:
+            yield found
 
 
 def judge(task: Task) -> list[Outcome]:

@@ -17,6 +17,7 @@ from fmpy import read_model_description
 from fmpy.simulation import instantiate_fmu
 
 from gateway.common.archives import refuse_large_xml, unpack
+from gateway.common.trust import verified
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.tomlfile import key_path
 from gateway_fdi.errors import InputError, named
@@ -99,6 +100,7 @@ class FmuModel:
         """
         value = str(self._file)
         try:
+            verified(self._file, "its machine code")
             unpack(self._file, self._folder)
             description = self._folder / "modelDescription.xml"
             if not description.is_file():

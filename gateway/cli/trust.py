@@ -1,0 +1,26 @@
+"""``gateway trust``: let code run that lies beside configurations, scenarios and models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from gateway.common.trust import SYSTEM, add, entries, reachable, user_list
+from gateway_fdi.errors import InputError
+
+
+def trust(files: Sequence[Path], *, system: bool) -> int:
+    """Trust files of code as they are now, and the modules beside them that they import; returns the exit code."""
+    into = SYSTEM if system else user_list()
+    if not files:
+        for name, path in entries(into).items():
+            print(f"{name}  {path}")
+        return 0
+    for file in files:
+        if file.suffix == ".toml":
+            raise InputError("trust is for code, not for what names it: gateway check says which file it is", file=file)
+    chosen = dict.fromkeys(one for file in files for one in reachable(file))
+    for name, path in add(chosen, into):
+        print(f"trusted: {path} ({name[:12]})")
+    print(f"in {into}: asked again when a file changes")
+    return 0
