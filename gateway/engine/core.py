@@ -16,6 +16,7 @@ from gateway.engine.checks.communication import PROVEN, RULE, SAMPLES
 from gateway.engine.checks.runs import tell_all_runs
 from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset_all
 from gateway.engine.events import Events
+from gateway.engine.gate import LEFT
 from gateway.engine.instances import FaultSlot
 from gateway.engine.tables import NEVER, Tables
 from gateway.engine.timers import note_all
@@ -380,6 +381,13 @@ class Engine:
         self.tables.cycles[:] = 0
         self.tables.clock["gate_changes"] += 1
         self.tables.watches["lowest"] = np.inf
+
+    def leave_open(self, cycles: Iterable[int]) -> None:
+        """Take operation cycles to be left open by a process that is gone: their signals will say whether they go on.
+
+        Until then no test result of theirs counts: the vehicle may stand since.
+        """
+        self.tables.cycles[list(cycles)] = LEFT
 
     def counters(self) -> dict[str, int]:
         """Return the loop's counters by name (frames, decoded, unknown, too_short, ...)."""

@@ -20,6 +20,9 @@ from gateway.monitors.contract import FAILED
 from gateway.signals.tables import DecodePlan, SignalRef
 from gateway_fdi.jit import Record, f8, i4, kernel, means, u1
 
+#: States of an operation cycle that signals begin and end. LEFT: a process that is gone left it open, and neither signal
+#: has come yet that says whether it goes on.
+OVER, OPEN, LEFT = range(3)
 #: How a condition counts: NOW: its message must be there; AWAKE, SUPPLIED: by the last value that came, none is met; of
 #: those that say AWAKE one must be met, of all others each.
 NOW, AWAKE, SUPPLIED = range(3)
@@ -47,7 +50,7 @@ class WatchPlace(Record):
 class WatchConst(Record):
     """When: the slot is in the closed range, and has risen by ``rise`` above its lowest value since it last was so."""
 
-    begins: u1 = means("1: the operation cycle begins; 0: it ends")
+    begins: u1 = means("state of the operation cycle after it: OPEN or OVER")
     low: f8 = means("least value")
     high: f8 = means("greatest value")
     rise: f8 = means("what it has to rise by")
@@ -142,7 +145,7 @@ def closed(T: Any, t_ns: int, d: Any) -> bool:
     """
     if T.clock[0].held == 1:
         return True
-    if d.cycle >= 0 and T.cycles[d.cycle] == 0:
+    if d.cycle >= 0 and T.cycles[d.cycle] != OPEN:
         return True
     powered = True
     for k in range(d.first_condition, d.first_condition + d.conditions):

@@ -56,7 +56,7 @@ from gateway.engine.events import (
     TOO_MANY,
     TOO_SOON,
 )
-from gateway.engine.gate import closed, is_valid
+from gateway.engine.gate import LEFT, OPEN, closed, is_valid
 from gateway.engine.results import announce, is_new, not_tested, push, report_result, report_verdict, store_evidence
 from gateway.engine.samples import collect, wake_at_tick
 from gateway.engine.tables import NEVER
@@ -285,16 +285,18 @@ def run_timers(T: Any, t_ns: int) -> None:
 
 @kernel
 def watch(T: Any, t_ns: int, w: Any) -> None:
-    """Begin or end an operation cycle by the value of a signal."""
+    """Begin or end an operation cycle by the value of a signal; one that was left open goes on, or is over."""
     value = T.mailbox[w.slot]
     w.lowest = min(w.lowest, value)
-    is_open = T.cycles[w.cycle]
-    if is_open == w.begins or not w.low <= value <= w.high or value - w.lowest < w.rise:
+    state = T.cycles[w.cycle]
+    if state == w.begins or not w.low <= value <= w.high:
+        return
+    if value - w.lowest < w.rise and state != LEFT:  # it rose before
         return
     T.cycles[w.cycle] = w.begins
     T.clock[0].gate_changes += 1
     w.lowest = value
-    kind = CYCLE_BEGAN if w.begins == 1 else CYCLE_ENDED
+    kind = CYCLE_BEGAN if w.begins == OPEN else CYCLE_ENDED
     announce(T, t_ns, kind, w.cycle, w.bus, value, w.low)
 
 

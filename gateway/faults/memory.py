@@ -62,6 +62,7 @@ class FaultMemory(Readable):
         ahead: whether others see what is not written yet.
 
     Attributes:
+        cycles: operation cycles.
         performance: how often monitors have run.
         usage: how far and how long the vehicle was driven.
         recovered: verdicts that an earlier process told, and did not come to write.
@@ -87,10 +88,10 @@ class FaultMemory(Readable):
         self._define()
         self.identifiers = self._held.identifiers
         self._entries = EventMemory(self._held, self._definitions, catalogue, size)
-        self._cycles = OperationCycles(self._held, self._definitions, self._entries, self.fold_statistics)
+        self.cycles = OperationCycles(self._held, self._definitions, self._entries, self.fold_statistics)
         asked = usage or UsageParams()
         self.usage = Usage(self._held, distances=bool(asked.speed or asked.odometer), times=bool(asked.running))
-        self.performance = Performance(self._held, self._cycles, catalogue, asked.counted_cycle)
+        self.performance = Performance(self._held, self.cycles, catalogue, asked.counted_cycle)
         self._clearing = Clearing(
             self._held, self._definitions, catalogue, self._entries, self.fold_statistics, self.usage
         )
@@ -115,6 +116,7 @@ class FaultMemory(Readable):
         """Go on with what another memory of the same store knows, written or not."""
         self._held.succeed(old._held)
         self._entries.succeed(old._entries)
+        self.cycles.succeed(old.cycles)
         self.usage.succeed(old.usage)
         self._now_ns = old._now_ns
         self._define()
@@ -122,22 +124,19 @@ class FaultMemory(Readable):
     # Operation cycles
 
     def start_cycle(self, t_ns: int, name: str = POWER) -> None:
-        """Start an operation cycle at a time of the wall clock; one that was never ended (kill -9) is ended first.
-
-        The start of the power cycle ends whatever the last process left open.
-        """
-        self._cycles.start(t_ns, name)
-        self.performance.began(name)
+        """Start an operation cycle at a time of the wall clock (see :meth:`OperationCycles.start`)."""
+        if self.cycles.start(t_ns, name):
+            self.performance.began(name)
         self.commit()
 
     def end_cycle(self, t_ns: int, name: str = POWER) -> None:
         """End an operation cycle; the end of the power cycle ends all of them."""
-        self._cycles.end(t_ns, name)
+        self.cycles.end(t_ns, name)
         self.commit()
 
     def cycle_number(self, name: str = POWER) -> int:
         """Return the number of an operation cycle, from 1; 0 before the first."""
-        return self._cycles.number(name)
+        return self.cycles.number(name)
 
     # Verdicts
 
@@ -161,7 +160,7 @@ class FaultMemory(Readable):
 
     def _apply(self, definition: FaultDefinition, event: Event, snapshot: Snapshot) -> list[DtcChange]:
         kind = event.kind
-        if not self._cycles.counts(definition.cycle):
+        if not self.cycles.counts(definition.cycle):
             return []
         record = self._records[definition.id]
         old = STATUS[record.status]
@@ -183,7 +182,7 @@ class FaultMemory(Readable):
         It holds until :meth:`take_touched` names the fault.
         """
         definition = self._definitions[fault]
-        if not self._cycles.counts(definition.cycle):
+        if not self.cycles.counts(definition.cycle):
             return Foreseen()
         return self._entries.foresee(definition, self._records[fault])
 
@@ -231,8 +230,8 @@ class FaultMemory(Readable):
         statuses = [record.status for record in records]
         if any(map(_TEST_FAILED.__and__, statuses)):
             return False
-        if not all(map(self._cycles.counts, set(map(self._cycle_of.__getitem__, places)))):
-            counting = [self._cycles.counts(self._cycle_of[place]) for place in places]
+        if not all(map(self.cycles.counts, set(map(self._cycle_of.__getitem__, places)))):
+            counting = [self.cycles.counts(self._cycle_of[place]) for place in places]
             records, statuses = [*compress(records, counting)], [*compress(statuses, counting)]
         self._held.complete(records, statuses)
         if self.performance.offered or self._entries.waits:
@@ -304,7 +303,7 @@ class FaultMemory(Readable):
             the status bytes that changed. They are durable after :meth:`commit`.
         """
         changes = []
-        for definition, record, old in self._entries.admit_refused(self._cycles.counts):
+        for definition, record, old in self._entries.admit_refused(self.cycles.counts):
             changes += self._changed(definition, record, old, 127, t_ns)
         return changes
 

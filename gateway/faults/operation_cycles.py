@@ -1,4 +1,9 @@
-"""Operation cycles (AUTOSAR DEM): effects of their begin and end on status bytes - confirmation, healing, aging."""
+"""Operation cycles (AUTOSAR DEM): effects of their begin and end on status bytes - confirmation, healing, aging.
+
+The state of each cycle is stored (DemOperationCycleStatusStorage). A process that dies ends none of them: what it left
+open goes on in the next one, with the same number and the same status bytes, until an end in order. So a death counts
+for nothing, however often it happens.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +37,32 @@ class OperationCycles:
     ) -> None:
         self._held, self._definitions, self._entries = held, definitions, entries
         self._before_end = before_end
+        self._left_open = {name for name, cycle in held.cycles.items() if cycle.open}
 
-    def start(self, t_ns: int, name: str) -> None:
-        """Start a cycle; one that was never ended (kill -9) is ended first.
+    def succeed(self, old: OperationCycles) -> None:
+        """Go on with what another one of the same process knows."""
+        self._left_open = old._left_open
 
-        The start of the power cycle ends whatever the last process left open.
+    def is_left_open(self, name: str) -> bool:
+        """Return whether a process that is gone left a cycle open, and it neither went on nor ended since."""
+        return name in self._left_open
+
+    def go_on(self, name: str) -> bool:
+        """Go on with a cycle that a process left open which is gone; returns whether there is such a one."""
+        left = self.is_left_open(name)
+        self._left_open.discard(name)
+        return left
+
+    def start(self, t_ns: int, name: str) -> bool:
+        """Start a cycle; one that is open is ended first (Dem_RestartOperationCycle).
+
+        But the power cycle that a process left open which is gone goes on.
+
+        Returns:
+            whether a new cycle began.
         """
+        if name == POWER and self.go_on(name):
+            return False
         self.end(t_ns, name)
         for record in self._held.records.values():
             if self._definitions[record.id].cycle == name:
@@ -45,6 +70,7 @@ class OperationCycles:
                 self._held.touch(record.id)
                 self._entries.test_anew(record.id)
         self._held.note_cycle(name, Cycle(self.number(name) + 1, True, t_ns))
+        return True
 
     def end(self, t_ns: int, name: str) -> None:
         """End a cycle, if it is open; the end of the power cycle ends all of them."""
@@ -55,6 +81,7 @@ class OperationCycles:
 
     def _end(self, t_ns: int, name: str) -> None:
         self._before_end()
+        self._left_open.discard(name)
         for record in self._held.records.values():
             definition = self._definitions[record.id]
             if definition.aging_cycle == name and record.occurrence:

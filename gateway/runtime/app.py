@@ -58,6 +58,7 @@ class Gateway(Passage):
         self.memory.note_descriptions()
         self._proofs.recall()
         self.controls.start_cycle(t_ns)
+        self.engine.leave_open(k for k, name in enumerate(self.parts.cycles) if self.memory.cycles.is_left_open(name))
         self._keep_off()
         self._explainer.begin(t_ns)
 

@@ -215,11 +215,20 @@ class Controls:
         self._memory.end_cycle(self._engine.wall_ns(now))
         self.start_cycle(now)
 
-    def begin(self, cycle: str, t_ns: int) -> None:
-        """Begin an operation cycle that signals define, at a time for people; its faults are tested again."""
+    def begin(self, cycle: str, t_ns: int) -> bool:
+        """Begin an operation cycle that signals define, at a time for people; its faults are tested again.
+
+        One that a process left open which is gone, and whose end was not seen since, goes on instead.
+
+        Returns:
+            whether a new one began.
+        """
+        if self._memory.cycles.go_on(cycle):
+            return False
         self._memory.start_cycle(t_ns, cycle)
         mine = [d.id for d in self._memory.catalogue if d.cycle == cycle]
         self._engine.reset_debounce(self._index[fault] for fault in mine)
+        return True
 
     def end(self, cycle: str, t_ns: int) -> None:
         """End an operation cycle that signals define, at a time for people."""

@@ -56,14 +56,14 @@ def dtc_event(change: DtcChange, bus: str) -> dict[str, Any]:
     }
 
 
-def cycle_event(t_ns: int, bus: str, name: str, *, began: bool, number: int) -> dict[str, Any]:
-    """Tell that an operation cycle began or ended."""
+def cycle_event(t_ns: int, bus: str, name: str, state: str, number: int) -> dict[str, Any]:
+    """Tell that an operation cycle "began", "ended", or "goes on" after the death of a process."""
     return {
         "event": "cycle",
         "t_ns": t_ns,
         "bus": bus,
         "cycle": name,
-        "state": "began" if began else "ended",
+        "state": state,
         "number": number,
     }
 

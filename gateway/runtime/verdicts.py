@@ -149,11 +149,12 @@ class Verdicts:
     def _on_cycle(self, event: Event, *, began: bool) -> None:
         name, t_ns = self._parts.cycles[event.fault], event.t_ns
         if began:
-            self._controls.begin(name, t_ns)
+            state = "began" if self._controls.begin(name, t_ns) else "goes on"
         else:
             self._controls.end(name, t_ns)
+            state = "ended"
         bus, number = self._buses[event.bus], self._memory.cycle_number(name)
-        self._outbox.note(cycle_event(t_ns, bus, name, began=began, number=number))
+        self._outbox.note(cycle_event(t_ns, bus, name, state, number))
 
     def _on_step(self, event: Event) -> None:
         self._outbox.note(clock_event(event.t_ns, event.value))

@@ -114,6 +114,7 @@ class MemoryAgainstModel(RuleBasedStateMachine):
     def open(self):
         self.store = Store(self.path)
         self.memory = FaultMemory(self.catalogue, self.store)
+        self.left_open = True  # by the process before, if there was one
 
     def teardown(self):
         self.store.close()
@@ -160,9 +161,11 @@ class MemoryAgainstModel(RuleBasedStateMachine):
 
     @rule()
     def start(self):
-        self.end_running("driving", "power")  # as after kill -9: what is open is ended first
         self.memory.start_cycle(self.t_ns)
-        self.tell("start", "power")
+        if not (self.left_open and self.running["power"]):  # else it goes on: a death ends nothing
+            self.end_running("driving", "power")
+            self.tell("start", "power")
+        self.left_open = False
         self.begun = True
         self.committed()
 

@@ -32,5 +32,5 @@ def fill(path, count=3):
         memory.apply(event(k, True, k + 1), frame({"x": float(k)}))
     memory.add_recordings([Recording(f"m.f{k}", k, 1, 0, b"log") for k in range(count)])
     memory.write_identifier(0xF190, b"VIN")
-    memory.commit()
+    memory.end_cycle(count + 1)
     store.close()
