@@ -86,14 +86,22 @@ def note(lock: int, place: int, link: LastLink) -> None:
         os.write(lock, packed(link))
 
 
-def expect(lock: int, folder: Path, place: int, generation: int) -> None:
-    """Note, on the disk, the generation of a file that is about to be begun: it is none that was put there."""
-    note(lock, place, LastLink(generation, 0, bytes(32)))
-    for file in (os.dup(lock), os.open(folder, os.O_RDONLY | RAW) if hasattr(os, "O_DIRECTORY") else None):
-        if file is not None:
-            with suppress(OSError):
-                os.fsync(file)
-            os.close(file)
+def sync(lock: int, folder: Path) -> None:
+    """Have the lock's file, and its name in the folder, on the disk."""
+    with suppress(OSError):
+        os.fsync(lock)
+        if hasattr(os, "O_DIRECTORY"):
+            names = os.open(folder, os.O_RDONLY | RAW)
+            try:
+                os.fsync(names)
+            finally:
+                os.close(names)
+
+
+def is_unfinished(path: Path) -> bool:
+    """Return whether a fault memory was expected here that was never there: its first write was cut off."""
+    links = noted(path)
+    return bool(links) and not any(link.number for link in links)
 
 
 def noted(path: Path) -> list[LastLink]:

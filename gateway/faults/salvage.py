@@ -25,7 +25,7 @@ from gateway.faults.vehicle import EcuDtc
 T = TypeVar("T")
 
 #: Files of SQLite beside the database.
-SUFFIXES = ("", "-wal", "-shm")
+SUFFIXES = ("", "-wal", "-shm", "-journal")
 #: Rows of a damaged table that are asked for one by one.
 MOST_ROWS = 20_000
 #: Kept in memory by the kernel, so that a full disk does not matter.

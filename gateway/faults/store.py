@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import sqlite3
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -23,9 +24,13 @@ from gateway.faults.interventions import Intervention
 from gateway.faults.journal_file import LastVerdict
 from gateway.faults.lock import is_kept, is_marked, take_lock
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
+from gateway.faults.salvage import put_aside
 from gateway.faults.schema import APPLICATION_ID, CHAINED, MAGIC, MIGRATIONS
 from gateway.faults.vehicle import EcuDtc
+from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError, InputError
+
+log = get_logger(__name__)
 
 #: Another process that writes (a request to clear) is waited for this long [s].
 PATIENCE_S = 1.0
@@ -43,6 +48,10 @@ class OutdatedError(InputError):
 
 class DamagedError(InputError):
     """The file was a fault memory, and is damaged."""
+
+
+class StrangeError(InputError):
+    """The file is none of SQLite's."""
 
 
 class OlderError(DamagedError):
@@ -113,7 +122,7 @@ class Store:
         self._reader: sqlite3.Connection | None = None  # None: the one that writes reads, too
         self.generation = 0
         self._head = self._next = chain.NO_HEAD  # the last link on the disk, and within a transaction
-        self._notes = 0  # of last links
+        self._notes = self._expected = 0  # notes of last links; generation of a file that is begun
         self._logged = write_ahead.MANY  # pages of the log since it was tended, as estimated: a new one is due
         self._unwritten = Changes()  # of a store without a file: rows are made of them when they are read
         self._kept: dict[str, Record] = {}  # likewise, by id
@@ -122,7 +131,17 @@ class Store:
         self._connect()
 
     def _connect(self) -> None:
-        """Open the file, and become its writer if that is asked for."""
+        """Open the file, and become its writer if that is asked for; one that was never finished is begun anew."""
+        try:
+            self._connect_once()
+        except (DamagedError, StrangeError):
+            if self.path is None or not self._write or not lock.is_unfinished(self.path):
+                raise
+            aside = put_aside(self.path, "unfinished")
+            log.warning("fault memory begun anew, whose first write was cut off", file=str(self.path), aside=str(aside))
+            self._connect_once()
+
+    def _connect_once(self) -> None:
         path = self.path
         if path is not None and not self._write and not path.exists():
             raise InputError("there is no fault memory here", file=path)
@@ -132,11 +151,7 @@ class Store:
             _refuse_foreign(path)
         try:
             if path is not None and self._write:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                if self._lock is None:
-                    self._lock = take_lock(path)
-                self._was_kept = path.exists() and is_marked(path)
-                self._known = last_links(path)
+                self._become_writer(path)
             self._close_reader()
             self._db = self._connection(":memory:" if path is None else path)
         except (sqlite3.Error, OSError) as error:
@@ -157,6 +172,20 @@ class Store:
         except InputError:
             self.close()
             raise
+
+    def _become_writer(self, path: Path) -> None:
+        """Take the lock, and read what the files beside know; say beside a new file what it is going to be."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if self._lock is None:
+            self._lock = take_lock(path)
+        self._was_kept = path.exists() and is_marked(path)
+        self._known = last_links(path)
+        self._notes = self._expected = 0
+        if not path.exists() or not path.stat().st_size:
+            self._expected = secrets.randbits(62) | 1
+            lock.note(self._lock, self._notes, rollback.LastLink(self._expected, 0, bytes(32)))
+            lock.sync(self._lock, path.resolve().parent)
+            self._notes += 1
 
     def _connection(self, place: Path | str, **options: bool) -> sqlite3.Connection:
         return self._open_database(
@@ -212,6 +241,8 @@ class Store:
         self._db.execute("DELETE FROM request")
         self.generation, self._head = rollback.generation_of(self._db), chain.head(self._db)
         self._note_head()
+        if self._expected and self._lock is not None and self.path is not None:
+            lock.sync(self._lock, self.path.resolve().parent)  # it is a memory from now on
 
     def _refuse_older(self, version: int) -> None:
         """Refuse a file that went back; else find the verdicts that wait for it.
@@ -234,10 +265,8 @@ class Store:
         )
         if version < CHAINED:
             chain.begin(self._db)
-        if self._lock is not None and self.path is not None:
-            self._notes = int(bool(self._known) and self._known[0].number > self._known[-1].number)
-            lock.expect(self._lock, self.path.resolve().parent, self._notes, rollback.generation_of(self._db))
-            self._notes += 1
+        if self._expected:
+            self._db.execute("UPDATE generation SET id = ?", (self._expected,))
         self._db.execute("COMMIT")
 
     def _note_head(self) -> None:
@@ -579,4 +608,4 @@ def _refuse_foreign(path: Path) -> None:
     if head and head != MAGIC:
         if is_marked(path):  # nothing else was ever kept under this name
             raise damage(path, "it is no SQLite file any more")
-        raise InputError("not usable as a fault memory: it is no SQLite file", file=path)
+        raise StrangeError("not usable as a fault memory: it is no SQLite file", file=path)
