@@ -106,9 +106,12 @@ class Session:
 
     def close(self) -> Run:
         """End the operation cycle, and the session; returns what came of it. It may be called again."""
+        return self._end(complete=True)
+
+    def _end(self, *, complete: bool) -> Run:
         if self._run is None:
             try:
-                self._cycle.end(self._observed.gateway.engine.now_ns)
+                self._cycle.end(self._observed.gateway.engine.now_ns, complete=complete)
                 self._run = self._observed.run(self._cycle.count)
             finally:
                 self._observed.close()

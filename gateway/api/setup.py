@@ -213,7 +213,7 @@ class Setup:
             session.notes += found.notes
             if found.wrong:
                 raise InputErrors(found.wrong)
-            return session.close()
+            return session._end(complete=recorded.whole)
 
     def frames(
         self, t_s: ArrayLike, signals: Mapping[str, Mapping[str, ArrayLike]], *, bus: str | None = None

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, cast
 
 from gateway import __version__
+from gateway.cli.faults import restarts_in_words
 from gateway.cli.present import find_config, print_json
 from gateway.cli.version import version as version_text
 from gateway.common.extras import EXTRAS, PURPOSES, installed, missing
@@ -113,6 +114,8 @@ def _tell_daemon(daemon: dict[str, Any] | None) -> None:
     print(f"gateway of {daemon['memory']}: {'running' if daemon['running'] else 'not running'}")
     if not daemon["stored"]:
         print("  it cannot write its fault memory: free the disk, or see its log for the reason")
+    if text := restarts_in_words(daemon["restarts"]):
+        print(f"  {text}")
     for bus in daemon["buses"]:
         print(f"  {bus['bus']} ({bus['uri']}): {bus['state']}, {bus['received']} received, {bus['sent']} sent")
         if bus["overflow"]:

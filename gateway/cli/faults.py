@@ -40,6 +40,16 @@ def _second(t_ns: int | None) -> str:
     return _time(t_ns)[:19] if t_ns is not None and t_ns >= 10**17 else _time(t_ns)
 
 
+def restarts_in_words(restarts: Mapping[str, Any]) -> str:
+    """Return in a line how often a gateway died; "": never."""
+    if not restarts["count"]:
+        return ""
+    row = f", {restarts['in_a_row']} in a row" if restarts["in_a_row"] else ""
+    return (
+        f"restarts after a death: {restarts['count']}{row}; the last {_second(restarts['t_ns'])}: {restarts['reason']}"
+    )
+
+
 def _say_if_behind(path: Path) -> None:
     if is_unsaved(path):
         say(
@@ -72,6 +82,8 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool, ecu: st
         console.print(_entries(case.entries, wide=wide, below=bool(case.text), folds=case.proven))
     if service.overflowed(path):
         print("the memory was full: entries of less important faults gave way")
+    if (restarts := service.restarts(path)).get("in_a_row"):
+        print(restarts_in_words(restarts))
     return 0
 
 

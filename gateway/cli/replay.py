@@ -193,4 +193,4 @@ def _feed(gateway: FrameConsumer, log: Log, printer: EventPrinter, name: str, tr
                 else:  # one by one, for a look at each
                     yield from single(frames)
 
-        feed(gateway, stamped(), progress=show)
+        feed(gateway, stamped(), progress=show, whole=lambda: log.whole)

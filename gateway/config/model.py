@@ -112,8 +112,8 @@ class MemoryConfig(StrictModel):
     )
     watched: bool = Field(
         True,
-        description="false: no DTC when it cannot be written, or was damaged; log, events and counters"
-        " tell it in any case",
+        description="false: no DTC when it cannot be written, was damaged, or the gateway died repeatedly; log, events"
+        " and counters tell it in any case",
     )
     tell: Literal["stored", "first"] = Field(
         "stored",

@@ -20,7 +20,7 @@ from gateway.monitors.contract import FAILED
 from gateway.signals.tables import DecodePlan, SignalRef
 from gateway_fdi.jit import Record, f8, i4, kernel, means, u1
 
-#: States of an operation cycle that signals begin and end. LEFT: a process that is gone left it open, and neither signal
+#: States of an operation cycle that signals begin and end. LEFT: a process that died left it open, and neither signal
 #: has come yet that says whether it goes on.
 OVER, OPEN, LEFT = range(3)
 #: How a condition counts: NOW: its message must be there; AWAKE, SUPPLIED: by the last value that came, none is met; of

@@ -33,6 +33,7 @@ from gateway.faults.performance import Performance
 from gateway.faults.reading import Readable
 from gateway.faults.records import Description, FreezeFrame, Record, Recording
 from gateway.faults.recovery import Recovered, event_of, unseen
+from gateway.faults.restarts import Restarts
 from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, STATUS, Status
 from gateway.faults.store import Store, StoreError
@@ -63,6 +64,7 @@ class FaultMemory(Readable):
 
     Attributes:
         cycles: operation cycles.
+        restarts: starts after the death of a process.
         performance: how often monitors have run.
         usage: how far and how long the vehicle was driven.
         recovered: verdicts that an earlier process told, and did not come to write.
@@ -89,6 +91,7 @@ class FaultMemory(Readable):
         self.identifiers = self._held.identifiers
         self._entries = EventMemory(self._held, self._definitions, catalogue, size)
         self.cycles = OperationCycles(self._held, self._definitions, self._entries, self.fold_statistics)
+        self.restarts = Restarts(self._held, self.cycles)
         asked = usage or UsageParams()
         self.usage = Usage(self._held, distances=bool(asked.speed or asked.odometer), times=bool(asked.running))
         self.performance = Performance(self._held, self.cycles, catalogue, asked.counted_cycle)
@@ -117,6 +120,7 @@ class FaultMemory(Readable):
         self._held.succeed(old._held)
         self._entries.succeed(old._entries)
         self.cycles.succeed(old.cycles)
+        self.restarts.succeed(old.restarts)
         self.usage.succeed(old.usage)
         self._now_ns = old._now_ns
         self._define()

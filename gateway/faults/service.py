@@ -20,6 +20,7 @@ from gateway.faults.lock import InUseError, is_kept, is_unsaved
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Record, Recording
 from gateway.faults.remedy import severity_names
+from gateway.faults.restarts import last_restart
 from gateway.faults.status import Status
 from gateway.faults.store import OutdatedError, Store, last_links
 from gateway.faults.vehicle import EcuDtc
@@ -133,9 +134,26 @@ def daemon_state(path: Path) -> dict[str, Any]:
             "running": running,
             "stored": not is_unsaved(path),
             "buses": store.buses(),
+            "restarts": restarts_in(store),
         }
     finally:
         store.close()
+
+
+def restarts_in(store: Store) -> dict[str, Any]:
+    """Return the restarts of an open fault memory (see :func:`restarts`)."""
+    found = last_restart(store.facts())
+    return {"count": 0} if found is None else found._asdict()
+
+
+def restarts(path: Path) -> dict[str, Any]:
+    """Return how many starts found that the last gateway was not stopped but died; of these the last one.
+
+    Raises:
+        InputError: there is no fault memory at this path.
+    """
+    with closing(open_reader(path)) as store:
+        return restarts_in(store)
 
 
 def overflowed(path: Path) -> bool:

@@ -80,6 +80,20 @@ def read_at(file: int, count: int, start: int) -> bytes:
     return os.read(file, count)
 
 
+def boot() -> str:
+    """Return what names the boot of this machine; "" where the system does not tell.
+
+    A service that does not see /proc/sys is told by its unit (``Environment=BOOT_ID=%b``).
+    """
+    if told := os.environ.get("BOOT_ID", ""):
+        return told.replace("-", "")
+    try:
+        with open("/proc/sys/kernel/random/boot_id") as file:  # noqa: PTH123 - pathlib takes long to load
+            return file.read().strip().replace("-", "")
+    except OSError:
+        return ""
+
+
 def processors() -> int:
     """Return how many processors this process may use."""
     if hasattr(os, "sched_getaffinity"):

@@ -10,6 +10,7 @@ from gateway.bus.ring import Ring
 from gateway.config.load import load_config
 from gateway.config.model import Config, StatusConfig
 from gateway.faults.kept import KeptStore
+from gateway.faults.restarts import WELL_S, Restart
 from gateway.live.doip_door import DoipDoor
 from gateway.live.doors import Doors, TableDoor
 from gateway.live.link import Link
@@ -30,6 +31,8 @@ log = get_logger(__name__)
 
 #: A reload that has taken this time may take longer than a tester waits (P2, 50 ms): it gets 0x78 (wait) [s].
 SOON_S = 0.0125
+#: While it waits after restarts: how often it looks whether it is to end, and what the rest of a start may take [s].
+LEAVING_S, START_S = 0.05, 60.0
 
 
 class Daemon:
@@ -76,6 +79,7 @@ class Daemon:
         self._doors = Doors()
         self._asked: dict[str, TableDoor] = {}
         self._notifier = notifier or Notifier({})
+        self._leaving = asked
         self._watchdog = Watchdog(lambda: self.gateway.engine, lambda: self.gateway.store.path, asked=asked)
         config = self._load()
         self._machine = machine or Machine()
@@ -94,6 +98,7 @@ class Daemon:
         self.gateway = gateway
         links: list[Link] = []
         try:
+            self._wait_after(gateway.note_restart(self._clock.wall(), self._machine.boot()))
             self._ring = self._new_ring(config)
             for index, entry in enumerate(config.bus):
                 links.append(self._new_link(entry.uri, index, entry.name))
@@ -121,6 +126,20 @@ class Daemon:
                 link.close()
             gateway.close()
             raise
+
+    def _wait_after(self, restart: Restart | None) -> None:
+        """Open nothing for a while if the gateway has died again and again; being asked to end ends it."""
+        machine = self._machine
+        self._well_s = machine.monotonic() + WELL_S
+        if restart is None or not restart.wait_s:
+            return
+        text = f"{restart.in_a_row} restarts in a row without a stop: buses are opened in {restart.wait_s:.0f} s"
+        log.warning(text, reason=restart.reason)
+        self._notifier.waiting(text, restart.wait_s + START_S)
+        end_s = machine.monotonic() + restart.wait_s
+        while (left_s := end_s - machine.monotonic()) > 0 and not self._leaving():
+            machine.sleep(min(left_s, LEAVING_S))
+        self._well_s = machine.monotonic() + WELL_S
 
     def _tell(self, event: dict[str, Any]) -> None:
         self._listener(event)
@@ -240,6 +259,9 @@ class Daemon:
 
     def _on_turn(self) -> None:
         self._notifier.alive()
+        if self._machine.monotonic() >= self._well_s:
+            self._well_s += WELL_S
+            self.gateway.memory.restarts.went_well()
         if self.reloader.begin():
             self._notifier.reloading()
         if not self.reloader.ready:

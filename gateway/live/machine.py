@@ -13,6 +13,7 @@ from gateway.bus.base import Bus
 from gateway.bus.uri import open_bus
 from gateway.faults.beside import Writer
 from gateway.faults.store import Connect
+from gateway.host.process import boot
 from gateway.live.clock import Clock
 from gateway.live.loop import TICK_S, collect_and_freeze
 from gateway.runtime.upkeep import PATIENCE_S, begin_writer
@@ -47,6 +48,8 @@ class Machine:
     Attributes:
         clock: the engine's.
         monotonic: for waits and for periodic work [s].
+        sleep: waits for a time [s].
+        boot: names the machine's boot; "": not known.
         open_bus: opens a bus: URI and index.
         begin_thread: begins a thread: its work and its name.
         begin_writer: begins the thread that writes the fault memory; None: the loop's own writes it.
@@ -59,6 +62,8 @@ class Machine:
 
     clock: Clock = field(default_factory=Clock)
     monotonic: Callable[[], float] = time.monotonic
+    sleep: Callable[[float], None] = time.sleep
+    boot: Callable[[], str] = boot
     open_bus: Callable[[str, int], Bus] = open_at_once
     begin_thread: Callable[[Callable[[], None], str], Thread] = begin_thread
     begin_writer: Callable[[], Writer] | None = begin_writer

@@ -37,9 +37,9 @@ class Notifier:
         """Say that the service ends."""
         self._send("STOPPING=1")
 
-    def status(self, text: str) -> None:
-        """Say in one line how the service does."""
-        self._send(f"STATUS={text}")
+    def waiting(self, status: str, seconds: float) -> None:
+        """Say that the start takes so many seconds more [s], and why."""
+        self._send(f"EXTEND_TIMEOUT_USEC={round(seconds * 1e6)}\nSTATUS={status}")
 
     def alive(self) -> None:
         """Say that the loop turns; to be called often, it tells when it is time."""

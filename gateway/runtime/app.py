@@ -19,6 +19,7 @@ from gateway.faults.hung import hung_beside
 from gateway.faults.interventions import Intervention
 from gateway.faults.journal import NO_JOURNAL
 from gateway.faults.journal_steps import Journalled
+from gateway.faults.restarts import Restart
 from gateway.faults.service import as_dict
 from gateway.runtime.account import bus_errors, counters, description, signal_slots, unread
 from gateway.runtime.outbox import Listener
@@ -57,10 +58,26 @@ class Gateway(Passage):
         self.engine.warm()
         self.memory.note_descriptions()
         self._proofs.recall()
+        self.note_restart(self.engine.wall_ns(t_ns))
         self.controls.start_cycle(t_ns)
         self.engine.leave_open(k for k, name in enumerate(self.parts.cycles) if self.memory.cycles.is_left_open(name))
+        self._outbox.note(*self._restarted.told())
         self._keep_off()
         self._explainer.begin(t_ns)
+
+    def note_restart(self, t_ns: int, boot: str = "") -> Restart | None:
+        """Count this start if the last process was not stopped but died, durably; once.
+
+        Args:
+            t_ns: now, of the wall clock.
+            boot: the machine's boot; "": not known.
+
+        Returns:
+            how many such restarts there were; None: it was stopped.
+        """
+        found = self._restarted.note(t_ns, boot)
+        self.memory.commit()
+        return found
 
     def _keep_off(self) -> None:
         """Leave monitors off whose step did not return in an earlier process."""
@@ -120,6 +137,7 @@ class Gateway(Passage):
         self.servers.succeed(old.servers, buses)
         self._verdicts.count = old._verdicts.count
         self._standing.succeed(old._standing)
+        self._restarted.succeed(old._restarted)
         self.reports.succeed(old.reports)
         for holder, action in old.authority.lasting():  # a new configuration begins with everything switched on
             self.controls.note(Intervention(0, "gateway", "", 0, f"{action}_ended", role=holder))
@@ -156,8 +174,8 @@ class Gateway(Passage):
         journal = self.store.journal
         return NO_JOURNAL if journal is None else journal.memory(definition.id for definition in self.catalogue)
 
-    def stop(self, t_ns: int) -> None:
-        """End the operation cycle and keep everything."""
+    def stop(self, t_ns: int, *, complete: bool = True) -> None:
+        """Keep everything, and end the operation cycle if that is complete; else the next start goes on with it."""
         if self._recorder is not None:
             self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
         self._meter.stop()
@@ -168,7 +186,8 @@ class Gateway(Passage):
         self._explainer.finish(t_ns)
         self._strangers.finish(self.engine.wall_ns(t_ns))
         self.security.pass_time(self.engine.wall_ns(t_ns), final=True)
-        self.memory.end_cycle(self.engine.wall_ns(t_ns))
+        if complete:
+            self.memory.end_cycle(self.engine.wall_ns(t_ns))
         self._outbox.settle(t_ns, self._verdicts.take, final=True)
         if self.memory.unsaved:
             log.error(

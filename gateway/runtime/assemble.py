@@ -17,7 +17,7 @@ from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
-from gateway.engine.checks import memory_health, monitor_health, monitoring_health, reporter_health
+from gateway.engine.checks import memory_health, monitor_health, monitoring_health, reporter_health, restart_health
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.engine.depends.behind import Tests
@@ -65,7 +65,13 @@ if TYPE_CHECKING:
     from ssl import SSLContext
 
 #: Faults of the gateway itself.
-_OWN = (*memory_health.FAULTS, *monitoring_health.FAULTS, *monitor_health.FAULTS, *reporter_health.FAULTS)
+_OWN = (
+    *memory_health.FAULTS,
+    *restart_health.FAULTS,
+    *monitoring_health.FAULTS,
+    *monitor_health.FAULTS,
+    *reporter_health.FAULTS,
+)
 
 
 @dataclass(frozen=True)
@@ -204,7 +210,7 @@ def _refuse_unknown(config: Config, engine: Engine) -> None:
 
 def _own_faults(config: Config, monitors: Iterable[MonitorInstance]) -> list[FaultSlot]:
     """Return the faults of the gateway itself, on its first bus."""
-    watched: list[Fault] = list(memory_health.FAULTS) if config.memory.watched else []
+    watched: list[Fault] = [*memory_health.FAULTS, *restart_health.FAULTS] if config.memory.watched else []
     if config.access.watched:
         watched += monitoring_health.FAULTS
     if any(instance.monitor.outside for instance in monitors):

@@ -20,6 +20,7 @@ from gateway.runtime.outbox import Outbox
 from gateway.runtime.proofs import Proofs
 from gateway.runtime.reception import Reception
 from gateway.runtime.reports import Reports
+from gateway.runtime.restarted import Restarted
 from gateway.runtime.security import Security
 from gateway.runtime.standing import Standing
 from gateway.runtime.strangers import Strangers
@@ -116,8 +117,10 @@ class Connected:
     def _connect(self) -> None:
         """Make the links between the parts: frames in, verdicts, events and frames out."""
         self._off = SwitchedOff(self.engine)
+        self._restarted = Restarted(self.engine, self.memory, self.store.path)
         first, send = self.config.memory.tell == "first", self.servers.on_changes
-        self._outbox = Outbox(self.memory, self.store, self.engine, self._off.report, send, first=first)
+        own = (self._off.report, self._restarted.report)
+        self._outbox = Outbox(self.memory, self.store, self.engine, own, send, first=first)
         self._upkeep = self._outbox.upkeep
         names = [bus.name for bus in self.config.buses]
         self._doubts = Doubts(self.engine, self.parts.checks, self.parts.databases, names, self._outbox.tell)
@@ -162,7 +165,7 @@ class Connected:
             self.controls,
             self.authority,
             self._standing,
-            self._off,
+            (self._off, self._restarted),
         )
         self.controls.connect(self._interventions)
         self.reports = Reports(self.config.report, self.engine, self.controls, self._verdicts.take, self._outbox.tell)

@@ -5,7 +5,7 @@ A cleared fault must not be told as set after it. So all that waits is written a
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from gateway.engine.core import Engine
 from gateway.faults.clearing import AskedClear
@@ -13,6 +13,7 @@ from gateway.faults.interventions import Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.runtime.controls import Controls
 from gateway.runtime.outbox import Outbox
+from gateway.runtime.restarted import Restarted
 from gateway.runtime.standing import Standing
 from gateway.runtime.switched_off import SwitchedOff
 from gateway.runtime.told import clear_event, intervention_event
@@ -30,7 +31,8 @@ class Interventions:
         verdicts: take the events of what is committed before a clear.
         controls: start the debounce of cleared faults again.
         authority: judges whether another process may clear.
-        standing: whether monitoring is off; ``off``: which monitors are. Both are reported again after a clear.
+        standing: whether monitoring is off; it is reported again after a clear.
+        own: other faults of the gateway itself, likewise.
     """
 
     def __init__(
@@ -42,11 +44,11 @@ class Interventions:
         controls: Controls,
         authority: Authority,
         standing: Standing,
-        off: SwitchedOff,
+        own: Sequence[SwitchedOff | Restarted],
     ) -> None:
         self._engine, self._memory, self._outbox, self._verdicts = engine, memory, outbox, verdicts
         self._controls, self._authority = controls, authority
-        self._standing, self._off = standing, off
+        self._standing, self._own = standing, own
         self._entries: set[str] = set()  # before the clear that is done now
 
     def note(self, intervention: Intervention) -> None:
@@ -62,7 +64,8 @@ class Interventions:
 
     def after_clear(self, cleared: Iterable[str]) -> None:
         """Tell which entries went."""
-        self._off.again()
+        for each in self._own:
+            each.again()
         cleared = list(cleared)
         self._standing.after_clear(cleared)
         gone = sorted(self._entries.intersection(cleared))

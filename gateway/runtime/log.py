@@ -42,6 +42,11 @@ class Log:
         except InputError as error:
             self.damage = error
 
+    @property
+    def whole(self) -> bool:
+        """Whether it was read to its end, and that is the end of what was recorded."""
+        return self.damage is None and not self.reader.problems
+
     def contents(self, *, named: bool = True, allow_empty: bool = False, allow_cut: bool = False) -> Contents:
         """Return what it held, after it was read.
 

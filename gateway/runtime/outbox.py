@@ -35,7 +35,7 @@ class Outbox:
         memory: the fault memory.
         store: its file.
         engine: debounces the gateway's own faults.
-        report: has faults reported that are to be in the next commit.
+        own: each reports faults of the gateway itself that are to be in the next commit.
         send: makes frames of changes that were told, at a time of the engine.
         first: whether changes are told and sent before they are stored.
 
@@ -49,12 +49,12 @@ class Outbox:
         memory: FaultMemory,
         store: KeptStore,
         engine: Engine,
-        report: Callable[[Sink], None],
+        own: Sequence[Callable[[Sink], None]],
         send: Callable[[Sequence[DtcChange], int], list[Frames]],
         *,
         first: bool = False,
     ) -> None:
-        self._report, self._send, self.first, self._engine = report, send, first, engine
+        self._own, self._send, self.first, self._engine = own, send, first, engine
         self._ahead = NOTHING  # of what is noted, the first ones, that have been told before they are stored
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
@@ -126,7 +126,8 @@ class Outbox:
         """
         if not (final or self._changes or self._untold) and self.upkeep.idle:
             return []  # as for nearly every batch
-        self._report(sink)
+        for report in self._own:
+            report(sink)
         early = self._tell_early() if self.first else []
         if early and not (asked or final):
             return early  # on their way, before anything is waited for

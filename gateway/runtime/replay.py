@@ -24,8 +24,8 @@ class FrameConsumer(Protocol):
     def feed(self, frames: Frames) -> Frames:
         """Take a batch of frames; returns the frames to send."""
 
-    def stop(self, t_ns: int) -> None:
-        """End the operation cycle."""
+    def stop(self, t_ns: int, *, complete: bool = True) -> None:
+        """End, and with it the operation cycle if that is complete."""
 
 
 class Cycle:
@@ -60,10 +60,10 @@ class Cycle:
         self.now_ns = int(frames[-1]["t_ns"])
         return sent
 
-    def end(self, t_ns: int = 0) -> None:
-        """End the operation cycle, at the last frame or at a later time [ns]."""
+    def end(self, t_ns: int = 0, *, complete: bool = True) -> None:
+        """End, at the last frame or at a later time [ns]; an operation cycle that is not complete goes on next time."""
         if self.count:
-            self._gateway.stop(max(self.now_ns, t_ns))
+            self._gateway.stop(max(self.now_ns, t_ns), complete=complete)
 
 
 def replay(
@@ -71,6 +71,7 @@ def replay(
     batches: Iterable[Frames],
     *,
     progress: Callable[[Frames], None] | None = None,
+    whole: Callable[[], bool] = lambda: True,
 ) -> int:
     """Feed the batches of a log to a gateway, one operation cycle long.
 
@@ -78,6 +79,7 @@ def replay(
         gateway: not started yet.
         batches: see :meth:`Cycle.take`.
         progress: called after each batch.
+        whole: tells at the end whether the log is; one that is damaged or cut off completes no operation cycle.
 
     Returns:
         how many frames were fed. Frames that the gateway would have sent are not sent anywhere.
@@ -88,5 +90,5 @@ def replay(
             cycle.take(stamped[k : k + FED])
         if progress is not None and len(stamped):
             progress(stamped)
-    cycle.end()
+    cycle.end(complete=whole())
     return cycle.count

@@ -44,6 +44,7 @@ LISTED = {
     "bus",
     "clock",
     "memory",
+    "restart",
     "config",
     "injected",
     "reporter",

@@ -71,6 +71,7 @@ class MemoryFile:
             stored = not is_unsaved(self._path)
             entries = service.entries_in(store, records, stored=stored)
             status = {record.id: record.status for record in records}
+            restarts = service.restarts_in(store)
             ecu_dtcs = [service.ecu_dtc_as_dict(each) for each in store.ecu_dtcs()]
             cycles = {name: {"number": c.number, "open": c.open} for name, c in store.cycles().items()}
         except (GatewayError, OSError) as error:
@@ -85,6 +86,7 @@ class MemoryFile:
             "status": status,
             "cycles": cycles,
             "ecu_dtcs": ecu_dtcs,
+            "restarts": restarts,
             "stored": stored,
             "readiness": readiness(faults, status),
         }
@@ -119,7 +121,8 @@ class MemoryFile:
 
 
 _NOTHING: dict[str, Any] = {
-    "entries": [], "cases": [], "status": {}, "cycles": {}, "ecu_dtcs": [], "stored": True, "readiness": [],
+    "entries": [], "cases": [], "status": {}, "cycles": {}, "ecu_dtcs": [], "restarts": {"count": 0}, "stored": True,
+    "readiness": [],
 }  # fmt: skip
 
 

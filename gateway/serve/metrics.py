@@ -91,6 +91,11 @@ class Metrics(Collector):
             "gateway_memory_stored", "Whether the file has all that is known.", value=float(hub.memory["stored"])
         )
 
+        yield CounterMetricFamily(
+            "gateway_restarts", "Starts after a gateway that was not stopped but died.",
+            value=float(hub.memory["restarts"]["count"]),
+        )  # fmt: skip
+
     def _causes(self) -> Iterator[Metric]:
         labels = ["cause", "proven"]
         probability = GaugeMetricFamily(

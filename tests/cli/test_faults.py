@@ -77,7 +77,7 @@ def test_export(run, tmp_path):
     run("export", tmp_path / "rig.toml", "--out", tmp_path / "catalogue.json")
     written = json.loads((tmp_path / "catalogue.json").read_text())
     assert written == json.loads(run("export", tmp_path / "rig.toml"))
-    own = ["U3000-44", "U3000-42", "U3000-53"]  # of the gateway itself
+    own = ["U3000-44", "U3000-42", "U3000-47", "U3000-53"]  # of the gateway itself
     assert [fault["dtc"] for fault in written["faults"]] == ["P1000-11", "C1001-11", *own]
 
 

@@ -11,9 +11,13 @@ import pytest
 from command import command
 from own_message import DBC
 
+from gateway import api
 from gateway.bus.frames import to_message
 from gateway.bus.logs import open_writer, read_log
 from gateway.common import extras
+from gateway.faults.store import Store
+from gateway.runtime.app import Gateway
+from gateway_fdi.errors import GatewayError
 
 BUS = """
 [[bus]]
@@ -364,3 +368,63 @@ def test_a_ring_whose_newest_segment_is_unfinished(replay, tmp_path):
     assert ended.code == 2
     assert "frames-000002-20250101T000100Z.log:20" in ended.err
     assert ended.event("summary")["frames"] == 59
+
+
+def power(memory):
+    """Number of the power cycle that a memory has last, and whether it is open."""
+    store = Store(memory, write=False)
+    cycle = store.cycles()["power"]
+    store.close()
+    return cycle.number, cycle.open
+
+
+def test_only_a_whole_log_completes_the_operation_cycle(replay, tmp_path):
+    """With the memory of a file: what is damaged, cut off or ended by Ctrl-C goes on with the next log."""
+    memory = tmp_path / "f.sqlite"
+    whole, config = lines("can0"), "one.toml"
+    logs = {
+        "whole": whole,
+        "damaged": whole.replace("(0.100000) can0 100", "(0.100000) can0 1"),
+        "cut": whole[:-3],
+    }
+    for name, text in logs.items():
+        (tmp_path / f"{name}.log").write_text(text)
+
+    def run(name, *options):
+        return replay(f"{name}.log", "--memory", str(memory), "--json", *options, config=config)
+
+    assert run("whole").code == 0
+    assert power(memory) == (1, False)
+    assert run("damaged").code == 2
+    assert power(memory) == (2, True)
+    for _ in range(3):
+        assert run("cut", "--allow-cut").code == 0
+        assert power(memory) == (2, True)
+    ended = run("whole")
+    assert power(memory) == (2, False)
+    assert ended.event("restart")["reason"] == "the process ended without a stop"
+    assert run("whole").code == 0
+    assert power(memory) == (3, False)
+
+
+def test_ctrl_c_completes_no_operation_cycle(replay, tmp_path, monkeypatch):
+    memory = tmp_path / "f.sqlite"
+    (tmp_path / "a.log").write_text(lines("can0"))
+
+    def interrupt(gateway, frames):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Gateway, "feed", interrupt)
+    assert replay("a.log", "--memory", str(memory), config="one.toml").code == 130
+    assert power(memory) == (1, True)
+
+
+def test_a_cut_log_in_python_completes_no_operation_cycle_either(replay, tmp_path):
+    memory = tmp_path / "f.sqlite"
+    (tmp_path / "a.log").write_text(lines("can0")[:-3])
+    opened = api.open("one.toml")
+    opened.replay("a.log", memory=memory, allow_cut=True)
+    assert power(memory) == (1, True)
+    with pytest.raises(GatewayError, match="cut off"):
+        opened.replay("a.log", memory=memory)
+    assert power(memory) == (1, True)

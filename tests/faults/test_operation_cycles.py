@@ -132,7 +132,7 @@ def test_a_permanent_dtc_does_not_go_by_deaths(tmp_path):
     life.close()
 
 
-DRIVING = dict(cycle=("power", "driving", "driving"), aging_cycle=("power", "driving", "driving"))
+DRIVING = {"cycle": ("power", "driving", "driving"), "aging_cycle": ("power", "driving", "driving")}
 
 
 def test_a_cycle_of_signals_goes_on_or_ends_as_its_signals_say(tmp_path):

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from gateway.bus.corpus import find
 from gateway.cli import app
+from gateway.faults.store import Store
 from gateway_fdi.errors import InputError
 from gateway_fleet.fleet.diff import diff
 from gateway_fleet.fleet.run import Order, run
@@ -239,6 +240,26 @@ def test_a_copy_does_not_take_a_carried_memory_back(fleet):
     (logs / "A" / ".3").rename(hidden)
     run(order(fleet, "steps", carried=True))
     assert tables_hash(fleet / "steps") == tables_hash(fleet / "with")
+
+
+def test_a_log_that_is_cut_off_completes_no_operation_cycle_of_a_carried_memory(fleet):
+    logs = fleet / "logs"
+    for path in logs.rglob("*.log"):
+        path.unlink()
+    for k in range(3):
+        write_log(logs / "A" / f"{k}.log", seed=k, frames=300, peak=600.0, begin_s=1_700_000_000 + 3600 * k)
+    text = (logs / "A" / "1.log").read_text()
+    (logs / "A" / "1.log").write_text(text[:-5])
+    found = []
+
+    def progress(outcome, left):
+        store = Store(fleet / "out" / "memory" / f"{outcome.log}.sqlite", write=False)
+        power = store.cycles()["power"]
+        found.append((outcome.state, power.number, power.open))
+        store.close()
+
+    run(order(fleet, carried=True), progress)
+    assert found == [("whole", 1, False), ("cut off", 2, True), ("whole", 2, False)]
 
 
 def test_a_changed_threshold_turns_one_verdict(fleet):

@@ -64,6 +64,8 @@ class World:
         sent: (true time, URI, identifier, data) of frames that the daemon sent.
         events: (true time, event).
         cut: URIs of buses that are gone.
+        boot: names the machine's boot; waits: true times at which the daemon waits, and for how long [s].
+        leaving: tells whether the daemon was asked to end.
         own_clocks: URI -> what the stamps of its adapter are ahead of true time [ns].
     """
 
@@ -71,17 +73,26 @@ class World:
         self.now_ns, self.ahead_ns = 10**12, 1_700_000_000 * 10**9
         self.start_ns = self.now_ns
         self.wires, self.cut, self.own_clocks = {}, set(), dict(own_clocks)
-        self.sent, self.events = [], []
+        self.sent, self.events, self.waits = [], [], []
+        self.boot, self.leaving = "one", lambda: False
         self.clock = Clock(lambda: self.now_ns + self.ahead_ns, lambda: self.now_ns)
 
-    def daemon(self, config, memory):
+    def sleep(self, seconds):
+        self.waits.append((self.now_ns, seconds))
+        self.now_ns += round(seconds * 1e9)
+
+    def daemon(self, config, memory, **options):
         self.running = Daemon(
             config,
             memory=memory,
+            asked=lambda: self.leaving(),  # noqa: PLW0108 - a test may set another one
+            **options,
             tell=lambda event: self.events.append((self.now_ns, event)),
             machine=Machine(
                 clock=self.clock,
                 monotonic=lambda: self.now_ns / 1e9,
+                sleep=self.sleep,
+                boot=lambda: self.boot,
                 open_bus=partial(Wire, self),
                 tick_s=0.0,
                 begin_writer=None,  # it would write in real time

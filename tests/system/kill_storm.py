@@ -6,7 +6,7 @@ import threading
 
 import can
 import cantools
-from processes import GATEWAY
+from processes import TIRELESS
 
 from gateway.faults.dtc import Dtc
 from gateway_fdi.common.resources import shipped
@@ -44,7 +44,7 @@ class Told:
 def start(config, uri, memory, folder):
     """Start the daemon, and wait until it monitors."""
     started = subprocess.Popen(
-        [*GATEWAY, "run", str(config), "--bus", uri, "--memory", str(memory)],
+        [*TIRELESS, "run", str(config), "--bus", uri, "--memory", str(memory)],
         cwd=folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,

@@ -8,6 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 GATEWAY = [sys.executable, "-c", "from gateway.cli import main; main()"]
+#: The same for a test that kills it many times: it waits for nothing after that.
+TIRELESS = [
+    sys.executable,
+    "-c",
+    "from gateway.faults import restarts; restarts.LONGEST_S = 0.0; from gateway.cli import main; main()",
+]
 
 
 def gateway(*arguments, cwd, timeout=1200, **options):

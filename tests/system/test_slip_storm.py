@@ -17,7 +17,7 @@ from itertools import cycle
 import pytest
 from amount import amount
 from kill_storm import Storm, write_config
-from processes import GATEWAY, bus
+from processes import TIRELESS, bus
 from slips import RUNNING, running_source
 
 from gateway.faults import service
@@ -83,7 +83,7 @@ class Run:
     def __init__(self, config, uri, memory, folder):
         self._events, self._log = folder / "events", folder / "log"
         with self._events.open("w") as events, self._log.open("w") as log:
-            command = [*GATEWAY, "run", str(config), "--bus", uri, "--memory", str(memory), "--json"]
+            command = [*TIRELESS, "run", str(config), "--bus", uri, "--memory", str(memory), "--json"]
             self.process = subprocess.Popen(command, cwd=folder, stdout=events, stderr=log)
         self.wait_for(lambda: "monitoring" in self._log.read_text())
 

@@ -33,8 +33,8 @@ from gateway_fdi.common.resources import shipped
 pytestmark = pytest.mark.system
 
 COUNT = 60
-#: Of the gateway's own memory: not written, damaged.
-OWN = [Dtc.parse(code).value for code in ("U3000-42", "U3000-44", "U3000-53")]
+#: Of the gateway itself: memory not written or damaged, died again and again, monitoring off.
+OWN = [Dtc.parse(code).value for code in ("U3000-42", "U3000-44", "U3000-47", "U3000-53")]
 SERVERS = """
 [output.dtc_frame]
 cycle_ms = 300.0

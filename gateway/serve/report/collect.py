@@ -83,9 +83,9 @@ class Collector:
         self._take(t_ns)
         return sent
 
-    def stop(self, t_ns: int) -> None:
-        """End the operation cycle."""
-        self._gateway.stop(t_ns)
+    def stop(self, t_ns: int, *, complete: bool = True) -> None:
+        """End, and with it the operation cycle if that is complete."""
+        self._gateway.stop(t_ns, complete=complete)
         self._take(t_ns)
         while self._open:
             self._close(self._open[0])

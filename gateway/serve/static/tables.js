@@ -96,6 +96,7 @@ export function textOf(event) {
     case "bus": return `bus ${event.bus} ${event.state}${event.reason ? `: ${event.reason}` : ""}`;
     case "clock": return `the clock was set by ${number(event.step_s)} s`;
     case "memory": return `fault memory ${event.state} ${event.reason}`;
+    case "restart": return `restart ${event.count}, ${event.in_a_row} in a row: ${event.reason}`;
     case "reporter": return `reporter ${event.reporter} ${event.state}: ${event.reason}`;
     case "config": return `configuration ${event.state} ${event.reason}`;
     case "injected": return `injected: ${event.text}`;

@@ -272,7 +272,7 @@ def _judged(setup: Setup, config: Config, recording: Recording, log: str, before
         stack.callback(gateway.close)
         old = {record.id: record for record in gateway.store.load()}
         gateway.listen(watch)
-        replay(gateway, recorded, progress=span)
+        replay(gateway, recorded, progress=span, whole=lambda: recorded.whole)
         verdict = _rows(gateway, recording, log, recorded.reader, recorded.contents(named=False), watch, span, old)
     if memory is not None:
         _keep_memory(memory, _memory(setup, log))
