@@ -52,7 +52,7 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
         return 2
     faults = [{"fault": d.id, "dtc": str(d.dtc), "description": d.description} for d in gateway.catalogue]
     notes, codes = list(gateway.notes), dict(sorted(gateway.codes.items()))
-    warnings += gateway.unread
+    warnings += [*gateway.unread, *gateway.parts.forgeable]
     gateway.close()
     warnings += [
         f"{name}: {text}"

@@ -112,6 +112,7 @@ def verified(path: Path, what: str = "its code") -> bytes:
 
 def untrusted(path: Path, what: str = "its code") -> InputError:
     """Return the error of code that may not run."""
+    path = path.absolute()
     text = (
         f"not checked, and not run: {what}, {path}, is not trusted, or has changed; after a look at it:"
         f" gateway trust {path} (or --trust for one run)"
@@ -237,7 +238,7 @@ def require(module: str, name: str) -> None:
             lacks = _lacks(data, name.partition(".")[0]) if each == file else ""
             if lacks:
                 raise InputError(f"{each} {lacks}")
-            raise untrusted(each)
+            raise untrusted(file)
     _claimed[top] = folder
     _find_here()
 
@@ -302,13 +303,15 @@ def _imports(file: Path) -> Iterator[Path]:
 
 
 def reachable(file: Path) -> list[Path]:
-    """Return a file of code and the modules beside it that it imports, as its text says."""
+    """Return a file of code, its packages, and the modules beside it that it imports, as its text says."""
     found, waiting = [], [file]
     while waiting:
         one = waiting.pop()
         if one not in found:
             found.append(one)
-            waiting += _imports(one) if one.suffix == ".py" else ()
+            if one.suffix == ".py":
+                package = one.parent.parent if one.name == "__init__.py" else one.parent
+                waiting += [*_imports(one), *filter(Path.is_file, [package / "__init__.py"])]
     return found
 
 

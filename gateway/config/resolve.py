@@ -27,6 +27,7 @@ from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import Monitor, MonitorParams, Parts
 from gateway.monitors.network_codes import NetworkCodes, Pair
 from gateway.servers.access import FREE, GUARDED, ROUTE, SESSIONLESS, AccessParams, Conditions
+from gateway.servers.access_review import forgeable
 from gateway.servers.doip.secure import tls_context
 from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.security import Security
@@ -69,6 +70,7 @@ class Resolved:
         authentication: of the UDS server; its roots have been read.
         tls: of the DoIP server; its certificates have been read; None: it has none.
         notes: what was taken where the configuration leaves it to the databases, one line each.
+        forgeable: conditions of access that frames of others meet, one line each.
         codes: full name of a message, signal or relation -> the base codes of DTCs given out for it.
     """
 
@@ -89,6 +91,7 @@ class Resolved:
     authentication: Authentication
     tls: SSLContext | None
     notes: tuple[str, ...]
+    forgeable: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
 
 
@@ -104,7 +107,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
     readouts = {entry.name: monitor.readout for entry, (monitor, _) in zip(config.monitor, types, strict=True)}
     names = Names(config, dict(enumerate(databases)), readouts)
     uds, doip = config.output.uds, config.output.doip
-    _find_access(config, names)
+    asked = _find_access(config, names)
     _find_usage(config, names)
     _find_asked(config, names)
     _each(names.find, ((name, "--signal") for name in extra))
@@ -120,6 +123,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
         monitors=monitors,
         checks=checks,
         notes=tuple(notes),
+        forgeable=_forgeable(config, asked, names, checks),
         codes=codes.given,
         answers=answers,
         buses=bus_instances(config),
@@ -379,22 +383,38 @@ def _shown(config: Config, names: Names) -> tuple[str, ...]:
     return tuple(shown)
 
 
-def _find_access(config: Config, names: Names) -> None:
-    """Find the signals that rules of access ask for."""
+def _find_access(config: Config, names: Names) -> dict[str, str]:
+    """Find the signals that rules of access ask for; returns each with a key that asks for it."""
     own = {} if config.output.uds is None else config.output.uds.rules
     rules: dict[str, AccessParams | Conditions | None] = {"access": config.access}
     rules |= {f"access.{name}": getattr(config.access, name) for name in (*GUARDED, *FREE, ROUTE, *SESSIONLESS)}
     rules |= {f"output.uds.{name}": rule for name, rule in own.items()}
     ready = () if config.output.doip is None else config.output.doip.ready
     _each(names.find, ((one.signal, f"output.doip.ready[{k}].signal") for k, one in enumerate(ready)))
-    _each(
-        names.find,
-        (
-            (condition.signal, f"{key}.when[{k}].signal")
-            for key, rule in rules.items()
-            for k, condition in enumerate(rule.when or () if rule is not None else ())
-        ),
-    )
+    asked = [
+        (condition.signal, f"{key}.when[{k}].signal")
+        for key, rule in rules.items()
+        for k, condition in enumerate(rule.when or () if rule is not None else ())
+    ]
+    _each(names.find, asked)
+    return dict(reversed(asked))
+
+
+def _forgeable(
+    config: Config, asked: Mapping[str, str], names: Names, checks: Sequence[CheckInstance]
+) -> tuple[str, ...]:
+    """Return which conditions of access frames of others meet, one line each.
+
+    Raises:
+        InputErrors: those that one forged frame meets, and that nobody has accepted.
+    """
+    places = {signal: (key, f"{config.buses[names.found[signal].bus].name}.{names.found[signal].message}")
+              for signal, key in asked.items()}  # fmt: skip
+    wrong, told = forgeable(config.needs, places, {check.name: check.params for check in checks},
+                            config.access.unprotected)  # fmt: skip
+    if wrong:
+        raise InputErrors(wrong)
+    return tuple(told)
 
 
 def _find_usage(config: Config, names: Names) -> None:

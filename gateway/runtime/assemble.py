@@ -92,6 +92,7 @@ class Parts:
         tls: of the DoIP server; its certificates have been read; None: it has none.
         checks: of messages, in the engine's order.
         notes: choices where the configuration leaves it to the databases.
+        forgeable: conditions of access that frames of others meet, one line each.
         codes: base codes of DTCs given out, by message, signal or relation.
         depends: fault id -> what its test sees, the component that it sees best first.
         residuals: fault id -> what reads its signed residual, of those that have one.
@@ -111,6 +112,7 @@ class Parts:
     tls: SSLContext | None
     checks: tuple[CheckInstance, ...]
     notes: tuple[str, ...]
+    forgeable: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
     depends: Mapping[str, tuple[Seen, ...]]
     residuals: Mapping[str, Read]
@@ -164,6 +166,7 @@ def assemble(resolved: Resolved) -> Parts:
         resolved.tls,
         resolved.checks,
         resolved.notes,
+        resolved.forgeable,
         resolved.codes,
         *dependences(
             engine.faults,

@@ -82,6 +82,11 @@ class AccessParams(StrictModel):
     when: tuple[ConditionSettings, ...] = Field(
         (), description="conditions of everything that is guarded, e.g. that the vehicle stands"
     )
+    unprotected: tuple[str, ...] = Field(
+        (),
+        description="signals that conditions of access may ask for, though their messages have no checksum, no counter"
+        " and no SecOC, so that one forged frame meets them",
+    )
     stale_ms: float = Field(
         1000.0, gt=0, le=60_000, allow_inf_nan=False, description="a signal is unknown when it is older [ms]"
     )
@@ -187,6 +192,11 @@ def needs_of(
 def _need_of(rule: Access, when: tuple[ConditionSettings, ...]) -> Need:
     sessions = frozenset(SESSIONS[session] for session in rule.sessions)
     return Need(sessions, rule.security, when if rule.when is None else rule.when, roles=frozenset(rule.roles))
+
+
+def opened_by(needs: Needs, signal: str) -> list[str]:
+    """Return the interventions whose conditions ask for a signal."""
+    return [name for name, need in needs.items() if need.allowed and any(one.signal == signal for one in need.when)]
 
 
 def signals_of(needs: Needs) -> set[str]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
-from gateway.servers.access import FREE, GUARDED, ROUTE, SESSIONLESS, SESSIONS, Access, AccessParams, Needs
+from gateway.servers.access import FREE, GUARDED, ROUTE, SESSIONLESS, SESSIONS, Access, AccessParams, Needs, opened_by
+from gateway.signals.protection.params import CHECKSUM_KEYS, ProtectionParams
 from gateway_fdi.errors import InputError, nearest
 
 
@@ -42,6 +43,45 @@ def wrong_rules(
         elif name in ("session", "unlock"):
             text = "nothing is unlocked in the default session, so that this could never be met"
             yield InputError(text, key=key, value=rule.security)
+
+
+def forgeable(
+    needs: Needs, asked: Mapping[str, tuple[str, str]], checked: Mapping[str, ProtectionParams], accepted: Sequence[str]
+) -> tuple[list[InputError], list[str]]:
+    """Return conditions of access that one forged frame meets, as errors, and what other frames open, one line each.
+
+    Args:
+        needs: of each intervention.
+        asked: signal of conditions -> a key that asks for it; its message, as ``bus.Message``.
+        checked: message -> how it is protected; messages that are not checked are missing.
+        accepted: signals whose messages need no protection.
+    """
+    wrong, told = [], []
+    for k, name in enumerate(accepted):
+        if name not in asked:
+            text = f"no condition of access asks for this signal{nearest(name, asked)}"
+            wrong.append(InputError(text, key=f"access.unprotected[{k}]", value=name))
+    for signal, (key, message) in asked.items():
+        protection, opens = checked.get(message, ProtectionParams()), opened_by(needs, signal)
+        tied = any(getattr(protection, name) is not None for name in CHECKSUM_KEYS)
+        counted = any(getattr(protection, name) is not None for name in ("counter", "e2e", "secoc"))
+        if not opens or (tied and counted):
+            continue
+        locks = ", beside a key or role" if all(needs[name].is_locked for name in opens) else ""
+        what = f"meets it and opens {', '.join(opens)}{locks}"
+        if tied:
+            told.append(f"{key}: {message} has a checksum and no counter: a frame of before, sent again, {what}")
+        elif counted:
+            told.append(f"{key}: {message} has a counter and no checksum: a forged frame that counts on {what}")
+        elif signal in accepted:
+            told.append(f"{key}: {message} has no checksum and no counter: one forged frame {what}; it is accepted")
+        else:
+            text = (
+                f"{message} has no checksum, no counter and no SecOC here: one forged frame {what}; have its protection"
+                f' checked ([[bus.check]]), or accept it: [access] unprotected = ["{signal}"]'
+            )
+            wrong.append(InputError(text, key=key, value=signal))
+    return wrong, told
 
 
 def ways_around(needs: Needs, levels: Sequence[int], *, uds: bool, obd: bool, j1939: bool) -> Iterator[str]:

@@ -22,6 +22,7 @@ pid = [{ id = 0x0C, signal = "M0.Value" }]
 [output.j1939]
 address = 0x80
 [access]
+unprotected = ["M5.Value"]
 when = [{ signal = "M5.Value", max = 10.0 }]
 [[did]]
 id = 0x0124

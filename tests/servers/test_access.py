@@ -14,7 +14,7 @@ from gateway_fdi.errors import InputErrors
 
 SECRET = "00112233"
 LEVEL = f'security = [{{ level = 1, secret = "{SECRET}" }}]\n'
-STANDS = '[access]\nwhen = [{ signal = "M1.Value", max = 1.0 }]\n'
+STANDS = '[access]\nunprotected = ["M1.Value"]\nwhen = [{ signal = "M1.Value", max = 1.0 }]\n'
 #: What blinds the gateway, clears it or changes it, each with its good answer in the extended session.
 GUARDED = {
     "1101": "5101",
@@ -117,7 +117,7 @@ def test_reading_is_free(uds):
     ],
 )
 def test_every_service_takes_a_rule(uds, name, request_):
-    rule = f'[access.{name}]\nwhen = [{{ signal = "M1.Value", max = 1.0 }}]\n'
+    rule = f'[access]\nunprotected = ["M1.Value"]\n{name} = {{ when = [{{ signal = "M1.Value", max = 1.0 }}] }}\n'
     rig, ask = uds(uds=LEVEL, more=rule)
     if name == "unlock":
         assert ask("1003")
@@ -276,6 +276,72 @@ def test_a_signal_of_a_condition_must_be_there(tmp_path):
     config = write_config(tmp_path, extra='[access.reset]\nwhen = [{ signal = "M9.Value", max = 1.0 }]\n')
     with pytest.raises(Exception, match=r"access.reset.when\[0\].signal"):
         Rig(config)
+
+
+def protected(tmp_path, keys, rest=""):
+    """Write a configuration with a condition on M1, which is checked by keys."""
+    dbc = (
+        'BO_ 257 M1: 8 A\n SG_ Value : 0|16@1+ (0.5,0) [0|32767] "V" B\n SG_ Check : 16|8@1+ (1,0) [0|255] "" B\n'
+        ' SG_ Count : 24|4@1+ (1,0) [0|15] "" B\n'
+    )
+    condition = STANDS.replace('unprotected = ["M1.Value"]\n', rest)
+    path = write_config(tmp_path, extra=f"[output.uds]\n{condition}")
+    text = (tmp_path / "rig.dbc").read_text()
+    old = 'BO_ 257 M1: 8 A\n SG_ Value : 0|16@1+ (0.5,0) [0|32767] "V" B\n'
+    assert old in text
+    (tmp_path / "rig.dbc").write_text(text.replace(old, dbc))
+    path.write_text(path.read_text().replace('message = "M1"\n', f'message = "M1"\n{keys}'))
+    return path
+
+
+CRC = 'crc = { signal = "Check" }\n'
+COUNTER = 'counter = { signal = "Count" }\n'
+OPENS = "opens reset, clear, communication, write, routine, dtc_setting, obd_clear, j1939_clear"
+
+
+def test_a_condition_is_as_safe_as_its_signal(tmp_path):
+    with pytest.raises(InputErrors) as wrong:
+        Rig(protected(tmp_path, ""))
+    (error,) = wrong.value.errors
+    assert (error.key, error.value) == ("access.when[0].signal", "M1.Value")
+    assert (
+        f"b.M1 has no checksum, no counter and no SecOC here: one forged frame meets it and {OPENS};" in error.message
+    )
+    assert '[access] unprotected = ["M1.Value"]' in error.message
+
+
+@pytest.mark.parametrize(
+    ("keys", "rest", "said"),
+    [
+        ("", 'unprotected = ["M1.Value"]\n', "has no checksum and no counter: one forged frame meets it and "),
+        (CRC, "", "has a checksum and no counter: a frame of before, sent again, meets it and "),
+        (COUNTER, "", "has a counter and no checksum: a forged frame that counts on meets it and "),
+        (CRC + COUNTER, "", None),
+    ],
+)
+def test_what_a_frame_of_others_opens_is_told(tmp_path, keys, rest, said):
+    rig = Rig(protected(tmp_path, keys, rest))
+    told = rig.gateway.parts.forgeable
+    rig.close()
+    assert len(told) == (said is not None)
+    for line in told:
+        assert said in line
+        assert OPENS in line
+
+
+def test_a_signal_that_is_accepted_in_vain_is_refused(tmp_path):
+    path = protected(tmp_path, CRC, 'unprotected = ["M1.Valeu"]\n')
+    with pytest.raises(InputErrors, match=r"access\.unprotected\[0\] = 'M1.Valeu': no condition .*mean M1\.Value"):
+        Rig(path)
+
+
+def test_a_frame_with_a_wrong_checksum_opens_nothing(tmp_path):
+    rig = Rig(protected(tmp_path, CRC))
+    ask = Asked(rig)
+    assert ask("1003")
+    rig.value(1, 0.5)
+    assert ask("1101") == "7f1122"
+    rig.close()
 
 
 @pytest.mark.parametrize(

@@ -258,7 +258,8 @@ def unlock(net, one):
     assert net.ask(one, 0x1000, "2702" + key.hex())[1][1] == "6702"
 
 
-RULE = '[access]\nroute = {{ sessions = ["extended"], security = 1, when = [{{ signal = "M1.Value", max = 1.0 }}] }}\n'
+RULE = '[access]\nunprotected = ["M1.Value"]\n'
+RULE += 'route = {{ sessions = ["extended"], security = 1, when = [{{ signal = "M1.Value", max = 1.0 }}] }}\n'
 WRITING = (
     "1002",
     "1003",

@@ -51,6 +51,7 @@ def site(tmp_path_factory):
         text = (ROOT / "gateway.toml").read_text().replace("loopback:127.0.0.1:29536", uri)
         text = text.replace("timeout_ms = 500.0\n", "")  # a sender that is silent after its scenario is no news here
         # Before and after a scenario nobody tells the speed: no operation cycle then, unless it is forced.
+        text += '[access]\nunprotected = ["GW_EngineSync.EngineSpeed"]\n'
         text += '[access.reset]\nwhen = [{ signal = "GW_EngineSync.EngineSpeed", max = 0.0 }]\n'
         (folder / "gateway.toml").write_text(text)
         daemons = stack.enter_context(ExitStack())

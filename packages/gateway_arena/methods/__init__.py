@@ -35,7 +35,8 @@ def method(name: str) -> Method:
         name: of :data:`METHODS`, or ``FILE.py:CLASS``.
 
     Raises:
-        InputError: there is none; its file cannot be loaded, or is not trusted; its class has no ``step`` and no ``run``.
+        InputError: there is none; its file cannot be loaded, or is not trusted; its class has neither ``step`` nor
+            ``run``.
     """
     if name in METHODS:
         module, _, kind = METHODS[name].partition(":")
