@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.signals.bounds import refuse_lengths, refuse_scalings
-from gateway.signals.dialect import mended
+from gateway.signals.dialect import mended, signals_said, text_of, without
 from gateway.signals.parsed import messages_of
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError, nearest
 
 if TYPE_CHECKING:
-    from cantools.database.can import Database as CanDatabase
     from cantools.database.can import Message
     from cantools.database.can.signal import Signal
 
@@ -24,6 +23,8 @@ _log = get_logger(__name__)
 _LINE = re.compile(r"line (\d+)")
 #: Of files that hold a database.
 SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
+#: Statements that a file may lose, since they are none of its format.
+MOST_LEFT_OUT = 100
 
 
 class Database:
@@ -117,46 +118,68 @@ def _load(path: Path) -> list[Message]:
         raise InputError(f"a database is one of {', '.join(SUFFIXES)}", file=path)
     try:
         data = path.read_bytes()
-        refuse_lengths(data.decode("utf-8", "replace"), suffix, path)
-        return messages_of(data, suffix, lambda: _parsed(path, suffix))
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
+    text = text_of(data)
+    refuse_lengths(text, suffix, path)
+    return messages_of(data, suffix, lambda: _parsed(text, suffix, path))
 
 
-def _parsed(path: Path, suffix: str) -> list[Message]:
+def _parsed(text: str, suffix: str, path: Path) -> list[Message]:
+    try:
+        found = _read(text, suffix)
+    except Exception as error:  # the parsers let any exception of theirs through
+        again = _mended(text, suffix, path)
+        if again is not None:
+            return again
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"not a good {suffix} file: {said}", file=path, line=_line_of(said, text)) from error
+    if not found:
+        raise InputError("the file holds no CAN messages", file=path)
+    return found
+
+
+def _read(text: str, suffix: str) -> list[Message]:
     import cantools  # noqa: PLC0415 - not where no database is read: its parsers take a while to load
 
-    try:
-        loaded = cantools.database.load_file(path, strict=False, database_format=suffix[1:])
-    except OSError:
-        raise
-    except Exception as error:  # the parsers let any exception of theirs through
-        again = _mended(path, suffix)
-        if again is not None:
-            return list(again.messages)
-        text = " ".join(str(error).split()) or type(error).__name__
-        found = _LINE.search(text)
-        line = int(found[1]) if found else None
-        raise InputError(f"not a good {suffix} file: {text}", file=path, line=line) from error
-    if not isinstance(loaded, cantools.database.can.Database) or not loaded.messages:
-        raise InputError("the file holds no CAN messages", file=path)
-    return list(loaded.messages)
+    loaded = cantools.database.load_string(text, database_format=suffix[1:], strict=False)
+    messages = list(loaded.messages) if isinstance(loaded, cantools.database.can.Database) else []
+    read = sum(len(message.signals) for message in messages)
+    if suffix == ".dbc" and read < (
+        said := signals_said(text)
+    ):  # a line without receivers takes the next one for these
+        raise ValueError(f"{said} signals, of which {read} can be read")
+    return messages
 
 
-def _mended(path: Path, suffix: str) -> CanDatabase | None:
-    """Read a DBC file that departs from the format in ways that are known, and say so; None: in others."""
-    import cantools  # noqa: PLC0415
+def _line_of(said: str, text: str) -> int | None:
+    """Return the line that an error means: it says which, or names a message or a path that is there."""
+    found = _LINE.search(said)
+    if found:
+        return int(found[1])
+    words = {part for word in re.findall(r"[\w/.-]{3,}", said) for part in word.split("/")}
+    named = sorted((word for word in words if re.search(r"[_\d]", word)), key=len)
+    places = [text.find(word) for word in reversed(named)]
+    at = next((place for place in places if place >= 0), None)
+    return None if at is None else text.count("\n", 0, at) + 1
 
-    if suffix != ".dbc":
-        return None
-    text, said = mended(path.read_bytes().decode("cp1252", "replace"))
-    if not said:
-        return None
-    try:
-        loaded = cantools.database.load_string(text, database_format="dbc", strict=False)
-    except Exception:  # the first error is the one to tell
-        return None
-    if not isinstance(loaded, cantools.database.can.Database) or not loaded.messages:
-        return None
-    _log.warning("this database departs from DBC; put right", file=str(path), what=said)
-    return loaded
+
+def _mended(text: str, suffix: str, path: Path) -> list[Message] | None:
+    """Read a file that departs from its format in ways that are known, and say so; None: in others."""
+    text, said = mended(text, suffix)
+    for _ in range(MOST_LEFT_OUT):
+        try:
+            found = _read(text, suffix)
+        except Exception as error:  # the first error is the one to tell
+            line = _LINE.search(str(error))
+            less = without(text, int(line[1])) if line and suffix == ".dbc" else None
+            if less is None:
+                return None
+            text = less[0]
+            said.append(f"a statement {less[1]} that is none of DBC left out")
+            continue
+        if said and found:
+            counted = [f"{what} ({count})" if count > 1 else what for what, count in Counter(said).items()]
+            _log.warning(f"this database departs from {suffix[1:].upper()}; put right", file=str(path), what=counted)
+        return found or None
+    return None

@@ -51,7 +51,6 @@ REFUSED = {
     "sym": {
         "empty-6.0.sym": "no messages",
         "issue_138.sym": "bad on purpose",
-        "jopp-5.0.sym": "version 5",
     },
 }
 

@@ -5,7 +5,7 @@ import re
 import pytest
 
 from gateway.signals.database import load_database
-from gateway.signals.dialect import mended
+from gateway.signals.dialect import mended, text_of
 from gateway_fdi.errors import InputError
 
 DATABASES = pytest.importorskip("opendbc.dbc.generator.generator").generate_all()
@@ -58,3 +58,133 @@ def test_names_that_begin_with_a_digit_and_identifiers_that_no_bus_has(tmp_path)
     database = load_database([file])
     assert [message.name for message in database] == ["_2017_5"]
     assert [signal.name for signal in database.message("_2017_5").signals] == ["_0_COUNTER"]
+
+
+DBC = (
+    'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 M: 8 A\n'
+    ' SG_ X : 0|8@1+ (1,0) [0|255] "km/h" A\n SG_ Y : 8|8@1+ (1,0) [0|0] "" A\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ('"km/h" A', '"km/h"', "receivers"),
+        ('"" A\n', '""\n', "receivers"),  # the last line: cantools reads a message without its signal
+        ('"km/h" A', '"km/h" A B', "receivers"),
+        ('"km/h" A', '"km/h" A,', "receivers"),
+        ('"km/h" A', '"km/h" 1A;', "receivers"),
+        (' [0|255] "km/h" A', ' "km/h" A', "range"),
+        (' "km/h" A', " A", "unit"),
+        ("8 A\n", "8\n", "sender"),
+        ("BO_ 256", "BO_ 0x100", "hexadecimal"),
+        ("SG_ X", "SG_ T\u00fcr-1", "characters"),
+        ("M:", "M.1:", "characters"),
+        ("SG_ Y ", "SG_ Y M1 ", "branches"),
+        ("A\n SG_ Y", 'A\n SG_ Z : 0|0@1+ (1,0) [0|0] "" A\n SG_ Y', "no bits"),
+    ],
+)
+def test_lines_of_signals_that_depart_from_the_format_are_read(tmp_path, before, after, said, capsys):
+    """A signal is never lost without a word (canmatrix#596 and others)."""
+    text = DBC.replace("SG_ X", "SG_ X M") if "M1" in after else DBC
+    assert before in text
+    file = tmp_path / "car.dbc"
+    file.write_bytes(text.replace(before, after, 1).encode("cp1252"))
+    (message,) = load_database([file])
+    assert [signal.start for signal in message.signals] == [0, 8]
+    assert said in str(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        'BA_DEF_ BO_ "Sendable" BOOL False True;\nBA_DEF_DEF_ "Sendable" False;\nBA_ "Sendable" BO_ 256 True;\n',
+        'BA_ "GenMsgCycleTime" BO_ 256 100;\n',
+        'BA_DEF_ BO_ "VFrameFormat" ENUM "1","2";\nBA_DEF_DEF_ "VFrameFormat" "1";\nBA_ "VFrameFormat" BO_ 256 9;\n',
+        "VAL_ 256 X Table ;\n",
+        "FOO_ 256 X 1;\nBAR_ 1 2\n3;\n",
+    ],
+)
+def test_statements_that_say_nothing_of_bits_may_be_unreadable(tmp_path, more, capsys):
+    file = tmp_path / "car.dbc"
+    file.write_text(DBC + more + 'VAL_ 256 Y 0 "zero" ;\n')
+    (message,) = load_database([file])
+    assert [signal.name for signal in message.signals] == ["X", "Y"]
+    assert message.signals[1].choices == {0: "zero"}
+    assert "left out" in str(capsys.readouterr())
+
+
+def test_a_statement_of_bits_that_cannot_be_read_refuses_the_file(tmp_path):
+    file = tmp_path / "car.dbc"
+    file.write_text(DBC + 'BO_ 257 N: 8 A\n SG_ Z : 0;8@1+ (1,0) [0|0] "" A\n')
+    with pytest.raises(InputError) as told:
+        load_database([file])
+    assert (told.value.file, told.value.line) == (str(file), 9)
+
+
+SYM = """FormatVersion=5.0 // Do not edit this line!
+Title="car"
+
+{ENUMS}
+enum State(0="off",
+  1="on")
+
+{SENDRECEIVE}
+
+[Branches]
+ID=123h
+DLC=8
+Mux=Nine 0,8 9
+Var=Nine value unsigned 8,8
+
+[Branches]
+DLC=8
+Mux=Letter 0,8 a0h -m // as it came
+Var=Other unsigned 8,8 /d:"text" /e:State
+
+[Far]
+ID=FF9B41h
+DLC=2
+Var=Z unsigned 0,8
+"""
+
+
+def test_sym_of_version_5_and_hexadecimal_numbers_that_begin_with_a_letter(tmp_path):
+    """cantools#640, #611, canmatrix' test.sym."""
+    file = tmp_path / "car.sym"
+    file.write_text(SYM)
+    database = load_database([file])
+    branches, far = database.message("Branches"), database.message("Far")
+    assert branches.decode(bytes([0xA0, 7, 0, 0, 0, 0, 0, 0]), decode_choices=False)["Other"] == 7
+    assert branches.decode(bytes([9, 7, 0, 0, 0, 0, 0, 0]), decode_choices=False)["Nine value"] == 7
+    assert (far.frame_id, far.is_extended_frame, far.length) == (0xFF9B41, True, 2)
+
+
+def test_kcd_identifiers_of_29_bits_need_no_flag(tmp_path):
+    file = tmp_path / "car.kcd"
+    file.write_text(
+        '<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Document/><Bus name="B">'
+        '<Message id="0x7FF" name="Near"><Signal name="A" offset="0" length="8"/></Message>'
+        '<Message id="0xFF9B41" name="Far" length="8" format="standard">'
+        '<Signal name="B" offset="0" length="8"/></Message>'
+        "</Bus></NetworkDefinition>"
+    )
+    messages = {message.name: message for message in load_database([file])}
+    assert not messages["Near"].is_extended_frame
+    assert (messages["Far"].frame_id, messages["Far"].is_extended_frame) == (0xFF9B41, True)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+def test_units_are_the_same_in_any_encoding(tmp_path, encoding):
+    """cantools#478: UTF-8 read as Windows-1252 makes two characters of the degree sign."""
+    file = tmp_path / "car.dbc"
+    file.write_bytes(DBC.replace("km/h", "\u00b0C").encode(encoding))
+    (message,) = load_database([file])
+    assert message.signals[0].unit == "\u00b0C"
+
+
+def test_an_xml_file_says_its_encoding():
+    text = '<?xml version="1.0" encoding="iso-8859-15"?><a u="\u20ac"/>'
+    assert text_of(text.encode("iso-8859-15")) == text
+    assert text_of(text.replace("iso-8859-15", "utf-8").encode()).endswith('u="\u20ac"/>')
+    assert text_of(b'<?xml version="1.0" encoding="nonsense"?>\xb0').endswith("\u00b0")
