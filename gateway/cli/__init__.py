@@ -140,7 +140,7 @@ def serve(
         Path | None,
         typer.Option(
             "--control-token-file",
-            help="File with the control token; default on loopback: a new token, printed on a terminal, else in a file.",
+            help="File with the control token; default on loopback: a new token, shown on a terminal, else in a file.",
         ),
     ] = None,
     cert: Annotated[Path | None, typer.Option("--cert", help="TLS certificate (PEM file).")] = None,
@@ -399,7 +399,10 @@ def decode(
     database: Annotated[
         list[Path] | None,
         typer.Option(
-            "--database", "-d", help="Database for the frames of all buses (.dbc, .kcd, .sym, .arxml); may be repeated."
+            "--database",
+            "-d",
+            help="Database for the frames of all buses (.dbc, .kcd, .sym, .arxml); may be repeated. One bus of"
+            " several: car.kcd#Motor.",
         ),
     ] = None,
     config: Annotated[
