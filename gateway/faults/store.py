@@ -595,7 +595,8 @@ class Store:
 
 def last_links(path: Path) -> list[rollback.LastLink]:
     """Return the last links of a fault memory as the files beside it have them; to be read before the memory is."""
-    return [*lock.noted(path), *journal_file.links_beside(path)]
+    found = [*lock.noted(path), *journal_file.links_beside(path)]
+    return [*found, *lock.noted(path, beside_link=True)] if path.is_symlink() else found
 
 
 def _refuse_foreign(path: Path) -> None:

@@ -74,7 +74,10 @@ class World:
         self.sent, self.events = [], []
         self.clock = Clock(lambda: self.now_ns + self.ahead_ns, lambda: self.now_ns)
 
-    def daemon(self, config, memory):
+    def daemon(self, config, memory, **machine):
+        """Make the daemon; ``machine``: of the :class:`Machine`, else as here."""
+        # A thread would write in real time.
+        machine.setdefault("begin_writer", None)
         self.running = Daemon(
             config,
             memory=memory,
@@ -84,8 +87,8 @@ class World:
                 monotonic=lambda: self.now_ns / 1e9,
                 open_bus=partial(Wire, self),
                 tick_s=0.0,
-                begin_writer=None,  # it would write in real time
                 settle=lambda again: None,  # it would look through all that the tests have loaded
+                **machine,
             ),
         )
         return self.running
