@@ -45,18 +45,18 @@ class Reference:
         self.events[event["event"], event.get("stored", event.get("state"))] += 1
         if event["event"] == "dtc" and event["stored"]:
             self.told[event["fault"]] = event["occurrence"]
-            self.look(event["fault"])
+            self.look("when told", event["fault"])
 
-    def look(self, *faults):
+    def look(self, when, *faults):
         if self._db is None:
             self._db = sqlite3.connect(f"{self._path.as_uri()}?mode=ro", uri=True, isolation_level=None)
         for fault in faults:
             row = self._db.execute("SELECT occurrence FROM fault WHERE id = ?", (fault,)).fetchone()
             if row is None or row[0] < self.told[fault]:
-                self.missing.append((fault, self.told[fault], row))
+                self.missing.append((when, fault, self.told[fault], row, dict(self.events)))
 
     def close(self):
-        self.look(*self.told)
+        self.look("at the end", *self.told)
         self._db.close()
 
 
