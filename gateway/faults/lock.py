@@ -104,10 +104,15 @@ def is_unfinished(path: Path) -> bool:
     return bool(links) and not any(link.number for link in links)
 
 
-def noted(path: Path) -> list[LastLink]:
-    """Return the last links that were noted beside a fault memory, and generations that were expected (number 0)."""
+def noted(path: Path, *, beside_link: bool = False) -> list[LastLink]:
+    """Return the last links that were noted beside a fault memory, and generations that were expected (number 0).
+
+    Args:
+        path: of the memory.
+        beside_link: where it is a link, beside that: a memory that was here before another one's link was.
+    """
     try:
-        return _links(Path(f"{path.resolve()}-lock").read_bytes())
+        return _links(Path(f"{path if beside_link else path.resolve()}-lock").read_bytes())
     except OSError:
         return []
 

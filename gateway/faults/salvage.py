@@ -153,7 +153,8 @@ def _read(db: sqlite3.Connection) -> Salvage:
     found.records = list(records.values())
     cycles = "SELECT name, number, open, t_ns FROM operation_cycle"
     found.cycles = dict(_rows(db, found, cycles, "operation_cycle", _cycle))
-    found.permanent = list(_rows(db, found, "SELECT fault, dtc, t_ns FROM permanent", "permanent", _permanent))
+    permanent = _rows(db, found, "SELECT fault, dtc, t_ns FROM permanent", "permanent", _permanent)
+    found.permanent = list({each.fault: each for each in permanent}.values())  # a damaged table may have one twice
     found.recordings = [
         recording
         for recording in _rows(db, found, rows.SELECT_RECORDINGS, "recording", _recording)

@@ -81,7 +81,8 @@ class World:
         self.waits.append((self.now_ns, seconds))
         self.now_ns += round(seconds * 1e9)
 
-    def daemon(self, config, memory, **options):
+    def daemon(self, config, memory, *, begin_writer=None, patience_s=Machine.patience_s, **options):
+        """Make the daemon; ``options`` are its own. A thread would write in real time: there is none, unless given."""
         self.running = Daemon(
             config,
             memory=memory,
@@ -95,8 +96,9 @@ class World:
                 boot=lambda: self.boot,
                 open_bus=partial(Wire, self),
                 tick_s=0.0,
-                begin_writer=None,  # it would write in real time
                 settle=lambda again: None,  # it would look through all that the tests have loaded
+                begin_writer=begin_writer,
+                patience_s=patience_s,
             ),
         )
         return self.running
