@@ -14,10 +14,11 @@ TUTORIALS = sorted((Path(__file__).parents[1] / "docs" / "tutorials").glob("*.md
 BLOCK = re.compile(r'^```([\w-]+)(?: title="([^"]+)")?\n(.*?)^```', re.MULTILINE | re.DOTALL)
 
 
-def environment():
-    """Return that of a person whose first program is the gateway of these tests."""
+def environment(folder):
+    """Return that of a person whose first program is the gateway of these tests, and who has trusted no code yet."""
     return {
-        **os.environ,
+        **{name: value for name, value in os.environ.items() if name != "GATEWAY_TRUST"},
+        "XDG_CONFIG_HOME": str(folder / ".config"),
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         "PYTEST_ADDOPTS": "-p no:xdist",
     }
@@ -42,7 +43,7 @@ def test_a_tutorial_does_what_it_says(page, tmp_path):
                 done = subprocess.run(
                     ["sh", "-c", command],
                     cwd=folder,
-                    env=environment(),
+                    env=environment(tmp_path),
                     capture_output=True,
                     text=True,
                     timeout=300,

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 from gateway.cli.present import print_json
+from gateway.common.trust import add_own
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 
@@ -34,6 +35,7 @@ def example(name: str | None, folder: Path | None, *, json: bool) -> int:
     if place.exists() and (not place.is_dir() or any(place.iterdir())):
         raise InputError("this is there already; nothing was written", value=str(place))
     shutil.copytree(known[name], place, dirs_exist_ok=True, ignore=_LEFT)
+    add_own(place.rglob("*.py"))
     files = sorted(path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file())
     print_json({"folder": str(place), "files": files}) if json else print(f"{place}: {', '.join(files)}")
     return 0

@@ -6,6 +6,7 @@ import keyword
 from importlib.util import find_spec
 from pathlib import Path
 
+from gateway.common.trust import add_own
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 
@@ -55,9 +56,10 @@ def new_monitor(name: str, folder: Path | None, method: str | None = None) -> in
         target = place / _renamed(source.name, name)
         target.write_text(_renamed(source.read_text(), name))
         written.append(target.name)
+    add_own(place.glob("*.py"))
     print(f"{place}: {', '.join(written)}")
     print(f"It runs as it is:  cd {place} && gateway demo drained.toml --speed 0")
-    print(f"Then edit {name}.py; gateway check says what does not fit.")
+    print(f"Then edit {name}.py, and trust it again (gateway trust {name}.py); gateway check says what does not fit.")
     return 0
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gateway import api
+from gateway.common.trust import add_own
 from gateway_arena.methods import METHODS, method
 from gateway_arena.monitor.fit import fitted, refuse
 from gateway_arena.monitor.runner import collecting
@@ -118,4 +119,5 @@ def new_monitor_from(name: str, place: Path, wanted: str) -> list[str]:
     fitted(config, [place / "healthy.log"], monitor=None, faults=told)
     option = f" --fault drained=drained.log@{_FROM_S:g}" if supervised else ""
     (place / "README.md").write_text(_README.format(name=name, option=option))
+    add_own(place.glob("*.py"))
     return sorted(file.name for file in place.iterdir() if file.is_file())

@@ -110,9 +110,9 @@ def write(path: Path, p: Params, folder: Path, made: Any, facts: Mapping[str, An
     try:
         part.write_bytes(json.dumps(line).encode() + b"\n" + payload)
         part.replace(path)
-        trust.add([path], trust.user_list())
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", file=path, key="fitted", value=p.fitted) from error
+    trust.add_own([path])
 
 
 def read(p: Params, folder: Path) -> Kept:
