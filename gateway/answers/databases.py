@@ -47,12 +47,13 @@ def read_cdd(path: Path, _year: int | None) -> Layouts:
         with warnings.catch_warnings():  # it calls its reader of CDDs deprecated, and has no other
             warnings.simplefilter("ignore")
             loaded: Any = cantools.database.load_file(path, database_format="cdd", strict=False)
+        signs = _signs(path)
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
     except Exception as error:  # the parser lets any exception of its own through
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"not a good .cdd file: {text}", file=path) from error
-    layouts, left, signs = [], [], _signs(path)
+    layouts, left = [], []
     for did in loaded.dids:
         where = f"22{did.identifier:04X} {did.name}"
         signals = []

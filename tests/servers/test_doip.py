@@ -7,6 +7,7 @@ import struct
 import pytest
 from amount import amount
 from doip_rig import FUNCTIONAL, GATEWAY, TESTER, Peer, codes, cut, message, net
+from mutating import mutate
 from rig import FUNCTIONAL as CAN_FUNCTIONAL
 from rig import MS, Tester, write_config
 from test_access import LEVEL, SECRET, STANDS
@@ -536,19 +537,6 @@ def good_stream(draw):
         target = draw.choice((GATEWAY, FUNCTIONAL, 5))
         made += message(draw.choice((0x8001, 0x8001, 7, 8)), struct.pack(">HH", TESTER, target) + request)
     return made
-
-
-def mutate(draw, data):
-    at = draw.randrange(len(data)) if data else 0
-    match draw.randrange(4):
-        case 0 if data:
-            data[at] = draw.randrange(256)
-        case 1:
-            data[at:at] = draw.randbytes(draw.randint(1, 9))
-        case 2:
-            del data[at : at + draw.randint(1, 9)]
-        case _:
-            data += data[at : at + 40]
 
 
 # Configurations
