@@ -99,6 +99,7 @@ def test_a_write_that_was_looked_at_between_tells_nothing_of_the_next_one(make, 
     rig.wait(20)
     assert [e["fault"] for e in of(rig, "dtc")] == ["b.M0.length"]
     assert rig.gateway.memory.clean
+    assert not rig.gateway.memory.under_way(60.0), "the log is looked after"
     slow.stall()
     rig.gateway.memory.note_buses([])
     may = rig.gateway._upkeep.settle(rig.gateway.engine.now_ns, Noted(1, 1), lambda events: None)
