@@ -10,6 +10,7 @@ from told import FRAMES, of, stored, told, told_of, watched_rigs
 from gateway.faults.store import Store, StoreError
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
+from gateway.runtime.upkeep import NOTHING, Noted
 
 NOT_WRITTEN, DAMAGED = "gateway.memory_not_written", "gateway.memory_damaged"
 
@@ -88,6 +89,22 @@ def chain_head(rig):
     digest = store.verify().head.digest
     store.close()
     return digest
+
+
+def test_a_write_that_was_looked_at_between_tells_nothing_of_the_next_one(make, slow):
+    """Its count of events stayed: as many of later ones were told before they were written."""
+    rig = writing(make, slow)
+    slow.go_on(rig)
+    rig.gateway.serve_requests()
+    rig.wait(20)
+    assert [e["fault"] for e in of(rig, "dtc")] == ["b.M0.length"]
+    assert rig.gateway.memory.clean
+    assert not rig.gateway.memory.under_way(60.0), "the log is looked after"
+    slow.stall()
+    rig.gateway.memory.note_buses([])
+    may = rig.gateway._upkeep.settle(rig.gateway.engine.now_ns, Noted(1, 1), lambda events: None)
+    assert may == NOTHING, "the disk has not answered"
+    slow.go_on(rig)
 
 
 @pytest.mark.evidence("Durability: slow disk")
