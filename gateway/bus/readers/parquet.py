@@ -28,6 +28,7 @@ from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OW
 from gateway.bus.log_source import CutOffError, compression_of
 from gateway.bus.readers.batch import DATA, Names, Read
 from gateway.common.archives import whole
+from gateway.common.parquet import longest_of, opened
 from gateway_fdi.errors import InputError, nearest
 from gateway_fdi.jit import kernel
 
@@ -36,6 +37,8 @@ NEEDED = ("t", "id", "data")
 FLAGS_OF_ID = {"extended": EXTENDED, "remote": REMOTE, "error": ERROR}
 FLAGS = {"fd": FD, "brs": BRS, "esi": ESI, "own": OWN}
 _MAGIC = b"PAR1"
+#: Bytes of a payload at most.
+MOST = 64
 
 
 @kernel
@@ -63,11 +66,11 @@ def scatter(raw: Any, ends: Any, rows: Any, first: int) -> int:
 def is_frame_log(path: Path) -> bool:
     """Return whether a Parquet file has the columns of frames, and not those of signals or anything else."""
     from pyarrow import ArrowException  # noqa: PLC0415 - an extra
-    from pyarrow.parquet import read_schema  # noqa: PLC0415
 
     try:
-        return set(NEEDED) <= set(read_schema(path).names)
-    except (OSError, ArrowException):
+        with path.open("rb") as source:
+            return set(NEEDED) <= set(opened(source, path).schema_arrow.names)
+    except (OSError, ArrowException, InputError):
         return path.stem.endswith(".frames")  # as we name them; its errors are told when it is read
 
 
@@ -86,7 +89,6 @@ class Parquet:
     def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
         """Yield a log's frames."""
         import pyarrow as pa  # noqa: PLC0415 - an extra
-        import pyarrow.parquet as pq  # noqa: PLC0415
 
         source = whole(stream, self._path) if compression_of(self._path) else stream
         head = source.read(4)
@@ -95,7 +97,7 @@ class Parquet:
         source.seek(0)
         frames = 0
         try:
-            file = pq.ParquetFile(source, pre_buffer=False)
+            file = opened(source, self._path, ("data", "channel"))
         except (pa.ArrowInvalid, OSError) as error:
             text = "cut off: its footer, which says where all is, is missing" if head else "no frame: the file is empty"
             raise CutOffError(text, file=self._path) from error
@@ -192,6 +194,12 @@ class Parquet:
         import pyarrow as pa  # noqa: PLC0415 - an extra
 
         kind = column.type
+        if pa.types.is_dictionary(kind) and (longest := longest_of(column)) > MOST:
+            import pyarrow.compute as pc  # noqa: PLC0415
+
+            long = pc.greater(pc.binary_length(column.dictionary), MOST).take(column.indices)
+            row = before + int(pc.index(long, True).as_py())
+            raise InputError(f"a payload above 64 bytes, in row {row}", file=self._path, key="data", value=longest)
         if pa.types.is_fixed_size_binary(kind) or pa.types.is_dictionary(kind):
             column = column.cast(pa.binary())
         if pa.types.is_list(kind) or pa.types.is_large_list(kind):
@@ -224,6 +232,10 @@ def _is_bytes(kind: Any) -> bool:
 
     if pa.types.is_list(kind) or pa.types.is_large_list(kind):
         return bool(pa.types.is_uint8(kind.value_type))
+    if pa.types.is_dictionary(kind):
+        kind = kind.value_type
+    if pa.types.is_fixed_size_binary(kind) and kind.byte_width > MOST:
+        return False
     return bool(pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_fixed_size_binary(kind))
 
 

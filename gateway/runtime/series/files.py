@@ -23,11 +23,14 @@ from typing import Any
 import numpy as np
 
 from gateway.common.extras import need
+from gateway.common.parquet import batches, opened
 from gateway.runtime.series.rows import GROUP, RESULTS, Rows, Series, Sink
 from gateway_fdi.errors import InputError
 
 COLUMNS = ("t_ns", "monitor", "kind", "name", "value", "limit", "result", "unit")
 SUFFIXES = (".parquet", ".csv")
+#: Bytes of a name at most.
+_LONGEST = 1024
 
 
 def _checked(path: Path, key: str) -> str:
@@ -115,11 +118,11 @@ def read_series(path: Path, *, key: str) -> Iterator[tuple[Rows, list[Series]]]:
     Raises:
         InputError: it cannot be read, or has other columns.
     """
-    batches = _parquet_batches(path) if _checked(path, key) == ".parquet" else _csv_batches(path)
+    parts = _parquet_batches(path) if _checked(path, key) == ".parquet" else _csv_batches(path)
     known: dict[Series, int] = {}
     numbers = {name: k for k, name in enumerate(RESULTS)}
     try:
-        for batch in batches:
+        for batch in parts:
             t, monitor, kind, name, value, limit, result, unit = batch
             keys = [Series(*parts) for parts in zip(monitor, kind, name, unit, strict=True)]
             places = [known.setdefault(one, len(known)) for one in keys]
@@ -136,10 +139,8 @@ def read_series(path: Path, *, key: str) -> Iterator[tuple[Rows, list[Series]]]:
 
 
 def _parquet_batches(path: Path) -> Iterator[list[list[Any]]]:
-    from pyarrow import parquet  # noqa: PLC0415 - slow to load, and an extra
-
-    with parquet.ParquetFile(path) as file:
-        for batch in file.iter_batches(GROUP, columns=list(COLUMNS)):
+    with path.open("rb") as source, opened(source, path) as file:
+        for batch in batches(file, path, GROUP, _LONGEST, list(COLUMNS)):
             if batch.num_columns != len(COLUMNS):
                 raise ValueError(f"its columns are {', '.join(file.schema_arrow.names)}")
             columns = [batch.column(name).to_pylist() for name in COLUMNS]

@@ -26,11 +26,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gateway.bus.corpus import DIGITS, Recording
+from gateway.common.parquet import batches, opened
 from gateway_fdi.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+#: Rows that are read at once, and bytes of a text at most.
+_ROWS, _LONGEST = 1000, 1 << 16
 _TIME, _TEXT, _COUNT, _NUMBER = "time", "text", "count", "number"
 
 #: Table -> its columns.
@@ -171,7 +174,6 @@ class Verdicts:
             InputError: there is no such table here.
         """
         import pyarrow as pa  # noqa: PLC0415 - an extra
-        import pyarrow.parquet as pq  # noqa: PLC0415 - an extra
 
         folder = self.folder / table
         if not folder.is_dir():
@@ -181,11 +183,13 @@ class Verdicts:
         for path in paths:
             if not path.exists():
                 continue
-            read = pq.read_table(path, partitioning=None)
-            for k, one in enumerate(read.schema):
-                if pa.types.is_timestamp(one.type):
-                    read = read.set_column(k, one.name, read.column(k).cast(pa.int64()))
-            found += read.to_pylist()
+            with path.open("rb") as source, opened(source, path) as file:
+                for batch in batches(file, path, _ROWS, _LONGEST):
+                    columns = {
+                        name: (column.cast(pa.int64()) if pa.types.is_timestamp(column.type) else column).to_pylist()
+                        for name, column in zip(batch.schema.names, batch.columns, strict=True)
+                    }
+                    found += [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
         return found
 
 
