@@ -107,7 +107,6 @@ def load_database(paths: Sequence[Path]) -> Database:
     messages: list[tuple[Message, Path]] = []
     for path in paths:
         found = _load(path)
-        refuse_scalings(found, path)
         messages += [(message, path) for message in found]
     return Database(messages)
 
@@ -120,27 +119,29 @@ def _load(path: Path) -> list[Message]:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
-    text = text_of(data)
-    refuse_lengths(text, suffix, path)
-    return messages_of(data, suffix, lambda: _parsed(text, suffix, path))
+    return messages_of(data, suffix, lambda: _parsed(text_of(data), suffix, path))
 
 
 def _parsed(text: str, suffix: str, path: Path) -> list[Message]:
+    refuse_lengths(text, suffix, path)
     try:
         found = _read(text, suffix)
     except Exception as error:  # the parsers let any exception of theirs through
         again = _mended(text, suffix, path)
-        if again is not None:
-            return again
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"not a good {suffix} file: {said}", file=path, line=_line_of(said, text)) from error
+        if again is None:
+            said = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"not a good {suffix} file: {said}", file=path, line=_line_of(said, text)) from error
+        found = again
     if not found:
         raise InputError("the file holds no CAN messages", file=path)
+    refuse_scalings(found, path)
     return found
 
 
 def _read(text: str, suffix: str) -> list[Message]:
     import cantools  # noqa: PLC0415 - not where no database is read: its parsers take a while to load
+
+    from gateway.signals.compact import compact  # noqa: PLC0415 - with cantools
 
     loaded = cantools.database.load_string(text, database_format=suffix[1:], strict=False)
     messages = list(loaded.messages) if isinstance(loaded, cantools.database.can.Database) else []
@@ -149,6 +150,7 @@ def _read(text: str, suffix: str) -> list[Message]:
         said := signals_said(text)
     ):  # a line without receivers takes the next one for these
         raise ValueError(f"{said} signals, of which {read} can be read")
+    compact(messages)
     return messages
 
 
