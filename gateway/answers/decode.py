@@ -12,7 +12,6 @@ from gateway.answers.model import AnswerLayout, Limits
 from gateway.answers.pages import BYTES, answer_bus
 from gateway.answers.weave import framed
 from gateway.bus.frames import joined
-from gateway.signals.decode import OK
 from gateway.signals.payloads import decode_columns, message_rows
 from gateway.signals.tables import compile_plan
 
@@ -69,7 +68,7 @@ class AnswerDecoder:
             found, these = decode_columns(mine, self._plan, row), slice(at, at + len(places))
             order = [place for _, place in places]
             values[these, mine["t_ns"]] = found.values[order]
-            there[these, mine["t_ns"]] = found.there[order] & (found.results == OK)[None, :]
+            there[these, mine["t_ns"]] = found.there[order]
             at += len(places)
         there &= np.isfinite(values)
         if not void:

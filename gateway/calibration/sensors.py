@@ -83,7 +83,7 @@ class _Reader:
             if row < 0:
                 continue
             mine = frames[keys == key]
-            values, _ = columns(mine, self._plan, row)
+            values = columns(mine, self._plan, row)
             for k, (message, position) in enumerate(self._columns):
                 if message == row:
                     self._values[k].append((mine["t_ns"].astype(np.int64), values[:, position]))

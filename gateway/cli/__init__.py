@@ -399,7 +399,10 @@ def decode(
     database: Annotated[
         list[Path] | None,
         typer.Option(
-            "--database", "-d", help="Database for the frames of all buses (.dbc, .kcd, .sym, .arxml); may be repeated."
+            "--database",
+            "-d",
+            help="Database for the frames of all buses (.dbc, .kcd, .sym, .arxml); may be repeated. One bus of"
+            " several: car.kcd#Motor.",
         ),
     ] = None,
     config: Annotated[

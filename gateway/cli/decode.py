@@ -62,7 +62,14 @@ class _Decoded:
 
     def notes(self) -> list[str]:
         """Return what people should know, one line each."""
-        notes = [f"{count} frames of {name} left out: {why}" for (name, why), count in self.written.left_out.items()]
+        notes = [
+            f"{count} frames of {name} have a multiplexer value that the database does not describe"
+            for name, count in self.written.unselected.items()
+        ]
+        for name, short in self.written.short.items():
+            lengths = f"{short.least} to {short.most}" if short.least < short.most else str(short.least)
+            lost = f": not in them {', '.join(short.signals)}" if short.signals else ""
+            notes.append(f"{short.count} frames of {name} are shorter than the database says, {lengths} bytes{lost}")
         if self.written.foreign:
             notes.append(f"{self.written.foreign} of {self.frames} frames are of no message of the database")
         notes += self.answers.notes()

@@ -150,6 +150,13 @@ class EventPrinter:
         told = f"{event['monitor']} (type {event['type']}, {event['file']}): {event['reason']}"
         self._lines.print(f"{self._time(event)}  {mark}  {told}", mark=mark, colour="bold red")
 
+    def _on_short_frames(self, event: dict[str, Any]) -> None:
+        lost = f"; not in them: {', '.join(event['signals'])}" if event["signals"] else ""
+        told = (
+            f"{event['bus']}.{event['message']}: {event['length']} bytes, its database says {event['database']}{lost}"
+        )
+        self._lines.print(f"{self._time(event)}  short frames  {told}", mark="short frames", colour="bold")
+
     def _on_reporter(self, event: dict[str, Any]) -> None:
         mark = f"reporter {event['reporter']} {event['state']}"
         faults = f"; {', '.join(event['faults'])}" if event["faults"] else ""

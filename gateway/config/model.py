@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of, parse_uri
@@ -29,12 +29,33 @@ from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError, nearest
 
 
+class DatabaseOfBus(StrictModel):
+    """One bus of a database file that has several."""
+
+    file: Path = Field(description="DBC, KCD, SYM or ARXML file")
+    bus: str = Field(min_length=1, description="name of the bus in the file")
+
+
+def _path(value: Any) -> Any:
+    if isinstance(value, dict):
+        of = DatabaseOfBus.model_validate(value)
+        return of.file.with_name(f"{of.file.name}#{of.bus}")
+    return value
+
+
+DatabasePath = Annotated[Path, BeforeValidator(_path, json_schema_input_type=Path | DatabaseOfBus)]
+
+
 class BusConfig(StrictModel):
     """One CAN bus: where it is, how its frames are read, which messages are watched."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="how other parts refer to it")
     uri: str = Field(description="socketcan:vcan0, loopback:127.0.0.1:29536, virtual:name, ...")
-    database: tuple[Path, ...] = Field((), description="DBC, KCD, SYM or ARXML files; relative to this configuration")
+    database: tuple[DatabasePath, ...] = Field(
+        (),
+        description="DBC, KCD, SYM or ARXML files, relative to this configuration; of a file of several buses one of"
+        ' them: { file = "car.kcd", bus = "Motor" }, or "car.kcd#Motor"',
+    )
     match: Literal["id", "pgn"] = Field("id", description="pgn: extended identifiers match by J1939 PGN")
     bitrate: int | None = Field(None, ge=1000, le=1_000_000, description="nominal bit rate [bit/s]; for the bus load")
     data_bitrate: int | None = Field(

@@ -85,7 +85,7 @@ class Names:
         return SignalRef(buses[0], message, signal)
 
     def _has(self, bus: int, message: str) -> bool:
-        return any(known.name == message for known in self._databases[bus])
+        return self._databases[bus].has(message)
 
     def condition(self, settings: ConditionSettings, key: str, counts: int = NOW) -> Condition:
         """Return a condition of the configuration for the engine, and how it counts."""

@@ -108,7 +108,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
     _find_usage(config, names)
     _find_asked(config, names)
     _each(names.find, ((name, "--signal") for name in extra))
-    notes: list[str] = []
+    notes = [f"{bus.name}: {note}" for bus, one in zip(config.bus, databases, strict=False) for note in one.notes]
     whole = [type_ for type_ in types if type_[0].capability(Parts) is None]
     codes = network_codes(config, (fault for type_ in whole for fault in checked_faults(*type_)))
     monitors = _all_monitors(config, types, databases, codes)

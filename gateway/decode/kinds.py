@@ -7,6 +7,7 @@ values that it may have is a dictionary of these names; a value without a name i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -88,6 +89,20 @@ def kind_of(signal: Signal, *, numbers: bool = False) -> Kind:
     if low >= 0 and high < 2**64 and scale > 0:
         return Kind(signal, UNSIGNED, exact)
     return Kind(signal, FLOAT, exact)
+
+
+def common_kind(signal: Signal, kinds: Sequence[Kind]) -> Kind:
+    """Return what column several signals of one name become together.
+
+    Args:
+        signal: stands for them.
+        kinds: of each of them.
+    """
+    named = {(kind.what, kind.signal.length, kind.signal.is_signed, str(kind.signal.choices)) for kind in kinds}
+    if len(named) == 1 and kinds[0].what == NAMES:
+        return kinds[0]
+    whole = all(kind.what != FLOAT and kind.exact for kind in kinds)
+    return Kind(signal, INTEGER if whole else FLOAT, exact=True)
 
 
 def _exactly(kind: Kind, words: NDArray[np.uint64]) -> NDArray[Any]:

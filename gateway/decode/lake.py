@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
-from gateway.decode.kinds import NAMES, Kind, arrow_type, column, kind_of
+from gateway.decode.kinds import NAMES, Kind, arrow_type, column, common_kind, kind_of
 from gateway.signals.database import Database
-from gateway.signals.decode import OK, TOO_SHORT
+from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX
 from gateway.signals.payloads import decode_columns, message_rows
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
 from gateway_fdi.errors import InputError
@@ -37,6 +37,22 @@ _DAY_NS = 86_400 * 10**9
 
 
 @dataclass
+class Short:
+    """Frames of a message that do not have all its signals.
+
+    Attributes:
+        count: of them.
+        least, most: length of the shortest and longest [byte].
+        signals: that one or more of them do not have.
+    """
+
+    count: int
+    least: int
+    most: int
+    signals: list[str]
+
+
+@dataclass
 class Written:
     """Result of a log.
 
@@ -45,14 +61,16 @@ class Written:
         rows: in tables.
         files: that were written.
         foreign: frames of no message of a database.
-        left_out: frames of each message that could not be decoded, and why.
+        short: message -> frames that do not have all its signals, the shortest and longest of them, and these signals.
+        unselected: message -> frames whose multiplexer has a value that the database does not describe.
     """
 
     frames: int = 0
     rows: int = 0
     files: list[Path] = field(default_factory=list)
     foreign: int = 0
-    left_out: Counter[tuple[str, str]] = field(default_factory=Counter)
+    short: dict[str, Short] = field(default_factory=dict)
+    unselected: Counter[str] = field(default_factory=Counter)
 
 
 @dataclass
@@ -115,15 +133,17 @@ class Lake:
         import pyarrow as pa  # noqa: PLC0415 - an extra
 
         bus, name = self.plan.message_names[row]
-        message = self._databases[bus].message(name)
         signals, fields = [], [pa.field("t", pa.timestamp("ns", "UTC"), nullable=False)]
-        for signal in message.signals:
+        joined = self._databases[bus].joined(name)
+        for called, signal in self._databases[bus].signals(name).items():
             if signal.length > 64:
                 continue
             kind = kind_of(signal, numbers=self._numbers)
-            signals.append((self.plan.position(*SignalRef(bus, name, signal.name)), kind))
-            facts = {"unit": signal.unit} if signal.unit else None
-            fields.append(pa.field(_unlike_t(signal.name), arrow_type(kind), metadata=facts))
+            if called in joined:
+                kind = common_kind(signal, [kind_of(one, numbers=self._numbers) for one in joined[called]])
+            signals.append((self.plan.position(*SignalRef(bus, name, called)), kind))
+            unit = self.plan.slot_units[self.plan.slot(bus, name, called)]
+            fields.append(pa.field(_unlike_t(called), arrow_type(kind), metadata={"unit": unit} if unit else None))
         folder = name if self._names[name] == 1 else f"bus{bus}.{name}"
         # Parquet's own dictionaries of numbers cost more than they save: zstd finds what repeats.
         names = [_unlike_t(kind.signal.name) for _, kind in signals if kind.what == NAMES]
@@ -210,23 +230,23 @@ class LogTables:
         self._held -= table.rows
         table.held, table.rows = [], 0
         found = decode_columns(frames, self._lake.plan, table.row)
-        good = found.results == OK
-        t_ns = frames["t_ns"]
-        if good.all():
-            columns = [column(kind, found.values[j], found.there[j], found.words) for j, kind in table.signals]
-        else:
-            self._note(table.name, found.results[~good])
-            t_ns, words = t_ns[good], found.words[good]
-            columns = [column(kind, found.values[j][good], found.there[j][good], words) for j, kind in table.signals]
-        if len(t_ns):
-            self._by_day(table, np.ascontiguousarray(t_ns), columns)
+        if (found.results != OK).any():
+            self._note(table, found.results, frames["length"])
+        columns = [column(kind, found.values[j], found.there[j], found.words) for j, kind in table.signals]
+        self._by_day(table, np.ascontiguousarray(frames["t_ns"]), columns)
 
-    def _note(self, name: str, results: NDArray[np.uint8]) -> None:
-        short = int((results == TOO_SHORT).sum())
-        if short:
-            self.written.left_out[name, "payload too short"] += short
-        if len(results) > short:
-            self.written.left_out[name, "unknown multiplexer value"] += len(results) - short
+    def _note(self, table: _Table, results: NDArray[np.uint8], lengths: NDArray[np.uint8]) -> None:
+        """Keep what is told of frames that do not have all signals of their message."""
+        unselected = int((results == UNKNOWN_MUX).sum())
+        if unselected:
+            self.written.unselected[table.name] += unselected
+        short = lengths[results == TOO_SHORT]
+        if len(short):
+            least, most, count = int(short.min()), int(short.max()), len(short)
+            if (before := self.written.short.get(table.name)) is not None:
+                least, most, count = min(least, before.least), max(most, before.most), count + before.count
+            signals = self._lake.plan.beyond(table.row, least)
+            self.written.short[table.name] = Short(count, least, most, signals)
 
     def _by_day(self, table: _Table, t_ns: NDArray[np.int64], columns: list[pa.Array]) -> None:
         import pyarrow as pa  # noqa: PLC0415 - an extra

@@ -32,6 +32,10 @@ MISCOUNTED = 4094
 #: among the strangers.
 STRANGER = 9
 
+#: The first frame that is shorter than its message has come; ``fault`` is the row of the message, ``value`` the length
+#: of the frame, ``threshold`` that from which on it has all signals [byte].
+SHORT = 10
+
 #: Slips of a monitor's author that the loop puts right, as bits of ``slips`` of its handler.
 NO_NUMBER, NO_FAULT, TOO_MANY, TOO_SOON = 1, 2, 4, 8
 

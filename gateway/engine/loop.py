@@ -35,7 +35,7 @@ from gateway.engine.checks.bus_health_steps import (
     report_bus_results,
     skip_settled_windows,
 )
-from gateway.engine.checks.communication import ACCEPT, IN_PART, REJECT
+from gateway.engine.checks.communication import ACCEPT, IN_PART
 from gateway.engine.checks.communication_steps import (
     check_message,
     restart_supervision,
@@ -53,6 +53,7 @@ from gateway.engine.events import (
     MONITOR_OFF,
     NO_FAULT,
     NO_NUMBER,
+    SHORT,
     TOO_MANY,
     TOO_SOON,
 )
@@ -107,6 +108,8 @@ def inputs_valid(T: Any, t_ns: int, h: Any, row: int) -> bool:
         source = T.sources[np.uint64(k)]
         if source >= 0:
             if source != row and not is_valid(T, t_ns, source):
+                return False
+            if T.vectors[source].lacks == 1 and h.takes_nan == 0 and lacks_input(T, h, source):
                 return False
         elif T.pages[-1 - source].came == 0:
             return False
@@ -331,28 +334,60 @@ def leave_out(T: Any, t_ns: int, row: int, verdict: int) -> None:
 def accepted(T: Any, t_ns: int, row: int, length: int, words: Any) -> int:
     """Decode a frame and check it; returns ACCEPT, IN_PART or REJECT. A whole one is decoded if it is accepted."""
     v, m, clock = T.vectors[row], T.messages[row], T.clock[0]
-    if m.whole == 1:
-        status = OK if length >= m.length else TOO_SHORT
-    else:
+    status = OK
+    if m.whole == 0 or length < m.length:
         status = decode(words, length, row, T.messages, T.signals, T.mux_ids, T.values, T.present)
-    if status == TOO_SHORT:
-        clock.too_short += 1
-    elif status == UNKNOWN_MUX:
-        clock.unknown_mux += 1
+        if status == TOO_SHORT:
+            clock.too_short += 1
+        elif status == UNKNOWN_MUX:
+            clock.unknown_mux += 1
     bad = -1  # place of a signal that carries no value
-    if status == OK and m.floats == 1:
+    if m.floats == 1:
         bad = invalid_value(row, T.messages, T.signals, T.values, T.present)
         if bad >= 0:
             clock.invalid_values += 1
             status = INVALID_VALUE
-    verdict = ACCEPT if status == OK else REJECT
-    if status == INVALID_VALUE:
-        verdict = IN_PART
+    verdict = IN_PART if status == INVALID_VALUE else ACCEPT
     if v.check >= 0:
         verdict = check_message(T, t_ns, T.checks[v.check], words, length, status, bad)
     if verdict != ACCEPT and status == INVALID_VALUE:
         v.arrived_ns = -1  # until it carries a value again, monitors that use it are not tested
     return int(verdict)
+
+
+@kernel(inlined=False)
+def take_short(T: Any, t_ns: int, row: int, length: int) -> None:
+    """Take that a frame is shorter than its message: signals beyond its end have no value; told once.
+
+    Args:
+        T: the tables.
+        t_ns: time of the frame.
+        row: of the message.
+        length: of the frame [byte].
+    """
+    v, m = T.vectors[row], T.messages[row]
+    v.lacks = 0
+    for j in range(m.count):
+        s = T.signals[m.first + j]
+        if s.slot >= 0 and s.need > length:
+            T.mailbox[s.slot] = np.nan
+            v.lacks = 1
+    if v.told_short == 0:
+        v.told_short = 1
+        announce(T, t_ns, SHORT, row, m.bus, float(length), float(m.length))
+
+
+@kernel(inlined=False)
+def lacks_input(T: Any, h: Any, row: int) -> bool:
+    """Return whether an input of a monitor is beyond the end of the last frame of a message, which was short."""
+    m = T.messages[row]
+    for j in range(m.count):
+        slot = T.signals[m.first + j].slot
+        if slot >= 0 and isnan(T.mailbox[slot]):
+            for k in range(h.first_slot, h.first_slot + h.slots):
+                if T.slots[k] == slot:
+                    return True
+    return False
 
 
 @kernel
@@ -377,10 +412,13 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any, 
         return
     v, m = T.vectors[row], T.messages[row]
     clock.decoded += 1
-    if m.whole == 1:
+    v.lacks = 0
+    if m.whole == 1 and length >= m.length:
         decode_whole(words, m, T.signals, T.mailbox)
     else:
         commit(row, T.messages, T.signals, T.values, T.present, T.mailbox)
+        if length < m.length:
+            take_short(T, t_ns, row, length)
     if v.page >= 0:
         turn_pages(T, t_ns, row)
     v.arrived_ns = t_ns

@@ -42,6 +42,8 @@ class VectorState(Record):
     """State of the message."""
 
     arrived_ns: i8 = means("when its data were last accepted; -1: never", "ns")
+    lacks: u1 = means("1: signals that are asked for are beyond the end of the last frame")
+    told_short: u1 = means("1: it was told that its frames do not have all signals")
 
 
 class Vector(VectorState, VectorPlace):
@@ -151,7 +153,7 @@ class ClockState(Record):
     late: i8 = means("frames older than the one before")
     clock_steps: i8 = means("how often the wall clock was set")
     too_short: i8 = means("frames shorter than their message")
-    unknown_mux: i8 = means("frames whose multiplexer selects nothing")
+    unknown_mux: i8 = means("frames whose multiplexer has a value that selects nothing")
     invalid_values: i8 = means("frames with a value that is none")
     crc_failed: i8 = means("frames whose checksum is wrong")
     repeated: i8 = means("frames whose alive counter stands still")

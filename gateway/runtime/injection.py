@@ -137,7 +137,7 @@ def _bus_of(parts: list[str], names: Sequence[str]) -> tuple[int, list[str]]:
 def _having(message: str, bus: int, databases: Sequence[Database]) -> int:
     if bus >= 0:
         return bus
-    having = [k for k, database in enumerate(databases) if any(each.name == message for each in database)]
+    having = [k for k, database in enumerate(databases) if database.has(message)]
     if len(having) > 1:
         raise InputError("several buses have this message: name the bus before it, bus.Message", value=message)
     return having[0] if having else 0

@@ -12,6 +12,7 @@ from gateway.faults.explained import Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.service import intervention_as_dict
 from gateway.monitors.contract import FAILED, PASSED
+from gateway.signals.tables import DecodePlan
 from gateway_fdi.common.log import get_logger
 
 _RESULTS = {PASSED: "passed", FAILED: "failed"}
@@ -39,6 +40,17 @@ def monitor_events(events: Sequence[Event], catalogue: Catalogue, buses: Mapping
         }
         for event in events
     ]
+
+
+def short_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
+    """Tell that the frames of a message are shorter than its database says, for the first time."""
+    signals = plan.beyond(event.fault, int(event.value))
+    of = {"bus": bus, "message": plan.message_names[event.fault][1]}
+    length, database = int(event.value), int(event.threshold)
+    text = "frames are shorter than the database says: what is not in them is not tested"
+    _log.warning(text, **of, length=length, database=database, signals=", ".join(signals) or "none that is used")
+    told = {"length": length, "database": database, "signals": signals}
+    return {"event": "short_frames", "t_ns": event.t_ns, **of, **told}
 
 
 def dtc_event(change: DtcChange, bus: str) -> dict[str, Any]:

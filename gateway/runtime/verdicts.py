@@ -16,6 +16,7 @@ from gateway.engine.events import (
     QUALIFIED_FAILED,
     QUALIFIED_PASSED,
     RESULT_CHANGED,
+    SHORT,
     STRANGER,
     Event,
     Events,
@@ -34,7 +35,7 @@ from gateway.runtime.doubts import Doubts
 from gateway.runtime.outbox import Outbox
 from gateway.runtime.strangers import Strangers
 from gateway.runtime.switched_off import SwitchedOff
-from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_events
+from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_events, short_event
 
 _TEST_FAILED = int(Status.TEST_FAILED)
 
@@ -113,6 +114,9 @@ class Verdicts:
             return
         if kind == MONITOR_OFF:
             self._outbox.note(self._off.on_event(event, self._buses[event.bus]))
+            return
+        if kind == SHORT:
+            self._outbox.note(short_event(event, self._engine.plan, self._buses[event.bus]))
             return
         if kind == STRANGER:
             self._strangers.on_stranger(event.fault, event.t_ns)

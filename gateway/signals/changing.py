@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import EXTENDED, Frames
 from gateway.signals.columns import put_column
 from gateway.signals.database import Database
-from gateway.signals.decode import OK, decode
+from gateway.signals.decode import decode
 from gateway.signals.payloads import columns, message_rows
 from gateway.signals.protection.protection import (
     Protection,
@@ -100,11 +100,14 @@ class ChangedSignal:
     """
 
     def __init__(self, bus: int, database: Database, message: str, signal: str) -> None:
-        ref = SignalRef(bus, message, signal)
-        self._plan = compile_plan([(bus, database)], [ref], messages=[(bus, message)])
-        self._place = self._plan.position(*ref)
-        row = self._plan.signals[self._place]
-        self.row: Any = row if hasattr(row, "word") else row.view(np.recarray)
+        # Of several signals of one name each frame has the one of its branch.
+        names = [one.name for one in database.joined(message).get(signal, ())]
+        refs = [SignalRef(bus, message, name) for name in (signal, *names)]
+        self._plan = compile_plan([(bus, database)], refs, messages=[(bus, message)])
+        self._place, *self._branches = [self._plan.position(*ref) for ref in refs]
+        rows = [self._plan.signals[place] for place in self._branches or [self._place]]
+        self._rows: list[Any] = [row if hasattr(row, "word") else row.view(np.recarray) for row in rows]
+        self.row = self._rows[0]
 
     def value(self, words: Words, length: int) -> float:
         """Return what the signal has, NaN where the frame does not carry it.
@@ -113,23 +116,32 @@ class ChangedSignal:
             words: payload, shape (8,).
             length: of the payload [byte].
         """
+        values, present = self._decoded(words, length)
+        return float(values[self._place]) if present[self._place] else float("nan")
+
+    def _decoded(self, words: Words, length: int) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         plan = self._plan
         count = int(plan.messages[0]["count"])
         values, present = np.full(count, np.nan), np.zeros(count, np.uint8)
-        status = decode(words, length, 0, plan.messages, plan.signals, plan.mux_ids, values, present)
-        return float(values[self._place]) if status == OK and present[self._place] else float("nan")
+        decode(words, length, 0, plan.messages, plan.signals, plan.mux_ids, values, present)
+        return values, present
 
     def values(self, frames: Frames) -> NDArray[np.float64]:
         """Return what the signal has in each frame of its message, NaN where one does not carry it."""
-        return columns(frames, self._plan, 0)[0][:, self._place]
+        return columns(frames, self._plan, 0)[:, self._place]
 
     def put_all(self, words: Words, values: NDArray[np.float64], where: NDArray[np.bool_]) -> None:
         """Write values into payloads, shape (frames, 8), where they are asked for."""
-        put_column(words, self.row, values, where)
+        if not self._branches:
+            put_column(words, self.row, values, where)
+            return
+        there = np.array([self._decoded(one, words[0].nbytes)[1] for one in words]).reshape(len(words), -1) == 1
+        for place, row in zip(self._branches, self._rows, strict=True):
+            put_column(words, row, values, where & there[:, place])
 
     def put(self, words: Words, value: float) -> None:
         """Write a value over any bits; an integer signal takes the nearest that it can carry."""
-        put_column(words.reshape(1, 8), self.row, np.array([value]), np.ones(1, np.bool_))
+        self.put_all(words.reshape(1, 8), np.array([value]), np.ones(1, np.bool_))
 
 
 def words_of(frame: np.void) -> Words:

@@ -10,6 +10,8 @@ from typing import Any
 
 from cantools.database.can import Message
 
+from gateway.signals.ranges import Ranges, follow, narrow_signals
+
 
 class CompactMessage(Message):
     """A message whose codecs are made at the first use."""
@@ -17,30 +19,39 @@ class CompactMessage(Message):
     @property
     def _codecs(self) -> Any:
         if self.__dict__.get("_codecs") is None:
-            self.__dict__["_codecs"] = self._create_codec()
+            self.refresh(strict=False)
         return self.__dict__["_codecs"]
 
     @_codecs.setter
     def _codecs(self, codecs: Any) -> None:
         self.__dict__["_codecs"] = codecs
 
+    def refresh(self, strict: bool | None = None) -> None:
+        """Make the codecs again, as cantools does; multiplexer values may be ranges."""
+        signals = self._signals
+        if not any(isinstance(signal.multiplexer_ids, Ranges) for signal in signals):
+            super().refresh(strict)
+            return
+        self._signals, firsts = narrow_signals(signals)
+        try:
+            super().refresh(strict)
+        finally:
+            self._signals = signals
+        self._signal_dict = {signal.name: signal for signal in signals}
+        follow(self._codecs, firsts)
 
-def compact(messages: Sequence[Message], kept: frozenset[int] = frozenset()) -> None:
-    """Share equal parts of messages, and leave their codecs out.
 
-    Args:
-        messages: of one file.
-        kept: places of those whose codecs stay, since they cannot be made again.
-    """
+def compact(messages: Sequence[Message]) -> None:
+    """Share equal parts of messages, and leave their codecs out."""
     shared: dict[Any, Any] = {}
+    owner: Any
 
     def same(key: tuple[Any, ...], part: Any) -> Any:
         return shared.setdefault((type(part), *key), part)
 
-    for k, message in enumerate(messages):
+    for message in messages:
         message.__class__ = CompactMessage
-        if k not in kept and not message.is_container:
-            message._codecs = None
+        message._codecs = None
         for owner in (message, *message.signals):
             if owner.dbc is not None and not owner.dbc.attributes:
                 defined = owner.dbc.attribute_definitions

@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.signals.bounds import refuse_lengths, refuse_scalings
 from gateway.signals.dialect import mended, signals_said, text_of, without
+from gateway.signals.identity import (
+    exact_name,
+    exact_signals,
+    long_names,
+    repair_references,
+    same,
+    sticks_out,
+    together,
+)
 from gateway.signals.parsed import messages_of
+from gateway.signals.ranges import narrowed, widened
 from gateway_fdi.common.log import get_logger
-from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.errors import InputError, named, nearest
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -30,7 +41,8 @@ MOST_LEFT_OUT = 100
 class Database:
     """The messages of one bus, from one or several files.
 
-    Messages that share a name (some SYM files have them) are left out; asking for one is an error.
+    Equal messages are one. Different ones of one name are known by their exact names (:mod:`gateway.signals.identity`).
+    Of several with one identifier the first is decoded; the others are there for those who name them.
 
     Args:
         messages: (message, file it came from) pairs.
@@ -38,31 +50,88 @@ class Database:
 
     def __init__(self, messages: Sequence[tuple[Message, Path]]) -> None:
         self._files = dict.fromkeys(str(file) for _, file in messages)
-        self._file_of = {message.name: file for message, file in messages}
-        count = Counter(message.name for message, _ in messages)
-        self._messages = {m.name: m for m, _ in messages if count[m.name] == 1}
-        self._ambiguous = {
-            name: sorted({str(file) for m, file in messages if m.name == name})
-            for name, number in count.items()
-            if number > 1
-        }
+        self._messages: dict[str, Message] = {}
+        self._file_of: dict[str, Path] = {}
+        self._joined: dict[str, Mapping[str, tuple[Signal, ...]]] = {}
+        self._ambiguous: dict[str, list[str]] = {}
+        self._shadowed: dict[str, str] = {}
+        self._notes: list[str] = []
+        of_name: dict[str, list[tuple[Message, Path]]] = {}
+        for message, file in messages:
+            of_name.setdefault(message.name, []).append((message, file))
+        for name, mine in of_name.items():
+            different = _different(mine)
+            if len(different) == 1:
+                self._add(*different[0])
+            else:
+                self._add_all(name, different, of_name)
+        self._shadow()
+
+    def _add_all(self, name: str, messages: Sequence[tuple[Message, Path]], taken: Collection[str]) -> None:
+        """Take different messages of one name."""
+        for message, file in messages:
+            own = copy(message)
+            own.name = exact_name(message)
+            if own.name in self._messages and message.bus_name:  # of several buses of a file
+                own.name += f"_{message.bus_name}"
+            while own.name in self._messages or own.name in taken:
+                own.name += "_"
+            self._ambiguous.setdefault(name, []).append(own.name)
+            self._add(own, file)
+        self._notes.append(f"several messages have the name {name}: {' and '.join(self._ambiguous[name])}")
+
+    def _add(self, message: Message, file: Path) -> None:
+        exact = exact_signals(message)
+        self._messages[message.name] = exact.message
+        self._file_of[message.name] = file
+        if exact.joined:
+            self._joined[message.name] = exact.joined
+
+    def _shadow(self) -> None:
+        """Find the messages whose identifier another one has already."""
+        owners: dict[tuple[int, bool], Message] = {}
+        for name, message in self._messages.items():
+            owner = owners.setdefault((message.frame_id, message.is_extended_frame), message)
+            if owner is not message:
+                self._shadowed[name] = owner.name
+                of = {one.bus_name for one in (owner, message)} - {None}
+                hint = f", of the buses {' and '.join(sorted(map(str, of)))}: choose one" if len(of) > 1 else ""
+                text = f"{owner.name} and {name} have the identifier 0x{message.frame_id:X}{hint}"
+                self._notes.append(f"{text}: frames of it are decoded as {owner.name}")
+
+    @property
+    def notes(self) -> list[str]:
+        """What people should know of it, one line each: names and identifiers given twice, signals of no frame."""
+        found = list(self._notes)
+        for message in self:
+            out = [signal.name for signal in message.signals if sticks_out(message, signal)]
+            if out and not message.is_container:
+                found.append(f"{message.name} has {message.length} bytes; beyond them: {', '.join(out)}")
+        for name, joined in self._joined.items():
+            each = "; ".join(f"{one} ({' or '.join(signal.name for signal in of)})" for one, of in joined.items())
+            found.append(f"{name} has signals of one name in several branches: {each}")
+        return found
+
+    def has(self, name: str) -> bool:
+        """Return whether a message has a name, or several have it."""
+        return name in self._messages or name in self._ambiguous
 
     def __iter__(self) -> Iterator[Message]:
-        return iter(self._messages.values())
+        return (message for name, message in self._messages.items() if name not in self._shadowed)
 
     def __len__(self) -> int:
-        return len(self._messages)
+        return len(self._messages) - len(self._shadowed)
 
     def message(self, name: str) -> Message:
         """Return a message by name.
 
         Raises:
-            InputError: there is none; names close ones.
+            InputError: there is none, names close ones; or several have it, names what tells them apart.
         """
         found = self._messages.get(name)
-        if name in self._ambiguous:
-            files = " and ".join(self._ambiguous[name])
-            raise InputError(f"several messages have this name, in {files}", value=name)
+        if found is None and name in self._ambiguous:
+            each = " or ".join(f"{one} (in {self._file_of[one]})" for one in self._ambiguous[name])
+            raise InputError(f"several messages have this name: write {each}", value=name)
         if found is None:
             known = list(self._messages)
             where = ", ".join(self._files) or "a database: this bus has none"
@@ -77,18 +146,46 @@ class Database:
         """
         return self._file_of[self.message(message).name]
 
+    def joined(self, message: str) -> Mapping[str, tuple[Signal, ...]]:
+        """Return the names that signals in several branches of a message share: name -> these signals."""
+        return self._joined.get(message, {})
+
+    def signals(self, message: str) -> dict[str, Signal]:
+        """Return the signals of a message by name; several that share one are one."""
+        signals, joined = self.message(message).signals, self.joined(message)
+        of = {signal.name: name for name, each in joined.items() for signal in each}
+        found: dict[str, Signal] = {}
+        for signal in signals:
+            found.setdefault(of.get(signal.name, signal.name), signal)
+        return {name: together(name, joined[name]) if name in joined else signal for name, signal in found.items()}
+
     def signal(self, message: str, name: str) -> Signal:
-        """Return a signal of a message by name.
+        """Return a signal of a message by name, or by exact name; of several that share a name what they are together.
 
         Raises:
             InputError: there is none; names close ones.
         """
+        shared = self.joined(message).get(name)
+        if shared:
+            return together(name, shared)
         found = self.message(message)
         for signal in found.signals:
             if signal.name == name:
                 return signal
         known = [signal.name for signal in found.signals]
         raise InputError(f"no signal {name!r} in message {message!r}{nearest(name, known)}")
+
+
+def _different(messages: Sequence[tuple[Message, Path]]) -> list[tuple[Message, Path]]:
+    """Return messages without those that are equal to one before: of the same identifier, and saying the same."""
+    if len(messages) == 1:
+        return list(messages)
+    found: list[tuple[Message, Path]] = []
+    for message, file in messages:
+        key = message.frame_id, message.is_extended_frame
+        if not any((one.frame_id, one.is_extended_frame) == key and same(one, message) for one, _ in found):
+            found.append((message, file))
+    return found
 
 
 def load_database(paths: Sequence[Path]) -> Database:
@@ -98,17 +195,30 @@ def load_database(paths: Sequence[Path]) -> Database:
     their message, and those are decoded as cantools does.
 
     Args:
-        paths: DBC, KCD, SYM or ARXML files; their messages are joined.
+        paths: DBC, KCD, SYM or ARXML files; their messages are joined. ``file#bus`` is one bus of a file that has
+            several.
 
     Raises:
         InputError: a file that cannot be read or parsed (with the line where it is known), that
-            holds no CAN messages, or what no network has (see :mod:`gateway.signals.bounds`).
+            holds no CAN messages, or what no network has (see :mod:`gateway.signals.bounds`); a bus that it has not.
     """
     messages: list[tuple[Message, Path]] = []
     for path in paths:
-        found = _load(path)
-        messages += [(message, path) for message in found]
+        file, bus = file_and_bus(path)
+        found = _load(file)
+        if bus:
+            known = sorted({message.bus_name for message in found if message.bus_name})
+            if bus not in known:
+                raise InputError(named("the buses of this file are", bus, known), file=file, value=bus)
+            found = [message for message in found if message.bus_name == bus]
+        messages += [(message, file) for message in found]
     return Database(messages)
+
+
+def file_and_bus(path: Path) -> tuple[Path, str]:
+    """Return the file, and the bus of it that ``file#bus`` names; "": all that it has."""
+    name, _, bus = path.name.rpartition("#")
+    return (path.with_name(name), bus) if name.lower().endswith(SUFFIXES) else (path, "")
 
 
 def _load(path: Path) -> list[Message]:
@@ -143,14 +253,16 @@ def _read(text: str, suffix: str) -> list[Message]:
 
     from gateway.signals.compact import compact  # noqa: PLC0415 - with cantools
 
+    text, wide = narrowed(text) if suffix == ".dbc" else (text, {})
     loaded = cantools.database.load_string(text, database_format=suffix[1:], strict=False)
     messages = list(loaded.messages) if isinstance(loaded, cantools.database.can.Database) else []
     read = sum(len(message.signals) for message in messages)
-    if suffix == ".dbc" and read < (
-        said := signals_said(text)
-    ):  # a line without receivers takes the next one for these
-        raise ValueError(f"{said} signals, of which {read} can be read")
+    if suffix == ".dbc":
+        if read < (said := signals_said(text)):  # a line without receivers takes the next one for these
+            raise ValueError(f"{said} signals, of which {read} can be read")
+        repair_references(messages, text)
     compact(messages)
+    widened(messages, wide, long_names(text) if wide else {})
     return messages
 
 

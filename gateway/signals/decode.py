@@ -13,11 +13,13 @@ OK, TOO_SHORT, UNKNOWN_MUX, INVALID_VALUE = 0, 1, 2, 3
 
 UNSIGNED, SIGNED, FLOAT16, FLOAT32, FLOAT64 = range(5)
 
-#: One signal. ``parent`` is the multiplexer's place among the message's signals (-1: always there),
-#: present when its value is one of ``mux_ids[first_id:+ids]``; a multiplexer's own known values are
-#: ``mux_ids[first_known:+known]``. ``slot`` is -1 for a signal that is not asked for. A floating-point signal is valid
-#: between ``low`` and ``high``. A ``plain`` one is an unsigned number of less than 64 bits that lies little-endian in
-#: one word, and is neither multiplexed nor a multiplexer.
+#: One signal. ``parent`` is the multiplexer's place among the message's signals (-1: always there), present when its
+#: raw value is in one of the ranges ``mux_ids[first_id:+ids]``, pairs of least and greatest; a multiplexer's own known
+#: values are those of ``mux_ids[first_known:+known]``. ``slot`` is -1 for a signal that is not asked for. A
+#: floating-point signal is valid between ``low`` and ``high``. ``need`` is the length from which on a frame has all its
+#: bits. One of several signals of one name puts its value at the place ``into``, too; that place has a parent without
+#: ids: by itself it is never there. A ``plain`` signal is an unsigned number of less than 64 bits that lies
+#: little-endian in one word, and is neither multiplexed nor a multiplexer.
 SIGNAL = record(
     scale=f8,
     offset=f8,
@@ -29,6 +31,7 @@ SIGNAL = record(
     first_known=i4,
     known=i4,
     parent=i2,
+    into=i2,
     word=u1,
     shift=u1,
     length=u1,
@@ -36,11 +39,12 @@ SIGNAL = record(
     spill=u1,
     kind=u1,
     plain=u1,
+    need=u1,
 )
 
-#: One message: bytes it needs, its signals ``signals[first:first + count]``, its identity, and whether floating-point
-#: signals are among them. A ``whole`` one has only integers that are always there and asked for, one slot after the
-#: other from ``slot`` on: a frame that is long enough has all of them.
+#: One message: length from which on a frame has all its signals, these ``signals[first:first + count]``, its identity,
+#: and whether floating-point signals are among them. A ``whole`` one has only integers that are always there and asked
+#: for, one slot after the other from ``slot`` on: a frame that is long enough has all of them.
 MESSAGE = record(length=i4, first=i4, count=i4, can_id=u4, slot=i4, bus=u1, floats=u1, whole=u1)
 
 _PGN = np.uint64(1 << 40)  # marks keys that match by PGN
@@ -80,6 +84,12 @@ def pgn_key(bus: int, can_id: int) -> Any:
 
 
 @kernel
+def source_key(bus: int, can_id: int) -> Any:
+    """Return the key by which a J1939 message of one source address matches: priority and destination left out."""
+    return (pgn_key(bus, can_id) << np.uint64(8)) | np.uint64(can_id & 0xFF)
+
+
+@kernel
 def exact_key(bus: int, can_id: int) -> Any:
     """Return the key of a frame's bus and identifier (with its EXTENDED flag)."""
     return (np.uint64(bus) << np.uint64(32)) | np.uint64(can_id)
@@ -87,10 +97,15 @@ def exact_key(bus: int, can_id: int) -> Any:
 
 @kernel
 def lookup(keys: Any, rows: Any, bus: int, can_id: int) -> int:
-    """Return the row of a frame's message, -1 for a foreign frame; exact identifiers win over PGNs."""
+    """Return the row of a frame's message, -1 for a foreign frame.
+
+    Exact identifiers win over PGNs; of these the message of the frame's source address wins.
+    """
     row = find(keys, rows, exact_key(bus, can_id))
     if row < 0 and can_id & 0x80000000:
-        row = find(keys, rows, pgn_key(bus, can_id))
+        row = find(keys, rows, source_key(bus, can_id))
+        if row < 0:
+            row = find(keys, rows, pgn_key(bus, can_id))
     return row
 
 
@@ -150,9 +165,9 @@ def plain_value(words: Any, s: Any) -> float:
 
 @kernel
 def among(value: int, ids: Any, first: int, count: int) -> bool:
-    """Return whether a value is one of ``ids[first:first + count]``."""
+    """Return whether a value is in one of the ranges ``ids[first:first + count]``, pairs of least and greatest."""
     for k in range(first, first + count):
-        if ids[k] == value:
+        if ids[k, 0] <= value <= ids[k, 1]:
             return True
     return False
 
@@ -176,31 +191,60 @@ def decode(
         row: of the message.
         messages: shape (messages,) of MESSAGE.
         signals: shape (signals,) of SIGNAL.
-        mux_ids: int64, the multiplexer values of all signals.
+        mux_ids: int64, shape (ranges, 2), the multiplexer values of all signals.
         values: float64, takes the physical value of the message's j-th signal.
         present: uint8, takes whether the j-th signal is in this frame.
 
     Returns:
-        OK, TOO_SHORT or UNKNOWN_MUX; unless OK nothing of ``values`` may be used.
+        OK; TOO_SHORT: some signals are beyond the frame's end; UNKNOWN_MUX: a multiplexer selects none.
     """
     m = messages[row]
-    if length < m.length:
-        return TOO_SHORT
     first = int(m.first)
+    status = OK
     for j in range(m.count):
         s = signals[np.uint64(first + j)]
         if s.plain == 1:
             present[j] = 1
             values[j] = plain_value(words, s)
             continue
-        if s.parent >= 0 and (present[s.parent] == 0 or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)):
+        if s.parent >= 0 and (
+            s.ids == 0
+            or present[s.parent] == 0
+            or not among(int(values[s.parent]), mux_ids, s.first_id, s.ids)  # raw: multiplexers have no scaling
+        ):
             present[j] = 0
             continue
         present[j] = 1
         values[j] = extract(words, s)
+        if s.into >= 0:
+            present[s.into] = 1
+            values[s.into] = values[j]
         if s.known > 0 and not among(int(values[j]), mux_ids, s.first_known, s.known):
-            return UNKNOWN_MUX
-    return OK
+            status = UNKNOWN_MUX
+    if length < m.length:
+        cut_off(length, m, signals, values, present)
+        status = TOO_SHORT
+    return status
+
+
+@kernel(inlined=False)
+def cut_off(length: int, m: Any, signals: Any, values: Any, present: Any) -> None:
+    """Take out the signals that are not in a frame which is shorter than its message.
+
+    Args:
+        length: of the payload [byte].
+        m: record of MESSAGE.
+        signals: shape (signals,) of SIGNAL.
+        values: of the message's signals, as all bits of it were there.
+        present: whether these are in the frame.
+    """
+    for j in range(m.count):
+        s = signals[np.uint64(m.first + j)]
+        if s.need > length or (s.parent >= 0 and (s.ids == 0 or present[s.parent] == 0)):
+            present[j] = 0
+        elif s.into >= 0 and present[j] == 1:
+            present[s.into] = 1
+            values[s.into] = values[j]
 
 
 @kernel
@@ -226,6 +270,8 @@ def void(row: int, messages: Any, signals: Any, values: Any, present: Any) -> No
         s = signals[m.first + j]
         if s.kind >= FLOAT16 and present[j] == 1 and not s.low <= values[j] <= s.high:
             values[j] = np.nan
+            if s.into >= 0:
+                values[s.into] = np.nan
 
 
 @kernel

@@ -28,7 +28,7 @@ def decode_all(
     there: Any,
     results: Any,
 ) -> int:
-    """Decode all frames of one message.
+    """Decode all frames of one message; returns how many have all their signals.
 
     Args:
         words: payloads, uint64, shape (frames, 8), zero beyond their lengths.
@@ -36,27 +36,23 @@ def decode_all(
         row: of the message.
         messages: shape (messages,) of MESSAGE.
         signals: shape (signals,) of SIGNAL.
-        mux_ids: int64, the multiplexer values of all signals.
+        mux_ids: int64, shape (ranges, 2), the multiplexer values of all signals.
         values: float64, scratch for one frame.
         present: uint8, scratch for one frame.
         out: float64, shape (signals of the message, frames); takes what is in each frame.
         there: uint8, of the same shape, 0 on entry; takes whether it is in there.
         results: uint8, shape (frames,), takes what became of each frame: OK, TOO_SHORT, UNKNOWN_MUX.
-
-    Returns:
-        how many frames could be decoded.
     """
     good = 0
     count = messages[row].count
     for k in range(words.shape[0]):
         result = decode(words[k], lengths[k], row, messages, signals, mux_ids, values, present)
         results[k] = result
-        if result == OK:
-            good += 1
-            for j in range(count):
-                if present[j] == 1:
-                    out[j, k] = values[j]
-                    there[j, k] = 1
+        good += result == OK
+        for j in range(count):
+            if present[j] == 1:
+                out[j, k] = values[j]
+                there[j, k] = 1
     return good
 
 
@@ -143,8 +139,8 @@ def message_rows(frames: Frames, plan: DecodePlan) -> NDArray[np.int16]:
     return out
 
 
-def columns(frames: Frames, plan: DecodePlan, row: int) -> tuple[NDArray[np.float64], int]:
-    """Return the physical values of a message's signals, and how many frames could be decoded.
+def columns(frames: Frames, plan: DecodePlan, row: int) -> NDArray[np.float64]:
+    """Return the physical values of a message's signals.
 
     Args:
         frames: of this message.
@@ -157,14 +153,14 @@ def columns(frames: Frames, plan: DecodePlan, row: int) -> tuple[NDArray[np.floa
     return valued(decode_columns(frames, plan, row), plan, row)
 
 
-def valued(found: Columns, plan: DecodePlan, row: int) -> tuple[NDArray[np.float64], int]:
+def valued(found: Columns, plan: DecodePlan, row: int) -> NDArray[np.float64]:
     """Return what was decoded as :func:`columns` does."""
     found.values[~found.there] = np.nan
     first, count = int(plan.messages[row]["first"]), len(found.values)
     for values, signal in zip(found.values, plan.signals[first : first + count], strict=True):
         if signal["kind"] >= FLOAT16:
             values[~((values >= signal["low"]) & (values <= signal["high"]))] = np.nan
-    return np.ascontiguousarray(found.values.T), int((found.results == OK).sum())
+    return np.ascontiguousarray(found.values.T)
 
 
 def bits_of(words: NDArray[np.uint64], field: Any) -> NDArray[np.uint64]:

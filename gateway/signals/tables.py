@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -24,7 +24,10 @@ from gateway.signals.decode import (
     exact_key,
     hashed,
     pgn_key,
+    source_key,
 )
+from gateway.signals.identity import needs
+from gateway.signals.ranges import Pairs, Ranges, runs
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED
 
@@ -32,8 +35,15 @@ if TYPE_CHECKING:
     from cantools.database.can import Message
     from cantools.database.can.signal import Signal
 
-#: Length asked of a message that its database describes wrongly.
-NEVER_LONG_ENOUGH = 255
+#: Length from which on a frame has a signal that no frame has.
+_NEVER = 255
+#: J1939 source address of a database's message that any node may send: the null address.
+_ANY_SOURCE = 0xFE
+
+#: Longest payload of a frame [byte].
+_LONGEST = 64
+#: Before the name of a multiplexer's raw number, where its value is another one.
+_RAW = "\0"
 
 _FLOATS = {16: FLOAT16, 32: FLOAT32, 64: FLOAT64}
 
@@ -108,6 +118,12 @@ class DecodePlan:
         first = self.messages["first"][self.slot_message[slot]]
         return bool(self.signals["parent"][first + self.positions[self.slot_names[slot]]] >= 0)
 
+    def beyond(self, row: int, length: int) -> list[str]:
+        """Return the signals of a message that are beyond the end of frames of a length, of those that are decoded."""
+        first, count = self.messages["first"][row], self.messages["count"][row]
+        mine = self.signals[first : first + count]
+        return [self.slot_names[slot].signal for slot in mine["slot"][mine["need"] > length] if slot >= 0]
+
     def message(self, bus: int, name: str) -> int:
         """Return the row of a message."""
         return self._rows[bus, name]
@@ -138,48 +154,6 @@ def _groups(ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
     return np.where((ids >> 16) & 0xFF < 240, groups & 0x3FF00, groups)
 
 
-def _needed(message: Message, wanted: set[str]) -> list[Signal]:
-    """Return wanted signals and all multiplexers, each multiplexer before what depends on it."""
-    by_name = {signal.name: signal for signal in message.signals}
-    ordered: dict[str, Signal] = {}
-
-    def take(signal: Signal) -> None:
-        if signal.multiplexer_signal is not None:
-            take(by_name[signal.multiplexer_signal])
-        ordered.setdefault(signal.name, signal)
-
-    for signal in message.signals:
-        if signal.is_multiplexer or signal.name in wanted:
-            take(signal)
-    return list(ordered.values())
-
-
-def _known_values(tree: Any, multiplexer: str) -> set[int]:
-    """Return the values of a multiplexer that the database describes, anywhere in the message.
-
-    Args:
-        tree: cantools' signal tree: names, and ``{multiplexer: {value: tree}}``.
-        multiplexer: its name.
-    """
-    known: set[int] = set()
-    for entry in tree:
-        if isinstance(entry, dict):
-            for name, branches in entry.items():
-                if name == multiplexer:
-                    known |= set(branches)
-                for branch in branches.values():
-                    known |= _known_values(branch, multiplexer)
-    return known
-
-
-def sticks_out(message: Message, signal: Signal) -> bool:
-    """Return whether a signal needs more bytes than its message has."""
-    start = signal.start
-    if signal.byte_order == "big_endian":
-        start = 8 * (start // 8) + 7 - start % 8
-    return start + signal.length > 8 * message.length
-
-
 def _valid_range(signal: Signal) -> tuple[float, float]:
     """Return between which values a floating-point signal is valid: its range, and as much again on each side."""
     low, high = signal.minimum, signal.maximum
@@ -199,7 +173,8 @@ def signal_row(signal: Signal) -> Any:
     else:
         row["kind"] = SIGNED if signal.is_signed else UNSIGNED
     row["scale"], row["offset"] = signal.scale, signal.offset
-    row["slot"], row["parent"] = -1, -1
+    row["slot"] = row["parent"] = row["into"] = -1
+    row["need"] = min(needs(signal), _NEVER)
     return row
 
 
@@ -211,26 +186,47 @@ def by_pgn(message: Message, whole_bus: bool) -> bool:
 def _hash(
     messages: Sequence[tuple[int, Message]], by_group: Sequence[bool]
 ) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
-    made: dict[int, Message] = {}
+    """Return the table of all keys by which frames find their message.
+
+    Raises:
+        InputError: two messages have one identifier.
+    """
+    made: dict[int, int] = {}
     # As plain Python: for a number by itself the way to machine code is longer.
-    of_group, of_id = (getattr(each, "py_func", each) for each in (pgn_key, exact_key))
-    for (bus, message), group in zip(messages, by_group, strict=True):
-        can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        key = int(of_group(bus, can_id) if group else of_id(bus, can_id))
-        if key in made:
-            raise InputError(f"has the identifier of {made[key].name}: 0x{message.frame_id:X}", key=message.name)
-        made[key] = message
-    return hash_table(list(made))
+    of_id, of_group = (getattr(each, "py_func", each) for each in (exact_key, pgn_key))
+    for row, (bus, message) in enumerate(messages):
+        other = made.setdefault(int(of_id(bus, can_id_of(message))), row)
+        if other != row:
+            text = f"has the identifier of {messages[other][1].name}: 0x{message.frame_id:X}"
+            raise InputError(text, key=message.name)
+    # Of several messages of a group that of any source takes the frames of sources that none names.
+    groups = [row for row, group in enumerate(by_group) if group]
+    for row in sorted(groups, key=lambda row: (messages[row][1].frame_id & 0xFF != _ANY_SOURCE, row)):
+        bus, can_id = messages[row][0], can_id_of(messages[row][1])
+        if can_id & 0xFF != _ANY_SOURCE:
+            made.setdefault(int(source_key(bus, can_id)), row)
+        made.setdefault(int(of_group(bus, can_id)), row)
+    return hash_table(list(made), list(made.values()))
 
 
-def hash_table(keys: Sequence[int]) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
-    """Return the open-addressed table of different keys, for ``find``: keys, and the place of each in the sequence."""
+def can_id_of(message: Message) -> int:
+    """Return the identifier of a message as frames have it, with its flag EXTENDED."""
+    return int(message.frame_id) | (EXTENDED if message.is_extended_frame else 0)
+
+
+def hash_table(keys: Sequence[int], of: Sequence[int] | None = None) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
+    """Return the open-addressed table of different keys, for ``find``.
+
+    Args:
+        keys: of it.
+        of: the row of each; None: its place in the sequence.
+    """
     capacity = 8
     while capacity < 2 * len(keys) + 1:
         capacity *= 2
     slots, rows = np.zeros(capacity, np.uint64), np.full(capacity, -1, np.int32)
     begins = getattr(hashed, "py_func", hashed)
-    for row, key in enumerate(keys):
+    for row, key in zip(range(len(keys)) if of is None else of, keys, strict=True):
         at = int(begins(np.uint64(key), capacity - 1))
         while rows[at] >= 0:
             at = (at + 1) % capacity
@@ -270,7 +266,7 @@ def compile_plan(
     )
     rows = _Rows(np.zeros(len(chosen), MESSAGE))
     for row, (bus, message) in enumerate(chosen):
-        rows.add(row, bus, message, asked[bus, message.name])
+        rows.add(row, bus, message, asked[bus, message.name], by_bus[bus].joined(message.name))
     by_group = [by_pgn(message, bus in pgn) for bus, message in chosen]
     keys, places = _hash(chosen, by_group)
     signals = np.asarray(rows.signals, SIGNAL) if rows.signals else np.zeros(0, SIGNAL)
@@ -279,7 +275,7 @@ def compile_plan(
         places,
         rows.messages if COMPILED else rows.messages.view(np.recarray),
         signals if COMPILED else signals.view(np.recarray),
-        np.asarray(rows.mux_ids or [0], np.int64),
+        np.asarray(rows.mux_ids or [(0, 0)], np.int64),
         tuple(rows.slots),
         tuple(rows.units),
         np.asarray(rows.slot_message, np.int32),
@@ -292,10 +288,10 @@ def compile_plan(
 def _all_signals(databases: Sequence[tuple[int, Database]]) -> list[SignalRef]:
     """Return all signals that can be decoded."""
     return [
-        SignalRef(bus, message.name, signal.name)
+        SignalRef(bus, message.name, name)
         for bus, database in databases
         for message in database
-        for signal in message.signals
+        for name, signal in database.signals(message.name).items()
         if signal.length <= 64
     ]
 
@@ -330,59 +326,155 @@ class _Rows:
     Attributes:
         messages: of MESSAGE, shape (messages,).
         signals: of SIGNAL; those of one message lie together.
-        mux_ids: multiplexer ids that the signals' rows point to.
+        mux_ids: ranges of multiplexer values that the signals' rows point to.
         slots: the signal of each mailbox slot, with its unit and the row of its message.
         positions: signal -> its place among those of its message.
     """
 
     messages: NDArray[np.void]
     signals: list[Any] = field(default_factory=list)
-    mux_ids: list[int] = field(default_factory=list)
+    mux_ids: list[tuple[int, int]] = field(default_factory=list)
     slots: list[SignalRef] = field(default_factory=list)
     units: list[str] = field(default_factory=list)
     slot_message: list[int] = field(default_factory=list)
     positions: dict[SignalRef, int] = field(default_factory=dict)
 
-    def add(self, row: int, bus: int, message: Message, names: set[str]) -> None:
+    def add(
+        self, row: int, bus: int, message: Message, names: set[str], joined: Mapping[str, tuple[Signal, ...]]
+    ) -> None:
         """Fill the row of a message, and those of the signals that it needs for the named ones."""
-        needed = _needed(message, names)
-        place = {signal.name: j for j, signal in enumerate(needed)}
+        needed = _Needed(message, names, joined)
         entry = self.messages[row]
-        entry["first"], entry["count"] = len(self.signals), len(needed)
-        # A message that is too short for its own signals can never be decoded (nor by cantools).
-        broken = any(sticks_out(message, signal) for signal in message.signals)
-        entry["length"] = NEVER_LONG_ENOUGH if broken else message.length
-        entry["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
-        entry["bus"] = bus
-        entry["floats"] = any(signal.is_float for signal in needed)
-        alone = not any(signal.is_float or signal.is_multiplexer or signal.multiplexer_ids for signal in needed)
-        entry["whole"], entry["slot"] = alone and all(s.name in names for s in needed), len(self.slots)
-        for j, signal in enumerate(needed):
-            ref = SignalRef(bus, message.name, signal.name)
-            self.positions[ref] = j
-            made = self._signal(message, signal, place)
-            if signal.name in names:
+        entry["first"], entry["count"] = len(self.signals), len(needed.places)
+        entry["can_id"], entry["bus"] = can_id_of(message), bus
+        signals = [signal for signal in needed.places.values() if signal is not None]
+        entry["length"] = max([message.length, *(min(needs(signal), _NEVER) for signal in signals)])
+        entry["floats"] = any(signal.is_float for signal in signals)
+        alone = not any(signal.is_float or signal.is_multiplexer or signal.multiplexer_ids for signal in signals)
+        alone = alone and all(needs(signal) <= _LONGEST for signal in signals)
+        entry["whole"], entry["slot"] = alone and names >= needed.places.keys(), len(self.slots)
+        for at, (name, signal) in enumerate(needed.places.items()):
+            made = _empty_row() if signal is None else self._signal(needed, name, signal)
+            if name in names:
+                ref = SignalRef(bus, message.name, name)
+                self.positions[ref] = at
                 made["slot"] = len(self.slots)
                 self.slots.append(ref)
-                self.units.append(signal.unit or "")
+                self.units.append(_unit(joined.get(name, (signal,))))
                 self.slot_message.append(row)
             self.signals.append(made)
 
-    def _signal(self, message: Message, signal: Signal, place: Mapping[str, int]) -> Any:
+    def _signal(self, needed: _Needed, name: str, signal: Signal) -> Any:
         """Return the row of a signal, its multiplexing resolved to places of the message's other signals."""
+        if needs(signal) > _LONGEST:  # no frame has it
+            return _empty_row()
         entry = signal_row(signal)
+        if name.startswith(_RAW):
+            entry["kind"], entry["scale"], entry["offset"] = UNSIGNED, 1.0, 0.0
         if signal.multiplexer_signal is not None:
-            ids = signal.multiplexer_ids or []
-            entry["parent"] = place[signal.multiplexer_signal]
-            entry["first_id"], entry["ids"] = len(self.mux_ids), len(ids)
-            self.mux_ids += ids
-        if signal.is_multiplexer:
-            known = sorted(_known_values(message.signal_tree, signal.name))
-            entry["first_known"], entry["known"] = len(self.mux_ids), len(known)
-            self.mux_ids += known
+            entry["parent"] = needed.place(needed.selector[signal.multiplexer_signal])
+            entry["first_id"], entry["ids"] = self._ids(signal.multiplexer_ids or [])
+        if name in needed.selector.values():
+            entry["first_known"], entry["known"] = self._ids(needed.known(signal))
+        if name in needed.into:
+            entry["into"] = needed.place(needed.into[name])
         number = entry["kind"] == UNSIGNED and entry["length"] < 64 and not (entry["big"] or entry["spill"])
-        entry["plain"] = number and entry["parent"] < 0 and entry["known"] == 0
+        entry["plain"] = number and entry["parent"] < 0 and entry["known"] == 0 and entry["into"] < 0
         return entry
+
+    def _ids(self, values: Iterable[int]) -> tuple[int, int]:
+        """Append multiplexer values; returns where their ranges begin, and how many they are."""
+        begin, made = len(self.mux_ids), runs(values)
+        self.mux_ids += made
+        return begin, len(made)
+
+
+class _Needed:
+    """Signals of a message that are decoded for some of them: also all multiplexers.
+
+    Args:
+        message: of the database.
+        names: of the signals that are wanted, exact ones, or joined ones.
+        joined: names that several signals share -> these.
+
+    Attributes:
+        places: name -> signal, each multiplexer before what it selects; None: the place of several of one name, which
+            lies before theirs. A multiplexer whose value is not its raw number has another place for that.
+        selector: name of a multiplexer as the database refers to it -> name of the place of its raw number.
+        into: name of the place of a signal -> name of the place that has its value, too.
+    """
+
+    def __init__(self, message: Message, names: set[str], joined: Mapping[str, tuple[Signal, ...]]) -> None:
+        self.places: dict[str, Signal | None] = {}
+        self.selector: dict[str, str] = {}
+        self.into: dict[str, str] = {}
+        self._by_name, self._joined = {signal.name: signal for signal in message.signals}, joined
+        of = {signal.name: name for name, each in joined.items() for signal in each}
+        for signal in message.signals:
+            if signal.is_multiplexer:
+                self._select(of.get(signal.name, signal.name))
+            if of.get(signal.name) in names:
+                self._join(of[signal.name], "")
+            if signal.name in names:
+                self._take(signal)
+        self._places = {name: place for place, name in enumerate(self.places)}
+
+    def place(self, name: str) -> int:
+        """Return the place of a name."""
+        return self._places[name]
+
+    def known(self, multiplexer: Signal) -> Ranges:
+        """Return the values of a multiplexer that the database describes, anywhere in the message; none: any."""
+        found: Pairs = [(int(value), int(value)) for value in multiplexer.choices or {}]
+        for signal in self._by_name.values():
+            if signal.multiplexer_signal == multiplexer.name:
+                found += runs(signal.multiplexer_ids or [])
+        return Ranges(found)
+
+    def _take(self, signal: Signal, prefix: str = "") -> None:
+        if signal.multiplexer_signal is not None:
+            self._select(signal.multiplexer_signal)
+        self.places.setdefault(f"{prefix}{signal.name}", signal)
+
+    def _join(self, name: str, prefix: str) -> None:
+        if f"{prefix}{name}" not in self.places:
+            for signal in self._joined[name]:
+                if signal.multiplexer_signal is not None:
+                    self._select(signal.multiplexer_signal)
+            self.places[f"{prefix}{name}"] = None
+            for signal in self._joined[name]:
+                self._take(signal, prefix)
+                self.into[f"{prefix}{signal.name}"] = f"{prefix}{name}"
+
+    def _select(self, name: str) -> None:
+        """Take a multiplexer for its raw number."""
+        if name in self.selector:
+            return
+        signal = self._by_name.get(name)
+        if signal is None:
+            self.selector[name] = f"{_RAW}{name}"
+            if name in self._joined:
+                self._join(name, _RAW)
+            else:  # the database has no such signal: what it selects is never there
+                self.places[f"{_RAW}{name}"] = None
+            return
+        plain = not signal.is_float and not signal.is_signed and (signal.scale, signal.offset) == (1, 0)
+        self.selector[name] = name if plain else f"{_RAW}{name}"
+        self._take(signal, "" if plain else _RAW)
+
+
+def _empty_row() -> Any:
+    """Return the record of SIGNAL of a place without bits: several signals of one name put their value there."""
+    row = np.zeros(1, SIGNAL)[0]
+    row["slot"] = row["into"] = -1
+    row["length"] = 1
+    return row
+
+
+def _unit(signals: Sequence[Signal | None]) -> str:
+    """Return the unit of a slot; signals of several units have none together."""
+    units = {signal.unit or "" for signal in signals if signal is not None}
+    return units.pop() if len(units) == 1 else ""
 
 
 def encode_rows(message: Message, names: Sequence[str]) -> list[Any]:

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gateway.bus.frames import ERROR, REMOTE
-from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, RESULT_CHANGED
+from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, RESULT_CHANGED, SHORT
 from gateway.monitors.contract import NOT_TESTED
 from gateway_fdi.errors import InputError
 
@@ -56,7 +56,7 @@ def test_the_mailbox_is_as_at_the_event_when_python_sees_it(build, tools):
     assert engine.value(slot) == 1.0
 
 
-def test_unknown_remote_error_and_short_frames_are_counted_not_decoded(build, tools):
+def test_unknown_remote_and_error_frames_are_counted_not_decoded_short_ones_in_part(build, tools):
     engine = build(("m", 0, {}))
     seen = tools.Collector()
     engine.process(
@@ -64,18 +64,19 @@ def test_unknown_remote_error_and_short_frames_are_counted_not_decoded(build, to
             (0, 0x7FF, b""),
             (1, 256 | REMOTE, b""),
             (2, 256 | ERROR, bytes(8)),
-            (3, 256, bytes(7)),
+            (3, 256, bytes(2)),
             (4, 256 | tools.EXTENDED, bytes(8)),
         ),
         seen,
     )
     counters = engine.counters()
     assert counters["frames"] == 5
-    assert counters["decoded"] == 0
+    assert counters["decoded"] == 1
     assert (counters["unknown"], counters["remote"], counters["error"]) == (2, 1, 1)
     assert counters["too_short"] == 1
-    assert seen.events == []
+    assert [event[2] for event in seen.events] == [SHORT]
     assert np.isnan(engine.value(engine.plan.slot(0, "Alpha", "Value")))
+    assert engine.tables.handlers["steps"].tolist() == [0], "its input is beyond the end"
 
 
 def test_a_timer_runs_at_its_deadline_whatever_the_batches(build, tools):

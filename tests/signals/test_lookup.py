@@ -87,7 +87,8 @@ def test_thousands_of_identifiers_and_collisions_on_purpose():
 
 def test_two_messages_of_one_identity_are_refused():
     with pytest.raises(InputError, match="identifier of A: 0x10"):
-        plan_of(message("A", 0x10), message("B", 0x10))
+        database = Database([(message("A", 0x10), None), (message("B", 0x10), None)])
+        compile_plan([(0, database)], [], messages=[(0, "A"), (0, "B")])
 
 
 def test_errors_name_what_is_close(tmp_path):

@@ -85,3 +85,33 @@ def messages(draw):
         is_extended_frame=extended,
         strict=False,
     )
+
+
+@st.composite
+def odd_messages(draw):
+    """Messages as people write them: signals that overlap, lie beyond the end, have one name; scaled multiplexers."""
+    size = draw(st.sampled_from([1, 4, 8, 8, 8, 12]))
+    names = draw(st.lists(st.sampled_from("abcd"), min_size=1, max_size=7))
+    outers = ["a", *draw(st.sampled_from([[], ["b"]]))]
+    made = []
+    for name in names:
+        is_float = name not in outers and draw(st.integers(0, 5)) == 0
+        length = draw(st.sampled_from([16, 32, 64]) if is_float else st.integers(1, 3 if name in outers else 64))
+        order = draw(st.sampled_from(["little_endian", "big_endian"]))
+        first = draw(st.integers(0, 8 * size + 8))
+        scale, offset = draw(scales)
+        parent = draw(st.sampled_from([None, *outers[: 1 if name == "b" else 2]])) if name != "a" else None
+        made.append(
+            Signal(
+                name,
+                first if order == "little_endian" else 8 * (first // 8) + 7 - first % 8,
+                length,
+                byte_order=order,
+                is_signed=not is_float and draw(st.booleans()),
+                conversion=BaseConversion.factory(scale=scale, offset=offset, is_float=is_float),
+                is_multiplexer=name in outers,
+                multiplexer_signal=parent,
+                multiplexer_ids=None if parent is None else draw(st.lists(st.integers(0, 7), min_size=1, max_size=4)),
+            )
+        )
+    return can_database.Message(0x123, "M", size, made, strict=False)

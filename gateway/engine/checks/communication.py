@@ -209,6 +209,7 @@ class CheckConst(Record):
     wake_ns: i8 = means("time to come after the bus was silent as a whole", "ns")
     first_ns: i8 = means("time to come since there is something to hear", "ns")
     length: i4 = means("least length", "byte")
+    need: i4 = means("length from which on a frame has its checksum and alive counter", "byte")
     only_length: i4 = means("the one length that it may have; 0: any", "byte")
     cycle_ns: i8 = means("of E2E's state machine: so long without a frame is no new data; 0: not looked at", "ns")
     rule: i8 = means("digest of the checksum's rule; 0: there is none")
@@ -228,6 +229,7 @@ class CheckState(Record):
     passed: i8 = means("frames whose checksum was right since the rule was proven")
     weighed: u8 = means("hash of the last right payload before the rule was proven")
     proof: i4 = means("what speaks for the rule of the checksum, -PROVEN to PROVEN", "half bit")
+    longest: i4 = means("length of its longest frame", "byte")
     unread: i4 = means("frames rejected since the counter was last read")
     misfits: i4 = means("frames whose checksum was wrong before the rule was proven")
     seen: u1 = means("1: last_counter is known")
@@ -252,6 +254,7 @@ COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
     ("left", "at", "filled", "stamps", "wraps", "crowded", "last_ns", "blamed", "before"): (
         "most_ns", "stride", "slots",
     ),
+    ("longest",): ("length",),
     ("passed", "weighed", "proof", "misfits", "samples", "lengths"): ("rule",),
     ("fresh", "trial", "sought", "synced"): ("rule",),
     # A window saw right and wrong frames. Its sizes and limits are asked at the next frame.
@@ -347,12 +350,17 @@ def _deciding(check: CheckInstance, message: Message, asked: Protection) -> list
     multiplexed = [signal for signal in message.signals if signal.multiplexer_ids]
     if not multiplexed:
         return []
-    fields = [] if asked.checksum is None else [asked.field]
-    fields += [] if asked.counter is None else [asked.counter.field]
-    taken = sum(mask_of(field) for field in fields)
+    taken = _bits(asked)
     return [
         SignalRef(check.bus, message.name, signal.name) for signal in multiplexed if mask_of(field_of(signal)) & taken
     ]
+
+
+def _bits(asked: Protection) -> int:
+    """Return the bits of checksum and alive counter, bit 0 of the first byte lowest."""
+    fields = [] if asked.checksum is None else [asked.field]
+    fields += [] if asked.counter is None else [asked.counter.field]
+    return sum(mask_of(field) for field in fields)
 
 
 def _key(check: CheckInstance) -> str:
@@ -398,9 +406,7 @@ def fill(
     row["bus"] = check.bus
     row["length"] = message.length
     row["only_length"] = 0 if isinstance(p.length, bool) else p.length
-    if 0 < row["only_length"] < message.length:
-        text = f"{message.name} has {message.length} bytes: no frame of this length is one"
-        raise InputError(text, key=f"{_key(check)}.length", value=p.length)
+    row["need"] = (_bits(asked).bit_length() + 7) // 8
     senders.fill(row, p.most)
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
     row["wake_ns"] = round(max(p.timeout_ms or 0, wake_ms if p.wake_ms is None else p.wake_ms) * 1e6)

@@ -40,7 +40,7 @@ from gateway.engine.gate import sleeps
 from gateway.engine.results import not_tested, report_result, store_evidence
 from gateway.engine.timers import arm
 from gateway.monitors.contract import NOT_TESTED
-from gateway.signals.decode import INVALID_VALUE, OK, TOO_SHORT
+from gateway.signals.decode import INVALID_VALUE, OK
 from gateway.signals.protection.judge import FRAME_CHECKSUM, FRAME_OK, judge_frame
 from gateway.signals.protection.protection import counter_of
 from gateway_fdi.jit import kernel
@@ -344,20 +344,34 @@ def bits_set(value: Any) -> int:
 
 
 @kernel
-def report_arrival(T: Any, t_ns: int, c: Any, length: int, status: int) -> None:
+def report_arrival(T: Any, t_ns: int, c: Any, length: int) -> None:
     """Report that a message has come, and whether it is long enough."""
     if c.fault[TIMEOUT] >= 0:
         report_result(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
     if c.fault[LENGTH] >= 0:
-        wrong = status == TOO_SHORT or is_odd_length(c, length)
+        wrong = is_odd_length(c, length)
         place = accuse(T, t_ns, c, LENGTH, wrong, length, c.only_length if c.only_length > 0 else c.length)
         store_evidence(T, c.fault[LENGTH], place, 0, length)
 
 
 @kernel
 def is_odd_length(c: Any, length: int) -> bool:
-    """Return whether a frame has another length than the one that it may have."""
-    return bool(c.only_length > 0 and length != c.only_length)
+    """Return whether a frame has another length than the one that it may have, or is cut off.
+
+    A sender whose frames always were shorter than the database says is not accused: it is the database that is wrong.
+    """
+    if c.only_length > 0:
+        return bool(length != c.only_length)
+    return bool(c.fault[LENGTH] >= 0 and length < min(c.length, c.longest))
+
+
+@kernel
+def lost_protection(c: Any, length: int) -> bool:
+    """Return whether a frame ends before its checksum or counter, and may not be used without.
+
+    Of a sender whose frames never had them they are not tested; SecOC and E2E's state machine are not to be evaded.
+    """
+    return bool(length < c.need and (c.longest >= c.need or c.protection.secured == 1 or c.protection.windowed == 1))
 
 
 @kernel
@@ -405,17 +419,18 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
     usual = is_usual(T, c, words, length, status)
     if not usual:
         end_run(T, c)
-        report_arrival(T, t_ns, c, length, status)
-        if status not in (OK, INVALID_VALUE) or is_odd_length(c, length):
+        c.longest = max(c.longest, length)
+        report_arrival(T, t_ns, c, length)
+        if is_odd_length(c, length) or lost_protection(c, length):
             c.unread += 1
             return REJECT
-    if usual or c.presence < 0 or T.present[c.presence] == 1:
+    if usual or (length >= c.need and (c.presence < 0 or T.present[c.presence] == 1)):
         if not usual and c.protection.windowed == 1:
             advance_missed_cycles(T, t_ns, c)
         if (c.summed == 1 if usual else c.fault[CRC] >= 0) and not checksum_fits(T, t_ns, c, words, length):
             if usual:  # it has come, and is long enough; its counter is not read
                 end_run(T, c)
-                report_arrival(T, t_ns, c, length, status)
+                report_arrival(T, t_ns, c, length)
             return REJECT
         if usual:
             if c.counted == 1:
@@ -432,7 +447,8 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         place = report_result(T, t_ns, c.fault[VALUE], bad >= 0, value, 0.0)
         store_evidence(T, c.fault[VALUE], place, 0, bad)
         store_evidence(T, c.fault[VALUE], place, 1, value)
-    if status != OK:
+    if status == INVALID_VALUE:
         return IN_PART
-    begin_run(T, c, length)
+    if status == OK:
+        begin_run(T, c, length)
     return ACCEPT

@@ -205,7 +205,7 @@ def is_there(p: One, selector: Any) -> bool:
     """Return whether a frame has a signal, by the values of its multiplexers, the outermost first."""
     for level in range(p.levels):
         selected = False
-        value = int(selector[level])  # of this frame: it was selected itself
+        value = selector[level]  # of this frame: it was selected itself; NaN: the frame ends before it
         for k in range(p.ranges[level]):
             selected = selected or p.least[level, k] <= value <= p.greatest[level, k]
         if not selected:
@@ -252,7 +252,7 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Any]) -> None:
         if u.trigger == TIMER:
             give_up(out, p, course, u.t_ns)
         else:
-            there = is_there(p, u.selector[k])
+            there = is_there(p, u.selector[k]) and not isnan(u.value[k])
             if p.fault[MISSING] >= 0:
                 watch_absence(out, p, course, u.t_ns, there)
             if there:

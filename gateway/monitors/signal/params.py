@@ -129,11 +129,11 @@ class Level(StrictModel):
 
     Attributes:
         multiplexer: "Message.Signal".
-        ranges: its values that do, least and greatest.
+        ranges: of its value in which it does, least and greatest.
     """
 
     multiplexer: str
-    ranges: tuple[tuple[int, int], ...]
+    ranges: tuple[tuple[float, float], ...]
 
 
 class Watched(StrictModel):

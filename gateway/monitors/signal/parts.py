@@ -19,6 +19,7 @@ from gateway.monitors.signal.params import (
     PartParams,
     Watched,
 )
+from gateway.signals.ranges import runs
 from gateway_fdi.errors import Gathered, InputError, nearest, under
 
 #: Texts of values that stand for no value, in capitals.
@@ -69,17 +70,6 @@ def _codes(limits: Limits, signal: Signal, key: str) -> tuple[float, ...]:
     return tuple(sorted(found))
 
 
-def _ranges(values: Iterable[int]) -> tuple[tuple[int, int], ...]:
-    """Return the same values as ranges, least and greatest."""
-    found: list[tuple[int, int]] = []
-    for value in sorted(values):
-        if found and value == found[-1][1] + 1:
-            found[-1] = found[-1][0], value
-        else:
-            found.append((value, value))
-    return tuple(found)
-
-
 def _levels(limits: Limits, signal: Signal, find: Callable[[str], Signal], key: str) -> tuple[Level, ...]:
     """Return the multiplexers that select a signal, the outermost first.
 
@@ -93,13 +83,28 @@ def _levels(limits: Limits, signal: Signal, find: Callable[[str], Signal], key: 
     found: list[Level] = []
     while signal.multiplexer_signal is not None:
         name = f"{message}.{signal.multiplexer_signal}"
-        ranges = _ranges(signal.multiplexer_ids or ())
+        outer = find(name)
+        ranges = _selecting(outer, signal.multiplexer_ids or ())
         if len(ranges) > MOST_RANGES or len(found) == MOST_LEVELS:
             text = f"at most {MOST_LEVELS} multiplexers above one another, with {MOST_RANGES} ranges of values each"
             raise InputError(text, key=f"{key}.signal", value=limits.signal)
         found.append(Level(multiplexer=name, ranges=ranges))
-        signal = find(name)
+        signal = outer
     return tuple(reversed(found))
+
+
+def _selecting(multiplexer: Signal, ids: Iterable[int]) -> tuple[tuple[float, float], ...]:
+    """Return the ranges of a multiplexer's value in which its raw number is one of some, half a step wider."""
+    ends = 1 << multiplexer.length
+    raws = runs(ids)
+    if multiplexer.is_signed:
+        parts = (
+            (max(low, half), min(high, half + ends // 2 - 1), half) for low, high in raws for half in (0, ends // 2)
+        )
+        raws = [(low - 2 * half, high - 2 * half) for low, high, half in parts if low <= high]
+    half = abs(multiplexer.scale) / 2
+    found = [sorted(raw * multiplexer.scale + multiplexer.offset for raw in ends_of) for ends_of in raws]
+    return tuple((float(least - half), float(greatest + half)) for least, greatest in found)
 
 
 def _watched(limits: Limits, signal: Signal, code: str, levels: tuple[Level, ...], key: str) -> Watched:

@@ -7,7 +7,7 @@ from typing import Annotated
 from gateway.monitors.contract import Inputs as Event
 from gateway.monitors.signal.faults import KINDS
 from gateway.monitors.signal.params import MOST_CODES, MOST_LEVELS, MOST_RANGES, MOST_SIGNALS, MOST_VALUES
-from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, i8s, means
+from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, means
 
 
 class Inputs(Event):
@@ -48,8 +48,8 @@ class One(Record):
     missing_s: f8 = means("time without it after which it is missing", "s")
     levels: i4 = means("multiplexers that select it; 0: it is in every frame")
     ranges: Annotated[i4s, MOST_LEVELS] = means("ranges of each multiplexer that select it")
-    least: Annotated[i8s, MOST_LEVELS, MOST_RANGES] = means("values of a multiplexer that select it")
-    greatest: Annotated[i8s, MOST_LEVELS, MOST_RANGES] = means("likewise, the other end of each range")
+    least: Annotated[f8s, MOST_LEVELS, MOST_RANGES] = means("values of a multiplexer that select it")
+    greatest: Annotated[f8s, MOST_LEVELS, MOST_RANGES] = means("likewise, the other end of each range")
     fault: Annotated[i4s, len(KINDS)] = means("number of each fault; -1: not asked for")
 
 

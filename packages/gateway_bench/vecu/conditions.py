@@ -10,7 +10,7 @@ from gateway.monitors.rule.machine import Code, Machine, load, run
 from gateway.monitors.rule.text import compile_text, is_relation
 from gateway.signals.changing import words_of
 from gateway.signals.database import Database
-from gateway.signals.decode import OK, decode, lookup
+from gateway.signals.decode import decode, lookup
 from gateway.signals.tables import SignalRef, compile_plan
 from gateway_fdi.errors import InputError
 
@@ -73,8 +73,7 @@ class Condition:
         count = int(plan.messages[row]["count"])
         values, present = np.full(count, np.nan), np.zeros(count, np.uint8)
         length = int(frame["length"])
-        if decode(words_of(frame), length, row, plan.messages, plan.signals, plan.mux_ids, values, present) != OK:
-            return
+        decode(words_of(frame), length, row, plan.messages, plan.signals, plan.mux_ids, values, present)
         for place, k in self._places[row]:
             if present[place]:
                 self._values[k] = values[place]

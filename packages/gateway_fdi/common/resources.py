@@ -88,12 +88,16 @@ def beside_or_shipped(folder: Path, name: Path) -> Path:
 
     Args:
         folder: of the file that names it.
-        name: as it is named there.
+        name: as it is named there; behind a ``#`` may be a part of the file.
 
     Returns:
         A path that need not exist: that beside the file, if there is neither.
     """
     beside = folder / name
+    file, sign, part = name.name.rpartition("#")
+    if sign and file and not beside.exists():
+        found = beside_or_shipped(folder, name.with_name(file))
+        return found.with_name(f"{found.name}#{part}")
     if beside.exists() or name.is_absolute() or ".." in name.parts:
         return beside
     return next(_places(name.as_posix()), beside)

@@ -38,6 +38,7 @@ from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
 from gateway.runtime.log import Log
 from gateway.runtime.replay import replay
+from gateway.signals.database import file_and_bus
 from gateway_fdi.common.tomlfile import texts_in
 from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.fleet.verdicts import Row, Verdict, Verdicts, error_rows
@@ -114,7 +115,7 @@ def digest_of(config: Config, maps: tuple[str, ...]) -> str:
     total = hashlib.sha256(f"{__version__} {maps}".encode())
     total.update(json.dumps(config.model_dump(mode="json"), sort_keys=True).encode())
     databases = [
-        *(path for bus in config.bus for path in bus.database),
+        *(file_and_bus(path)[0] for bus in config.bus for path in bus.database),
         *(p for ecu in config.ecu for p in ecu.signals),
     ]
     for path in (*databases, *_files_of_monitors(config)):

@@ -75,7 +75,7 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> 
     if (often := gaps.most(seen.gaps)) is not None:
         keys["most"] = often
         why.append(f"{often['frames']:g} gaps in {_ms(seen.gaps.spans_ns[int(often['frames'])])} at least")
-    if seen.decoded < seen.frames or any(length < message.length for length in seen.lengths):
+    if any(length < message.length for length in seen.lengths):
         keys["length"] = False
         why.append(
             f"frames of {', '.join(str(n) for n in sorted(seen.lengths))} bytes, the database has {message.length}"
@@ -310,9 +310,7 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
         resting = [line.name for line in learned.of(name, SIGNAL) if "inside" in line.keys.get("stuck", {})]
         if resting:
             notes.append(f"{name}: a value that stands at the end of its range is not tested: {', '.join(resting)}")
-        doubled = sorted(message for index, message in observation.doubled if index == bus)
-        if doubled:
-            notes.append(f"{name}: messages with one identifier together, left out: {', '.join(doubled)}")
+        notes += [f"{name}: {note}" for index, note in observation.notes if index == bus]
     return notes
 
 

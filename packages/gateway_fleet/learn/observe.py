@@ -38,7 +38,6 @@ class Seen:
         message: in the database.
         signals: in the order of the columns.
         frames: that came.
-        decoded: of these.
         lengths: payload lengths [byte] -> frames.
         gaps: between frames.
         courses: of its signals.
@@ -56,7 +55,6 @@ class Seen:
     columns: slice
     courses: Courses
     frames: int = 0
-    decoded: int = 0
     lengths: Counter[int] = field(default_factory=Counter)
     gaps: Gaps = field(default_factory=Gaps)
     samples: Samples = field(default_factory=Samples)
@@ -98,7 +96,7 @@ class Observation:
         seen: messages that came, by bus and name; of the databases, and those of identifiers that none has.
         absent: messages of the databases that did not.
         foreign: (bus, identifier with its flags) -> frames that no database has and no message was made of.
-        doubled: messages left out, since others have their identifier.
+        notes: (bus, line): what there is to know of its databases.
         logs: that were read.
         snapshots: values of all signals at the same times.
         pauses: of each bus as a whole.
@@ -107,24 +105,13 @@ class Observation:
     seen: dict[tuple[int, str], Seen]
     absent: list[tuple[int, str]]
     foreign: Counter[tuple[int, int]]
-    doubled: list[tuple[int, str]]
+    notes: list[tuple[int, str]]
     logs: list[LogSeen]
     snapshots: Snapshots
     pauses: list[Pauses]
 
 
 Progress = Callable[[Path, int, float], None]
-
-
-def unique_databases(databases: Sequence[Database]) -> tuple[list[tuple[int, Database]], list[tuple[int, str]]]:
-    """Return the databases without messages that have one identifier together, and the names of these."""
-    kept, left = [], []
-    for bus, database in enumerate(databases):
-        ids = Counter((message.frame_id, message.is_extended_frame) for message in database)
-        good = [message for message in database if ids[message.frame_id, message.is_extended_frame] == 1]
-        left += [(bus, message.name) for message in database if message not in good]
-        kept.append((bus, Database([(message, database.file_of(message.name)) for message in good])))
-    return kept, left
 
 
 class Observer:
@@ -138,40 +125,39 @@ class Observer:
 
     def __init__(self, config: Config, databases: Sequence[Database], own: Sequence[Path | None]) -> None:
         self._config, self._own = config, own
-        kept, doubled = unique_databases(databases)
         pgn = [index for index, bus in enumerate(config.bus) if bus.match == "pgn"]
-        self._plan = compile_plan(kept, pgn=pgn)
+        self._plan = compile_plan(list(enumerate(databases)), pgn=pgn)
         self._last_column = 0
         self._rows: dict[int, int] = {}
-        self._made = [self._seen(row, kept) for row in range(len(self._plan.message_names))]
+        self._made = [self._seen(row, databases) for row in range(len(self._plan.message_names))]
         self._foreign: Counter[tuple[int, int]] = Counter()
-        self._doubled = doubled
+        self._notes = [(bus, note) for bus, database in enumerate(databases) for note in database.notes]
         self._snapshots = Snapshots(sum(len(seen.signals) for seen in self._made))
         self._logs: list[LogSeen] = []
         self._pauses = [Pauses() for _ in databases]
         places = {(bus, config.ecu[k].place) for bus, ecus in config.answered.items() for k in ecus}
         self._asked = {(bus, each) for bus, place in places for each in (place.request, place.response)}
 
-    def _seen(self, row: int, databases: list[tuple[int, Database]]) -> Seen:
+    def _seen(self, row: int, databases: Sequence[Database]) -> Seen:
         bus, name = self._plan.message_names[row]
-        message = dict(databases)[bus].message(name)
+        message = databases[bus].message(name)
         by_place = {
             ref.signal: place for ref, place in self._plan.positions.items() if (ref.bus, ref.message) == (bus, name)
         }
-        by_name = {signal.name: signal for signal in message.signals}
+        by_name = databases[bus].signals(name)
         signals = [by_name[each] for each in sorted(by_place, key=lambda each: by_place[each])]
         first = self._last_column
         self._last_column = first + len(signals)
         courses = Courses([no_value(signal) for signal in signals])
         names = [signal.name for signal in signals]
         shown = [found for kind in observers.OBSERVERS.values() if (found := kind.of(name, names)) is not None]
-        unknown = self._own[bus] is not None and dict(databases)[bus].file_of(name) == self._own[bus]
+        unknown = self._own[bus] is not None and databases[bus].file_of(name) == self._own[bus]
         place = slice(first, self._last_column)
         return Seen(bus, message, signals, place, courses, observers=shown, unknown=unknown, values=self._values(row))
 
     def _values(self, row: int) -> Callable[[Payloads], NDArray[np.float64]]:
         plan = self._plan
-        return lambda some: valued(decode_payloads(some.words, some.lengths, plan, row), plan, row)[0]
+        return lambda some: valued(decode_payloads(some.words, some.lengths, plan, row), plan, row)
 
     def read(self, path: Path, batches: Iterator[tuple[Frames, float]], hold_out: float, progress: Progress) -> None:
         """Read a log, but for a share at its end.
@@ -275,15 +261,12 @@ class Observer:
         seen.lengths.update({int(length): int(count) for length, count in zip(lengths, counts, strict=True)})
         seen.samples.add(words_of(frames), frames["length"].astype(np.int64), t_ns)
         if seen.signals:
-            values, decoded = columns(frames, self._plan, row)
-            seen.decoded += decoded
+            values = columns(frames, self._plan, row)
             usual_s = seen.gaps.quantile_ns(0.5) * 1e-9 if seen.gaps.count else 0.0
             seen.courses.add(t_ns, values, usual_s)
             self._snapshots.put(seen.columns, t_ns, values)
             for observer in seen.observers:
                 observer.add(values)
-        else:
-            seen.decoded += len(frames)
 
     def _end(self, log: LogSeen) -> None:
         for seen in self._made:
@@ -305,7 +288,7 @@ class Observer:
             {(seen.bus, seen.message.name): seen for seen in self._made if seen.frames},
             [(seen.bus, seen.message.name) for seen in self._made if not seen.frames],
             self._foreign,
-            self._doubled,
+            self._notes,
             self._logs,
             self._snapshots,
             self._pauses,

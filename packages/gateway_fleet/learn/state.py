@@ -96,7 +96,6 @@ def state_of(
     for (bus, name), seen in observation.seen.items():
         messages[buses[bus], name] = {
             "frames": seen.frames,
-            "decoded": seen.decoded,
             "lengths": {str(length): count for length, count in seen.lengths.items()},
             "ended_s": seen.ended_s,
             "gaps": seen.gaps.data(),
@@ -125,7 +124,6 @@ def merge(observation: Observation, before: Kept, buses: Sequence[str]) -> None:
 
 def _add(seen: Seen, entry: Mapping[str, Any]) -> None:
     seen.frames += entry["frames"]
-    seen.decoded += entry["decoded"]
     seen.lengths.update({int(length): count for length, count in entry["lengths"].items()})
     seen.ended_s = max(seen.ended_s, entry["ended_s"])
     seen.gaps.join(Gaps.of(entry["gaps"]))

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from gateway.signals.database import Database
+from gateway.signals.identity import sticks_out
 from gateway.signals.protection.auto import automatic
 from gateway.signals.protection.params import CHECKSUM_KEYS, ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
-from gateway.signals.tables import sticks_out
 from gateway_bench.vecu.restbus.params import RestbusMessage, RestbusParams
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError, named, under
