@@ -112,12 +112,16 @@ def decode(
     answers = answer_buses(loaded)
     known = [*load_databases(loaded), *(bus.database for bus in answers)]
     lake = Lake(out, known, pgn=pgn, numbers=numbers)
+    told = [note for database in known for note in database.notes]
+    for note in () if json else told:
+        say(f"database: {note}")
     wrong: list[InputError] = []
     for recording in recordings:
         done = _decoded(lake, recording, channels, Answers(loaded, answers))
         wrong += done.problems
         if json:
-            print_json(done.event())
+            event = done.event()
+            print_json({**event, "notes": [*told, *event["notes"]]})
             continue
         rate = done.frames / done.seconds if done.seconds else 0.0
         print(

@@ -101,7 +101,7 @@ class Database:
 
     @property
     def notes(self) -> list[str]:
-        """What people should know of it, one line each: names and identifiers given twice, signals of no frame."""
+        """Lines for people: names and identifiers that it gives twice, signals that are in no frame."""
         found = list(self._notes)
         for message in self:
             out = [signal.name for signal in message.signals if sticks_out(message, signal)]

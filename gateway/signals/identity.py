@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 #: Names that CANdb++ writes shorter than they are: identifier, name in the file, whole name.
 _LONG = re.compile(r'^BA_ +"SystemSignalLongSymbol" +SG_ +(\d+) +(\w+) +"([^"\n]*)"', re.MULTILINE)
 _FLAG = 1 << 31
-#: What a signal says of its bits and its value.
+#: Attributes by which a signal says where its bits are and what they mean.
 _SAYS = (
     "name", "start", "length", "byte_order", "is_signed", "is_float", "scale", "offset", "unit", "choices",
     "is_multiplexer", "multiplexer_ids", "multiplexer_signal",

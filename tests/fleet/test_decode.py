@@ -138,9 +138,9 @@ def test_a_table_a_message_and_a_file_a_day(car):
     assert paths == ["A/Gear/2023/11/14", "A/Gear/2023/11/15", "A/Muxed/2023/11/14", "A/Muxed/2023/11/15"]
     assert not list(lake.rglob(".*"))
     gear = pq.read_table(next((lake / "A/Gear/2023/11/15").iterdir())).to_pydict()
-    assert gear["Lever"] == ["7", "P"], "a value without a name is its number"
-    assert gear["Speed"] == [655.35, 0.0], "a measure whose database names one value stays a number"
-    assert gear["Big"] == [251, -3]
+    assert gear["Lever"] == ["7", "R", "P"], "a value without a name is its number"
+    assert gear["Speed"] == [655.35, None, 0.0], "a measure whose database names one value stays a number"
+    assert gear["Big"] == [251, None, -3], "one frame ends before it"
     first = pq.read_table(next((lake / "A/Gear/2023/11/14").iterdir()))
     assert first.schema.types == [
         pa.timestamp("ns", "UTC"), pa.dictionary(pa.int32(), pa.string()), pa.float64(), pa.int64(), pa.int64(),
@@ -149,14 +149,16 @@ def test_a_table_a_message_and_a_file_a_day(car):
     assert first["t"][0].as_py() == datetime(2023, 11, 14, 23, 59, 59, tzinfo=UTC)
     assert first["Odometer"][0].as_py() == 4_000_000_000
     muxed = pq.read_table(next((lake / "A/Muxed/2023/11/15").iterdir())).to_pydict()
-    assert muxed["Left"] == [None]
-    assert muxed["Right"] == [32767.0]
+    assert muxed["Left"] == [None, None]
+    assert muxed["Right"] == [32767.0, None], "a value that selects neither"
 
 
 def test_what_is_left_out_is_told(car):
     ended = run(car / "logs", "-d", car / "car.dbc", "--out", car / "lake", "--json")
     assert ended.exit_code == 0
-    assert "1 frames of Gear are shorter than the database says, 3 bytes: not in them Odometer, Big" in ended.output
+    assert (
+        "1 frames of Gear are shorter than the database says, 1 bytes: not in them Speed, Odometer, Big" in ended.output
+    )
     assert "1 frames of Muxed have a multiplexer value that the database does not describe" in ended.output
     assert "3 of 10 frames are of no message of the database" in ended.output
 
@@ -167,7 +169,7 @@ def test_the_same_log_again_writes_the_same_files(car):
     assert len(list((car / "lake").rglob("*.parquet"))) == 4
     assert ask(QUERY.replace("lake/", f"{car}/lake/"))[-1][1] == 655.35
     answer = ask(f"select max(Speed), count(*) from '{car}/lake/A/Gear/**/*.parquet'")
-    assert answer == [(655.35, 3)]
+    assert answer == [(655.35, 4)]
 
 
 def test_a_damaged_log_gives_what_it_holds_and_is_told(car):
