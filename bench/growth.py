@@ -5,7 +5,8 @@ of the log's time), so that a size only shows where something is searched or doe
 same process: the payloads of the same frames through a dictionary of cantools' messages. The exponent is the slope of
 the line of least squares through the logarithms: 0 does not grow, 1 grows with the size. All frames count, those too in
 which every test passes for the first time; "first us" is a frame of the first 64 of each message. Times are CPU time of
-the thread: of other work on the machine they show what it does to the caches only.
+the thread: of other work on the machine they show what it does to the caches only. Memory is that of one gateway
+at most, with its configuration and frames, before the peer's messages are loaded.
 
     python bench/growth.py [--axis messages ...] [--frames 2000000] [--rounds 3] [--json]
 """
@@ -13,6 +14,7 @@ the thread: of other work on the machine they show what it does to the caches on
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import platform
@@ -139,6 +141,7 @@ def peer_seconds(databases, frames):
 
 def point(axis, size, frames, rounds):
     """Measure one point in this process."""
+    sys.modules["asammdf"] = None  # python-can loads it and pandas where they are installed, a daemon does not
     import cantools  # noqa: PLC0415 - the parent's memory must stay small: a child's begins with it
 
     from gateway.bus.frames import EXTENDED, empty  # noqa: PLC0415
@@ -156,13 +159,12 @@ def point(axis, size, frames, rounds):
         gateway.start(0)
         gateway.feed(next(iter(chunks_of(shape, 0, 100, empty, EXTENDED)))[:1])
         start = time.process_time() - begun
-        databases = [cantools.database.load_file(Path(name) / f"b{k}.dbc") for k in range(shape["buses"])]
-        peer = min(
-            peer_seconds(databases, next(iter(chunks_of(shape, 0, PEER_FRAMES, empty, EXTENDED))))
-            for _ in range(rounds)
-        )
         best = settled = float("inf")
+        memory = 0.0
         for _ in range(rounds if axis != "log" else 1):
+            gateway.close()
+            del gateway
+            gc.collect()
             gateway = Gateway(config)
             gateway.start(0)
             fed, seconds, answers, at_first = 0, 0.0, 0, 0.0
@@ -178,13 +180,19 @@ def point(axis, size, frames, rounds):
             counted = gateway.engine.counters()
             assert counted["timeouts"] == counted["late"] == counted["crc_failed"] == 0, counted
             assert counted["frames"] >= fed
+            memory = memory or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        databases = [cantools.database.load_file(Path(name) / f"b{k}.dbc") for k in range(shape["buses"])]
+        peer = min(
+            peer_seconds(databases, next(iter(chunks_of(shape, 0, PEER_FRAMES, empty, EXTENDED))))
+            for _ in range(rounds)
+        )
     return {
         "size": size,
         "ns": best * 1e9,
         "peer_ns": peer * 1e9,
         "first_us": settled * 1e6 / first,
         "start_s": start,
-        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "memory_mb": memory,
         "answers": answers,
     }
 

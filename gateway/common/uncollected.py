@@ -7,11 +7,18 @@ from contextlib import contextmanager
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Build something large without looking for garbage in it again and again; there is hardly any."""
+    """Build something large without looking for garbage in it again and again; there is hardly any.
+
+    What was built is old at once: only a full collection looks through it. Where a daemon has frozen what it started
+    with, that stays so.
+    """
     was_on = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if was_on:
+            if not gc.get_freeze_count():
+                gc.freeze()
+                gc.unfreeze()
             gc.enable()

@@ -11,8 +11,17 @@ from typing import TYPE_CHECKING
 
 from gateway.signals.bounds import refuse_lengths, refuse_scalings
 from gateway.signals.dialect import mended, signals_said, text_of, without
-from gateway.signals.identity import exact_name, exact_signals, repair_references, same, sticks_out, together
+from gateway.signals.identity import (
+    exact_name,
+    exact_signals,
+    long_names,
+    repair_references,
+    same,
+    sticks_out,
+    together,
+)
 from gateway.signals.parsed import messages_of
+from gateway.signals.ranges import narrowed, widened
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError, named, nearest
 
@@ -92,7 +101,7 @@ class Database:
 
     @property
     def notes(self) -> list[str]:
-        """What people should know of it, one line each: names and identifiers given twice, signals of no frame."""
+        """Lines for people: names and identifiers that it gives twice, signals that are in no frame."""
         found = list(self._notes)
         for message in self:
             out = [signal.name for signal in message.signals if sticks_out(message, signal)]
@@ -197,7 +206,6 @@ def load_database(paths: Sequence[Path]) -> Database:
     for path in paths:
         file, bus = file_and_bus(path)
         found = _load(file)
-        refuse_scalings(found, file)
         if bus:
             known = sorted({message.bus_name for message in found if message.bus_name})
             if bus not in known:
@@ -221,36 +229,40 @@ def _load(path: Path) -> list[Message]:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
-    text = text_of(data)
-    refuse_lengths(text, suffix, path)
-    found = messages_of(data, suffix, lambda: _parsed(text, suffix, path))
-    return repair_references(found, text) if suffix == ".dbc" else found
+    return messages_of(data, suffix, lambda: _parsed(text_of(data), suffix, path))
 
 
 def _parsed(text: str, suffix: str, path: Path) -> list[Message]:
+    refuse_lengths(text, suffix, path)
     try:
         found = _read(text, suffix)
     except Exception as error:  # the parsers let any exception of theirs through
         again = _mended(text, suffix, path)
-        if again is not None:
-            return again
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"not a good {suffix} file: {said}", file=path, line=_line_of(said, text)) from error
+        if again is None:
+            said = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"not a good {suffix} file: {said}", file=path, line=_line_of(said, text)) from error
+        found = again
     if not found:
         raise InputError("the file holds no CAN messages", file=path)
+    refuse_scalings(found, path)
     return found
 
 
 def _read(text: str, suffix: str) -> list[Message]:
     import cantools  # noqa: PLC0415 - not where no database is read: its parsers take a while to load
 
+    from gateway.signals.compact import compact  # noqa: PLC0415 - with cantools
+
+    text, wide = narrowed(text) if suffix == ".dbc" else (text, {})
     loaded = cantools.database.load_string(text, database_format=suffix[1:], strict=False)
     messages = list(loaded.messages) if isinstance(loaded, cantools.database.can.Database) else []
     read = sum(len(message.signals) for message in messages)
-    if suffix == ".dbc" and read < (
-        said := signals_said(text)
-    ):  # a line without receivers takes the next one for these
-        raise ValueError(f"{said} signals, of which {read} can be read")
+    if suffix == ".dbc":
+        if read < (said := signals_said(text)):  # a line without receivers takes the next one for these
+            raise ValueError(f"{said} signals, of which {read} can be read")
+        repair_references(messages, text)
+    compact(messages)
+    widened(messages, wide, long_names(text) if wide else {})
     return messages
 
 

@@ -18,6 +18,7 @@ from gateway.signals.columns import put_column
 from gateway.signals.protection.own import own_protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill, protect_all
+from gateway.signals.ranges import runs
 from gateway.signals.tables import signal_row
 from gateway_fdi.errors import InputError
 
@@ -67,7 +68,9 @@ def _there(signal: Signal, message: Message, columns: Columns, there: Mapping[st
         return np.ones(count, np.bool_)
     outer = message.get_signal_by_name(signal.multiplexer_signal)
     raw = np.rint((columns[outer.name] - outer.offset) / outer.scale)
-    return there[outer.name] & np.isin(raw, signal.multiplexer_ids or [])
+    selected = [(low <= raw) & (raw <= high) for low, high in runs(signal.multiplexer_ids or [])]
+    found: Flags = there[outer.name] & np.logical_or.reduce(selected, initial=False)
+    return found
 
 
 def payloads(message: Message, columns: Columns, count: int, last: frozenset[str] = frozenset()) -> NDArray[np.uint64]:

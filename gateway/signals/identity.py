@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from typing import TYPE_CHECKING, NamedTuple
+
+from gateway.signals.ranges import Ranges, runs
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 #: Names that CANdb++ writes shorter than they are: identifier, name in the file, whole name.
 _LONG = re.compile(r'^BA_ +"SystemSignalLongSymbol" +SG_ +(\d+) +(\w+) +"([^"\n]*)"', re.MULTILINE)
 _FLAG = 1 << 31
-#: What a signal says of its bits and its value.
+#: Attributes by which a signal says where its bits are and what they mean.
 _SAYS = (
     "name", "start", "length", "byte_order", "is_signed", "is_float", "scale", "offset", "unit", "choices",
     "is_multiplexer", "multiplexer_ids", "multiplexer_signal",
@@ -65,7 +67,7 @@ def exact_signals(message: Message) -> Exact:
 
 def _names(name: str, signals: Sequence[Signal]) -> Iterator[list[str]]:
     """Yield exact names of signals, the shortest first; the last ones differ in any case."""
-    ids = [f"_m{min(signal.multiplexer_ids)}" if signal.multiplexer_ids else "" for signal in signals]
+    ids = [f"_m{runs(signal.multiplexer_ids)[0][0]}" if signal.multiplexer_ids else "" for signal in signals]
     yield [f"{name}{branch}" for branch in ids]
     yield [f"{name}_{signal.multiplexer_signal}{branch}" for signal, branch in zip(signals, ids, strict=True)]
     yield [f"{name}_bit{signal.start}{branch}" for signal, branch in zip(signals, ids, strict=True)]
@@ -81,17 +83,6 @@ def _with(message: Message, signals: list[Signal]) -> Message:
     own._signals = signals
     own.refresh(strict=False)
     return own
-
-
-def runs(values: Iterable[int]) -> list[tuple[int, int]]:
-    """Return whole numbers as ranges, (least, greatest) each."""
-    found: list[tuple[int, int]] = []
-    for value in sorted({*values}):
-        if found and found[-1][1] == value - 1:
-            found[-1] = found[-1][0], value
-        else:
-            found.append((value, value))
-    return found
 
 
 def needs(signal: Signal) -> int:
@@ -118,7 +109,8 @@ def together(name: str, signals: Sequence[Signal]) -> Signal:
     """Return what several signals of one name are together: the first, there where any of them is."""
     own = renamed(signals[0], name)
     if len({signal.multiplexer_signal for signal in signals}) == 1:
-        own.multiplexer_ids = sorted({value for signal in signals for value in signal.multiplexer_ids or ()}) or None
+        every = Ranges(pair for signal in signals for pair in runs(signal.multiplexer_ids or ()))
+        own.multiplexer_ids = every or None  # type: ignore[assignment]
     else:
         own.multiplexer_signal = own.multiplexer_ids = None
     return own
@@ -139,6 +131,11 @@ def _said(message: Message) -> list[object]:
     return [message.length, *sorted(signals)]
 
 
+def long_names(text: str) -> dict[tuple[int, str], str]:
+    """Return the names that CANdb++ writes shorter than they are: (identifier as in the file, name) -> whole name."""
+    return {(int(number), short): whole for number, short, whole in _LONG.findall(text)}
+
+
 def repair_references(messages: list[Message], text: str) -> list[Message]:
     """Return the messages of a DBC file, each multiplexed signal with the multiplexer that it has in the file.
 
@@ -150,7 +147,7 @@ def repair_references(messages: list[Message], text: str) -> list[Message]:
         text: of the file.
     """
     lost = [message for message in messages if not _references(message) <= {each.name for each in message.signals}]
-    long = {(int(number), short): whole for number, short, whole in _LONG.findall(text)} if lost else {}
+    long = long_names(text) if lost else {}
     for message in lost:
         number = message.frame_id | (_FLAG if message.is_extended_frame else 0)
         for signal in message.signals:

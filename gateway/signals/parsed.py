@@ -11,10 +11,9 @@ import sys
 from collections.abc import Callable
 from hashlib import blake2b
 from importlib.metadata import version
-from inspect import getsource
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gateway.signals import dialect
 from gateway_fdi.jit import cache
 
 if TYPE_CHECKING:
@@ -26,6 +25,13 @@ LEAST = 1 << 15
 KEPT = 64
 _NAME, _SUFFIX, _AGAIN = "database", ".parsed", "this database is parsed again"
 _PACKAGES = ("cantools", "bitstruct")
+#: Modules that make messages of a file's bytes.
+_MADE_BY = ("bounds", "compact", "dialect", "ranges")
+
+
+def source_of(module: str) -> bytes:
+    """Return the source of a module beside this one."""
+    return Path(__file__).with_name(f"{module}.py").read_bytes()
 
 
 def messages_of(data: bytes, kind: str, parse: Callable[[], list[Message]]) -> list[Message]:
@@ -38,7 +44,7 @@ def messages_of(data: bytes, kind: str, parse: Callable[[], list[Message]]) -> l
     """
     if len(data) < LEAST:
         return parse()
-    made_by = (sys.version, kind, getsource(dialect), *(version(package) for package in _PACKAGES))
+    made_by = (sys.version, kind, *map(source_of, _MADE_BY), *(version(package) for package in _PACKAGES))
     key = blake2b(data, digest_size=16, salt=blake2b(repr(made_by).encode(), digest_size=16).digest()).hexdigest()
     body = cache.read_body(f"{_NAME}-{key}{_SUFFIX}", _AGAIN)
     if body is not None:

@@ -148,7 +148,7 @@ def columns(frames: Frames, plan: DecodePlan, row: int) -> NDArray[np.float64]:
         row: of the message in the plan.
 
     Returns:
-        shape (frames, signals), in the plan's order; NaN where a frame has no such signal, or one without a value.
+        shape (frames, signals), in the plan's order; NaN where a frame has none, or one without a value.
     """
     return valued(decode_columns(frames, plan, row), plan, row)
 

@@ -26,7 +26,8 @@ from gateway.signals.decode import (
     pgn_key,
     source_key,
 )
-from gateway.signals.identity import needs, runs
+from gateway.signals.identity import needs
+from gateway.signals.ranges import Pairs, Ranges, runs
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED
 
@@ -422,15 +423,13 @@ class _Needed:
         """Return the place of a name."""
         return self._places[name]
 
-    def known(self, multiplexer: Signal) -> set[int]:
+    def known(self, multiplexer: Signal) -> Ranges:
         """Return the values of a multiplexer that the database describes, anywhere in the message; none: any."""
-        ids = {
-            value
-            for signal in self._by_name.values()
-            if signal.multiplexer_signal == multiplexer.name
-            for value in signal.multiplexer_ids or []
-        }
-        return ids | set(multiplexer.choices or {})
+        found: Pairs = [(int(value), int(value)) for value in multiplexer.choices or {}]
+        for signal in self._by_name.values():
+            if signal.multiplexer_signal == multiplexer.name:
+                found += runs(signal.multiplexer_ids or [])
+        return Ranges(found)
 
     def _take(self, signal: Signal, prefix: str = "") -> None:
         if signal.multiplexer_signal is not None:

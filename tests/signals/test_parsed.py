@@ -44,7 +44,7 @@ def test_it_is_parsed_again_if_it_may_be_another(what, messages, tmp_path, monke
         (file,) = tmp_path.glob("*.parsed")
         file.write_bytes(file.read_bytes()[:-1])
     if what == "dialect":
-        monkeypatch.setattr(parsed, "getsource", lambda _: "other")
+        monkeypatch.setattr(parsed, "source_of", lambda _: b"other")
     if what == "version":
         monkeypatch.setattr(parsed, "version", lambda _: "0")
     messages(DATA + b"\n" if what == "bytes" else DATA, ".kcd" if what == "format" else ".dbc")

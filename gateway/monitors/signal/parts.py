@@ -19,7 +19,7 @@ from gateway.monitors.signal.params import (
     PartParams,
     Watched,
 )
-from gateway.signals.identity import runs
+from gateway.signals.ranges import runs
 from gateway_fdi.errors import Gathered, InputError, nearest, under
 
 #: Texts of values that stand for no value, in capitals.
@@ -96,8 +96,12 @@ def _levels(limits: Limits, signal: Signal, find: Callable[[str], Signal], key: 
 def _selecting(multiplexer: Signal, ids: Iterable[int]) -> tuple[tuple[float, float], ...]:
     """Return the ranges of a multiplexer's value in which its raw number is one of some, half a step wider."""
     ends = 1 << multiplexer.length
-    signed = multiplexer.is_signed
-    raws = runs(raw - ends if signed and raw >= ends // 2 else raw for raw in ids)
+    raws = runs(ids)
+    if multiplexer.is_signed:
+        parts = (
+            (max(low, half), min(high, half + ends // 2 - 1), half) for low, high in raws for half in (0, ends // 2)
+        )
+        raws = [(low - 2 * half, high - 2 * half) for low, high, half in parts if low <= high]
     half = abs(multiplexer.scale) / 2
     found = [sorted(raw * multiplexer.scale + multiplexer.offset for raw in ends_of) for ends_of in raws]
     return tuple((float(least - half), float(greatest + half)) for least, greatest in found)

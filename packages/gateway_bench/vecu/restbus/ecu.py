@@ -14,6 +14,7 @@ from gateway.signals.bits import mask_of
 from gateway.signals.columns import limits
 from gateway.signals.framed import framed, parents_first, payloads
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill
+from gateway.signals.ranges import runs
 from gateway.signals.tables import signal_row
 from gateway_bench.vecu.contract import EcuFault, Run, Truth, VirtualEcu
 from gateway_bench.vecu.databases import database_of
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from cantools.database.can.signal import Signal
 
 Values = NDArray[np.float64]
+#: Further values of a range of multiplexer values that are sent.
+MOST_OF_A_RANGE = 255
 #: The golden ratio's part: messages of one cycle begin spread over it, not all at once.
 _SPREAD = 0.6180339887498949
 
@@ -118,9 +121,10 @@ class _Senders:
 
 
 def _ids(message: Message, multiplexer: str) -> list[int]:
-    """Return the values of a multiplexer that signals belong to."""
+    """Return the values of a multiplexer that signals belong to; of wide ranges the first ones."""
     selected = [one for one in message.signals if one.multiplexer_signal == multiplexer]
-    return sorted({i for one in selected for i in one.multiplexer_ids or ()})
+    pairs = [pair for one in selected for pair in runs(one.multiplexer_ids or ())]
+    return sorted({i for low, high in pairs for i in range(low, min(high, low + MOST_OF_A_RANGE) + 1)})
 
 
 def _frames(params: RestbusParams, _faults: Sequence[EcuFault], run: Run) -> tuple[Frames, list[Truth]]:
