@@ -157,6 +157,12 @@ class EventPrinter:
         )
         self._lines.print(f"{self._time(event)}  short frames  {told}", mark="short frames", colour="bold")
 
+    def _on_source(self, event: dict[str, Any]) -> None:
+        of = f"{event['bus']}.{event['message']}: source address 0x{event['source']:02X}"
+        silent = event["silent_ms"]
+        text = f"{of} {f'silent for {silent:.0f} ms' if silent else 'sends it, too'}"
+        self._lines.print(f"{self._time(event)}  source  {text}", mark="source", colour="bold" if silent else "")
+
     def _on_reporter(self, event: dict[str, Any]) -> None:
         mark = f"reporter {event['reporter']} {event['state']}"
         faults = f"; {', '.join(event['faults'])}" if event["faults"] else ""

@@ -40,7 +40,8 @@ def codes_of_messages(config: Config, databases: Iterable[Database], codes: Netw
     known, asked = set(), {}
     for k, (bus, database) in enumerate(zip(config.buses, databases, strict=True)):
         if bus.codes == "own":
-            names = {f"{bus.name}.{message.name}" for message in database}
+            checked = {check.message for check in bus.check if database.has(check.message)}
+            names = {f"{bus.name}.{name}" for name in {message.name for message in database} | checked}
             known |= names
             for j, check in enumerate(bus.check):
                 name = f"{bus.name}.{check.message}"

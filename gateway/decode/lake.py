@@ -134,6 +134,9 @@ class Lake:
 
         bus, name = self.plan.message_names[row]
         signals, fields = [], [pa.field("t", pa.timestamp("ns", "UTC"), nullable=False)]
+        own = ["t", "sa"] if self.plan.by_pgn[row] else ["t"]
+        if self.plan.by_pgn[row]:
+            fields.append(pa.field("sa", pa.uint8(), nullable=False, metadata={"of": "source address"}))
         joined = self._databases[bus].joined(name)
         for called, signal in self._databases[bus].signals(name).items():
             if signal.length > 64:
@@ -143,15 +146,15 @@ class Lake:
                 kind = common_kind(signal, [kind_of(one, numbers=self._numbers) for one in joined[called]])
             signals.append((self.plan.position(*SignalRef(bus, name, called)), kind))
             unit = self.plan.slot_units[self.plan.slot(bus, name, called)]
-            fields.append(pa.field(_unlike_t(called), arrow_type(kind), metadata={"unit": unit} if unit else None))
+            fields.append(pa.field(_unlike(called, own), arrow_type(kind), metadata={"unit": unit} if unit else None))
         folder = name if self._names[name] == 1 else f"bus{bus}.{name}"
         # Parquet's own dictionaries of numbers cost more than they save: zstd finds what repeats.
-        names = [_unlike_t(kind.signal.name) for _, kind in signals if kind.what == NAMES]
+        names = [_unlike(kind.signal.name, own) for _, kind in signals if kind.what == NAMES]
         return _Table(row, folder, signals, pa.schema(fields), names)
 
 
-def _unlike_t(name: str) -> str:
-    return f"{name}_" if name == "t" else name
+def _unlike(name: str, others: Sequence[str]) -> str:
+    return f"{name}_" if name in others else name
 
 
 class LogTables:
@@ -224,6 +227,8 @@ class LogTables:
 
     def _write(self, table: _Table) -> None:
         """Decode and write what waits of a message."""
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+
         if not table.rows:
             return
         frames = np.concatenate(table.held)
@@ -233,6 +238,8 @@ class LogTables:
         if (found.results != OK).any():
             self._note(table, found.results, frames["length"])
         columns = [column(kind, found.values[j], found.there[j], found.words) for j, kind in table.signals]
+        if self._lake.plan.by_pgn[table.row]:
+            columns.insert(0, pa.array((frames["can_id"] & 0xFF).astype(np.uint8)))
         self._by_day(table, np.ascontiguousarray(frames["t_ns"]), columns)
 
     def _note(self, table: _Table, results: NDArray[np.uint8], lengths: NDArray[np.uint8]) -> None:

@@ -128,6 +128,11 @@ def _messages(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
         if other is not None and other["check"] >= 0:
             pairs.append((int(vector["check"]), int(other["check"])))
     _take_all(new.tables.checks, old.tables.checks, np.array(pairs, int).reshape(-1, 2), COUNTED_IN)
+    rows = {theirs: mine for mine, theirs in before.items()}
+    known = [other for other in old.tables.others if other["last_ns"] and int(other["row"]) in rows]
+    for k, other in enumerate(known):
+        new.tables.others[k] = other
+        new.tables.others[k]["row"] = rows[int(other["row"])]
 
 
 def _monitors(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:

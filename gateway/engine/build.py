@@ -29,11 +29,13 @@ from gateway.engine.instances import FaultSlot, MonitorInstance
 from gateway.engine.samples import Sampled, Sampler, fill
 from gateway.engine.tables import (
     MOST_REPORTS,
+    MOST_SOURCES,
     NEVER,
     Clock,
     Handler,
     Page,
     Report,
+    Source,
     Tables,
     Vector,
     table,
@@ -96,7 +98,7 @@ def build_engine(
     plan = compile_plan(databases, wanted, messages=_messages(wirings, checks), pgn=pgn)
     faults: list[FaultSlot] = []
     made = _handlers(monitors, wirings, plan, faults)
-    vectors, triggers = _vectors(len(plan.messages), made.triggered)
+    vectors, triggers = _vectors(plan, made.triggered)
     pages = _pages(made.pages, vectors, plan)
     crcs = protection.Tables()
     check_rows = _checks(checks, buses, plan, by_bus, vectors, faults, crcs)
@@ -312,11 +314,12 @@ def _send(row: Any, m: MonitorInstance, made: _Handlers) -> None:
         made.emitted.append(Emitted(own, m.emission, m.bus))
 
 
-def _vectors(messages: int, triggered: Mapping[int, Sequence[int]]) -> tuple[Any, list[int]]:
+def _vectors(plan: DecodePlan, triggered: Mapping[int, Sequence[int]]) -> tuple[Any, list[int]]:
     """Return the vector table, and the handlers of all messages one after the other."""
-    vectors = table(messages, Vector)
+    vectors = table(len(plan.messages), Vector)
     flat: list[int] = []
-    for row in range(messages):
+    vectors["by_group"], vectors["source"] = plan.by_pgn, plan.named_sources()
+    for row in range(len(vectors)):
         mine = triggered.get(row, [])
         vectors[row]["first"], vectors[row]["count"] = len(flat), len(mine)
         vectors[row]["check"], vectors[row]["arrived_ns"] = -1, -1
@@ -475,6 +478,7 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protec
         outbox=outbox,
         outbox_cells=outbox_cells,
         reports=table(MOST_REPORTS, Report),
+        others=table(MOST_SOURCES, Source),
         timers=timers,
         groups=groups,
         members=members,

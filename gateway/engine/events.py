@@ -36,6 +36,10 @@ STRANGER = 9
 #: of the frame, ``threshold`` that from which on it has all signals [byte].
 SHORT = 10
 
+#: Another source address (``value``) sends a J1939 message, or has been silent for longer than its timeout; ``fault``
+#: is the row of the message, ``threshold`` its silence, or 0 [ms].
+SOURCE = 11
+
 #: Slips of a monitor's author that the loop puts right, as bits of ``slips`` of its handler.
 NO_NUMBER, NO_FAULT, TOO_MANY, TOO_SOON = 1, 2, 4, 8
 

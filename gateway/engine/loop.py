@@ -43,6 +43,7 @@ from gateway.engine.checks.communication_steps import (
     take_timeout,
 )
 from gateway.engine.checks.silence import judge_silence
+from gateway.engine.checks.sources_steps import is_used, watch_others
 from gateway.engine.checks.strangers_steps import on_stranger
 from gateway.engine.debounce import qualify_by_time
 from gateway.engine.emission import emit
@@ -270,6 +271,8 @@ def run_timers(T: Any, t_ns: int) -> None:
         if t.kind == CHECK:
             if take_timeout(T, due, T.checks[index]):
                 skip_settled_timeouts(T, t_ns, T.checks[index])
+                if T.vectors[T.checks[index].row].others > 0:
+                    watch_others(T, due, T.checks[index])
         elif t.kind == HANDLER:
             h = T.handlers[index]
             h.wake_ns = NEVER
@@ -407,6 +410,8 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any, 
         clock.unknown += 1
         if own == 0:
             on_stranger(T, t_ns, bus, can_id, length, words)
+        return
+    if T.vectors[row].by_group == 1 and not is_used(T, t_ns, row, can_id & 0xFF):
         return
     verdict = accepted(T, t_ns, row, length, words)
     if verdict != ACCEPT:

@@ -25,6 +25,8 @@ __all__ = [
 
 #: Test results of the gateway itself and of other processes that wait at most (see Engine.report).
 MOST_REPORTS = 16
+#: Further source addresses of J1939 messages that are watched at most.
+MOST_SOURCES = 256
 
 
 class VectorPlace(Record):
@@ -36,18 +38,31 @@ class VectorPlace(Record):
     first_watch: i4 = means("of the operation cycles that it may begin or end")
     watches: i4 = means("how many these are")
     page: i4 = means("first of its pages; -1: none")
+    by_group: u1 = means("1: of J1939, frames of each source address match it")
 
 
 class VectorState(Record):
     """State of the message."""
 
     arrived_ns: i8 = means("when its data were last accepted; -1: never", "ns")
+    source: i4 = means("of J1939: source address whose frames are used, the first that came; -1: none yet")
+    others: i4 = means("of J1939: further source addresses that have sent it")
+    heard_ns: i8 = means("of J1939: the last frame of any source", "ns")
     lacks: u1 = means("1: signals that are asked for are beyond the end of the last frame")
     told_short: u1 = means("1: it was told that its frames do not have all signals")
 
 
 class Vector(VectorState, VectorPlace):
     """One row of the vector table."""
+
+
+class Source(Record):
+    """A further source address of a J1939 message, whose frames are not those that are used."""
+
+    row: i4 = means("of its message")
+    address: u1 = means("source address")
+    silent: u1 = means("1: its silence was told")
+    last_ns: i8 = means("its last frame", "ns")
 
 
 class PagePlace(Record):
@@ -166,6 +181,7 @@ class ClockState(Record):
     results_unknown: i8 = means("results of a fault that the monitor does not have")
     results_no_number: i8 = means("results whose value or threshold is no number: not tested")
     wakes_moved: i8 = means("wishes to be woken too early, which were put off")
+    other_sources: i8 = means("frames of J1939 of further source addresses, not used")
     sent_lost: i8 = means("messages of monitors that there was no room for")
 
 
@@ -236,6 +252,7 @@ class Tables(NamedTuple):
     known_keys: NDArray[np.uint64]
     known_rows: NDArray[np.int32]
     strangers: NDArray[np.void]
+    others: NDArray[np.void]
     clock: NDArray[np.void]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gateway.bus.frames import ID_MASK
 from gateway.engine.events import Event
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
@@ -51,6 +52,19 @@ def short_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
     _log.warning(text, **of, length=length, database=database, signals=", ".join(signals) or "none that is used")
     told = {"length": length, "database": database, "signals": signals}
     return {"event": "short_frames", "t_ns": event.t_ns, **of, **told}
+
+
+def source_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
+    """Tell that a further source address sends a J1939 message, or that it is silent."""
+    name, address = plan.message_names[event.fault][1], int(event.value)
+    can_id = int(plan.messages["can_id"][event.fault]) & ID_MASK & ~0xFF | address
+    told = {"bus": bus, "message": name, "source": address, "silent_ms": event.threshold or None}
+    if event.threshold:
+        _log.warning("a source address is silent", **told)
+    else:
+        text = "another source address sends this message, too: its values are tested where its exact name is used"
+        _log.info(text, bus=bus, message=name, source=address, exact=f"{name}_0x{can_id:X}")
+    return {"event": "source", "t_ns": event.t_ns, **told}
 
 
 def dtc_event(change: DtcChange, bus: str) -> dict[str, Any]:

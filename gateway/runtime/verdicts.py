@@ -17,6 +17,7 @@ from gateway.engine.events import (
     QUALIFIED_PASSED,
     RESULT_CHANGED,
     SHORT,
+    SOURCE,
     STRANGER,
     Event,
     Events,
@@ -35,7 +36,7 @@ from gateway.runtime.doubts import Doubts
 from gateway.runtime.outbox import Outbox
 from gateway.runtime.strangers import Strangers
 from gateway.runtime.switched_off import SwitchedOff
-from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_events, short_event
+from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_events, short_event, source_event
 
 _TEST_FAILED = int(Status.TEST_FAILED)
 
@@ -117,6 +118,9 @@ class Verdicts:
             return
         if kind == SHORT:
             self._outbox.note(short_event(event, self._engine.plan, self._buses[event.bus]))
+            return
+        if kind == SOURCE:
+            self._outbox.note(source_event(event, self._engine.plan, self._buses[event.bus]))
             return
         if kind == STRANGER:
             self._strangers.on_stranger(event.fault, event.t_ns)

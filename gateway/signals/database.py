@@ -14,9 +14,12 @@ from gateway.signals.dialect import mended, signals_said, text_of, without
 from gateway.signals.identity import (
     exact_name,
     exact_signals,
+    group_of,
     long_names,
+    of_source,
     repair_references,
     same,
+    source_named,
     sticks_out,
     together,
 )
@@ -56,6 +59,7 @@ class Database:
         self._ambiguous: dict[str, list[str]] = {}
         self._shadowed: dict[str, str] = {}
         self._notes: list[str] = []
+        self._sources: dict[str, Message] = {}
         of_name: dict[str, list[tuple[Message, Path]]] = {}
         for message, file in messages:
             of_name.setdefault(message.name, []).append((message, file))
@@ -108,13 +112,15 @@ class Database:
             if out and not message.is_container:
                 found.append(f"{message.name} has {message.length} bytes; beyond them: {', '.join(out)}")
         for name, joined in self._joined.items():
+            if not joined or name in self._sources:
+                continue
             each = "; ".join(f"{one} ({' or '.join(signal.name for signal in of)})" for one, of in joined.items())
             found.append(f"{name} has signals of one name in several branches: {each}")
         return found
 
     def has(self, name: str) -> bool:
-        """Return whether a message has a name, or several have it."""
-        return name in self._messages or name in self._ambiguous
+        """Return whether a message or one of its sources has a name, or several have it."""
+        return name in self._messages or name in self._ambiguous or self._source(name) is not None
 
     def __iter__(self) -> Iterator[Message]:
         return (message for name, message in self._messages.items() if name not in self._shadowed)
@@ -128,7 +134,7 @@ class Database:
         Raises:
             InputError: there is none, names close ones; or several have it, names what tells them apart.
         """
-        found = self._messages.get(name)
+        found = self._messages.get(name) or self._source(name)
         if found is None and name in self._ambiguous:
             each = " or ".join(f"{one} (in {self._file_of[one]})" for one in self._ambiguous[name])
             raise InputError(f"several messages have this name: write {each}", value=name)
@@ -137,6 +143,18 @@ class Database:
             where = ", ".join(self._files) or "a database: this bus has none"
             raise InputError(f"no message {name!r} in {where}{nearest(name, known)}")
         return found
+
+    def _source(self, name: str) -> Message | None:
+        """Return a message as one source sends it, by its exact name; None: there is none."""
+        if name not in self._sources:
+            base, can_id = source_named(name) or ("", 0)
+            message = self._messages.get(base)
+            if message is None or not message.is_extended_frame or group_of(message.frame_id) != group_of(can_id):
+                return None
+            self._sources[name] = of_source(message, can_id)
+            self._file_of[name] = self._file_of[base]
+            self._joined[name] = self._joined.get(base, {})
+        return self._sources[name]
 
     def file_of(self, message: str) -> Path:
         """Return the file that a message came from.

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 #: Names that CANdb++ writes shorter than they are: identifier, name in the file, whole name.
 _LONG = re.compile(r'^BA_ +"SystemSignalLongSymbol" +SG_ +(\d+) +(\w+) +"([^"\n]*)"', re.MULTILINE)
 _FLAG = 1 << 31
+#: Protocol of a J1939 message of one source.
+ONE_SOURCE = "j1939 of one source"
+#: Name of a message of one source: that of the database, and the identifier.
+_OF_SOURCE = re.compile(r"(\w+)_0x([0-9A-F]{4,8})")
 #: Attributes by which a signal says where its bits are and what they mean.
 _SAYS = (
     "name", "start", "length", "byte_order", "is_signed", "is_float", "scale", "offset", "unit", "choices",
@@ -119,6 +123,27 @@ def together(name: str, signals: Sequence[Signal]) -> Signal:
 def exact_name(message: Message) -> str:
     """Return the name of a message with its identifier."""
     return f"{message.name}_0x{message.frame_id:X}"
+
+
+def of_source(message: Message, can_id: int) -> Message:
+    """Return a J1939 message as one source sends it: known by that identifier and source, not by its group alone."""
+    own = copy(message)
+    own.frame_id = can_id
+    own.name = f"{message.name}_0x{can_id:X}"
+    own._protocol = ONE_SOURCE
+    return own
+
+
+def group_of(can_id: int) -> int:
+    """Return the parameter group number of an identifier of 29 bits, without destination."""
+    group = can_id >> 8 & 0x3FFFF
+    return group & 0x3FF00 if can_id >> 16 & 0xFF < 240 else group
+
+
+def source_named(name: str) -> tuple[str, int] | None:
+    """Return the message and the identifier that the exact name of a source has; None: it is none."""
+    found = _OF_SOURCE.fullmatch(name)
+    return None if found is None else (found[1], int(found[2], 16))
 
 
 def same(one: Message, other: Message) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -26,7 +27,7 @@ from gateway.signals.decode import (
     pgn_key,
     source_key,
 )
-from gateway.signals.identity import needs
+from gateway.signals.identity import ONE_SOURCE, needs
 from gateway.signals.ranges import Pairs, Ranges, runs
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED
@@ -118,6 +119,19 @@ class DecodePlan:
         first = self.messages["first"][self.slot_message[slot]]
         return bool(self.signals["parent"][first + self.positions[self.slot_names[slot]]] >= 0)
 
+    def named_sources(self) -> list[int]:
+        """Return for each message the source address whose frames it has; -1: of the first that comes.
+
+        A database that describes a group of J1939 for several sources names them.
+        """
+        ids = self.messages["can_id"]
+        keys = [(int(bus), int(group)) for bus, group in zip(self.messages["bus"], _groups(ids), strict=True)]
+        count = Counter(key for key, group in zip(keys, self.by_pgn, strict=True) if group)
+        return [
+            int(can_id & 0xFF) if group and count[key] > 1 and can_id & 0xFF != _ANY_SOURCE else -1
+            for can_id, key, group in zip(ids, keys, self.by_pgn, strict=True)
+        ]
+
     def beyond(self, row: int, length: int) -> list[str]:
         """Return the signals of a message that are beyond the end of frames of a length, of those that are decoded."""
         first, count = self.messages["first"][row], self.messages["count"][row]
@@ -180,7 +194,7 @@ def signal_row(signal: Signal) -> Any:
 
 def by_pgn(message: Message, whole_bus: bool) -> bool:
     """Return whether a message matches by its PGN, ``whole_bus``: all of its bus do."""
-    return message.is_extended_frame and (whole_bus or message.protocol == "j1939")
+    return message.is_extended_frame and message.protocol != ONE_SOURCE and (whole_bus or message.protocol == "j1939")
 
 
 def _hash(
@@ -193,18 +207,21 @@ def _hash(
     """
     made: dict[int, int] = {}
     # As plain Python: for a number by itself the way to machine code is longer.
-    of_id, of_group = (getattr(each, "py_func", each) for each in (exact_key, pgn_key))
+    of_id, of_group, of_source = (getattr(each, "py_func", each) for each in (exact_key, pgn_key, source_key))
     for row, (bus, message) in enumerate(messages):
         other = made.setdefault(int(of_id(bus, can_id_of(message))), row)
         if other != row:
             text = f"has the identifier of {messages[other][1].name}: 0x{message.frame_id:X}"
             raise InputError(text, key=message.name)
+    for row, (bus, message) in enumerate(messages):
+        if message.protocol == ONE_SOURCE:
+            made.setdefault(int(of_source(bus, can_id_of(message))), row)
     # Of several messages of a group that of any source takes the frames of sources that none names.
     groups = [row for row, group in enumerate(by_group) if group]
     for row in sorted(groups, key=lambda row: (messages[row][1].frame_id & 0xFF != _ANY_SOURCE, row)):
         bus, can_id = messages[row][0], can_id_of(messages[row][1])
         if can_id & 0xFF != _ANY_SOURCE:
-            made.setdefault(int(source_key(bus, can_id)), row)
+            made.setdefault(int(of_source(bus, can_id)), row)
         made.setdefault(int(of_group(bus, can_id)), row)
     return hash_table(list(made), list(made.values()))
 

@@ -198,6 +198,7 @@ class CheckPlace(Record):
     fault: Annotated[i4s, len(FAULTS)] = means("the engine's index of each fault; -1: not asked for")
     presence: i4 = means("place of a multiplexed signal of the protection among the message's; -1: always there")
     timer: i4 = means("its timer")
+    row: i4 = means("of its message")
     sync: i4 = means("of SecOC: place of the check of the freshness master's message; -1: it needs none")
     bus: u1 = means("number of the bus")
 
@@ -221,6 +222,7 @@ class CheckState(Record):
 
     deadline_ns: i8 = means(unit="ns")
     silent_ns: i8 = means(unit="ns")
+    silent_sources: i4 = means("of J1939: further source addresses that are silent")
     losses: i4 = means("how often its time has started anew since frames were lost on our side")
     parked_ns: i8 = means("when its time was over while nobody was heard; 0: it was not", "ns")
     parks: i4 = means("how often that was so since it came")
@@ -255,6 +257,7 @@ COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
         "most_ns", "stride", "slots",
     ),
     ("longest",): ("length",),
+    ("silent_sources",): ("timeout_ns",),
     ("passed", "weighed", "proof", "misfits", "samples", "lengths"): ("rule",),
     ("fresh", "trial", "sought", "synced"): ("rule",),
     # A window saw right and wrong frames. Its sizes and limits are asked at the next frame.
@@ -398,10 +401,13 @@ def fill(
         p.most is not None and asked.counter is not None,
     )
     slots: list[FaultSlot] = []
+    row["row"] = plan.message(check.bus, p.message)
     for kind, is_wanted in enumerate(wanted):
         row["fault"][kind] = first_fault + len(slots) if is_wanted else -1
         if is_wanted:
             fault = p.fault_of(kind)
+            if kind == TIMEOUT and plan.by_pgn[row["row"]]:
+                fault = replace(fault, evidence=(*fault.evidence, "source address"))
             slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
     row["bus"] = check.bus
     row["length"] = message.length

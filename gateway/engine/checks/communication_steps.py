@@ -87,6 +87,8 @@ def report_timeout(T: Any, due: int, c: Any) -> None:
     c.silent_ns += c.timeout_ns
     place = report_result(T, due, c.fault[TIMEOUT], True, c.silent_ns * 1e-6, c.timeout_ns * 1e-6)
     store_evidence(T, c.fault[TIMEOUT], place, 0, c.silent_ns * 1e-6)
+    if T.vectors[c.row].by_group == 1:
+        store_evidence(T, c.fault[TIMEOUT], place, 1, float(T.vectors[c.row].source))
 
 
 @kernel
@@ -346,7 +348,7 @@ def bits_set(value: Any) -> int:
 @kernel
 def report_arrival(T: Any, t_ns: int, c: Any, length: int) -> None:
     """Report that a message has come, and whether it is long enough."""
-    if c.fault[TIMEOUT] >= 0:
+    if c.fault[TIMEOUT] >= 0 and c.silent_sources == 0:
         report_result(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
     if c.fault[LENGTH] >= 0:
         wrong = is_odd_length(c, length)
@@ -449,6 +451,6 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         store_evidence(T, c.fault[VALUE], place, 1, value)
     if status == INVALID_VALUE:
         return IN_PART
-    if status == OK:
+    if status == OK and c.silent_sources == 0:
         begin_run(T, c, length)
     return ACCEPT
