@@ -13,6 +13,7 @@ from gateway.engine.checks import (
     monitor_health,
     monitoring_health,
     reporter_health,
+    restart_health,
 )
 from gateway_fdi.common.resources import all_shipped
 from gateway_plants.crank.monitor import faults as crank
@@ -29,6 +30,7 @@ KNOWN = {
     "gateway": (
         *clock_health.OWN_FAULTS,
         *memory_health.FAULTS,
+        *restart_health.FAULTS,
         *monitor_health.FAULTS,
         *reporter_health.FAULTS,
         *monitoring_health.FAULTS,

@@ -22,14 +22,16 @@ class Car:
         self.memory = folder / "m.sqlite"
         self.begin()
 
-    def begin(self):
-        self.rig = Rig(self.config, self.memory)
+    def begin(self, boot=""):
+        self.rig = Rig(self.config, self.memory, start=False)
+        self.rig.gateway.note_restart(0, boot)
+        self.rig.gateway.start(0)
 
-    def die(self):
+    def die(self, boot=""):
         """The process is gone; what it had committed is there."""
         self.rig.gateway.memory.commit()
         self.rig.close()
-        self.begin()
+        self.begin(boot)
 
     def stop(self):
         self.rig.gateway.stop(self.rig.now)
@@ -128,6 +130,22 @@ def test_the_power_goes_with_the_key_each_time_and_the_dtc_ages_all_the_same(car
         car.rig.heal(0)
         car.die()
     assert car.rig.gateway.memory.entries() == []
+
+
+@pytest.mark.parametrize("supplies", [False, True])
+def test_terminal_15_that_supplies_the_gateway_completes_by_power_cuts_where_the_configuration_says_so(car, supplies):
+    """It is on whenever it is first heard; only another boot of the machine tells a power cut from a death."""
+    more = "supplies = true\n" if supplies else ""
+    text = car.config.read_text()
+    car.config.write_text(text.replace("max = 1.0 }\n", f"max = 1.0 }}\n{more}"))
+    for k in range(1, 4):
+        car.die(f"boot {k}")
+        car.ignition(ON)
+        car.rig.heal(0)
+        car.die(f"boot {k}")
+        car.ignition(ON)
+        assert car.told == [("goes on", k if supplies else 1)], "a death"
+    assert car.record.cycles.passed == (2 if supplies else 0)
 
 
 def test_deaths_while_the_ignition_is_off_count_nothing(car):

@@ -155,7 +155,7 @@ def test_with_many_faults_only_near_names_are_told(tmp_path):
     limits = ", ".join(f'{{ signal = "Many.S{k}", plausible = [0, 0.5] }}' for k in range(60))
     text = f'[[monitor]]\nname = "w"\ntype = "signal"\nsignal = [{limits}]\n[fault."w.S33.hihg"]\npriority = 1\n'
     path = write(tmp_path, f"BO_ 256 Many: 8 A\n{many}", text)
-    with pytest.raises(InputErrors, match=r"known: 123; did you mean w\.S33\.high") as told:
+    with pytest.raises(InputErrors, match=r"known: 124; did you mean w\.S33\.high") as told:
         Gateway(load_config(path), file=path)
     assert len(str(told.value)) < 300
 

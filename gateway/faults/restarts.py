@@ -11,7 +11,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from gateway.faults.ledger import Ledger
 from gateway.faults.operation_cycles import OperationCycles
@@ -24,7 +25,7 @@ _BOOT, _HUNG = "restarts.boot", "restarts.hung"
 REASONS = (
     "the process ended without a stop",
     "the watchdog ended the process: a monitor's step did not return",
-    "the machine was started anew: power cut, or reboot",
+    "the machine was started again: power cut, or reboot",
 )
 _DIED, _HUNG_UP, _BOOTED = range(3)
 #: Restarts in a row from which each start waits, and that are told as a fault.
@@ -36,7 +37,8 @@ LONGEST_S = 10.0
 WELL_S = 600.0
 
 
-class Restart(NamedTuple):
+@dataclass(frozen=True)
+class Restart:
     """A start that found no stop.
 
     Attributes:
@@ -84,6 +86,11 @@ class Restarts:
     def succeed(self, old: Restarts) -> None:
         """Go on with what another one of the same process knows."""
         self._noted, self.found = old._noted, old.found
+
+    @property
+    def after_power_cut(self) -> bool:
+        """Whether the machine was started again since the last process, which was not stopped."""
+        return self.found is not None and self.found.reason == REASONS[_BOOTED]
 
     @property
     def count(self) -> int:

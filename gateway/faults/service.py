@@ -143,7 +143,7 @@ def daemon_state(path: Path) -> dict[str, Any]:
 def restarts_in(store: Store) -> dict[str, Any]:
     """Return the restarts of an open fault memory (see :func:`restarts`)."""
     found = last_restart(store.facts())
-    return {"count": 0} if found is None else found._asdict()
+    return {"count": 0} if found is None else asdict(found)
 
 
 def restarts(path: Path) -> dict[str, Any]:

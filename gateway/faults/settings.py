@@ -99,6 +99,11 @@ class CycleSettings(StrictModel):
 
     begins: ConditionSettings = Field(description="condition that begins it")
     ends: ConditionSettings = Field(description="condition that ends it")
+    supplies: bool = Field(
+        False,
+        description="the gateway's own power goes with it, too (terminal 15): where the machine was started again, a"
+        " beginning completes what a power cut left open",
+    )
 
 
 class FaultOverride(StrictModel):

@@ -38,7 +38,7 @@ class Notifier:
         self._send("STOPPING=1")
 
     def waiting(self, status: str, seconds: float) -> None:
-        """Say that the start takes so many seconds more [s], and why."""
+        """Say that the start takes longer by a time [s], and why."""
         self._send(f"EXTEND_TIMEOUT_USEC={round(seconds * 1e6)}\nSTATUS={status}")
 
     def alive(self) -> None:

@@ -215,15 +215,22 @@ class Controls:
         self._memory.end_cycle(self._engine.wall_ns(now))
         self.start_cycle(now)
 
-    def begin(self, cycle: str, t_ns: int) -> bool:
+    def begin(self, cycle: str, t_ns: int, *, supplies: bool = False) -> bool:
         """Begin an operation cycle that signals define, at a time for people; its faults are tested again.
 
-        One that a process left open which is gone, and whose end was not seen since, goes on instead.
+        One that a process left open which is gone, and whose end was not seen since, goes on instead; but not after a
+        power cut, where the signal that begins it is that of the power.
+
+        Args:
+            cycle: its name.
+            t_ns: now, of the wall clock.
+            supplies: whether the gateway's power goes with that signal.
 
         Returns:
             whether a new one began.
         """
-        if self._memory.cycles.go_on(cycle):
+        cut = supplies and self._memory.restarts.after_power_cut
+        if not cut and self._memory.cycles.go_on(cycle):
             return False
         self._memory.start_cycle(t_ns, cycle)
         mine = [d.id for d in self._memory.catalogue if d.cycle == cycle]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ class Restarted:
         if found is None:
             return []
         number = self._memory.cycle_number()
-        fields = {**found._asdict(), "file": str(self._file)}
+        fields = {**asdict(found), "file": str(self._file)}
         log.warning("the last process was not stopped: its operation cycle goes on", cycle=number, **fields)
         return [{"event": "restart", **fields, "wait_s": found.wait_s, "cycle": number}]
 

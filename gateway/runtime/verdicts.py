@@ -77,6 +77,7 @@ class Verdicts:
     ) -> None:
         self._parts, self._engine, self._catalogue = parts, parts.engine, parts.catalogue
         self._buses = {NO_BUS: ""} | {k: bus.name for k, bus in enumerate(config.buses)}
+        self._supply = {name: cycle.supplies for name, cycle in config.cycle.items()}
         self._memory, self._controls, self._recorder = memory, controls, recorder
         self._outbox, self._off, self._doubts = outbox, off, doubts
         self._causes, self._on_failure, self._strangers = causes, on_failure, strangers
@@ -157,7 +158,8 @@ class Verdicts:
     def _on_cycle(self, event: Event, *, began: bool) -> None:
         name, t_ns = self._parts.cycles[event.fault], event.t_ns
         if began:
-            state = "began" if self._controls.begin(name, t_ns) else "goes on"
+            supplies = self._supply[name]
+            state = "began" if self._controls.begin(name, t_ns, supplies=supplies) else "goes on"
         else:
             self._controls.end(name, t_ns)
             state = "ended"

@@ -137,6 +137,7 @@ def test_a_long_id_and_stamps_of_the_calendar_at_80_columns(tmp_path, monkeypatc
     }
     monkeypatch.setattr(faults.service, "list_entries", lambda _: [entry])
     monkeypatch.setattr(faults.service, "overflowed", lambda _: False)
+    monkeypatch.setattr(faults.service, "restarts", lambda _: {"count": 0})
     faults.list_faults(None, memory=tmp_path, json=False)
     text = capsys.readouterr().out
     assert max(map(len, text.splitlines())) <= 80

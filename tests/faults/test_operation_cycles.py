@@ -182,8 +182,8 @@ def test_a_successor_in_the_same_process_knows_what_was_left_open(tmp_path):
     life.close()
 
 
-def test_a_death_while_the_last_cycle_ends_leaves_it_whole_or_open(tmp_path):
-    """The files as they are before and after each commit of an end: counters and state of the cycle go together."""
+def test_a_death_while_a_cycle_ends_and_the_next_begins_leaves_either_whole(tmp_path):
+    """The files before and after each commit: number, state, counter and status byte go together."""
     life = Life(tmp_path / "f.sqlite")
     images = []
     save = Store.save
@@ -202,17 +202,17 @@ def test_a_death_while_the_last_cycle_ends_leaves_it_whole_or_open(tmp_path):
     Store.save = snapshot
     try:
         life.end()
+        life.start()
     finally:
         Store.save = save
     life.close()
     seen = set()
     for image in images:
         store = Store(image)
-        memory = FaultMemory(catalogue(), store)
-        passed = memory.record("m.f0").cycles.passed
-        seen.add((store.cycles()["power"].open, passed))
+        cycle, record = store.cycles()["power"], FaultMemory(catalogue(), store).record("m.f0")
+        seen.add((cycle.number, cycle.open, record.cycles.passed, record.status & 0x44))
         store.close()
-    assert seen == {(True, 0), (False, 1)}
+    assert seen == {(2, True, 0, 0x04), (2, False, 1, 0), (3, True, 1, 0x40)}
 
 
 def copy_of(path, image):

@@ -275,7 +275,14 @@ class Told:
 
     def __init__(self, reporters):
         self.reporters, self.ecus = reporters, []
-        self.memory = {"entries": [], "cases": [], "status": {}, "stored": True, "ecu_dtcs": []}
+        self.memory = {
+            "entries": [],
+            "cases": [],
+            "status": {},
+            "stored": True,
+            "ecu_dtcs": [],
+            "restarts": {"count": 2},
+        }
 
 
 def test_the_status_socket_and_the_metrics_count_them(bench):

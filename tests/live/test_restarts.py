@@ -156,7 +156,7 @@ def test_a_power_cut_is_told_and_is_no_repeated_failure(served):
         served.die()
         assert served.waited_s == 0
         assert not served.failing
-    assert (served.told["reason"], served.told["count"]) == ("the machine was started anew: power cut, or reboot", 5)
+    assert (served.told["reason"], served.told["count"]) == ("the machine was started again: power cut, or reboot", 5)
     served.die()
     assert served.told["reason"] == "the process ended without a stop"
 

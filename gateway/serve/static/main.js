@@ -8,7 +8,7 @@ import { showBuses, showCycle, showInjected, showLog, showMessages, showVehicle,
 
 const DRAW_MS = 200;
 const state = {
-  connected: false, reason: "", memory: { entries: [], cases: [], cycles: {}, ecu_dtcs: [], readiness: [], stored: true, error: "" }, bits: [],
+  connected: false, reason: "", memory: { entries: [], cases: [], cycles: {}, ecu_dtcs: [], restarts: { count: 0 }, readiness: [], stored: true, error: "" }, bits: [],
   on: true, ecus: [], events: [], messages: [], latest: 0, came: 0, paused: false, end: 0, zero: 0, asked: null,
 };
 const residuals = new Residuals();

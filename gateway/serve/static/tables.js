@@ -71,6 +71,7 @@ export function showVehicle(ecus, dtcs) {
 
 export function showCycle(memory) {
   const cycles = Object.entries(memory.cycles).map(([name, c]) => `${name}: number ${c.number}, ${c.open ? "running" : "ended"}`);
+  if (memory.restarts.count) cycles.push(`restarts after a death: ${memory.restarts.count}, ${memory.restarts.in_a_row} in a row`);
   say(byId("cycle-text"), cycles.join("; ") || "unknown");
   const rows = memory.readiness.map((row) => {
     const ready = row.this_cycle === row.tests;
