@@ -131,7 +131,7 @@ _text_of = json.JSONEncoder(separators=(",", ":"), default=lambda value: {"hex":
 
 
 class _Version(NamedTuple):
-    """What digests of a version are made of.
+    """Parts that digests of a version are made of.
 
     Attributes:
         selects: of the rows of each kind.

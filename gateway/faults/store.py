@@ -3,8 +3,8 @@
 Write-ahead log with ``synchronous=FULL``: changes for which :meth:`Store.save` has returned survive ``kill -9`` and
 power loss. Other processes may read at any time; to clear they ask the writer through the ``request`` table.
 
-One connection writes, for one thread at a time: a second thread that would write meanwhile gets an error. Whoever reads
-in this process does so by another connection, which sees whole commits, and never touches the one that writes.
+One connection writes, for one thread at a time: a second thread that would write meanwhile gets an error. This
+process reads by another connection, which sees whole commits, and never touches the one that writes.
 """
 
 from __future__ import annotations
@@ -129,14 +129,14 @@ class Store(Contents):
         self._connect()
 
     def _connect(self) -> None:
-        """Open the file, and become its writer if that is asked for; one that was never finished is begun anew."""
+        """Open the file, and become its writer if that is asked for; one that was never finished is begun again."""
         try:
             self._connect_once()
         except (DamagedError, StrangeError):
             if self.path is None or not self._write or not lock.is_unfinished(self.path):
                 raise
             aside = put_aside(self.path, "unfinished")
-            log.warning("fault memory begun anew, whose first write was cut off", file=str(self.path), aside=str(aside))
+            log.warning("fault memory begun again: its first write was cut off", file=str(self.path), aside=str(aside))
             self._connect_once()
 
     def _connect_once(self) -> None:

@@ -158,7 +158,7 @@ class Upkeep:
         """
         memory = self._memory
         if self.idle:
-            self._under_way = NOTHING  # its write has ended, and somebody else has joined it: it counts for no others
+            self._under_way = NOTHING  # its write has ended, and was joined elsewhere: it counts for no others
             return noted
         if self._writer is not None and not final:
             return self._settle_beside(t_ns, noted, sink, self._writer)
