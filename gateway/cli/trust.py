@@ -20,7 +20,7 @@ def trust(files: Sequence[Path], *, system: bool) -> int:
         if file.suffix == ".toml":
             raise InputError("trust is for code, not for what names it: gateway check says which file it is", file=file)
     chosen = dict.fromkeys(one for file in files for one in trusted.reachable(file))
-    for name, path in trusted.add(chosen, into):
-        print(f"trusted: {path} ({name[:12]})")
+    for name, file in trusted.add(chosen, into):
+        print(f"trusted: {file} ({name[:12]})")
     print(f"in {into}: asked again when a file changes")
     return 0

@@ -1,9 +1,9 @@
 """Code that is not of the installation runs only after a person has trusted it, by the hash of what it is.
 
 A configuration, a scenario or a model may name code that lies beside it: modules of monitors, virtual ECUs, key
-functions and protections, methods of the arena and what they have learned (pickles), FMUs. Who opens a file of others
-has not read that code, though the file belongs to him. So nothing of it is imported, unpickled or loaded before its
-hash stands in a list of this user's or of the administrator's; ``--trust`` takes all for one run. Code of the
+functions and protections, methods of the arena and what they have learned (pickles), FMUs. A user who opens a file of
+others has not read that code, though the file belongs to him. So nothing of it is imported, unpickled or loaded before
+its hash stands in a list of this user's or of the administrator's; ``--trust`` takes all for one run. Code of the
 installation (the folders of packages, what is installed as editable) is the user's own, and needs no more.
 
 Modules beside a configuration come by :class:`_Finder`, and not by ``sys.path``: each is read, hashed and compiled
@@ -29,7 +29,6 @@ from typing import Any
 
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError
-from gateway_fdi.jit import owned
 
 #: Variable of the environment that takes all code, with this value: what ``--trust`` sets, for this process and those
 #: that it starts.
@@ -63,6 +62,8 @@ def entries(file: Path) -> dict[str, str]:
     Raises:
         InputError: others can write it, or it cannot be read.
     """
+    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings numba
+
     try:
         lines = owned.read_own(file).decode("utf-8", "replace").splitlines()
     except FileNotFoundError:
@@ -322,6 +323,8 @@ def add(files: Iterable[Path], into: Path) -> list[tuple[str, Path]]:
     Raises:
         InputError: a file cannot be read; the list cannot be written, or is not this user's.
     """
+    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings numba
+
     known = entries(into)
     new = [(digest(_read(file)), file.absolute()) for file in files]
     lines = known | {name: str(path).replace("\n", "?") for name, path in new}
