@@ -176,6 +176,23 @@ def stream_of(compression: str, raw: BinaryIO, path: Path) -> BinaryIO:
     return cast("BinaryIO", io.BufferedReader(one, _PIECE))
 
 
+def unpacked(data: bytes, make: Callable[[], Any], most: int) -> bytes:
+    """Return what a compressed block within a file holds.
+
+    Args:
+        data: of the block.
+        make: makes a decompressor.
+        most: bytes at most.
+
+    Raises:
+        InputError: it is more.
+    """
+    found = cast("bytes", make().decompress(data, most + 1))
+    if len(found) > most:
+        raise InputError(f"a block of {len(data)} bytes unpacks to more than {most}")
+    return found
+
+
 def _directory(file: BinaryIO) -> int:
     """Return how long the directory of an archive is, by its last record; 0: there is none."""
     end = file.seek(0, os.SEEK_END)

@@ -62,7 +62,7 @@ def entries(file: Path) -> dict[str, str]:
     Raises:
         InputError: others can write it, or it cannot be read.
     """
-    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings numba
+    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings NumPy and the kernels
 
     try:
         lines = owned.read_own(file).decode("utf-8", "replace").splitlines()
@@ -323,7 +323,7 @@ def add(files: Iterable[Path], into: Path) -> list[tuple[str, Path]]:
     Raises:
         InputError: a file cannot be read; the list cannot be written, or is not this user's.
     """
-    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings numba
+    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings NumPy and the kernels
 
     known = entries(into)
     new = [(digest(_read(file)), file.absolute()) for file in files]
