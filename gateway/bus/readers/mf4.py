@@ -14,6 +14,8 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -71,15 +73,11 @@ def bound_blocks() -> None:
     """Let asammdf unpack no block of data to more than :data:`MOST`; its own functions have no bound."""
     from asammdf.blocks import utils  # noqa: PLC0415 - an extra, slow to load
     from asammdf.blocks import v4_constants as kinds  # noqa: PLC0415
-    from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - asammdf brings it
+    from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - asammdf brings it, and isal to most machines
 
-    try:
-        from isal.isal_zlib import decompressobj  # noqa: PLC0415 - faster; asammdf brings it to most machines
-    except ImportError:
-        from zlib import decompressobj  # noqa: PLC0415
-
+    deflate = import_module("isal.isal_zlib" if find_spec("isal") is not None else "zlib")
     for kind in (kinds.DZ_BLOCK_DEFLATE, kinds.DZ_BLOCK_TRANSPOSED):
-        utils.DECOMPRESS_FUNC_MAP[kind] = partial(unpacked, make=decompressobj, most=MOST)
+        utils.DECOMPRESS_FUNC_MAP[kind] = partial(unpacked, make=deflate.decompressobj, most=MOST)
     for kind in (kinds.DZ_BLOCK_LZ, kinds.DZ_BLOCK_LZ_TRANSPOSED):
         utils.DECOMPRESS_FUNC_MAP[kind] = partial(unpacked, make=LZ4FrameDecompressor, most=MOST)
 
