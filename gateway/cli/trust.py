@@ -12,6 +12,8 @@ from gateway_fdi.errors import InputError
 def trust(files: Sequence[Path], *, system: bool) -> int:
     """Trust files of code as they are now, and the modules beside them that they import; returns the exit code."""
     into = trusted.SYSTEM if system else trusted.user_list()
+    if into is None:
+        raise InputError("this system has no list for every user", key="--system")
     if not files:
         for name, path in trusted.entries(into).items():
             print(f"{name}  {path}")

@@ -33,8 +33,8 @@ from gateway_fdi.errors import InputError
 #: Variable of the environment that takes all code, with this value: what ``--trust`` sets, for this process and those
 #: that it starts.
 VARIABLE, ALL = "GATEWAY_TRUST", "all"
-#: The administrator's list, for every user of this machine.
-SYSTEM = Path("/etc/gateway/trusted")
+#: The administrator's list, for every user of this machine; Windows has no folder that only he can make.
+SYSTEM: Path | None = Path("/etc/gateway/trusted") if hasattr(os, "geteuid") else None
 #: Bytes of a module that are looked through at most.
 _LONGEST = 1 << 22
 #: How lines of a .pth file begin that are no folder.
@@ -92,7 +92,7 @@ def is_trusted(path: Path, data: bytes) -> bool:
     if os.environ.get(VARIABLE) == ALL or is_installed(path) or _running.intersection(path.absolute().parents):
         return True
     name = digest(data)
-    return any(name in entries(file) for file in (SYSTEM, user_list()))
+    return any(name in entries(file) for file in filter(None, (SYSTEM, user_list())))
 
 
 def verified(path: Path, what: str = "its code") -> bytes:
@@ -180,8 +180,8 @@ def _is_of_installation(top: str) -> bool:
     if spec.submodule_search_locations is not None:
         places = [Path(place).parent for place in spec.submodule_search_locations] or places
     whole, editable = _installation()
-    ours = PathFinder.find_spec(top) is None  # by a finder of an installed package, as editable ones have
-    return ours or all(
+    by_hook = PathFinder.find_spec(top) is None  # of an installed package, as some editable ones have
+    return by_hook or all(
         place.resolve() in editable or any(place.resolve().is_relative_to(one) for one in whole) for place in places
     )
 
