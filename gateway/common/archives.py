@@ -1,9 +1,9 @@
 """Archives and compressed files from outside: opened here and nowhere else, within bounds.
 
-A few kB unpack to gigabytes. What is read as a stream (logs) stays flat in memory whatever it unpacks to, so it has no
-bound of its size: an honest log of a bus that repeats itself is packed a thousand times. Bounded is what its
-decompressor holds (:data:`WINDOW`). What is held or written whole (PDX, FMU, packed MF4 and Parquet) has a
-:class:`Budget`. An archive in an archive is not opened.
+A few kB unpack to gigabytes. A stream (a log) stays flat in memory whatever it unpacks to, so it has no bound of its
+size: an honest log of a bus that repeats itself is packed a thousand times. Its decompressor is bounded
+(:data:`WINDOW`). Files that are held or written whole (PDX, FMU, packed MF4 and Parquet) have a :class:`Budget`. An
+archive in an archive is not opened.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any, BinaryIO, cast
 from gateway.common.extras import need
 from gateway_fdi.errors import InputError
 
-#: What is raised where an archive is none, or is cut off.
+#: Error of an archive that is none, or is cut off.
 BadArchive = zipfile.BadZipFile
 
 #: Memory of a decompressor at most [byte]; ``xz -9`` and ``zstd --ultra -22`` need half of it.
@@ -47,7 +47,7 @@ _XZ, _ZSTD = b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd"
 
 
 class Budget:
-    """What a file may unpack to.
+    """Bytes that a file may unpack to.
 
     Args:
         path: of the packed file.
@@ -174,6 +174,23 @@ def stream_of(compression: str, raw: BinaryIO, path: Path) -> BinaryIO:
         options = {zstd.DecompressionParameter.window_log_max: WINDOW.bit_length() - 1}
         one = _Unpacked(raw, path, lambda: zstd.ZstdDecompressor(options=options), _ZSTD)
     return cast("BinaryIO", io.BufferedReader(one, _PIECE))
+
+
+def unpacked(data: bytes, make: Callable[[], Any], most: int) -> bytes:
+    """Return what a compressed block within a file holds.
+
+    Args:
+        data: of the block.
+        make: makes a decompressor.
+        most: bytes at most.
+
+    Raises:
+        InputError: it is more.
+    """
+    found = cast("bytes", make().decompress(data, most + 1))
+    if len(found) > most:
+        raise InputError(f"a block of {len(data)} bytes unpacks to more than {most}")
+    return found
 
 
 def _directory(file: BinaryIO) -> int:

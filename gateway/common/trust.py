@@ -1,9 +1,9 @@
 """Code that is not of the installation runs only after a person has trusted it, by the hash of what it is.
 
 A configuration, a scenario or a model may name code that lies beside it: modules of monitors, virtual ECUs, key
-functions and protections, methods of the arena and what they have learned (pickles), FMUs. Who opens a file of others
-has not read that code, though the file belongs to him. So nothing of it is imported, unpickled or loaded before its
-hash stands in a list of this user's or of the administrator's; ``--trust`` takes all for one run. Code of the
+functions and protections, methods of the arena and what they have learned (pickles), FMUs. A user who opens a file of
+others has not read that code, though the file belongs to him. So nothing of it is imported, unpickled or loaded before
+its hash stands in a list of this user's or of the administrator's; ``--trust`` takes all for one run. Code of the
 installation (the folders of packages, what is installed as editable) is the user's own, and needs no more.
 
 Modules beside a configuration come by :class:`_Finder`, and not by ``sys.path``: each is read, hashed and compiled
@@ -29,13 +29,12 @@ from typing import Any
 
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError
-from gateway_fdi.jit import owned
 
 #: Variable of the environment that takes all code, with this value: what ``--trust`` sets, for this process and those
 #: that it starts.
 VARIABLE, ALL = "GATEWAY_TRUST", "all"
-#: The administrator's list, for every user of this machine.
-SYSTEM = Path("/etc/gateway/trusted")
+#: The administrator's list, for every user of this machine; Windows has no folder that only he can make.
+SYSTEM: Path | None = Path("/etc/gateway/trusted") if hasattr(os, "geteuid") else None
 #: Bytes of a module that are looked through at most.
 _LONGEST = 1 << 22
 #: How lines of a .pth file begin that are no folder.
@@ -63,6 +62,8 @@ def entries(file: Path) -> dict[str, str]:
     Raises:
         InputError: others can write it, or it cannot be read.
     """
+    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings NumPy and the kernels
+
     try:
         lines = owned.read_own(file).decode("utf-8", "replace").splitlines()
     except FileNotFoundError:
@@ -91,7 +92,7 @@ def is_trusted(path: Path, data: bytes) -> bool:
     if os.environ.get(VARIABLE) == ALL or is_installed(path) or _running.intersection(path.absolute().parents):
         return True
     name = digest(data)
-    return any(name in entries(file) for file in (SYSTEM, user_list()))
+    return any(name in entries(file) for file in filter(None, (SYSTEM, user_list())))
 
 
 def verified(path: Path, what: str = "its code") -> bytes:
@@ -179,8 +180,8 @@ def _is_of_installation(top: str) -> bool:
     if spec.submodule_search_locations is not None:
         places = [Path(place).parent for place in spec.submodule_search_locations] or places
     whole, editable = _installation()
-    ours = PathFinder.find_spec(top) is None  # by a finder of an installed package, as editable ones have
-    return ours or all(
+    by_hook = PathFinder.find_spec(top) is None  # of an installed package, as some editable ones have
+    return by_hook or all(
         place.resolve() in editable or any(place.resolve().is_relative_to(one) for one in whole) for place in places
     )
 
@@ -322,6 +323,8 @@ def add(files: Iterable[Path], into: Path) -> list[tuple[str, Path]]:
     Raises:
         InputError: a file cannot be read; the list cannot be written, or is not this user's.
     """
+    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings NumPy and the kernels
+
     known = entries(into)
     new = [(digest(_read(file)), file.absolute()) for file in files]
     lines = known | {name: str(path).replace("\n", "?") for name, path in new}

@@ -13,7 +13,7 @@ from command import command
 
 from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import read_log
-from gateway.bus.readers import blf
+from gateway.bus.readers import blf, mf4
 from gateway_fdi.errors import InputError
 
 try:
@@ -147,3 +147,18 @@ def test_what_is_held_whole_is_bounded(kind, tmp_path, monkeypatch):
     assert "more than 1048576 bytes" in error.message
     assert "unpack it first" in error.message
     assert most < FLAT
+
+
+def test_a_compressed_block_of_mf4_is_bounded():
+    blocks = pytest.importorskip("asammdf.blocks.mdf_v4")
+    from lz4.frame import compress
+
+    mf4.bound_blocks()
+    for kind, pack_ in ((1, zlib.compress), (2, zlib.compress), (3, compress), (4, compress)):
+        unpack = blocks.DECOMPRESS_FUNC_MAP[kind]
+        assert unpack(pack_(b"some text")) == b"some text"
+        tracemalloc.start()
+        with pytest.raises(InputError, match=f"unpacks to more than {mf4.MOST}"):
+            unpack(pack_(bytes(200_000_000)))
+        assert tracemalloc.get_traced_memory()[0] < FLAT
+        tracemalloc.stop()

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 HERE = ROOT / "tests" / "system" / "vcan"
 #: What the test kernels need of Debian.
 PACKAGES = ("user-mode-linux", "can-utils", "busybox-static", "iproute2", "gcc", "libc6-dev")
-_KEEP = {"PATH", "HOME", "GATEWAY_CACHE_DIR", "XDG_CACHE_HOME", "LANG"}
+_KEEP = {"PATH", "HOME", "GATEWAY_TRUST", "GATEWAY_CACHE_DIR", "XDG_CACHE_HOME", "LANG"}
 
 
 def build_ptrace_xsave(folder):

@@ -13,6 +13,9 @@ import sys
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,7 +25,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage
 from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, Read, placed
-from gateway.common.archives import whole
+from gateway.common.archives import unpacked, whole
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
 
@@ -34,6 +37,8 @@ _BUS_EVENT = 2
 _KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 #: It looks through all frames for messages otherwise, for an extraction of its own.
 _OPEN: dict[str, Any] = {"process_bus_logging": False}
+#: Bytes of a compressed block, unpacked, at most; recorders write blocks of 4 MiB.
+MOST = 1 << 26
 #: Records that are asked of asammdf at once: the fixed cost of a call is small then.
 _RECORDS = 250_000
 
@@ -62,6 +67,19 @@ def is_cut(path: Path) -> bool:
             known.update(more)
             waiting += more
     return False
+
+
+def bound_blocks() -> None:
+    """Let asammdf unpack no block of data to more than :data:`MOST`; its own functions have no bound."""
+    from asammdf.blocks import utils  # noqa: PLC0415 - an extra, slow to load
+    from asammdf.blocks import v4_constants as kinds  # noqa: PLC0415
+    from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415 - asammdf brings it, and isal to most machines
+
+    deflate = import_module("isal.isal_zlib" if find_spec("isal") is not None else "zlib")
+    for kind in (kinds.DZ_BLOCK_DEFLATE, kinds.DZ_BLOCK_TRANSPOSED):
+        utils.DECOMPRESS_FUNC_MAP[kind] = partial(unpacked, make=deflate.decompressobj, most=MOST)
+    for kind in (kinds.DZ_BLOCK_LZ, kinds.DZ_BLOCK_LZ_TRANSPOSED):
+        utils.DECOMPRESS_FUNC_MAP[kind] = partial(unpacked, make=LZ4FrameDecompressor, most=MOST)
 
 
 @contextmanager
@@ -240,8 +258,8 @@ class Mf4:
                 for first in range(0, len(taken), chunk):
                     frames += len(taken[first : first + chunk])
                     yield taken[first : first + chunk], channel[first : first + chunk]
-        except InputError:
-            raise
+        except InputError as error:
+            raise error.within(self._path) from None
         except Exception as error:  # asammdf and decompressors let any exception of theirs through
             if not cut:
                 raise damage(error, self._path, frames) from None
@@ -253,6 +271,7 @@ class Mf4:
     def _all(self, stream: BinaryIO | None, names: Names) -> Iterator[Read]:
         from asammdf import MDF  # noqa: PLC0415 - an extra, slow to load
 
+        bound_blocks()
         with _tidy():
             # It maps a file that has a name, and reads another one whole.
             mdf = MDF(self._path if stream is None else whole(stream, self._path), **_OPEN)
