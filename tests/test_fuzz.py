@@ -52,7 +52,7 @@ def test_a_text_of_cdd_that_is_no_xml_is_refused(tmp_path):
 
 
 def test_an_interface_that_two_readers_cut_at_different_places_is_not_read_for_ever(fuzz, tmp_path):
-    """Found by scripts/fuzz: the kernel ends a word at any control byte, Python at some; the line was asked for again."""
+    """Found by scripts/fuzz: the kernel ends a word at any control byte, Python at some; the line was asked again."""
     with parsers.opened("log.log", tmp_path) as target:
         target.feed(target.samples[0])
         with fuzz.__globals__["bounded"]():
