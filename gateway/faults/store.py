@@ -167,6 +167,9 @@ class Store(Contents):
             if _code(error) in _DAMAGE:
                 raise damage(path, error) from error
             raise UnusableError(f"not usable as a fault memory: {error}", file=path) from error
+        except UnicodeDecodeError as error:  # a damaged name of a table is a part of what SQLite says of it
+            self.close()
+            raise damage(path, error) from error
         except InputError:
             self.close()
             raise

@@ -102,6 +102,21 @@ def test_what_can_be_read_of_a_damaged_file_is_recovered(tmp_path):
     store.close()
 
 
+def test_a_name_of_a_table_that_is_no_text_any_more_is_damage_and_recovered_from(tmp_path):
+    """Found by scripts/fuzz: the driver could not say what SQLite says of it, and ended in a traceback."""
+    path = tmp_path / "f.sqlite"
+    fill(path, 5)
+    content = path.read_bytes()
+    at = content.index(b"CREATE TABLE")
+    name = content.rindex(b"table", 0, at)
+    path.write_bytes(content[: name + 5] + b"\x81" + content[name + 6 : at] + b"CREATE TUBLE" + content[at + 12 :])
+    with pytest.raises(DamagedError):
+        listed(path)
+    store, _ = kept(path, 5)
+    assert [mishap.kind for mishap in store.mishaps()] == ["damaged"]
+    store.close()
+
+
 def test_a_name_that_one_flipped_bit_has_changed_is_damage_not_a_traceback(tmp_path):
     path = tmp_path / "f.sqlite"
     fill(path)

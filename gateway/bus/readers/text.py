@@ -157,7 +157,7 @@ class TextReader:
 
     def _scanned(self, text: bytes, names: Names, batch: Batch) -> Iterator[InputError | None]:
         """Read lines; yields where the batch is full, and the error at the end."""
-        array, at = np.frombuffer(text, np.uint8), 0
+        array, at, asked = np.frombuffer(text, np.uint8), 0, -1
         while at < len(array):
             at, lines, status = self._lines.scan(array, at, batch)
             self._line += lines
@@ -167,9 +167,10 @@ class TextReader:
                 continue
             end = text.index(b"\n", at) + 1
             line = text[at:end]
-            if status == BAD:
+            if status == BAD or (status == ASK and at == asked):  # asked again: what was learned does not help
                 yield self._lines.bad(line, self._line)
                 return
+            asked = at
             if status == PASSED:
                 self.passed_over.append(f"line {self._line}: {shown(line)}")
             if status == PASSED or (status == ASK and self._lines.asked(line, names)):
