@@ -9,7 +9,7 @@ from contextlib import contextmanager
 def uncollected() -> Iterator[None]:
     """Build something large without looking for garbage in it again and again; there is hardly any.
 
-    What was built is old at once: only a full collection looks through it. Where a daemon has frozen what it started
+    The result is old at once: only a full collection looks through it. Where a daemon has frozen what it started
     with, that stays so.
     """
     was_on = gc.isenabled()

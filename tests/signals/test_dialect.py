@@ -4,6 +4,8 @@ import re
 
 import pytest
 
+from gateway.config.load import load_config
+from gateway.runtime.app import Gateway
 from gateway.signals.database import load_database
 from gateway.signals.dialect import mended, text_of
 from gateway_fdi.errors import InputError
@@ -188,3 +190,26 @@ def test_an_xml_file_says_its_encoding():
     assert text_of(text.encode("iso-8859-15")) == text
     assert text_of(text.replace("iso-8859-15", "utf-8").encode()).endswith('u="\u20ac"/>')
     assert text_of(b'<?xml version="1.0" encoding="nonsense"?>\xb0').endswith("\u00b0")
+
+
+def test_a_rule_takes_units_of_files_in_different_encodings(tmp_path):
+    names = ("utf-8", "utf-8-sig", "cp1252")
+    for k, encoding in enumerate(names):
+        text = DBC.replace("km/h", "\u00b0C").replace("256 M", f"{256 + k} M{k}")
+        (tmp_path / f"{encoding}.dbc").write_bytes(text.encode(encoding))
+    (tmp_path / "car.toml").write_text(
+        f'name = "car"\n[[bus]]\nname = "b"\nuri = "virtual:b"\ndatabase = {[f"{name}.dbc" for name in names]}\n'
+        '[[monitor]]\nname = "m"\ntype = "rule"\nbus = "b"\n'
+        'rule = [{ name = "alike", holds = "abs(M0.X - max(M1.X, M2.X)) < 5" }]\n'
+    )
+    Gateway(load_config(tmp_path / "car.toml")).close()
+
+
+def test_a_range_of_32_bits_is_decoded(tmp_path):
+    file = tmp_path / "car.dbc"
+    file.write_text(
+        DBC.replace("SG_ X : 0|8", "SG_ X M : 0|32").replace("SG_ Y : 8", "SG_ Y m0 : 32")
+        + "SG_MUL_VAL_ 256 Y X 0-4294967295;\n"
+    )
+    (message,) = load_database([file])
+    assert message.decode(bytes([1, 2, 3, 4, 5, 0, 0, 0]), decode_choices=False) == {"X": 0x04030201, "Y": 5}
