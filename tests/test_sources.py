@@ -5,8 +5,11 @@ import pytest
 from car import Car, write
 
 from gateway.bus.frames import EXTENDED, empty, put
+from gateway.config.load import load_config
+from gateway.config.resolve import load_databases
 from gateway.decode.lake import Lake
 from gateway.signals.database import load_database
+from gateway_fleet.learn.observe import Observer
 
 GROUP = 0x18FEF100
 MESSAGE = f'BO_ {(GROUP | 0xFE) | EXTENDED} CCVS: 8 A\n SG_ Speed : 8|16@1+ (0.00390625,0) [0|250] "km/h" B\n'
@@ -65,6 +68,19 @@ def test_sources_that_a_configuration_names_have_a_mailbox_and_a_timeout_each(tm
     assert car.of("source") == []
     drive(car, 5, 7, [0x00])
     assert car.failed()[-1] == f"{exact}.timeout"
+
+
+def test_learned_is_from_one_source_and_all_are_listed(tmp_path):
+    config = load_config(write(tmp_path, MESSAGE, ""))
+    observer = Observer(config, load_databases(config), [None])
+    frames = empty(200)
+    for k in range(200):
+        put(frames, k, k * 10**8, GROUP | (0x00, 0x17)[k % 2] | EXTENDED, bytes([0xFF, 0, 80 - k % 2 * 60, 0, 0]))
+    observer.read(tmp_path, iter([(frames, 1.0)]), 0.0, lambda *_: None)
+    (seen,) = observer.result().seen.values()
+    assert seen.sources == {0x00: 100, 0x17: 100}
+    assert seen.frames == 100
+    assert (seen.courses.each[0].lowest, seen.courses.each[0].highest) == (80, 80)
 
 
 def test_what_is_sent_by_several_is_one_table_with_its_source(tmp_path):

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _log = get_logger(__name__)
 
 _LINE = re.compile(r"line (\d+)")
+#: Longest payload of a frame [byte].
+LONGEST = 64
 #: Of files that hold a database.
 SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
 #: Statements that a file may lose, since they are none of its format.
@@ -108,6 +110,11 @@ class Database:
         """Lines for people: names and identifiers that it gives twice, signals that are in no frame."""
         found = list(self._notes)
         for message in self:
+            if message.is_container:
+                inside = ", ".join(each.name for each in message.contained_messages or ())
+                found.append(f"{message.name} is a container: its PDUs are not decoded ({inside})")
+            elif message.length > LONGEST:
+                found.append(f"{message.name} has {message.length} bytes: of a frame the first {LONGEST} are decoded")
             out = [signal.name for signal in message.signals if sticks_out(message, signal)]
             if out and not message.is_container:
                 found.append(f"{message.name} has {message.length} bytes; beyond them: {', '.join(out)}")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, Frames
 from gateway.signals.bits import place
-from gateway.signals.database import Database
+from gateway.signals.database import LONGEST, Database
 from gateway.signals.decode import (
     FLOAT16,
     FLOAT32,
@@ -41,8 +41,6 @@ _NEVER = 255
 #: J1939 source address of a database's message that any node may send: the null address.
 _ANY_SOURCE = 0xFE
 
-#: Longest payload of a frame [byte].
-_LONGEST = 64
 #: Before the name of a multiplexer's raw number, where its value is another one.
 _RAW = "\0"
 
@@ -368,7 +366,7 @@ class _Rows:
         entry["length"] = max([message.length, *(min(needs(signal), _NEVER) for signal in signals)])
         entry["floats"] = any(signal.is_float for signal in signals)
         alone = not any(signal.is_float or signal.is_multiplexer or signal.multiplexer_ids for signal in signals)
-        alone = alone and all(needs(signal) <= _LONGEST for signal in signals)
+        alone = alone and all(needs(signal) <= LONGEST for signal in signals)
         entry["whole"], entry["slot"] = alone and names >= needed.places.keys(), len(self.slots)
         for at, (name, signal) in enumerate(needed.places.items()):
             made = _empty_row() if signal is None else self._signal(needed, name, signal)
@@ -383,7 +381,7 @@ class _Rows:
 
     def _signal(self, needed: _Needed, name: str, signal: Signal) -> Any:
         """Return the row of a signal, its multiplexing resolved to places of the message's other signals."""
-        if needs(signal) > _LONGEST:  # no frame has it
+        if needs(signal) > LONGEST:  # no frame has it
             return _empty_row()
         entry = signal_row(signal)
         if name.startswith(_RAW):

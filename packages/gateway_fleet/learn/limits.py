@@ -311,6 +311,10 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
         if resting:
             notes.append(f"{name}: a value that stands at the end of its range is not tested: {', '.join(resting)}")
         notes += [f"{name}: {note}" for index, note in observation.notes if index == bus]
+        for (index, message), one in observation.seen.items():
+            if index == bus and len(one.sources) > 1:
+                exact = ", ".join(f"{message}_0x{one.message.frame_id & ~0xFF | each:X}" for each in one.sources)
+                notes.append(f"{name}: {message} comes from several sources, one of them is learned: {exact}")
     return notes
 
 

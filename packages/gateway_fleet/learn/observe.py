@@ -45,6 +45,8 @@ class Seen:
         ended_s: longest time from its last frame to the end of a log [s]; with its time in the log.
         columns: of its signals among all.
         observers: of other packages.
+        sources: of J1939: frames of each source address; learned is from those of the first, or of the one that the
+            database names.
         unknown: no database has its identifier, but the one that ``learn`` itself makes.
         values: payloads -> its signals in them, shape (frames, signals), as :func:`gateway.signals.payloads.columns`.
     """
@@ -62,6 +64,7 @@ class Seen:
     last_ns: int | None = None
     observers: list[observers.Observer] = field(default_factory=list)
     unknown: bool = False
+    sources: Counter[int] = field(default_factory=Counter)
     values: Callable[[Payloads], NDArray[np.float64]] = lambda payloads: np.zeros((len(payloads), 0))
 
 
@@ -127,6 +130,8 @@ class Observer:
         self._config, self._own = config, own
         pgn = [index for index, bus in enumerate(config.bus) if bus.match == "pgn"]
         self._plan = compile_plan(list(enumerate(databases)), pgn=pgn)
+        of = zip(self._plan.by_pgn, self._plan.named_sources(), strict=True)
+        self._sources = [source if group else None for group, source in of]
         self._last_column = 0
         self._rows: dict[int, int] = {}
         self._made = [self._seen(row, databases) for row in range(len(self._plan.message_names))]
@@ -253,6 +258,10 @@ class Observer:
 
     def _add_message(self, row: int, frames: Frames) -> None:
         seen = self._made[row]
+        if row < len(self._sources) and self._sources[row] is not None:
+            frames = self._of_one_source(seen, row, frames)
+            if not len(frames):
+                return
         t_ns = frames["t_ns"]
         seen.frames += len(frames)
         seen.last_ns = int(t_ns[-1])
@@ -267,6 +276,15 @@ class Observer:
             self._snapshots.put(seen.columns, t_ns, values)
             for observer in seen.observers:
                 observer.add(values)
+
+    def _of_one_source(self, seen: Seen, row: int, frames: Frames) -> Frames:
+        """Return the frames of the source address that is learned from, and count those of all."""
+        addresses = frames["can_id"] & 0xFF
+        seen.sources.update(addresses.tolist())
+        if self._sources[row] == -1:
+            self._sources[row] = int(addresses[0])
+        mine: Frames = frames[addresses == self._sources[row]]
+        return mine
 
     def _end(self, log: LogSeen) -> None:
         for seen in self._made:
