@@ -11,7 +11,7 @@ from fault_examples import catalogue, event, nothing
 from journalled import Telling
 from stored_memories import fill, kept, listed
 
-from gateway.faults import lock, service
+from gateway.faults import chain, lock, service
 from gateway.faults.journal_file import path_of, records
 from gateway.faults.kept import KeptStore
 from gateway.faults.lock import noted
@@ -192,13 +192,14 @@ def test_all_files_of_an_earlier_time_cannot_be_told(tmp_path):
     assert service.verify(path)["whole"]
 
 
-def test_what_is_beside_may_be_of_before(tmp_path):
+def test_what_is_beside_may_be_of_before(tmp_path, monkeypatch):
     """After a power cut: it is not synchronised. Links that the chain has let go are of before, too."""
     path = tmp_path / "f.sqlite"
     fill(path)
     before = image(path, tmp_path / "before")
+    monkeypatch.setattr(chain, "MOST", 40)
     store, memory = kept(path)
-    for k in range(2100):
+    for k in range(150):
         memory.apply(event(k % 3, k % 2 == 0, k), nothing)
         memory.commit()
     store.close()

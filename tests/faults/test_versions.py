@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from amount import amount
 from fault_examples import event, nothing
 from stored_memories import kept, listed
 
@@ -175,7 +176,7 @@ print(service.verify(path)["broken"])
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("version", [6, 8])
+@pytest.mark.parametrize("version", [8, 6][: amount(2, 1)])
 def test_a_column_more_leaves_files_of_before_whole(tmp_path, tomorrow, version):
     """It made each file NOT WHOLE: digests were of the columns that the program has, not those that were written."""
     path = placed(tmp_path, version)
