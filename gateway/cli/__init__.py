@@ -140,7 +140,7 @@ def serve(
         Path | None,
         typer.Option(
             "--control-token-file",
-            help="File with the control token; default on loopback: a new token, printed on a terminal, else in a file.",
+            help="File with the control token; default on loopback: a new one, printed on a terminal, else in a file.",
         ),
     ] = None,
     cert: Annotated[Path | None, typer.Option("--cert", help="TLS certificate (PEM file).")] = None,
