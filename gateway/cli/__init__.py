@@ -140,7 +140,7 @@ def serve(
         Path | None,
         typer.Option(
             "--control-token-file",
-            help="File with the control token; default on loopback: a new token, shown on a terminal, else in a file.",
+            help="File with the control token; default on loopback: a new one, printed on a terminal, else in a file.",
         ),
     ] = None,
     cert: Annotated[Path | None, typer.Option("--cert", help="TLS certificate (PEM file).")] = None,
@@ -399,10 +399,7 @@ def decode(
     database: Annotated[
         list[Path] | None,
         typer.Option(
-            "--database",
-            "-d",
-            help="Database for the frames of all buses (.dbc, .kcd, .sym, .arxml); may be repeated. One bus of"
-            " several: car.kcd#Motor.",
+            "--database", "-d", help="Database for the frames of all buses (.dbc, .kcd, .sym, .arxml); may be repeated."
         ),
     ] = None,
     config: Annotated[
@@ -437,22 +434,6 @@ def plot_command(
     """Draw what the monitors computed over time.
 
     The picture shows values against their limits, with DTCs marked.
-    """
-
-
-@app.command()
-@does("gateway.cli.trust:trust")
-def trust(
-    files: Annotated[
-        list[Path] | None, typer.Argument(metavar="FILE...", help="Code: .py, .fmu, what a method has learned.")
-    ] = None,
-    system: Annotated[
-        bool, typer.Option("--system", help="For every user of this machine, in /etc/gateway/trusted.")
-    ] = False,
-) -> None:
-    """Let code run that a configuration, a scenario or a model names, as it is now; without a file list what may.
-
-    The modules beside it that it imports are taken, too.
     """
 
 

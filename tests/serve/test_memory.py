@@ -55,7 +55,6 @@ class Lazy:
         self._thread.join(60)
 
 
-@pytest.mark.evidence("Bounded: page memory")
 def test_memory_is_flat(tmp_path):
     """Of a gateway that is not read, of a page that is read, scraped, not read, of what tells a broker that is away."""
     events = amount(10**6, 40_000, 20_000)

@@ -98,7 +98,6 @@ def told(site):
     return [each["dtc"] for each in listed], done
 
 
-@pytest.mark.evidence("ISO 17978-3: document")
 def test_schemathesis_finds_nothing(site):
     """Its positive and negative data, and its own values of the parameters in paths beside those that there are."""
     seed = int(os.environ.get("GATEWAY_SEED", "52"))
@@ -229,7 +228,6 @@ def test_nobody_gets_in_by_what_means_harm_and_the_gateway_is_unmoved(site):
     assert ask(site, "DELETE", f"{OWN}/locks/{made['id']}")[0] == 204
 
 
-@pytest.mark.evidence("ISO 17978-3: killed")
 def test_a_server_that_is_killed_leaves_no_lock_no_session_and_no_setting(site):
     """kill -9 within a locked session: the gateway is as before at once, a new server finds no lock."""
     assert ask(site, "POST", f"{OWN}/locks", {"lock_expiration": 3600})[0] == 201
@@ -246,7 +244,6 @@ def test_a_server_that_is_killed_leaves_no_lock_no_session_and_no_setting(site):
         assert ask(site, "POST", f"{OWN}/locks", {"lock_expiration": 5}, who="anna")[0] == 201
 
 
-@pytest.mark.evidence("ISO 17978-3: client")
 @pytest.mark.skipif(not FULL, reason="a client is generated in half a minute: GATEWAY_TESTS=full")
 def test_a_generated_client_lists_reads_locks_and_clears(site):
     """By openapi-python-client, of the document alone."""
