@@ -145,9 +145,10 @@ def _asked(
         moved = value[1:] != value[:-1]
         ways |= {int(way) for way in np.unique(np.sign(np.diff(value[~np.isnan(value)]))) if way}
         fast = value if speed is None else speed.at(stamps)
+        missing = np.concatenate([[0], np.cumsum(np.isnan(fast) | np.isnan(value))])
         for first in range(0, len(moved) - count + 1, max(count // 2, 1)):
             part = slice(first, first + count)
-            if np.isnan(fast[part]).any() or np.isnan(value[part]).any():
+            if missing[first + count] > missing[first]:
                 continue
             shares.append(float(moved[part].mean()))
             lows.append(float(fast[part].min()))
