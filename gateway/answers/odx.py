@@ -22,6 +22,7 @@ from gateway.answers.model import (
     signal_of,
 )
 from gateway.bus.frames import EXTENDED
+from gateway.common.archives import members_of, refuse_large_xml
 from gateway.common.extras import need
 from gateway_fdi.errors import InputError
 
@@ -53,12 +54,15 @@ def read(path: Path, _year: int | None) -> Layouts:
         InputError: odxtools is not installed, the file cannot be read, or no service reads an identifier.
     """
     need("odx", "ODX and PDX files", file=path)
-    import odxtools  # noqa: PLC0415 - an extra, and slow to load
+    from odxtools.database import Database  # noqa: PLC0415 - an extra, and slow to load
 
+    document = Database()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            document = odxtools.load_file(path)
+            for root in _documents(path):
+                document.add_odx_xml_tree(root)
+            document.refresh()
             return _of_ecus(_ecus(document), path)
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
@@ -67,6 +71,16 @@ def read(path: Path, _year: int | None) -> Layouts:
     except Exception as error:  # the reader lets any exception of its own through
         text = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"not a good {path.suffix} file: {text}", file=path) from error
+
+
+def _documents(path: Path) -> Iterator[Any]:
+    """Yield the ODX documents of a file; odxtools would open a PDX file itself, whatever it unpacks to."""
+    from xml.etree import ElementTree  # noqa: PLC0415 - beside its parser
+
+    packed = path.suffix.lower() == ".pdx"
+    for name, data in members_of(path, ".odx") if packed else [("", path.read_bytes())]:
+        refuse_large_xml(data, path, name)
+        yield ElementTree.fromstring(data)  # noqa: S314 - expat refuses entities that grow, and external ones
 
 
 def _ecus(document: Any) -> list[Any]:

@@ -5,17 +5,11 @@ A few kB unpack to gigabytes. So reading is bounded: a line, an object of BLF, a
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import importlib
-import lzma
-import zipfile
 from contextlib import ExitStack
-from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
-from gateway.common.extras import need
+from gateway.common.archives import BadArchive, open_archive, stream_of
 from gateway_fdi.errors import InputError
 
 #: Suffix -> what compressed the log.
@@ -27,8 +21,6 @@ ARCHIVE = ".zip"
 LINE = 1 << 16
 #: Bytes of an object of BLF, and of what a container unpacks to, at most; recorders write containers of 128 KiB.
 OBJECT = 1 << 24
-#: Bytes of a compressed log, unpacked, whose format is held whole (MF4, Parquet).
-WHOLE = 1 << 29
 #: Bytes that are asked of a decompressor at once.
 _PIECE = 1 << 18
 
@@ -43,14 +35,6 @@ def compression_of(path: Path) -> str:
     return suffix if suffix in COMPRESSIONS else ""
 
 
-def _zstd() -> Any:
-    try:
-        return importlib.import_module("compression.zstd")  # since Python 3.14
-    except ImportError:
-        need("zst", "logs in Zstandard")
-        return importlib.import_module("backports.zstd")
-
-
 def members(path: Path) -> list[str]:
     """Return the names of the logs in an archive, in order.
 
@@ -58,11 +42,11 @@ def members(path: Path) -> list[str]:
         InputError: it cannot be read, or holds none.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
+        with path.open("rb") as file, open_archive(path, file) as archive:
             found = sorted(one.filename for one in archive.infolist() if not one.is_dir())
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
-    except zipfile.BadZipFile as error:
+    except BadArchive as error:
         raise CutOffError(f"no archive, or cut off: {error}", file=path) from error
     if not found:
         raise InputError("no log in this archive", file=path)
@@ -91,18 +75,9 @@ def open_log(path: Path, stack: ExitStack, member: str = "") -> tuple[BinaryIO, 
     if not compression or (compression == ARCHIVE and not member):
         return raw, raw
     if compression == ARCHIVE:
-        archive = stack.enter_context(zipfile.ZipFile(raw))
+        archive = stack.enter_context(open_archive(path, raw))
         return stack.enter_context(archive.open(member)), raw  # type: ignore[return-value]
-    if compression == ".gz":
-        return stack.enter_context(gzip.GzipFile(fileobj=raw)), raw  # type: ignore[return-value]
-    if compression == ".bz2":
-        return stack.enter_context(bz2.BZ2File(raw)), raw  # type: ignore[return-value]
-    if compression == ".xz":
-        return stack.enter_context(lzma.LZMAFile(raw)), raw  # type: ignore[return-value]
-    try:
-        return stack.enter_context(_zstd().ZstdFile(raw)), raw
-    except InputError as error:
-        raise error.within(path) from error
+    return stack.enter_context(stream_of(compression, raw, path)), raw
 
 
 def pull(stream: BinaryIO, size: int) -> tuple[bytes, Exception | None]:
@@ -121,25 +96,9 @@ def pull(stream: BinaryIO, size: int) -> tuple[bytes, Exception | None]:
     return b"".join(parts), None
 
 
-def whole(stream: BinaryIO, path: Path) -> BytesIO:
-    """Return all bytes of a compressed log whose format needs all of them.
-
-    Raises:
-        InputError: there are more than :data:`WHOLE`.
-    """
-    held = BytesIO()
-    while part := stream.read(_PIECE):
-        held.write(part)
-        if held.tell() > WHOLE:
-            text = f"unpacks to more than {WHOLE} bytes, which this format would need in memory: unpack it first"
-            raise InputError(text, file=path)
-    held.seek(0)
-    return held
-
-
 def damage(error: Exception, path: Path, frames: int) -> InputError:
     """Return the cause that ended a log early as an error of the gateway."""
-    if isinstance(error, CutOffError):
+    if isinstance(error, InputError):
         return error
     if isinstance(error, EOFError):  # all of our decompressors
         return CutOffError(f"cut off after frame {frames}: the compressed file ends", file=path)

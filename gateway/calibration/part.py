@@ -10,12 +10,15 @@ import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
+
+from gateway.common.archives import members_of
+from gateway_fdi.errors import InputError
 
 _FACTS, _ARRAY = "facts", "of "
 
@@ -66,9 +69,12 @@ def save(path: Path, part: Part) -> None:
 def load(path: Path) -> Part | None:
     """Read a part, None if there is none that can be read: then it is to be found again."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            facts = json.loads(file[_FACTS].tobytes())
-            arrays = {name[len(_ARRAY) :]: file[name] for name in file.files if name.startswith(_ARRAY)}
+        held = {
+            name.removesuffix(".npy"): np.load(BytesIO(data), allow_pickle=False)  # noqa: TID251 - of bytes
+            for name, data in members_of(path, ".npy")
+        }
+        facts = json.loads(held[_FACTS].tobytes())
+        arrays = {name[len(_ARRAY) :]: array for name, array in held.items() if name.startswith(_ARRAY)}
         return Part(float(facts["seconds"]), tuple(facts["failed"]), arrays, facts["facts"])
-    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
+    except (InputError, OSError, ValueError, KeyError, TypeError, EOFError):
         return None

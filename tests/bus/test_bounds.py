@@ -140,7 +140,7 @@ def test_an_object_of_blf_outside_of_containers_that_is_too_long_is_refused(tmp_
 @pytest.mark.parametrize("kind", ["mf4", "parquet"])
 def test_what_is_held_whole_is_bounded(kind, tmp_path, monkeypatch):
     pytest.importorskip({"mf4": "asammdf", "parquet": "pyarrow.parquet"}[kind])  # its own memory does not count
-    monkeypatch.setattr("gateway.bus.log_source.WHOLE", 1 << 20)
+    monkeypatch.setattr("gateway.common.archives.WHOLE", 1 << 20)
     path = pack(tmp_path / f"bomb.{kind}.gz", "", b"PAR1" + bytes(SIZE))
     _, error, most = ended(path)
     assert "more than 1048576 bytes" in error.message

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
-from gateway.bus.log_source import CutOffError, compression_of, damage, whole
+from gateway.bus.log_source import CutOffError, compression_of, damage
 from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, Read, placed
+from gateway.common.archives import whole
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
 

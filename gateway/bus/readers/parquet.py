@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
-from gateway.bus.log_source import CutOffError, compression_of, whole
+from gateway.bus.log_source import CutOffError, compression_of
 from gateway.bus.readers.batch import DATA, Names, Read
+from gateway.common.archives import whole
 from gateway_fdi.errors import InputError, nearest
 from gateway_fdi.jit import kernel
 

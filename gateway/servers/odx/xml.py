@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import re
-import zipfile
 from collections.abc import Mapping
 from xml.etree.ElementTree import Element, indent, tostring
+
+from gateway.common.archives import packed
 
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"
 #: Characters that XML does not have.
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
-#: Time of each file in the package: the earliest that ZIP knows.
-_NO_TIME = (1980, 1, 1, 0, 0, 0)
 
 
 def node(tag: str, *children: Element | str | None, **attributes: object) -> Element:
@@ -84,12 +82,10 @@ def package(name: str, files: Mapping[str, Element]) -> bytes:
     ]
     index = named("CATALOG", name, node("ABLOCKS", *blocks), F_DTD_VERSION="ODX-2.2.0")
     odx = {file: node("ODX", content, MODEL_VERSION="2.2.0") for file, content in files.items()}
-    made = io.BytesIO()
-    with zipfile.ZipFile(made, "w") as packed:  # stored: compressed bytes are not the same everywhere
-        for file, content in {"index.xml": index, **odx}.items():
-            content.set("xmlns:xsi", _XSI)
-            content.set("xsi:noNamespaceSchemaLocation", "odx-cc.xsd" if content is index else "odx.xsd")
-            indent(content, " ")
-            text = tostring(content, encoding="UTF-8", xml_declaration=True)
-            packed.writestr(zipfile.ZipInfo(file, _NO_TIME), text + b"\n")
-    return made.getvalue()
+    written: dict[str, bytes] = {}
+    for file, content in {"index.xml": index, **odx}.items():
+        content.set("xmlns:xsi", _XSI)
+        content.set("xsi:noNamespaceSchemaLocation", "odx-cc.xsd" if content is index else "odx.xsd")
+        indent(content, " ")
+        written[file] = tostring(content, encoding="UTF-8", xml_declaration=True) + b"\n"
+    return packed(written)

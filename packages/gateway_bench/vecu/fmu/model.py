@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Protocol
-from zipfile import BadZipFile
 
-from fmpy import extract, read_model_description
+from fmpy import read_model_description
 from fmpy.simulation import instantiate_fmu
 
+from gateway.common.archives import refuse_large_xml, unpack
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.tomlfile import key_path
 from gateway_fdi.errors import InputError, named
@@ -99,10 +99,14 @@ class FmuModel:
         """
         value = str(self._file)
         try:
-            described = read_model_description(str(self._file))
-            extract(str(self._file), unzipdir=str(self._folder))
-        except (BadZipFile, KeyError) as error:
-            raise InputError("this is no FMU", key="file", value=value) from error
+            unpack(self._file, self._folder)
+            description = self._folder / "modelDescription.xml"
+            if not description.is_file():
+                raise InputError("this is no FMU: it has no modelDescription.xml")
+            refuse_large_xml(description.read_bytes(), self._file, description.name)
+            described = read_model_description(str(self._folder))
+        except InputError as error:
+            raise InputError(error.message, key="file", value=value) from error
         except Exception as error:  # FMPy raises plain Exception for what is wrong with a description
             raise InputError(f"this FMU cannot be read: {_told(error)}", key="file", value=value) from error
         if not str(described.fmiVersion).startswith(("2", "3")):
