@@ -1,4 +1,11 @@
-"""Any python-can bus: a thread reads it, so that one selector can wait for all buses."""
+"""Any python-can bus: a thread reads it, so that one selector can wait for all buses.
+
+A driver raises for many reasons: a garbled line of a serial adapter, a warning limit, a full transmit buffer. One
+exception is not a lost bus: it is counted (``driver_errors``), told in the log, and tried again. The bus is lost
+
+- when reading has raised again and again, without one success between, for :data:`GIVE_UP_S`;
+- when sending has raised so for :data:`GIVE_UP_S`, and nothing was received in this time, either.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +18,7 @@ from typing import TYPE_CHECKING
 from gateway.bus.base import Bus
 from gateway.bus.frames import Frames, put_message, to_message
 from gateway.host.waker import Waker
+from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import BusError, InputError
 
 if TYPE_CHECKING:
@@ -18,6 +26,12 @@ if TYPE_CHECKING:
 
 #: Messages kept between two reads; beyond that the oldest are dropped and counted.
 QUEUE = 65536
+#: How long a driver may do nothing but raise [s]: longer than a reset of an adapter, shorter than people wait.
+GIVE_UP_S = 2.0
+#: First and longest wait before a driver that has raised is asked again [s].
+FIRST_WAIT_S, LONGEST_WAIT_S = 0.001, 0.1
+
+log = get_logger(__name__)
 
 
 class PythonCanBus(Bus):
@@ -40,19 +54,32 @@ class PythonCanBus(Bus):
         self._waker = Waker()
         self._error: Exception | None = None
         self._ended = threading.Event()
+        self._heard_s = time.monotonic()  # when a message came last
+        self._unsent_s: float | None = None  # since when nothing could be sent
         self._thread = threading.Thread(target=self._read, name=f"read {uri}", daemon=True)
         self._thread.start()
 
     def _read(self) -> None:
+        failing_s: float | None = None
+        wait_s = FIRST_WAIT_S
         while not self._ended.is_set():
             try:
                 message = self._bus.recv(0.1)
-            except Exception as error:  # any exception of a driver must reach receive()
-                self._error = error
-                self._waker.wake()
-                return
+            except Exception as error:  # each driver has its own
+                now = time.monotonic()
+                failing_s = now if failing_s is None else failing_s
+                self._count(error, "reading")
+                if now - failing_s >= GIVE_UP_S:
+                    self._error = error  # must reach receive()
+                    self._waker.wake()
+                    return
+                self._ended.wait(wait_s)
+                wait_s = min(2 * wait_s, LONGEST_WAIT_S)
+                continue
+            failing_s, wait_s = None, FIRST_WAIT_S
             if message is None:
                 continue
+            self._heard_s = time.monotonic()
             if not message.timestamp:
                 message.timestamp = time.time()
             with self._lock:
@@ -63,6 +90,14 @@ class PythonCanBus(Bus):
                 self._queue.append(message)
                 if len(self._queue) == 1:
                     self._waker.wake()
+
+    def _count(self, error: Exception, what: str) -> None:
+        """Count an exception of the driver; the 1st, 10th, 100th ... is told."""
+        self.statistics.driver_errors += 1
+        count = self.statistics.driver_errors
+        if count == 10 ** (len(str(count)) - 1):
+            reason = " ".join(str(error).split()) or type(error).__name__
+            log.warning("a driver failed, and is tried again", uri=self.uri, what=what, times=count, reason=reason)
 
     def fileno(self) -> int:
         """Return the event that the reader sets."""
@@ -94,14 +129,41 @@ class PythonCanBus(Bus):
         return count
 
     def send(self, frames: Frames) -> int:
-        """Send through python-can."""
-        for frame in frames:
+        """Send through python-can, as far as the driver takes frames: one that raises has a full buffer, or is gone."""
+        import can  # noqa: PLC0415 - slow to load, and there already
+
+        for k, frame in enumerate(frames):
             try:
                 self._bus.send(to_message(frame))
+            except (
+                ValueError,
+                TypeError,
+                NotImplementedError,
+            ) as error:  # this frame, e.g. CAN FD on a classic adapter
+                if isinstance(error, can.CanError) and not isinstance(error, NotImplementedError):
+                    return self._not_sent(k, error)
+                self._count(error, "sending")
+                self.statistics.refused += 1
+                continue
             except Exception as error:  # each driver has its own
-                raise BusError(f"{self.uri}: sending failed: {error}") from error
+                return self._not_sent(k, error)
+            self._unsent_s = None
             self.statistics.sent += 1
         return len(frames)
+
+    def _not_sent(self, taken: int, error: Exception) -> int:
+        """Note that a frame was not taken; returns how many were, before it.
+
+        Raises:
+            BusError: this has gone on for long, and nothing comes in, either; or reading has failed for good.
+        """
+        self._count(error, "sending")
+        now = time.monotonic()
+        self._unsent_s = now if self._unsent_s is None else self._unsent_s
+        silent_s = now - max(self._unsent_s, self._heard_s)
+        if self._error is not None or silent_s >= GIVE_UP_S:
+            raise BusError(f"{self.uri}: sending failed: {error}") from error
+        return taken
 
     def set_filters(self, can_ids: Sequence[int] | None) -> None:
         """Set python-can's filters."""

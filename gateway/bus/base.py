@@ -28,6 +28,7 @@ class Statistics:
     overflow: int = 0  # lost in a queue before they were read
     rejected: int = 0  # input that was no frame
     refused: int = 0  # frames to send that this bus cannot carry
+    driver_errors: int = 0  # exceptions of an adapter's driver, after which it was tried again
 
 
 class Raw(Protocol):

@@ -130,8 +130,7 @@ def _to_frame(f: Any, fd: bool, own: bool, stamp: int, bus: int) -> None:
         bus: index of the bus.
     """
     length = int(min(np.int64(f["bus"]), 64 if fd else 8))
-    if np.int64(f["can_id"]) & REMOTE:
-        length = 0  # a remote frame has a length but no data
+    kept = 0 if np.int64(f["can_id"]) & REMOTE else length  # a remote frame has a length but no data
     raw = np.int64(f["flags"])
     flags = OWN if own else 0
     if fd:
@@ -144,7 +143,7 @@ def _to_frame(f: Any, fd: bool, own: bool, stamp: int, bus: int) -> None:
     f["length"] = length
     f["rank"] = 0
     data = f["data"]
-    for j in range(length, 64):
+    for j in range(kept, 64):
         data[j] = 0
 
 

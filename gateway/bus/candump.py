@@ -21,7 +21,7 @@ def format_frame(frame: np.void, interface: str) -> str:
         name = f"{can_id & 0x7FF:03X}"
     data = payload(frame).hex().upper()
     if can_id & REMOTE:
-        body = f"{name}#R"
+        body = f"{name}#R{int(frame['length']) or ''}"
     elif flags & FD:
         bits = (1 if flags & BRS else 0) | (2 if flags & ESI else 0)
         body = f"{name}##{bits:X}{data}"

@@ -3,7 +3,8 @@
 A batch is a NumPy structured array of :data:`FRAME`. Live, a batch is what one readable event
 delivered; in replay it is a chunk of a log. Both feed the same engine.
 
-Invariants that every producer keeps: ``data`` beyond ``length`` is zero; ``can_id`` carries the
+Invariants that every producer keeps: ``data`` beyond ``length`` is zero; of a remote frame ``length`` is the DLC, and
+all of ``data`` is zero; ``can_id`` carries the
 flags of a SocketCAN ``struct can_frame`` in its upper three bits; ``t_ns`` is the time stamp of the
 frame's own clock in integer nanoseconds.
 """
@@ -137,8 +138,8 @@ def put(
 
 
 def payload(frame: np.void) -> bytes:
-    """Return the payload of one frame, ``length`` bytes."""
-    return bytes(frame["data"][: int(frame["length"])])
+    """Return the payload of one frame, ``length`` bytes; a remote frame has none."""
+    return b"" if int(frame["can_id"]) & REMOTE else bytes(frame["data"][: int(frame["length"])])
 
 
 def nanoseconds(seconds: float) -> int:
@@ -170,7 +171,7 @@ def put_message(frames: Frames, index: int, message: can.Message, *, bus: int = 
             flags |= ESI
     if not message.is_rx:
         flags |= OWN
-    body = b"" if message.is_remote_frame else bytes(message.data)
+    body = bytes(min(message.dlc, 8)) if message.is_remote_frame else bytes(message.data)
     put(frames, index, nanoseconds(message.timestamp), can_id, body, bus=bus, flags=flags)
 
 
@@ -205,6 +206,7 @@ def to_message(frame: np.void, channel: Any = None) -> can.Message:
         bitrate_switch=bool(flags & BRS),
         error_state_indicator=bool(flags & ESI),
         is_rx=not flags & OWN,
+        dlc=int(frame["length"]),
         data=payload(frame),
         channel=channel,
     )

@@ -11,9 +11,6 @@ from gateway.bus.log_source import CutOffError
 from gateway.bus.ring import Recorded
 from gateway_fdi.errors import InputError
 
-#: Places named that were passed over; the rest is counted.
-MOST_NAMED = 3
-
 
 @dataclass
 class Contents:
@@ -117,9 +114,7 @@ def contents(
             text = f"the log has no such channel; it has {held}"
             error = InputError(text, file=reader.path, key="--map", value=name)
             _refuse(made, error, allowed=allow_empty)
-    if reader.passed_over:
-        shown = "; ".join(reader.passed_over[:MOST_NAMED])
-        made.notes.append(f"{len(reader.passed_over)} places could not be read: {shown}")
+    made.notes += reader.passed_over.notes()
     return made
 
 

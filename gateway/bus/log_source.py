@@ -36,14 +36,15 @@ def compression_of(path: Path) -> str:
 
 
 def members(path: Path) -> list[str]:
-    """Return the names of the logs in an archive, in order.
+    """Return the names of the files in an archive, in order, without those that a Mac or a file manager puts beside.
 
     Raises:
         InputError: it cannot be read, or holds none.
     """
     try:
         with path.open("rb") as file, open_archive(path, file) as archive:
-            found = sorted(one.filename for one in archive.infolist() if not one.is_dir())
+            names = sorted(one.filename for one in archive.infolist() if not one.is_dir())
+            found = [name for name in names if not name.startswith("__MACOSX/") and Path(name).name[:1] != "."]
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
     except BadArchive as error:
@@ -76,7 +77,9 @@ def open_log(path: Path, stack: ExitStack, member: str = "") -> tuple[BinaryIO, 
         return raw, raw
     if compression == ARCHIVE:
         archive = stack.enter_context(open_archive(path, raw))
-        return stack.enter_context(archive.open(member)), raw  # type: ignore[return-value]
+        inside: BinaryIO = stack.enter_context(archive.open(member))  # type: ignore[assignment]
+        packed = compression_of(Path(member))
+        return (stream_of(packed, inside, path) if packed not in ("", ARCHIVE) else inside), raw
     return stack.enter_context(stream_of(compression, raw, path)), raw
 
 

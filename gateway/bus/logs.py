@@ -1,30 +1,32 @@
-"""Log files in and out: read by ourselves (:mod:`gateway.bus.readers`), written by us or python-can."""
+"""Log files in and out: read by :mod:`gateway.bus.readers`, written by :mod:`gateway.bus.writers`."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
+from datetime import UTC, tzinfo
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self, cast
+from typing import Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.candump import CandumpWriter
-from gateway.bus.frames import Frames, chosen, to_message
-from gateway.bus.log_source import ARCHIVE, COMPRESSIONS, compression_of, damage, members, open_log
+from gateway.bus.frames import Frames, chosen
+from gateway.bus.log_source import ARCHIVE, COMPRESSIONS, compression_of, damage, members, open_log, pull
 from gateway.bus.parquet import ParquetWriter
 from gateway.bus.readers.asc import Asc
-from gateway.bus.readers.batch import Names, Reader
+from gateway.bus.readers.batch import Names, PassedOver, Reader
 from gateway.bus.readers.blf import Blf
 from gateway.bus.readers.candump import Candump
 from gateway.bus.readers.csv import Csv
 from gateway.bus.readers.mf4 import Mf4
 from gateway.bus.readers.parquet import Parquet
-from gateway.bus.readers.text import Lines, TextReader
+from gateway.bus.readers.text import BOM, Lines, TextReader
 from gateway.bus.readers.trc import Trc
+from gateway.bus.writers import WRITERS, Sink
 from gateway.common.extras import need
 from gateway.common.plugins import Registry
 from gateway_fdi.errors import InputError
@@ -36,7 +38,7 @@ FORMATS = {
     ".blf": "Vector BLF",
     ".mf4": "ASAM MDF 4",
     ".trc": "PEAK trace",
-    ".csv": "python-can CSV",
+    ".csv": "CSV",
     ".parquet": "Parquet",
 }
 #: Formats that need an extra -> the extra, and its purpose.
@@ -49,11 +51,17 @@ def _accepted(found: object, name: str) -> Callable[[Path], Reader]:
     return cast("Callable[[Path], Reader]", found)
 
 
-#: Suffix -> reader of another package's format.
+#: Suffix -> reader of another package's format; it may be one that we have.
 READERS: Registry[Callable[[Path], Reader]] = Registry("gateway.readers", _accepted)
 
 #: Formats of lines.
-_LINES: dict[str, Callable[[Path], Lines]] = {".log": Candump, ".asc": Asc, ".trc": Trc, ".csv": Csv}
+_LINES: dict[str, type[Lines]] = {".trc": Trc, ".asc": Asc, ".csv": Csv, ".log": Candump}
+_BINARY: dict[str, Callable[[Path], Reader]] = {".blf": Blf, ".mf4": Mf4, ".parquet": Parquet}
+#: How formats are told by a log's first bytes; of several that fit the suffix decides, else the first.
+_SNIFFS: dict[str, Callable[[bytes], bool]] = {".blf": Blf.sniff, ".mf4": Mf4.sniff, ".parquet": Parquet.sniff}
+_SNIFFS |= {suffix: lines.sniff for suffix, lines in _LINES.items()}
+#: Bytes by which a format is told.
+_FIRST = 1 << 16
 #: Frames of a batch at most.
 CHUNK = 100_000
 
@@ -63,16 +71,13 @@ def is_format(suffix: str) -> bool:
     return suffix.lower() in FORMATS or suffix.lower() in READERS
 
 
-def _format(name: str, path: Path, *, read: bool) -> str:
-    """Return the suffix that tells a log's format.
+def _known(suffix: str, path: Path, *, read: bool) -> str:
+    """Return a suffix that is of a format of ours.
 
-    Args:
-        name: of the log, without a compression's suffix.
-        path: for errors.
-        read: whether it is to be read.
+    Raises:
+        InputError: it is not, or its package is not installed.
     """
-    suffix = Path(name).suffix.lower()
-    if suffix not in FORMATS and not (read and suffix in READERS):
+    if suffix not in FORMATS:
         known = ", ".join(f"{name} ({what})" for name, what in FORMATS.items())
         more = f"; to be read also with {', '.join(COMPRESSIONS)} after it" if read else ""
         raise InputError(f"a log is one of {known}{more}", file=path)
@@ -81,74 +86,117 @@ def _format(name: str, path: Path, *, read: bool) -> str:
     return suffix
 
 
-def _checked(path: Path) -> list[tuple[str, str]]:
-    """Return the logs of a file: name within an archive, "" if it is none, and the suffix that tells the format."""
-    packed = compression_of(path)
-    if packed != ARCHIVE:
-        return [("", _format(path.stem if packed else path.name, path, read=True))]
-    return [(name, _format(name, path, read=True)) for name in members(path)]
+def _maker(name: str, first: bytes, path: Path) -> tuple[str, Callable[[Path], Reader]]:
+    """Return the format of a log, and what makes its reader: its content says so, or else its suffix.
+
+    Args:
+        name: of the log, without a compression's suffix.
+        first: bytes.
+        path: for errors.
+    """
+    suffix, first = Path(name).suffix.lower(), first.removeprefix(BOM)
+    fitting = [own for own in _BINARY if _SNIFFS[own](first)] or [own for own in _LINES if _SNIFFS[own](first)]
+    if suffix in READERS:
+        made = READERS[suffix]
+        sniff = getattr(made, "sniff", None)
+        if sniff(first) if sniff else suffix not in FORMATS or not fitting:
+            return f"{suffix} (of a plug-in)", made
+    if fitting and suffix not in fitting:
+        suffix = fitting[0]
+    suffix = _known(suffix, path, read=True)
+    if suffix in _BINARY:
+        return FORMATS[suffix], _BINARY[suffix]
+    lines = _LINES[suffix]
+    return FORMATS[suffix], lambda path: TextReader(path, lines(path))
 
 
-def _reader(suffix: str, path: Path) -> Reader:
-    """Return what reads a format."""
-    if suffix == ".blf":
-        return Blf(path)
-    if suffix == ".mf4":
-        return Mf4(path)
-    if suffix == ".parquet":
-        return Parquet(path)
-    if suffix not in FORMATS:
-        return READERS[suffix](path)
-    return TextReader(path, _LINES[suffix](path))
+def _first(path: Path, member: str = "") -> bytes:
+    with ExitStack() as stack:
+        return pull(open_log(path, stack, member)[0], _FIRST)[0]
 
 
 class LogReader:
     """Reads a log in chunks; an iterable of batches, once.
 
-    Frames before a damaged place are delivered, then the damage is raised: :class:`CutOffError` where the log ends
-    before its end.
+    Lines and objects that are damaged are passed over, and told by ``problems``. An error that ends the log is raised
+    after all frames before it: :class:`CutOffError` where the log ends before its end.
 
     Args:
-        path: the file; its suffix tells the format. Of several logs in a ``.zip`` one is read after the other, in the
-            order of their names.
+        path: the file; its content tells the format, or else its suffix. Of several logs in a ``.zip`` one is read
+            after the other, in the order of their names.
         chunk: frames of a batch at most.
         channels: interface or channel in the file -> bus index; None puts all on bus 0. Frames of others are left
-            out, and counted.
+            out, and counted. Numbers count from 0 in all formats: ``0`` is CANalyzer's channel 1.
+        zone: of the dates in headers of ASC, BLF and TRC, which have none.
 
     Attributes:
+        formats: of the file, or of each log in an archive.
         bytes_total, bytes_done: size of the file, and how far reading is [byte].
         seen: frames of each interface or channel in the file so far, left out or not.
-        passed_over: lines or records that could not be read as frames, one text each.
-        problems: damage that did not end reading; none in a single file.
+        passed_over: places that gave no frame.
+        problems: damage that did not end reading, an error each kind.
         origin_ns: wall time of the log's begin, by its header, where stamps count from there; else 0 [ns].
     """
 
-    def __init__(self, path: Path, *, chunk: int = CHUNK, channels: Mapping[str, int] | None = None) -> None:
-        self._suffixes = _checked(path)
+    def __init__(
+        self,
+        path: Path,
+        *,
+        chunk: int = CHUNK,
+        channels: Mapping[str, int] | None = None,
+        zone: tzinfo = UTC,
+    ) -> None:
         self.path = path
-        self._chunk = chunk
-        self._channels = channels
+        self._chunk, self._channels, self._zone = chunk, channels, zone
         self._names = Names()
         self._counts = np.zeros(0, np.int64)
-        self.passed_over: list[str] = []
-        self.problems: list[InputError] = []
+        self.passed_over = PassedOver()
         self.origin_ns = 0
-        try:
-            self.bytes_total = path.stat().st_size
-        except OSError as error:
-            raise InputError(error.strerror or str(error), file=path) from error
-        with ExitStack() as stack:
-            open_log(path, stack)
+        self._logs = self._members()
+        self.formats = [name for _, name, _ in self._logs]
+        self.bytes_total = path.stat().st_size
         self.bytes_done = 0
+
+    def _members(self) -> list[tuple[str, str, Callable[[Path], Reader]]]:
+        """Return the logs of the file: name within an archive, "" if it is none, format, and what makes a reader."""
+        packed, path = compression_of(self.path), self.path
+        if packed != ARCHIVE:
+            name = path.stem if packed else path.name
+            try:
+                first = _first(path)
+            except InputError:
+                if not is_format(Path(name).suffix):
+                    _known(Path(name).suffix, path, read=True)
+                raise
+            return [("", *_maker(name, first, path))]
+        found, wrong = [], None
+        for name in members(path):
+            try:
+                plain = name[: len(name) - len(compression_of(Path(name)))]
+                found.append((name, *_maker(plain, _first(path, name), path)))
+            except InputError as error:
+                wrong = error
+                self.passed_over.add("a file in the archive that is no log", name, damaged=False)
+        if wrong is not None and not found:
+            raise wrong
+        return found
 
     @property
     def seen(self) -> Counter[str]:
         """Frames of each interface or channel so far."""
         return Counter(dict(zip(self._names.known, self._counts.tolist(), strict=False)))
 
+    @property
+    def problems(self) -> list[InputError]:
+        """Damage that did not end reading."""
+        return self.passed_over.errors(self.path)
+
     def __iter__(self) -> Iterator[Frames]:
-        for member, suffix in self._suffixes:
-            reader = _reader(suffix, self.path)
+        for member, _, make in self._logs:
+            reader = make(self.path)
+            dated = reader.lines if isinstance(reader, TextReader) else reader
+            if hasattr(dated, "zone"):
+                dated.zone = self._zone
             with ExitStack() as stack:
                 stream, raw = open_log(self.path, stack, member)
                 try:
@@ -161,7 +209,7 @@ class LogReader:
                 except Exception as error:  # a value that no format has
                     raise damage(error, self.path, int(self._counts.sum())) from error
                 finally:
-                    self.passed_over += reader.passed_over
+                    self.passed_over.take(reader.passed_over)
         self.bytes_done = self.bytes_total
 
     def _placed(self, frames: Frames, channel: NDArray[np.int64]) -> Frames:
@@ -184,42 +232,24 @@ class LogReader:
         return frames if kept.all() else chosen(frames, kept)
 
 
-def read_log(path: Path, *, chunk: int = CHUNK, channels: Mapping[str, int] | None = None) -> LogReader:
+def read_log(
+    path: Path, *, chunk: int = CHUNK, channels: Mapping[str, int] | None = None, zone: tzinfo = UTC
+) -> LogReader:
     """Open a log for reading (see :class:`LogReader`).
 
     Raises:
-        InputError: unknown format or unreadable file; while reading: a damaged place.
+        InputError: unknown format or unreadable file; while reading: what ends it early.
     """
-    return LogReader(path, chunk=chunk, channels=channels)
+    return LogReader(path, chunk=chunk, channels=channels, zone=zone)
 
 
-class _Sink(Protocol):
-    def write(self, frames: Frames) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class _PythonCanWriter:
-    def __init__(self, path: Path) -> None:
-        import can  # noqa: PLC0415 - slow to load
-
-        self._logger = can.Logger(path)
-
-    def write(self, frames: Frames) -> None:
-        for frame in frames:
-            self._logger.on_message_received(to_message(frame, channel=int(frame["bus"])))
-
-    def close(self) -> None:
-        self._logger.stop()
-
-
-def _sink(suffix: str, path: Path, interfaces: Mapping[int, str] | None) -> _Sink:
+def _sink(suffix: str, path: Path, interfaces: Mapping[int, str] | None) -> Sink:
     """Return what writes a format."""
     if suffix == ".log":
         return CandumpWriter(path.open("wb"), interfaces)
     if suffix == ".parquet":
         return ParquetWriter(path, interfaces)
-    return _PythonCanWriter(path)
+    return WRITERS[suffix](path)
 
 
 class LogWriter:
@@ -234,7 +264,8 @@ class LogWriter:
     """
 
     def __init__(self, path: Path, *, interfaces: Mapping[int, str] | None = None) -> None:
-        suffix = _format(path.name, path, read=False)
+        suffix = _known(path.suffix.lower(), path, read=False)
+        self._path, self._format = path, FORMATS[suffix]
         try:
             self._sink = _sink(suffix, path, interfaces)
         except OSError as error:
@@ -243,6 +274,18 @@ class LogWriter:
     def write(self, frames: Frames) -> None:
         """Append a batch."""
         self._sink.write(frames)
+
+    @property
+    def lost(self) -> Counter[str]:
+        """What the format cannot hold -> of how many frames."""
+        return Counter(getattr(self._sink, "lost", ()))
+
+    @property
+    def problems(self) -> list[InputError]:
+        """What the log does not say of the frames that were written."""
+        what = ", ".join(f"{name} ({count} frames)" for name, count in self.lost.items() if count)
+        text = f"{self._format} cannot hold all of these frames; not in this log: {what}"
+        return [InputError(text, file=self._path)] if what else []
 
     def close(self) -> None:
         """Finish the file."""

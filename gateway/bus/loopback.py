@@ -8,7 +8,7 @@ import time
 from collections import deque
 
 from gateway.bus.base import Bus
-from gateway.bus.frames import Frames, payload, put
+from gateway.bus.frames import Frames, put
 from gateway.bus.socketcand import Parts, extended_frame, parse_extended, split
 from gateway_fdi.errors import BusError
 
@@ -118,8 +118,11 @@ class LoopbackBus(Bus):
     def send(self, frames: Frames) -> int:
         """Send frames to all others on the bus; waits a while until the hub takes them."""
         data = b"".join(
-            extended_frame((0, int(frame["can_id"]), int(frame["flags"]), payload(frame)), stamped=False)
-            for frame in frames
+            # A remote frame's DLC goes as so many zeros.
+            extended_frame(
+                (0, int(one["can_id"]), int(one["flags"]), bytes(one["data"][: one["length"]])), stamped=False
+            )
+            for one in frames
         )
         limit = time.monotonic() + SEND_PATIENCE_S
         while data:

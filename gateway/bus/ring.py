@@ -10,7 +10,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Literal
 
@@ -19,6 +19,7 @@ from pydantic import Field
 from gateway.bus.frames import Frames
 from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import LogReader, LogWriter, open_writer, read_log
+from gateway.bus.readers.batch import PassedOver
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError
@@ -69,14 +70,23 @@ class SegmentReader:
 
     Attributes:
         bytes_total: size of all segments [byte].
-        problems: errors of each segment, except that the newest one is unfinished.
     """
 
     def __init__(self, folder: Path, channels: Mapping[str, int] | None) -> None:
         self.path = folder
         self._readers = [read_log(path, channels=channels) for path in segments(folder)]
         self.bytes_total = sum(reader.bytes_total for reader in self._readers)
-        self.problems: list[InputError] = []
+        self._ended: list[InputError] = []
+
+    @property
+    def problems(self) -> list[InputError]:
+        """Errors of each segment, except that the newest one is unfinished."""
+        return [error for reader in self._readers for error in reader.problems] + self._ended
+
+    @property
+    def formats(self) -> list[str]:
+        """Formats of the segments."""
+        return sorted({name for reader in self._readers for name in reader.formats})
 
     @property
     def bytes_done(self) -> int:
@@ -94,9 +104,12 @@ class SegmentReader:
         return 0
 
     @property
-    def passed_over(self) -> list[str]:
-        """Lines that could not be read as frames, one text each."""
-        return [text for reader in self._readers for text in reader.passed_over]
+    def passed_over(self) -> PassedOver:
+        """Places that gave no frame."""
+        made = PassedOver()
+        for reader in self._readers:
+            made.take(reader.passed_over)
+        return made
 
     def __iter__(self) -> Iterator[Frames]:
         for reader in self._readers:
@@ -107,26 +120,27 @@ class SegmentReader:
                 reader.bytes_done = reader.bytes_total
                 unfinished = reader is self._readers[-1] and isinstance(error, CutOffError)
                 if not unfinished:
-                    self.problems.append(error)
+                    self._ended.append(error)
 
 
 #: Either of them.
 Recorded = LogReader | SegmentReader
 
 
-def read_recording(path: Path, channels: Mapping[str, int] | None = None) -> Recorded:
+def read_recording(path: Path, channels: Mapping[str, int] | None = None, zone: tzinfo = UTC) -> Recorded:
     """Open a log, or a folder of segments.
 
     Args:
         path: the file or folder.
         channels: interface or channel in the files -> bus index; None puts all on bus 0.
+        zone: of the dates in a log's header, which have none.
 
     Raises:
-        InputError: unknown format, or unreadable; while reading a log: a damaged place.
+        InputError: unknown format, or unreadable; while reading a log: what ends it early.
     """
     if path.is_dir():
         return SegmentReader(path, channels)
-    return read_log(path, channels=channels)
+    return read_log(path, channels=channels, zone=zone)
 
 
 class Ring:

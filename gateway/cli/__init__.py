@@ -32,6 +32,7 @@ from gateway.cli.options import (
     MemoryOption,
     PortOption,
     StatusOption,
+    Zone,
 )
 from gateway.common.postponed import postpone
 from gateway_fdi.common import log
@@ -412,6 +413,7 @@ def decode(
         str | None, typer.Option("--device", help="Name of the device (car) of the logs.  [default: folder of the log]")
     ] = None,
     numbers: Annotated[bool, typer.Option("--numbers", help="Write numbers instead of the names of values.")] = False,
+    zone: Zone = None,
     json: JsonEvents = False,
 ) -> None:
     """Decode logs into Parquet tables, one table per message.
@@ -501,9 +503,13 @@ def doctor(
         bool, typer.Option("--running", help="Exit with code 1 unless a gateway runs and its buses are open.")
     ] = False,
     bench: Annotated[bool, typer.Option("--bench", help="Measure the speed of the gateway, for ten seconds.")] = False,
+    zone: Zone = None,
     json: Json = False,
 ) -> None:
-    """Show what this machine offers and how its gateway is doing."""
+    """Show what this machine offers and how its gateway is doing.
+
+    Of a log (gateway doctor drive.blf): its formats, channels, times, kinds of frames, and what was passed over.
+    """
 
 
 @faults_app.command("list")
@@ -596,11 +602,12 @@ def faults_export(
 def convert_log(
     source: LogArgument,
     log: Annotated[Path, typer.Argument(help="Log to write: .log, .asc, .blf, .mf4, .trc, .csv, .parquet.")],
+    zone: Zone = None,
     json: Json = False,
 ) -> None:
     """Convert a CAN log into another format.
 
-    Data-science tools read Parquet.
+    Data-science tools read Parquet. Exit code 2: a place is damaged, or the format cannot hold all; the rest is there.
     """
 
 

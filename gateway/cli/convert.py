@@ -7,25 +7,27 @@ from pathlib import Path
 from gateway.bus.logs import open_writer
 from gateway.bus.ring import read_recording
 from gateway.cli.present import print_json, say
+from gateway.common.times import zone_of
 from gateway_fdi.errors import InputError, InputErrors
 
 #: Buses of a batch (``FRAME["bus"]`` is a byte).
 _MOST = 256
 
 
-def convert_log(source: Path, log: Path, *, json: bool) -> int:
+def convert_log(source: Path, log: Path, *, zone: str | None = None, json: bool) -> int:
     """Write a log in another format; returns the exit code.
 
     It is read twice: formats whose channels have names get these, in the order in which they come.
 
     Raises:
-        InputError, InputErrors: a log that is damaged; the frames before the damage have been written.
+        InputError, InputErrors: a log that is damaged, or whose frames the format cannot hold as they are; what could
+            be has been written.
     """
     if log.exists() and source.exists() and log.samefile(source):
         raise InputError("a log is not converted into itself", file=log)
     wrong: list[InputError] = []
-    names = _channels(source)
-    reader = read_recording(source, {name: k for k, name in enumerate(names)})
+    names = channels_in(source)
+    reader = read_recording(source, {name: k for k, name in enumerate(names)}, zone_of(zone or "UTC"))
     count = 0
     with open_writer(log, interfaces=dict(enumerate(names))) as writer:
         try:
@@ -36,20 +38,20 @@ def convert_log(source: Path, log: Path, *, json: bool) -> int:
                 count += len(frames)
         except InputError as error:
             wrong.append(error)
-    wrong += reader.problems
+    wrong += [*reader.problems, *writer.problems]
     facts = {"log": str(log), "frames": count, "channels": names, "reasons": [str(error) for error in wrong]}
     if json:
         print_json(facts)
     else:
         print(f"{source}: {count} frames of {', '.join(names) or 'no channel'} -> {log}")
-        if reader.passed_over:
-            say(f"{source}: {len(reader.passed_over)} places could not be read: {reader.passed_over[0]}")
+        for text in reader.passed_over.notes():
+            say(f"{source}: {text}")
     if wrong:
         raise InputErrors(wrong)
     return 0
 
 
-def _channels(source: Path) -> list[str]:
+def channels_in(source: Path) -> list[str]:
     """Return the names of a log's channels; numbers stay what they are, where they can."""
     reader = read_recording(source)
     try:

@@ -12,6 +12,7 @@ from gateway.bus.corpus import Recording, find
 from gateway.bus.ring import Recorded, read_recording
 from gateway.cli.present import find_config, print_json, say
 from gateway.common.extras import need
+from gateway.common.times import zone_of
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import BusConfig, Config
@@ -75,9 +76,7 @@ class _Decoded:
         notes += self.answers.notes()
         if not self.wall and self.written.rows:
             notes.append("the log has no wall time: its rows are in 1970")
-        if self.reader.passed_over:
-            notes.append(f"{len(self.reader.passed_over)} places could not be read: {self.reader.passed_over[0]}")
-        return notes
+        return notes + self.reader.passed_over.notes()
 
 
 def decode(
@@ -90,6 +89,7 @@ def decode(
     maps: Sequence[str],
     device: str | None,
     numbers: bool,
+    zone: str | None = None,
     json: bool,
 ) -> int:
     """Decode logs into tables; returns the exit code.
@@ -117,7 +117,7 @@ def decode(
         say(f"database: {note}")
     wrong: list[InputError] = []
     for recording in recordings:
-        done = _decoded(lake, recording, channels, Answers(loaded, answers))
+        done = _decoded(lake, recording, channels, Answers(loaded, answers), zone or loaded.clock.zone)
         wrong += done.problems
         if json:
             event = done.event()
@@ -156,9 +156,11 @@ def _configured(databases: Sequence[Path], config: Path | None, ecu: Path | None
     return asked.model_copy(update={"bus": (bus,)})
 
 
-def _decoded(lake: Lake, recording: Recording, channels: dict[str, int] | None, answers: Answers) -> _Decoded:
+def _decoded(
+    lake: Lake, recording: Recording, channels: dict[str, int] | None, answers: Answers, zone: str
+) -> _Decoded:
     begun = time.monotonic()
-    reader = read_recording(recording.path, channels)
+    reader = read_recording(recording.path, channels, zone_of(zone))
     tables = lake.begin(recording.device, f"{recording.name}-{recording.digest()}")
     wrong: InputError | None = None
     wall = True

@@ -16,6 +16,7 @@ from gateway.cli.present import find_config, print_json
 from gateway.cli.version import version as version_text
 from gateway.common.extras import EXTRAS, PURPOSES, installed, missing
 from gateway.common.plugins import Registry, foreign, unusable
+from gateway.common.times import zone_of
 from gateway.config.load import load_config
 from gateway.faults.service import daemon_state
 from gateway_fdi.errors import InputError
@@ -125,6 +126,8 @@ def _tell_daemon(daemon: dict[str, Any] | None) -> None:
             )
         if bus["unsent"] or bus["refused"]:
             print(f"    {bus['unsent']} frames never sent, {bus['refused']} that the bus cannot carry")
+        if bus.get("driver_errors"):
+            print(f"    {bus['driver_errors']} exceptions of its driver, after which it was tried again")
         if bus["losses"]:
             print(f"    lost {bus['losses']} times {bus['reason']}".rstrip())
 
@@ -179,9 +182,22 @@ def _measured(config: Path | None, memory: Path | None) -> dict[str, Any]:
 
 
 def doctor(
-    config: Path | None = None, *, memory: Path | None = None, running: bool = False, bench: bool = False, json: bool
+    config: Path | None = None,
+    *,
+    memory: Path | None = None,
+    running: bool = False,
+    bench: bool = False,
+    zone: str | None = None,
+    json: bool,
 ) -> int:
-    """Report; returns the exit code: with ``running`` 1 unless a gateway runs, buses open, memory written."""
+    """Report of this machine, or of a log, where another file than a configuration is named; returns the exit code.
+
+    It is 1 with ``running``, unless a gateway runs, its buses are open, and its memory can be written.
+    """
+    if config is not None and config.suffix.lower() != ".toml" and config.exists():
+        from gateway.cli.doctor_log import describe  # noqa: PLC0415 - readers of logs, for this alone
+
+        return describe(config, zone_of(zone or "UTC"), json=json)
     daemon = _daemon(config, memory)
     healthy = (
         daemon is not None

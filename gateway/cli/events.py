@@ -199,6 +199,11 @@ class EventPrinter:
             mark = f"bus {event['bus']} {event['state']}"
             text = f"{self._time(event)}  {mark}  {event['reason'] or event['uri']}"
             self._lines.print(text, mark=mark, colour=colour)
+        elif event["state"] == "failing":
+            times = event["driver_errors"]
+            self._lines.print(
+                f"{event['bus']}: {times} exceptions of its driver so far, after which it was tried again"
+            )
         elif event["overflow"]:
             self._lines.print(f"{event['bus']}: {event['overflow']} frames lost before they were read")
 

@@ -17,6 +17,12 @@ ConfigOption = Annotated[Path | None, typer.Option("--config", "-c", help=_CONFI
 MemoryOption = Annotated[
     Path | None, typer.Option("--memory", help="SQLite file of the fault memory; default: as configured.")
 ]
+Zone = Annotated[
+    str | None,
+    typer.Option(
+        "--zone", help="Time zone of the dates in the log, e.g. Europe/Berlin (ASC, BLF, TRC).  [default: UTC]"
+    ),
+]
 Maps = Annotated[
     list[str] | None,
     typer.Option(

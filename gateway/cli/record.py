@@ -20,7 +20,7 @@ from gateway.live.loop import Live, bus_event
 from gateway.live.notify import Notifier
 from gateway.live.record import Nobody
 from gateway_fdi.common.tomlfile import validate
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import InputError, InputErrors
 
 
 def record(
@@ -67,6 +67,8 @@ def record(
             printer(bus_event(link, "closed", clock.wall()))
     lost = 0 if sink is None else sink.lost
     say(f"{nobody.frames} frames recorded" + (f", {lost} could not be written" if lost else ""))
+    if writer is not None and writer.problems:
+        raise InputErrors(writer.problems)
     return 0
 
 

@@ -31,6 +31,8 @@ TELLS = EXTENDED | READ_DTCS << 16
 MOST_DETAILS = 16
 #: Requests of testers a second to an ECU, where no route says how many.
 REQUESTS_PER_S = 50.0
+#: How long a frame of ours may take to come back [ns], and how many are remembered.
+ECHO_NS, MOST_SENT = 1000 * MS, 1024
 #: How often a bus that rests is looked at again [ns].
 LOOK_NS = 100 * MS
 
@@ -90,6 +92,7 @@ class Asking:
         self._apart_ns = {bus: round(1e9 / rate) for bus, rate in rates.items()}
         self._next_of_bus = dict.fromkeys(rates, 0)
         self._said: list[Frames] = []
+        self._sent: deque[tuple[int, int, int, bytes]] = deque(maxlen=MOST_SENT)
         self.told: deque[Told] = deque()
         self.alter: Callable[[Frames], Frames] | None = None
         self._heard: dict[tuple[int, int], list[tuple[Ecu, bool]]] = {}
@@ -138,6 +141,8 @@ class Asking:
     def _take(self, frame: np.void) -> Frames:
         bus, can_id, t_ns = int(frame["bus"]), int(frame["can_id"]), int(frame["t_ns"])
         data, made = payload(frame), []
+        if self._is_back(bus, can_id, data, t_ns):
+            return empty(0)
         if (bus, can_id) in self._groups:
             ended = ended_by(frame)
             if ended is not None:
@@ -158,6 +163,16 @@ class Asking:
                     self._said.append(ecu.client.on_flow_control(frame, t_ns))
                 made.append(self._answer(ecu, data, t_ns))
         return joined(made)
+
+    def _is_back(self, bus: int, can_id: int, data: bytes, t_ns: int) -> bool:
+        """Return whether a frame is the one that was just sent, from a bridge, a second adapter, an echo: once."""
+        while self._sent and t_ns - self._sent[0][0] > ECHO_NS:
+            self._sent.popleft()
+        for k, (_, *sent) in enumerate(self._sent):
+            if sent == [bus, can_id, data]:
+                del self._sent[k]
+                return True
+        return False
 
     def _answer(self, ecu: Ecu, data: bytes, t_ns: int) -> Frames:
         """Take a frame of an answer; returns the frames of the answer that it completes."""
@@ -222,7 +237,9 @@ class Asking:
             else:
                 ecu.client.waiting.give_up()
         self._plan()
-        return joined(said)
+        made = joined(said)
+        self._sent += [(t_ns, int(one["bus"]), int(one["can_id"]), payload(one)) for one in made]
+        return made
 
     def _ask(self, bus: int, t_ns: int) -> Frames:
         """Return the next request on a bus, if there is one."""

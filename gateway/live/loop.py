@@ -172,7 +172,7 @@ class Live:
         self._clock, self._tick_s, self._monotonic = clock, tick_s, monotonic
         self._offset_ns = clock.told_offset_ns  # of what the taps have got
         self._more = True  # whether there may be frames that no descriptor tells
-        self._told = {id(link): (0, 0.0) for link in links}  # overflow, when
+        self._told = {id(link): (0, 0, 0.0) for link in links}  # overflow, exceptions of the driver, when
         self._poll = self._keep = 0.0
         self._held: dict[int, list[Frames]] = {}  # taken from links, and not fed
         self._choose()
@@ -189,7 +189,7 @@ class Live:
         self._gateway = gateway
         self._links, self._taps = list(links), list(taps)
         self._offset_ns = self._clock.told_offset_ns
-        self._told = {id(link): self._told.get(id(link), (0, 0.0)) for link in links}
+        self._told = {id(link): self._told.get(id(link), (0, 0, 0.0)) for link in links}
         self._held = {id(link): self._held[id(link)] for link in links if id(link) in self._held}
         self._choose()
         self._unsettled = True
@@ -411,16 +411,20 @@ class Live:
                 tap.write(sent)
 
     def _report(self, now: float) -> None:
-        """Tell of frames that were lost in queues, once a second at most."""
+        """Tell of frames that were lost in queues, and of exceptions of a driver, once a second at most."""
         changed = False
         for link in self._links:
-            overflow = link.statistics.overflow
-            told, when = self._told[id(link)]
-            if overflow > told and now - when >= REPORT_S:
-                log.warning("frames lost in a queue", bus=link.name, lost=overflow - told)
-                self._told[id(link)] = (overflow, now)
+            found = link.statistics
+            told, failed, when = self._told[id(link)]
+            if now - when < REPORT_S or (found.overflow <= told and found.driver_errors <= failed):
+                continue
+            self._told[id(link)] = (found.overflow, found.driver_errors, now)
+            if found.overflow > told:
+                log.warning("frames lost in a queue", bus=link.name, lost=found.overflow - told)
                 self._tell(bus_event(link, "overflow", self._clock.wall()))
-                changed = True
+            else:
+                self._tell(bus_event(link, "failing", self._clock.wall()))
+            changed = True
         if changed or now >= self._keep:
             self.keep()
 

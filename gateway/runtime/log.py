@@ -8,6 +8,7 @@ from pathlib import Path
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import read_recording
+from gateway.common.times import zone_of
 from gateway.config.channels import channels_of
 from gateway.config.model import Config
 from gateway_fdi.errors import InputError
@@ -32,7 +33,7 @@ class Log:
     def __init__(self, path: Path, config: Config, maps: Sequence[str] = ()) -> None:
         self._config, self._maps = config, tuple(maps)
         self._channels = channels_of(config, maps)
-        self.reader = read_recording(path, self._channels)
+        self.reader = read_recording(path, self._channels, zone_of(config.clock.zone))
         self.damage: InputError | None = None
 
     def __iter__(self) -> Iterator[Frames]:

@@ -77,7 +77,7 @@ class Broken(can.BusABC):
         raise can.CanOperationError("no")
 
 
-def test_an_error_in_the_reader_reaches_the_caller_after_the_frames_before_it():
+def test_an_error_that_stays_reaches_the_caller_after_the_frames_before_it():
     with PythonCanBus("broken:x", 0, Broken()) as bus:
         got, out = 0, empty(8)
         with pytest.raises(BusError, match="the dongle was pulled"):
@@ -171,6 +171,7 @@ def test_bytes_beyond_the_length_are_not_taken(pair):
     assert payload(out[0]) == b"ab"
     assert out[0]["data"].tolist() == [97, 98] + [0] * 62
     assert payload(out[1]) == b""
+    assert (int(out[1]["length"]), out[1]["data"].any()) == (4, False), "its DLC is kept"
 
 
 def test_datagrams_that_are_no_frames_are_counted(pair):

@@ -53,6 +53,8 @@ def ended(path):
         with pytest.raises(InputError) as wrong:
             for batch in reader:
                 frames += len(batch)
+            if reader.problems:  # it did not end the log
+                raise reader.problems[0]
         most = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

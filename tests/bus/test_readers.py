@@ -14,7 +14,7 @@ from amount import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gateway.bus.frames import ERROR, EXTENDED, FD_LENGTHS, empty, put_message
+from gateway.bus.frames import ERROR, FD, FD_LENGTHS, OWN, REMOTE, empty, put_message
 from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import read_log
 from gateway.bus.readers import blf
@@ -23,6 +23,8 @@ from gateway_fdi.errors import InputError
 
 #: What doubles at today's epoch cannot tell apart, and the rounding to microseconds above it [ns].
 NEAR = 2000
+#: Of an error on the bus: classes of a protocol error and a bus error (linux/can/error.h).
+BUS_ERROR_FRAME = ERROR | 0x88
 
 
 def ours(path, chunk=100_000):
@@ -38,12 +40,20 @@ def theirs(path):
     frames = empty(len(messages))
     for k, message in enumerate(messages):
         put_message(frames, k, message)
+    bare = (frames["can_id"] & (ERROR | 0x1FFFFFFF) == ERROR) & (frames["length"] == 0)
+    frames["can_id"][bare], frames["length"][bare] = BUS_ERROR_FRAME, 8  # python-can has no class of it
+    numbers = {m.channel for m in messages}
+    if path.suffix == ".trc" or (path.suffix == ".mf4" and 0 not in numbers):  # theirs count from 1
+        return frames, ["none" if m.channel is None else str(m.channel - 1) for m in messages]
     return frames, ["none" if m.channel is None else str(m.channel) for m in messages]
 
 
 def assert_equal(path, near=NEAR, chunk=100_000):
     """Check a log's frames and channels against python-can's; returns how many."""
     expected, channels = theirs(path)
+    if path.suffix == ".asc":  # they take a frame of CAN FD without bytes for a remote frame
+        fd = expected["flags"] & FD != 0
+        expected["can_id"][fd] &= ~np.uint32(REMOTE)
     found = ours(path, chunk)
     assert len(found) == len(expected)
     for name in ("can_id", "flags", "length", "data"):
@@ -155,12 +165,25 @@ End TriggerBlock
 def test_events_of_asc(tmp_path):
     path = tmp_path / "a.asc"
     path.write_text(ASC)
-    assert assert_equal(path, near=0) == 14
     reader = read_log(path)
     frames = np.concatenate(list(reader))
     assert reader.origin_ns == 1_506_783_973_191_000_000
     assert frames["t_ns"][-1] == 30_806_898_000
-    assert frames["can_id"][0] == ERROR | EXTENDED
+    state, *others = frames
+    assert (int(state["can_id"]), state["data"][1], state["data"][6]) == (ERROR | 0x04, 0x20, 132), "error passive"
+    expected, _ = theirs(path)
+    request = 6  # of a frame to be sent: python-can takes it for one that was
+    expected = np.delete(expected, request)
+    remote = 11  # so say its flags, and that it is no frame of CAN FD
+    expected["flags"][remote], expected["flags"][-1] = OWN, 0
+    for name in ("can_id", "flags", "length", "data", "t_ns"):
+        np.testing.assert_array_equal(np.array(others)[name], expected[name], err_msg=name)
+    assert reader.passed_over.notes() == [
+        "passed over: 1 x an event that is no frame (J1939TP), first in line 18:"
+        " 3.297743 J1939TP FEE3p 6       0   0  - Rx   d 23 A0 0F A",
+        "passed over: 1 x an event that is no frame (#), first in line 25: # what nobody knows",
+    ]
+    assert not reader.problems
 
 
 def test_asc_in_decimal(tmp_path):
@@ -196,15 +219,25 @@ def test_dates_of_asc(text, seconds):
 
 @pytest.mark.parametrize(
     "line",
-    ["0.1 1 XYZ Rx d 8 00", "0.1 1 100 Rx d", "0.1 1 100 Rx d 2 1FF 00", "0.1 1 100 Rx", "0.1 CANFD 1 Rx 100 0 0 8"],
+    [
+        "0.1 1 XYZ Rx d 8 00",
+        "0.1 1 100 Rx d",
+        "0.1 1 100 Rx d 2 1FF 00",
+        "0.1 1 100 Rx",
+        "0.1 1 100",
+        "01 A0 0F",
+        "@@@@",
+        "0.1 CANFD 1 Rx 100 0 0 8",
+    ],
 )
-def test_a_bad_line_of_asc_is_named(line, tmp_path):
+def test_a_bad_line_of_asc_is_named_and_the_rest_is_read(line, tmp_path):
     path = tmp_path / "a.asc"
     path.write_text(f"base hex\n0.0 1 100 Rx d 1 11\n{line}\n0.2 1 100 Rx d 1 22\n")
-    found = []
-    with pytest.raises(InputError, match=r"a\.asc:3"):
-        found.extend(read_log(path))
-    assert [len(batch) for batch in found] == [1]
+    reader = read_log(path)
+    (found,) = reader
+    assert found["data"][:, 0].tolist() == [0x11, 0x22]
+    (wrong,) = reader.problems
+    assert (wrong.line, wrong.file) == (3, str(path))
 
 
 TRC = {
@@ -248,15 +281,31 @@ TRC = {
 def test_versions_of_trc(version, tmp_path):
     path = tmp_path / "a.trc"
     path.write_text(TRC[version])
-    assert assert_equal(path) == 3 if version != "1.1" else 4
+    reader = read_log(path)
+    found = np.concatenate(list(reader))
+    states = found["can_id"] & ERROR != 0
+    expected, _ = theirs(path)
+    for name in ("can_id", "flags", "length", "data"):
+        np.testing.assert_array_equal(found[~states][name], expected[name], err_msg=name)
+    assert states.sum() == 1
+    assert reader.seen == (
+        {"0": 4}
+        if version == "1.0"
+        else {"0": 5}
+        if version == "1.1"
+        else {"0": 2, "1": 2}
+        if version == "1.3"
+        else {"0": 3, "1": 1}
+    )
 
 
 def test_a_line_of_trc_with_too_few_columns_is_told(tmp_path):
     path = tmp_path / "a.trc"
     path.write_text(TRC["1.1"] + "     6)   1400.0  Rx\n     7)   1500.0  Rx  0300  1  AA\n")
     reader = read_log(path)
-    assert sum(map(len, reader)) == 5
-    assert reader.passed_over == ["line 9: 6)   1400.0  Rx"]
+    assert sum(map(len, reader)) == 6
+    (wrong,) = reader.problems
+    assert (wrong.line, wrong.value) == (9, "6)   1400.0  Rx")
 
 
 def blf_file(objects, *, packed=True, split=None):
@@ -341,11 +390,9 @@ def beginning(path):
         (lambda b: b[:150], "cut off"),
         (lambda b: b[:-9], "cut off after frame"),
         (lambda b: b"XOGG" + b[4:], "does not begin with LOGG"),
-        (lambda b: b[:300] + b"\xff" * 40 + b[340:], "damaged after frame|cut off after frame"),
-        (lambda b: b + b"garbage behind the end", "no object where one should be"),
     ],
 )
-def test_damaged_blf_keeps_what_came_before(damaged, text, tmp_path):
+def test_a_blf_that_ends_early_keeps_what_came_before(damaged, text, tmp_path):
     path = tmp_path / "a.blf"
     whole = blf_file(OBJECTS * 20, split=512)
     path.write_bytes(whole)
@@ -356,6 +403,29 @@ def test_damaged_blf_keeps_what_came_before(damaged, text, tmp_path):
     np.testing.assert_array_equal(frames, expected[: len(frames)])
     with pytest.raises(InputError, match=text):
         list(read_log(path))
+
+
+@pytest.mark.parametrize(
+    ("damaged", "text"),
+    [
+        (lambda b: b[:300] + b"\xff" * 40 + b[340:], "a container that cannot be unpacked"),
+        (lambda b: b[:144] + b"garbage" + b[144:], "no object where one should be"),
+        (lambda b: b + b"garbage behind the end", "no object where one should be"),
+    ],
+)
+def test_a_blf_that_is_damaged_goes_on_with_the_next_object(damaged, text, tmp_path):
+    path = tmp_path / "a.blf"
+    many = [blf_object(1, struct.pack("<HBBL8s", 1, 0, 2, k % 2000, b"%02d" % (k % 100))) for k in range(300)]
+    whole = blf_file(many, split=512)
+    path.write_bytes(whole)
+    known = ours(path)["can_id"].tolist()
+    path.write_bytes(damaged(whole))
+    reader = read_log(path)
+    found = np.concatenate(list(reader))["can_id"].tolist()
+    assert len(known) - 25 <= len(found) <= len(known)
+    rest = iter(known)
+    assert all(one in rest for one in found), "nothing is made up, and the order is kept"
+    assert any(text in error.message for error in reader.problems)
 
 
 LINES = b"".join(b"(%d.5) can0 123#%02X\n" % (k, k % 256) for k in range(5000))

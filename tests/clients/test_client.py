@@ -393,3 +393,29 @@ def test_ecus_that_die_in_the_middle_are_accounted_for(tmp_path):
     assert died
     assert settled(found.state())
     assert found.run(3000).state()["answers"] > 0
+
+
+class Bridged(Car):
+    """Its own frames come back, a moment later, without a mark."""
+
+    def _send(self, frames):
+        super()._send(frames)
+        for one in frames:
+            self.say(int(one["can_id"]), one["data"][: int(one["length"])].tobytes())
+
+
+def test_own_requests_that_come_back_are_no_other_tester(tmp_path):
+    long = POSITIVE + bytes(30)  # a flow control of ours comes back, too
+    for answer in (POSITIVE, long):
+        path = write(tmp_path, BUS + ONE)
+        plain = Car(path, [Ecu(0x7E0, 0x7E8, once(answer))]).run(2000)
+        bridged = Bridged(path, [Ecu(0x7E0, 0x7E8, once(answer))]).run(2000)
+        assert bridged.state()["yielded"] == 0
+        assert bridged.state()["answers"] == plain.state()["answers"] > 10
+
+
+def test_the_same_request_of_another_tester_is_one(tmp_path):
+    path = write(tmp_path, BUS + ONE)
+    found = Bridged(path, [Ecu(0x7E0, 0x7E8, lambda _: [])])
+    found.run(110, *[(105, 0x7E0, bytes.fromhex("0322F40DCCCCCCCC"))] * 2)
+    assert found.state()["yielded"] == 1

@@ -200,10 +200,20 @@ def test_lost_frames_are_told_once_a_second_at_most_and_kept():
     told = [e["overflow"] for e in events if e["state"] == "overflow"]
     assert told == [3]
     assert gateway.noted[-1][0]["overflow"] >= 3
-    live._told = {key: (count, when - 2.0) for key, (count, when) in live._told.items()}
+    live._told = {key: (*counts, when - 2.0) for key, (*counts, when) in live._told.items()}
     live._poll = 0.0
     live.turn()
     assert [e["overflow"] for e in events if e["state"] == "overflow"] == [3, 15]
+
+
+def test_exceptions_of_a_driver_are_told_once_a_second_at_most():
+    live, gateway, queue, events, _ = rig()
+    for _ in range(3):
+        queue.statistics.driver_errors += 1
+        live._poll = 0.0
+        live.turn()
+    assert [e["driver_errors"] for e in events if e["state"] == "failing"] == [1]
+    assert gateway.noted[-1][0]["driver_errors"] >= 1
 
 
 def test_conditions_of_a_bus_are_events_but_lost_frames_are_not_one_each():

@@ -429,6 +429,19 @@ def test_a_stronger_name_takes_the_address_and_a_weaker_one_does_not(make):
     assert rig.wait(3000) == [], "and is silent"
 
 
+def test_our_own_frames_that_come_back_are_no_other_node(make):
+    """From a bridge, a second adapter, an echo without a mark: the address is kept, and nothing is answered twice."""
+    rig = make()
+    (claim,) = rig.of(0xEE00, rig.request(0xEE00, destination=ALL))
+    for _ in range(3):
+        assert rig.feed((pgn_id(0xEE00, ME), claim)) == [], "no contention"
+    assert rig.of(0xEE00, rig.request(0xEE00, destination=ALL)) == [claim], "the address is kept"
+    assert rig.of(0xFECA, rig.wait(1100)), "DM1 goes on"
+    mine = (pgn_id(0xEA00, ME, ALL), bytes.fromhex("CAFE00"))
+    assert rig.feed(mine) == [], "a request of our own address"
+    assert rig.of(0xFECA, rig.request(0xFECA)), "that of another one is answered"
+
+
 @pytest.mark.evidence("SAE J1939-81: cannot claim")
 def test_who_has_no_address_says_so_when_asked(make):
     """D13: to all and to the null address; after a delay that differs from device to device."""

@@ -9,28 +9,41 @@ Lines are::
     0.100000 2  ErrorFrame
     30.80673 CANFD   3 Rx        50005x                                   1 0 8  8 01 02 03 04 05 06 07 08  ...
 
-Lines that are not frames are skipped, as in python-can. Stamps count from the begin of the measurement; the date,
-which has no time zone, is taken as UTC where wall time is wanted. Where the header says ``timestamps relative`` a
-stamp counts from the event before, which python-can does not know.
+Error frames and chip states become error frames of SocketCAN's classes; other events are counted, or known to be none.
+Stamps count from the begin of the measurement; the date has no time zone. Where the header says ``timestamps relative``
+a stamp counts from the event before, which python-can does not know. Where the first stamp is below 0, as converters
+write it, all are counted from a whole second before it.
 """
 
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames
-from gateway.bus.readers.batch import Batch, Names
+from gateway.bus.conditions import (
+    ACTIVE,
+    BUS_ERROR,
+    BUS_OFF,
+    CONTROLLER,
+    PROTOCOL,
+    RX_PASSIVE,
+    RX_WARNING,
+    TX_PASSIVE,
+    TX_WARNING,
+)
+from gateway.bus.frames import BRS, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames
+from gateway.bus.readers.batch import FLAGS, Batch, Names, error_frame
 from gateway.bus.readers.scan import (
     ASK,
     BAD,
     DONE,
     HEX,
+    PASSED,
     begin_frame,
     byte_words,
     decimal,
@@ -42,12 +55,30 @@ from gateway.bus.readers.scan import (
     skip,
     word_end,
 )
-from gateway.bus.readers.text import Lines, shown
-from gateway_fdi.errors import InputError
+from gateway.bus.readers.text import Lines
 from gateway_fdi.jit import kernel
 
-#: Result of a line: nothing, a frame, a frame whose line has fewer bytes than it says, no frame but should be one.
+#: Result of a line: an event, a frame, a frame whose line has fewer bytes than it says, no frame but should be one.
 _NOTHING, _FRAME, _SHORT, _WRONG = 0, 1, 2, 3
+#: Flags of a line of CAN FD (Vector): a remote frame, a frame of CAN FD.
+_RTR, _EDL = 0x10, 0x1000
+#: Error frames and chip states.
+_STATE = re.compile(
+    rb"\s*(-?\d+\.\d+)\s+(?:CAN(?:FD)?\s+)?(\d+)\s+(?:[TR]x\s+)?"
+    rb"(?:ErrorFrame|Status:\s*chip status (error active|warning level|error passive|bus off))(.*)",
+    re.IGNORECASE,
+)
+_EXACT = re.compile(rb"SocketCAN = ([0-9A-F]{8})#([0-9A-F]*)")  # as our writer has it
+_STAMP = re.compile(rb"\s*(-?)(\d+)\.(\d+)\s+(.*)")
+#: Lines that are known to be no frames, and lose nothing.
+_KNOWN = re.compile(
+    rb"\s*(?://|$|date |base |(?:no )?internal events logged|begin |end |-?[\d.]+\s+(?:CANFD\s+)?(?:CAN\s+)?"
+    rb"(?:start of measurement|\d+\s+statistic:|\d+\s+\S+\s+txrq\b))",
+    re.IGNORECASE,
+)
+#: The first event's stamp.
+_FIRST = re.compile(rb"^[ \t]*(-?)(\d+)([.,])\d+\s", re.MULTILINE)
+_COUNTERS = re.compile(rb"TxErr:\s*(\d+)\s+RxErr:\s*(\d+)")
 
 _MONTHS = {
     name: k
@@ -77,8 +108,8 @@ def begins(text: Any, at: int, lower: Any) -> bool:
 
 @kernel
 def is_direction(text: Any, at: int) -> bool:
-    """Return whether Rx or Tx, in any case, begins here."""
-    return bool((text[at] | 32) in (114, 116) and (text[at + 1] | 32) == 120)
+    """Return whether a word is Rx or Tx, in any case."""
+    return bool((text[at] | 32) in (114, 116) and (text[at + 1] | 32) == 120 and text[at + 2] <= 32)
 
 
 @kernel
@@ -98,20 +129,17 @@ def identifier(text: Any, at: int, end: int, base: int, hexes: Any) -> int:
 
 
 @kernel
-def classic(text: Any, at: int, base: int, hexes: Any, error: Any, words: Any, row: Any, k: int, t_ns: int) -> int:
+def classic(text: Any, at: int, base: int, hexes: Any, words: Any, row: Any, k: int, t_ns: int) -> int:
     """Read what follows the channel of a classic frame; returns what it became."""
     end = word_end(text, at)
-    if begins(text, at, error):
-        begin_frame(words, k, t_ns, EXTENDED | ERROR, 0)
-        return _FRAME
     for j in range(at, end):
         letter = 97 <= (text[j] | 32) <= 122
         if not (letter or is_digit(text, j) or text[j] == 95 or text[j] > 127):
             return _NOTHING
     word = skip(text, end)
-    if not is_direction(text, word):
-        return _NOTHING
     can_id = identifier(text, at, end, base, hexes)
+    if not is_direction(text, word):
+        return _WRONG if can_id >= 0 and text[word] == 10 else _NOTHING
     end = word_end(text, word)
     flags = 0 if received(text, word, end) else OWN
     at = skip(text, end)
@@ -119,6 +147,9 @@ def classic(text: Any, at: int, base: int, hexes: Any, error: Any, words: Any, r
         return _WRONG
     if (text[at] | 32) == 114:
         begin_frame(words, k, t_ns, can_id | REMOTE, flags)
+        at = skip(text, word_end(text, at))
+        dlc = number(text, at, word_end(text, at), base, hexes)
+        set_length(words, k, min(max(dlc, 0), 8))
         return _FRAME
     begin_frame(words, k, t_ns, can_id, flags)
     at = skip(text, word_end(text, at))
@@ -136,13 +167,14 @@ def classic(text: Any, at: int, base: int, hexes: Any, error: Any, words: Any, r
 
 @kernel
 def flexible(text: Any, at: int, base: int, hexes: Any, error: Any, words: Any, row: Any, k: int, t_ns: int) -> int:
-    """Read what follows the channel of a line of CAN FD; returns what it became."""
+    """Read what follows the channel of a line of CAN FD, which may have a classic frame; returns what it became."""
     end = word_end(text, at)
-    flags = FD if received(text, at, end) else FD | OWN
+    if not is_direction(text, at):
+        return _NOTHING
+    flags = 0 if received(text, at, end) else OWN
     at = skip(text, end)
     if begins(text, at, error):
-        begin_frame(words, k, t_ns, EXTENDED | ERROR, flags)
-        return _FRAME
+        return _NOTHING
     end = word_end(text, at)
     if end == at:
         return _WRONG
@@ -165,15 +197,23 @@ def flexible(text: Any, at: int, base: int, hexes: Any, error: Any, words: Any, 
     end = word_end(text, at)
     wanted = number(text, at, end, 10, hexes)
     at = skip(text, end)
-    if can_id < 0 or dlc < 0 or not 0 <= wanted <= 64 or text[at] == 10:
+    if can_id < 0 or dlc < 0 or not 0 <= wanted <= 64:
         return _WRONG
-    if wanted == 0:
-        begin_frame(words, k, t_ns, can_id | REMOTE, flags)
-        return _FRAME
-    begin_frame(words, k, t_ns, can_id, flags)
+    begin_frame(words, k, t_ns, can_id, 0)
     length, at = byte_words(text, at, wanted, base, hexes, row)
     if length < 0:
         return _WRONG
+    for _ in range(2):  # how long it took, in time and in bits
+        at = word_end(text, skip(text, at))
+    at = skip(text, at)
+    bits = number(text, at, word_end(text, at), 16, hexes)
+    if (bits >= 0 and bits & _RTR) or (bits < 0 and wanted == 0 and dlc > 0):
+        words[k, 1] |= np.uint64(REMOTE) | (np.uint64(flags & OWN) << np.uint64(FLAGS))
+        set_length(words, k, min(dlc, 8))
+        return _FRAME
+    if bits < 0 or bits & _EDL or wanted > 8 or flags & (BRS | ESI):
+        flags |= FD
+    words[k, 1] |= np.uint64(flags) << np.uint64(FLAGS)
     set_length(words, k, length)
     return _FRAME if length == wanted else _SHORT
 
@@ -194,7 +234,7 @@ def scan_asc(
         base: of identifiers and data, 10 or 16.
         hexes: :data:`gateway.bus.readers.scan.HEX`.
         marks: the letters of ``errorframe`` and ``canfd``, uint8.
-        clock: whether stamps count from the event before, and the time of that [ns].
+        clock: whether stamps count from the event before, the time of that, and what is added to each [ns].
 
     Returns:
         where the next line begins, lines read, frames that are in, state of the line there, whether the last frame
@@ -202,45 +242,50 @@ def scan_asc(
     """
     error, fd = marks[:10], marks[10:]
     lines, short = 0, 0
+    relative, shift = clock[0] != 0, clock[2]
     while at < text.shape[0] and k < words.shape[0]:
         i = skip(text, at)
-        if not is_digit(text, i):
-            if text[i] in (66, 98, 68, 100, 69, 101):  # begin, base, date, end
-                return at, lines, k, ASK, short
-            at = line_end(text, i)
+        if text[i] == 10:
+            at = i + 1
             lines += 1
             continue
-        t_ns, i, digits = decimal(text, i, 9)
+        below = text[i] == 45
+        if not is_digit(text, i + below):
+            return at, lines, k, ASK, short
+        t_ns, i, digits = decimal(text, i + below, 9)
+        if t_ns < 0 or digits <= 0 or text[i] > 32:
+            return at, lines, k, BAD, short
+        t_ns = shift - t_ns if below else shift + t_ns
+        if relative:
+            t_ns += clock[1]
         made = _NOTHING
-        if t_ns >= 0 and digits > 0 and text[i] <= 32:
-            if clock[0]:
-                clock[1] += t_ns
-                t_ns = clock[1]
-            i = skip(text, i)
+        i = skip(text, i)
+        end = word_end(text, i)
+        place = number(text, i, end, 10, hexes)
+        if place >= 0:
+            made = classic(text, skip(text, end), base, hexes, words, data[k], k, t_ns)
+        elif end - i == 5 and begins(text, i, fd) and text[i] == 67:
+            i = skip(text, end)
             end = word_end(text, i)
             place = number(text, i, end, 10, hexes)
             if place >= 0:
-                made = classic(text, skip(text, end), base, hexes, error, words, data[k], k, t_ns)
-            elif end - i == 5 and begins(text, i, fd) and text[i] == 67:
-                i = skip(text, end)
-                end = word_end(text, i)
-                place = number(text, i, end, 10, hexes)
-                made = _WRONG
-                if place >= 0:
-                    made = flexible(text, skip(text, end), base, hexes, error, words, data[k], k, t_ns)
-            if made == _WRONG:
-                return at, lines, k, BAD, short
-            if made != _NOTHING:
-                channel[k] = place - 1
-                short = 1 if made == _SHORT else 0
-                k += 1
+                made = flexible(text, skip(text, end), base, hexes, error, words, data[k], k, t_ns)
+        if made == _NOTHING:
+            return at, lines, k, ASK, short
+        if relative:
+            clock[1] = t_ns
+        if made == _WRONG:
+            return at, lines, k, BAD, short
+        channel[k] = place - 1
+        short = 1 if made == _SHORT else 0
+        k += 1
         at = line_end(text, i)
         lines += 1
     return at, lines, k, DONE, short
 
 
-def date_ns(text: str) -> int:
-    """Return a date as ASC writes it as if it were UTC [ns], 0 if it is none."""
+def date_ns(text: str, zone: tzinfo = UTC) -> int:
+    """Return a date as ASC writes it [ns], 0 if it is none."""
     found = _DATE.match(text)
     if found is None:
         return 0
@@ -248,7 +293,7 @@ def date_ns(text: str) -> int:
     number = _MONTHS.get(month.capitalize()) or (int(month) if month.isdigit() else 0)
     hours = int(hour) % 12 + (12 if half.lower() == "pm" else 0) if half else int(hour)
     try:
-        date = datetime(int(year), number, int(day), hours, int(minute), int(second), tzinfo=UTC)
+        date = datetime(int(year), number, int(day), hours, int(minute), int(second), tzinfo=zone)
     except ValueError:
         return 0
     return int(date.timestamp()) * 10**9 + int((part or "0").ljust(9, "0")[:9])
@@ -265,9 +310,20 @@ class Asc(Lines):
         super().__init__(path)
         self._base = 16
         self._marks = np.frombuffer(b"errorframecanfd", np.uint8).copy()
-        self._clock = np.zeros(2, np.int64)
+        self._clock = np.zeros(3, np.int64)
         self._block, self._short = False, 0
-        self._places: dict[int, int] = {}
+
+    @staticmethod
+    def sniff(first: bytes) -> bool:
+        """Return whether one of the first lines is of its header."""
+        begins = (b"base hex", b"base dec", b"begin triggerblock", b"internal events logged", b"no internal events")
+        return any(line.strip().lower().startswith(begins) for line in first.splitlines()[:40])
+
+    def begin(self, first: bytes) -> None:
+        """Find out whether numbers have a comma, and whether stamps begin below 0."""
+        if found := _FIRST.search(first):
+            self.comma = found[3] == b","
+            self._clock[2] = (int(found[2][:9]) + 1) * 10**9 if found[1] else 0
 
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
         """Read lines."""
@@ -276,29 +332,59 @@ class Asc(Lines):
         )
         return at, lines, status
 
-    def asked(self, line: bytes, names: Names) -> bool:
-        """Look at a line of the header, or of a trigger block."""
+    def asked(self, line: bytes, names: Names, batch: Batch) -> int:
+        """Look at a line of the header, of a trigger block, or at an event."""
         del names
+        t_ns = self._time(line)
+        if t_ns is not None:
+            if found := _STATE.match(line):
+                classes, data = state_of(found[3], found[4])
+                error_frame(batch, t_ns, classes, data, int(found[2]) - 1)
+                return DONE
+            return DONE if _KNOWN.match(line) else PASSED
+        self._header(line)
+        if _KNOWN.match(line):
+            return DONE
+        return PASSED if line.strip()[:1].isalpha() or line.strip()[:1] in b"#;" else BAD
+
+    def _time(self, line: bytes) -> int | None:
+        """Return the time of an event [ns], None: the line has no stamp."""
+        found = _STAMP.match(line)
+        if found is None:
+            return None
+        t_ns = int(found[2]) * 10**9 + int(found[3].ljust(9, b"0")[:9])
+        t_ns = (-t_ns if found[1] else t_ns) + int(self._clock[2])
+        if self._clock[0]:
+            t_ns = self._clock[1] = t_ns + int(self._clock[1])
+        return int(t_ns)
+
+    def _header(self, line: bytes) -> None:
         text = line.decode("utf-8", "replace").strip()
         first, _, rest = text.partition(" ")
         rest = rest.strip()
         match first.lower():
             case "date":
-                self.origin_ns = date_ns(rest)
+                self._date(rest)
             case "base":
                 words = rest.lower().split()
                 self._base = 10 if words[:1] == ["dec"] else 16
                 self._clock[0] = words[1:3] == ["timestamps", "relative"]
             case "begin" if rest.lower().startswith("triggerblock"):
                 self._block = True
-                self.origin_ns = date_ns(rest.partition(" ")[2].strip()) or self.origin_ns
+                self._date(rest.partition(" ")[2].strip())
             case "end" if rest.lower().startswith("triggerblock"):
                 self._block = False
-        return True
 
-    def bad(self, line: bytes, number: int) -> InputError:
-        """Return the error of a bad line."""
-        return InputError("not a line of an ASC log", file=self._path, line=number, value=shown(line))
+    def _date(self, text: str) -> None:
+        if begin_ns := date_ns(text.replace(",", "."), self.zone):
+            self.origin_ns = begin_ns - int(self._clock[2])
+
+    def kind(self, line: bytes) -> str:
+        """Return the first word of an event that is not read."""
+        found = _STAMP.match(line)
+        words = (found[4] if found else line).split()
+        word = next((word for word in words if not word.isdigit()), b"")
+        return f"an event that is no frame ({word[:20].decode('ascii', 'replace').rstrip(':')})"
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
         """Return whether the last line is cut: it is no frame where it should be one, or has too few bytes."""
@@ -311,3 +397,26 @@ class Asc(Lines):
     def unfinished(self) -> str:
         """Return whether a trigger block has no end."""
         return "its trigger block has no end" if self._block else ""
+
+
+def state_of(status: bytes | None, rest: bytes) -> tuple[int, bytes]:
+    """Return the classes and data of an error frame (linux/can/error.h).
+
+    Args:
+        status: chip status; None: an error frame on the bus.
+        rest: what follows.
+    """
+    if exact := _EXACT.search(rest):
+        return int(exact[1], 16) & ID_MASK, bytes.fromhex(exact[2].decode())
+    if status is None:
+        return PROTOCOL | BUS_ERROR, b""
+    counters = _COUNTERS.search(rest)
+    transmit, receive = (min(int(text), 255) for text in counters.groups()) if counters else (0, 0)
+    limit, sent, heard = {
+        b"warning level": (96, TX_WARNING, RX_WARNING),
+        b"error passive": (128, TX_PASSIVE, RX_PASSIVE),
+        b"error active": (0, ACTIVE, ACTIVE),
+    }.get(status.lower(), (0, 0, 0))
+    where = (sent if transmit >= limit else 0) | (heard if receive >= limit else 0) or sent | heard
+    classes = CONTROLLER if where else BUS_OFF
+    return classes, bytes([0, where, 0, 0, 0, 0, transmit, receive])

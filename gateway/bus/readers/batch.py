@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import FRAME, Frames
+from gateway.bus.frames import ERROR, FRAME, Frames, empty, put
+from gateway_fdi.errors import InputError
 
 #: 64-bit words of a frame.
 WORDS = FRAME.itemsize // 8
@@ -18,6 +21,8 @@ _WIDEST = 100_000
 NO_CHANNEL = -(1 << 40)
 #: Byte of a frame where its payload begins.
 DATA = FRAME.itemsize - 64
+#: Kinds of places that give no frame, which are counted apart.
+_MOST_KINDS = 40
 #: Where the second word has flags and length.
 FLAGS, LENGTH = 40, 48
 
@@ -54,6 +59,13 @@ def placed(channel: NDArray[np.int64], names: Names) -> NDArray[np.int64]:
 
 def _place(number: int, names: Names) -> int:
     return names.place("none" if number == NO_CHANNEL else str(number))
+
+
+def error_frame(batch: Batch, t_ns: int, classes: int, data: bytes, channel: int) -> None:
+    """Append an error frame (linux/can/error.h): its classes, and up to 8 bytes."""
+    frames = empty(1)
+    put(frames, 0, t_ns, ERROR | classes, data.ljust(8, b"\0"))
+    batch.put(frames, np.array([channel], np.int64))
 
 
 class Batch:
@@ -106,17 +118,79 @@ class Batch:
 Read = tuple[Frames, NDArray[np.int64]]
 
 
+@dataclass
+class Passed:
+    """Places of one kind that gave no frame.
+
+    Attributes:
+        count: how many there are.
+        first: what is there, of the first of them.
+        line: number of its line, where there are lines.
+        damaged: whether a frame is lost there, or may be; else it is an event of another kind.
+    """
+
+    count: int
+    first: str
+    line: int | None
+    damaged: bool
+
+
+class PassedOver:
+    """Places of a log that gave no frame, by kind; the length is their number."""
+
+    def __init__(self) -> None:
+        self.kinds: dict[str, Passed] = {}
+
+    def add(self, kind: str, first: str, line: int | None = None, *, count: int = 1, damaged: bool = True) -> None:
+        """Count places of a kind."""
+        if kind not in self.kinds and len(self.kinds) >= _MOST_KINDS:
+            kind = f"more kinds, {'damaged' if damaged else 'no frames'}"
+        known = self.kinds.setdefault(kind, Passed(0, first, line, damaged))
+        known.count += count
+
+    def take(self, more: PassedOver | Iterable[str]) -> None:
+        """Count those of another reader; one of a plug-in may have them as a list of texts."""
+        if isinstance(more, PassedOver):
+            for kind, one in more.kinds.items():
+                self.add(kind, one.first, one.line, count=one.count, damaged=one.damaged)
+        else:
+            for text in more:
+                self.add("no frame can be made of it", text)
+
+    def errors(self, path: Path) -> list[InputError]:
+        """Return what is damaged, an error a kind."""
+        return [
+            InputError(f"damaged, passed over: {one.count} x {kind}", file=path, line=one.line, value=one.first)
+            for kind, one in self.kinds.items()
+            if one.damaged
+        ]
+
+    def notes(self) -> list[str]:
+        """Return what is no damage, a text a kind."""
+        return [
+            f"passed over: {one.count} x {kind}, first{'' if one.line is None else f' in line {one.line}'}: {one.first}"
+            for kind, one in self.kinds.items()
+            if not one.damaged
+        ]
+
+    def __len__(self) -> int:
+        return sum(one.count for one in self.kinds.values())
+
+
 class Reader(Protocol):
     """Reader of a format.
 
+    A class of readers may have a static method ``sniff(first: bytes) -> bool``: whether a log that begins with these
+    bytes (64 KiB, or all) is surely of its format. One without it is found by the suffix alone.
+
     Attributes:
-        passed_over: lines or records that could not be read as frames, one text each.
+        passed_over: places that gave no frame; texts will do.
         origin_ns: wall time of the log's begin where stamps count from there, 0 where they are wall time [ns].
     """
 
     @property
-    def passed_over(self) -> list[str]:
-        """Lines or records that could not be read as frames."""
+    def passed_over(self) -> PassedOver | list[str]:
+        """Places that gave no frame."""
 
     @property
     def origin_ns(self) -> int:
@@ -127,6 +201,6 @@ class Reader(Protocol):
 
         Args:
             stream: the log, unpacked.
-            names: takes the names of the channels.
+            names: takes the names of the channels; numbers count from 0, whatever the format counts from.
             chunk: frames of a batch at most.
         """

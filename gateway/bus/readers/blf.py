@@ -3,7 +3,8 @@
 A file header (``LOGG``, 144 bytes), then objects (``LOBJ``), each with a header of 16 bytes: length of the whole
 header, its version, length of the object, type. Objects of type 10 are containers; unpacked, joined, they are the
 objects of the log, which may begin in one container and end in the next. Objects that lie outside of containers are
-taken, too. Other objects than frames and error frames are skipped. Vector publishes no description; this follows
+taken, too. Objects of errors and of the controller's state become error frames; others are counted. Where an object is
+damaged, reading goes on with the next one. Vector publishes no description; this follows
 python-can's reader (https://github.com/hardbyte/python-can, can/io/blf.py), which follows T. Lorenz's library.
 """
 
@@ -12,16 +13,26 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from gateway.bus.conditions import (
+    ACTIVE,
+    BUS_ERROR,
+    CONTROLLER,
+    PROTOCOL,
+    RX_PASSIVE,
+    RX_WARNING,
+    TX_PASSIVE,
+    TX_WARNING,
+)
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE
 from gateway.bus.log_source import OBJECT as MOST
 from gateway.bus.log_source import CutOffError, compression_of, damage, pull
-from gateway.bus.readers.batch import Batch, Names, Read, placed
+from gateway.bus.readers.batch import Batch, Names, PassedOver, Read, placed
 from gateway.bus.readers.scan import begin_frame, byte, set_length
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
@@ -37,17 +48,35 @@ CONTAINER = struct.Struct("<H6xL4x")
 PLAIN, ZLIB = 0, 2
 #: Types of objects.
 LOG_CONTAINER, CAN_MESSAGE, CAN_ERROR_EXT, CAN_MESSAGE2, CAN_FD_MESSAGE, CAN_FD_MESSAGE_64 = 10, 1, 73, 86, 100, 101
+#: Error frames without details; states of the controller, with its error counters.
+CAN_ERROR, CAN_FD_ERROR_64, DRIVER_ERROR, DRIVER_ERROR_EXT = 2, 104, 31, 74
+#: Types of objects that are counted one by one.
+_TYPES = 256
 
 #: Why a kernel stops: it needs more bytes, the batch is full, no object where one should be, a payload above 64 bytes.
 MORE, FULL, LOST, LONG = 0, 1, 2, 3
 #: Bytes unpacked that are read at a time: several containers.
 _BLOCK = 1 << 20
+#: Bytes that are searched at a time for the next object.
+_SEARCHED = 1 << 16
 
 
 @kernel
 def half(raw: Any, at: int) -> int:
     """Return the 16-bit number at a place."""
     return byte(raw, at) | (byte(raw, at + 1) << 8)
+
+
+@kernel
+def put_state(raw: Any, at: int, words: Any, row: Any, k: int, t_ns: int) -> None:
+    """Make an error frame of the controller's error counters, as the kernel does (CAN 2.0 B, 8)."""
+    transmit, receive = byte(raw, at), byte(raw, at + 1)
+    begin_frame(words, k, t_ns, ERROR | CONTROLLER, 0)
+    set_length(words, k, 8)
+    state = (TX_PASSIVE if transmit > 127 else 0) | (RX_PASSIVE if receive > 127 else 0)
+    if state == 0:
+        state = (TX_WARNING if transmit > 95 else 0) | (RX_WARNING if receive > 95 else 0)
+    row[17], row[22], row[23] = state if state else ACTIVE, transmit, receive
 
 
 @kernel
@@ -65,7 +94,7 @@ def put_payload(raw: Any, at: int, count: int, words: Any, row: Any, k: int, len
 
 
 @kernel
-def blf_object(raw: Any, at: int, kind: int, size: int, room: int, t_ns: int, words: Any, row: Any, k: int) -> int:
+def blf_object(raw: Any, at: int, kind: int, size: int, header: int, t_ns: int, words: Any, row: Any, k: int) -> int:
     """Read the bytes after an object's header into a frame.
 
     Args:
@@ -73,7 +102,7 @@ def blf_object(raw: Any, at: int, kind: int, size: int, room: int, t_ns: int, wo
         at: first byte after the header.
         kind: of the object.
         size: bytes after the header.
-        room: bytes of the object that a payload may take, counted as its header has it.
+        header: bytes from the object's begin to where its header says that it ends.
         t_ns: stamp [ns].
         words: the batch.
         row: bytes of the frame.
@@ -87,15 +116,25 @@ def blf_object(raw: Any, at: int, kind: int, size: int, room: int, t_ns: int, wo
         name = long(raw, at + 4)
         can_id = (name & ID_MASK) | (name & EXTENDED) | (REMOTE if flags & 0x80 else 0)
         begin_frame(words, k, t_ns, can_id, OWN if flags & 1 else 0)
-        if not flags & 0x80:
-            count = min(byte(raw, at + 3), 8)
-            put_payload(raw, at + 8, count, words, row, k, count)
+        count = min(byte(raw, at + 3), 8)
+        put_payload(raw, at + 8, 0 if flags & 0x80 else count, words, row, k, count)
         return half(raw, at)
     if kind == CAN_ERROR_EXT and size >= 32:
         name = long(raw, at + 16)
-        begin_frame(words, k, t_ns, (name & ID_MASK) | (name & EXTENDED) | ERROR, 0)
         count = min(byte(raw, at + 10), 8)
+        if long(raw, at + 4) | byte(raw, at + 8) or not (name & ID_MASK or count):  # of a real controller
+            begin_frame(words, k, t_ns, ERROR | PROTOCOL | BUS_ERROR, 0)
+            set_length(words, k, 8)
+            return half(raw, at)
+        begin_frame(words, k, t_ns, (name & ID_MASK) | (name & EXTENDED) | ERROR, 0)  # of SocketCAN, by python-can
         put_payload(raw, at + 24, count, words, row, k, count)
+        return half(raw, at)
+    if (kind == CAN_ERROR and size >= 4) or (kind == CAN_FD_ERROR_64 and size >= 16):
+        begin_frame(words, k, t_ns, ERROR | PROTOCOL | BUS_ERROR, 0)
+        set_length(words, k, 8)
+        return half(raw, at) if kind == CAN_ERROR else byte(raw, at)
+    if kind in (DRIVER_ERROR, DRIVER_ERROR_EXT) and size >= 8:
+        put_state(raw, at + 2, words, row, k, t_ns)
         return half(raw, at)
     if kind == CAN_FD_MESSAGE and size >= 84:
         flags, bits = byte(raw, at + 2), byte(raw, at + 13)
@@ -103,8 +142,10 @@ def blf_object(raw: Any, at: int, kind: int, size: int, room: int, t_ns: int, wo
         own = OWN if flags & 1 else 0
         fd = (FD | (BRS if bits & 2 else 0) | (ESI if bits & 4 else 0)) if bits & 1 else 0
         begin_frame(words, k, t_ns, (name & ID_MASK) | (name & EXTENDED) | (REMOTE if flags & 0x80 else 0), fd | own)
-        if not flags & 0x80:
-            count = min(byte(raw, at + 14), 64)
+        count = min(byte(raw, at + 14), 64)
+        if flags & 0x80:
+            set_length(words, k, min(byte(raw, at + 3), 8))
+        else:
             put_payload(raw, at + 20, count, words, row, k, count)
         return half(raw, at)
     if kind == CAN_FD_MESSAGE_64 and size >= 40:
@@ -115,16 +156,20 @@ def blf_object(raw: Any, at: int, kind: int, size: int, room: int, t_ns: int, wo
         valid = byte(raw, at + 2)
         if valid > 64:
             return -2
-        if not bits & 0x10:
-            other = byte(raw, at + 35)  # where data of another kind begin, counted as the object's length is
-            count = min(valid, (other if other else room) - 40)
+        if bits & 0x10:
+            set_length(words, k, min(byte(raw, at + 1), 8))
+        else:
+            other = byte(raw, at + 35)  # where data of another kind begin, counted from the object's begin
+            count = min(valid, other - header - 40 if other else size - 40)
             put_payload(raw, at + 40, max(0, min(count, size - 40)), words, row, k, valid)
         return byte(raw, at)
     return -1
 
 
 @kernel
-def scan_blf(raw: Any, at: int, words: Any, data: Any, channel: Any, k: int, start: int) -> tuple[int, int, int]:
+def scan_blf(
+    raw: Any, at: int, words: Any, data: Any, channel: Any, k: int, start: int, others: Any
+) -> tuple[int, int, int]:
     """Read objects into a batch.
 
     Args:
@@ -135,6 +180,7 @@ def scan_blf(raw: Any, at: int, words: Any, data: Any, channel: Any, k: int, sta
         channel: takes the channel of each frame, counted from 0.
         k: frames that are in already.
         start: of the log [ns].
+        others: int64, takes the number of objects of each type that are no frames; the last is of all higher types.
 
     Returns:
         where the next object begins, frames that are in, why it stops.
@@ -160,24 +206,27 @@ def scan_blf(raw: Any, at: int, words: Any, data: Any, channel: Any, k: int, sta
         at = begin + size
         base = 32 if version == 1 else 40
         if version not in (1, 2) or size < base:
+            others[min(kind, others.shape[0] - 1)] += 1
             continue
         stamp = long(raw, begin + 24) | (long(raw, begin + 28) << 32)
         unit = 10_000 if long(raw, begin + 16) == 1 else 1
         if stamp < 0 or stamp > 4 * 10**18 // unit:
             return begin, k, LOST
-        found = blf_object(raw, begin + base, kind, size - base, size - header, start + stamp * unit, words, data[k], k)
+        found = blf_object(raw, begin + base, kind, size - base, header, start + stamp * unit, words, data[k], k)
         if found == -2:
             return begin, k, LONG
         if found >= 0:
             channel[k] = found - 1
             k += 1
+        else:
+            others[min(kind, others.shape[0] - 1)] += 1
 
 
-def system_time_ns(fields: tuple[int, ...]) -> int:
+def system_time_ns(fields: tuple[int, ...], zone: tzinfo = UTC) -> int:
     """Return a SYSTEMTIME (year, month, weekday, day, hour, minute, second, millisecond) [ns], 0 if it is none."""
     year, month, _, day, hour, minute, second, milli = fields
     try:
-        whole = int(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp())
+        whole = int(datetime(year, month, day, hour, minute, second, tzinfo=zone).timestamp())
     except ValueError:
         return 0
     return whole * 10**9 + min(milli, 999) * 10**6
@@ -197,12 +246,20 @@ class Blf:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.passed_over: list[str] = []
+        self.passed_over = PassedOver()
         self.origin_ns = 0
+        self.zone: tzinfo = UTC
+        self._others = np.zeros(_TYPES, np.int64)
+        self._held = b""  # pulled, but not yet looked at
+        self._gap = False  # whether something was lost before what is yielded next
         self._size, self._objects = 0, 0
         self._start = 0
         self._end: InputError | Exception | None = None
-        self._read = 0
+
+    @staticmethod
+    def sniff(first: bytes) -> bool:
+        """Return whether a log begins as a BLF does."""
+        return first.startswith(b"LOGG")
 
     def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
         """Yield a log's frames."""
@@ -210,20 +267,22 @@ class Blf:
         batch, rest = Batch(chunk), b""
         frames = 0
         for raw in self._unpacked(stream):
-            array = np.frombuffer(rest + raw, np.uint8)
+            block = raw if self._gap else rest + raw
+            self._gap = False
+            array = np.frombuffer(block, np.uint8)
             at, why = 0, FULL
-            while why == FULL:
+            while why != MORE:
                 at, batch.count, why = scan_blf(
-                    array, at, batch.words, batch.data, batch.channel, batch.count, self._start
+                    array, at, batch.words, batch.data, batch.channel, batch.count, self._start, self._others
                 )
                 if why in (LOST, LONG):
                     what = "no object where one should be" if why == LOST else "a payload above 64 bytes"
-                    self._end = InputError(f"damaged after frame {frames + batch.count}: {what}", file=self._path)
-                if batch.full or (why in (LOST, LONG) and batch.count):
+                    self.passed_over.add(what, f"after frame {frames + batch.count}")
+                    found = block.find(b"LOBJ", at + 1)
+                    at = found if found >= 0 else max(len(block) - 3, at + 1)
+                if batch.full:
                     frames += batch.count
                     yield _named(batch, names)
-            if why in (LOST, LONG):
-                break
             rest = array[at:].tobytes()
             if len(rest) > MOST:
                 self._end = ValueError(f"an object that is longer than {MOST} bytes")
@@ -231,6 +290,9 @@ class Blf:
         if batch.count:
             frames += batch.count
             yield _named(batch, names)
+        for kind in np.flatnonzero(self._others).tolist():
+            text = f"objects of type {kind}, which are no frames"
+            self.passed_over.add(text, "not kept", count=int(self._others[kind]), damaged=False)
         if self._end is not None:
             raise self._told(frames)
         if cut := self._cut(frames):
@@ -246,49 +308,70 @@ class Blf:
         if fields[0] != b"LOGG":
             raise InputError("not a BLF log: it does not begin with LOGG", file=self._path)
         self._size, self._objects = fields[10], fields[12]
-        self._start = system_time_ns(fields[14:22])
+        self._start = system_time_ns(fields[14:22], self.zone)
         self._need(stream, fields[1] - FILE_HEADER.size)
 
     def _need(self, stream: BinaryIO, count: int) -> bytes:
         """Return this number of bytes, or less: then the file ends within, or unpacking failed there."""
         if count <= 0:
             return b""
-        data, broken = pull(stream, count)
-        self._read += len(data)
+        data, broken = self._pull(stream, count)
         if broken is not None:
             self._end = broken
         elif len(data) < count:
             self._end = CutOffError("", file=self._path)
         return data
 
+    def _pull(self, stream: BinaryIO, size: int) -> tuple[bytes, Exception | None]:
+        """Return this number of bytes, less at the end, first of those that were pulled already."""
+        held, self._held = self._held[:size], self._held[size:]
+        data, broken = pull(stream, size - len(held))
+        return held + data, broken
+
     def _unpacked(self, stream: BinaryIO) -> Iterator[bytes]:
         """Yield the log's objects, unpacked, some containers at a time; the error that ends them is in ``_end``."""
         parts: list[bytes] = []
-        held = 0
+        held, lost = 0, False
         while self._end is None:
-            head, broken = pull(stream, OBJECT.size)
-            if broken is not None:
-                self._end = broken
+            if lost and parts:
+                yield b"".join(parts)
+                parts, held = [], 0
+            self._gap = self._gap or lost
+            head, self._end = self._pull(stream, OBJECT.size)
             if not head:
                 break
             if len(head) < OBJECT.size:
-                self._end = self._end or CutOffError("", file=self._path)
+                if not lost:
+                    self._end = self._end or CutOffError("", file=self._path)
                 break
             mark, _, _, size, kind = OBJECT.unpack(head)
             if mark != b"LOBJ" or size < OBJECT.size:
-                self._end = ValueError("no object where one should be")
-                break
+                if not lost:
+                    self.passed_over.add("no object where one should be", "between containers")
+                lost = True
+                more, self._end = self._pull(stream, _SEARCHED)
+                whole = head[1:] + more
+                found = whole.find(b"LOBJ")
+                self._held = whole[found:] if found >= 0 else whole[-3:] if more else b""
+                continue
+            lost = False
             if size > MOST:
                 self._end = ValueError(f"an object that is longer than {MOST} bytes")
                 break
             body = self._need(stream, size - OBJECT.size)
             if self._end is None:
-                pull(stream, size % 4)  # padding, of which some may be missing at the end
+                self._pull(stream, size % 4)  # padding, of which some may be missing at the end
             try:
                 part = self._contents(head, body, kind)
             except (zlib.error, ValueError) as error:
-                self._end = self._end or error
-                break
+                if self._end is not None:
+                    break
+                if isinstance(error, ValueError):
+                    self._end = error
+                    break
+                self.passed_over.add("a container that cannot be unpacked", str(error))
+                lost = True
+                continue
             parts.append(part)
             held += len(part)
             if held >= _BLOCK:
@@ -317,7 +400,7 @@ class Blf:
             if len(part) > MOST:
                 raise ValueError(f"a container that unpacks to more than {MOST} bytes")
             return part
-        self.passed_over.append(f"a container that is packed in an unknown way ({method})")
+        self.passed_over.add("a container that is packed in an unknown way", f"method {method}")
         return b""
 
     def _told(self, frames: int) -> InputError:

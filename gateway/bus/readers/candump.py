@@ -1,10 +1,16 @@
-"""candump logs, as ``candump -L`` (and ``-N`` with nanoseconds) writes them.
+"""candump logs, as ``candump -L`` (and ``-N`` with nanoseconds) writes them, and what it prints with ``-t``.
 
-Lines are::
+Lines are, of a log, and of a console::
 
     (1700000000.123456789) can0 123#1122
     (1700000000.123456789) can0 12345678##5112233
-    (1700000000.123456789) can0 123#R
+    (1700000000.123456789) can0 123#R3
+    (1700000000.123456) can0 123#1122334455667788_B
+    (2023-11-14 22:13:20.123456)  can0  RX - -  123   [2]  11 22
+    (000.001000)  can0  123   [3]  remote request
+
+Those of a log are read by a kernel, those of a console (-t a, A, d, z; -x) by Python. A raw DLC (``_B``) is left out: a
+frame of 8 bytes has 8 bytes.
 
 python-can reads such stamps as float seconds, whose spacing today is 238 ns; here each nanosecond is kept, so that live
 equals replay.
@@ -12,19 +18,23 @@ equals replay.
 
 from __future__ import annotations
 
+import re
+from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames, empty, put
 from gateway.bus.readers.batch import FLAGS, Batch, Names
 from gateway.bus.readers.scan import (
     ASK,
     BAD,
     DONE,
     HEX,
+    PASSED,
     begin_frame,
     byte,
     decimal,
@@ -35,11 +45,19 @@ from gateway.bus.readers.scan import (
     skip,
     word_end,
 )
-from gateway.bus.readers.text import Lines, shown
-from gateway_fdi.errors import InputError
+from gateway.bus.readers.text import Lines
 from gateway_fdi.jit import kernel
 
-_BAD_LINE = 'a line is "(seconds) interface ID#DATA"'
+#: A line of a log whose interface the kernel does not know, and one of a console.
+_LOGGED = re.compile(rb"\s*\(\d+(?:\.\d+)?\)\s+(\S+)\s+[0-9A-Fa-f]{3,8}#")
+_PRINTED = re.compile(
+    rb"\s*\(([\d.: -]+\.\d+)\)\s+(\S+)\s+(?:([TR]X)\s+([B-]\s+[E-])\s+)?([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+"
+    rb"(\[\d{1,2}\]|\{[0-9A-Fa-f]\})\s*(.*)"
+)
+#: Seconds from which on stamps are wall time.
+_WALL_S = 315_532_800
+#: Bytes of a log's begin that are looked at.
+_LOOK = 1 << 16
 #: Characters of an interface's name at most.
 _LONGEST = 64
 
@@ -53,15 +71,13 @@ def name_place(text: Any, at: int, end: int, names: Any, lengths: Any, first: in
         at: where the name begins.
         end: where it ends.
         names: bytes of each name, shape (names, longest).
-        lengths: of each name, -1: no more; shape (names,).
+        lengths: of each name, -1: none here; shape (names,).
         first: the place to look at first.
     """
     count = names.shape[0]
     for step in range(-1, count):
         k = first if step < 0 else step
         if lengths[k] != end - at:
-            if lengths[k] < 0 and step >= 0:
-                return -1
             continue
         same = True
         for j in range(end - at):
@@ -108,10 +124,16 @@ def body(text: Any, at: int, hexes: Any, words: Any, row: Any, k: int, t_ns: int
             return -1
     elif text[at] in (82, 114):
         begin_frame(words, k, t_ns, can_id | REMOTE, 0)
-        return int(word_end(text, at))
+        length, at = byte(hexes, text[at + 1]), at + 1
+        if length > 8:
+            length = 0
+        else:
+            at += 1
     else:
         begin_frame(words, k, t_ns, can_id, 0)
         length, at = hex_pairs(text, at, 8, hexes, row)
+    if length == 8 and text[at] == 95 and 9 <= hexes[text[at + 1]] <= 15:
+        at += 2
     if length < 0 or text[at] > 32:
         return -1
     set_length(words, k, length)
@@ -146,12 +168,10 @@ def scan_candump(
             lines += 1
             continue
         if text[i] != 40:
-            return at, lines, k, BAD
+            return at, lines, k, ASK
         t_ns, i, digits = decimal(text, i + 1, 9)
-        if t_ns < 0 or digits > 9 or text[i] != 41:
-            return at, lines, k, BAD
-        if text[i + 1] > 32:
-            return at, lines, k, BAD
+        if t_ns < 0 or digits > 9 or text[i] != 41 or text[i + 1] > 32:
+            return at, lines, k, ASK
         i = skip(text, i + 1)
         end = word_end(text, i)
         if end == i or end - i > names.shape[1]:
@@ -161,7 +181,7 @@ def scan_candump(
             return at, lines, k, ASK
         i = body(text, skip(text, end), hexes, words, data[k], k, t_ns)
         if i < 0:
-            return at, lines, k, BAD
+            return at, lines, k, ASK
         channel[k] = place
         i = skip(text, i)
         if text[i] in (84, 116) and text[i + 1] <= 32:
@@ -186,11 +206,27 @@ class Candump(Lines):
     """
 
     numbered = False
+    good = '"(seconds) interface ID#DATA", or as candump prints it with -t'
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._names = np.zeros((8, _LONGEST), np.uint8)
         self._lengths = np.full(8, -1, np.int64)
+        self._delta, self._last_ns = False, 0
+
+    @staticmethod
+    def sniff(first: bytes) -> bool:
+        """Return whether one of the first lines is of candump."""
+        return any(_LOGGED.match(line) or _PRINTED.match(line) for line in first.splitlines()[:20])
+
+    def begin(self, first: bytes) -> None:
+        """Find out whether stamps count from the frame before (-t d): then they go up and down."""
+        if not _PRINTED.match(first):
+            return
+        found = [one[1] for one in map(_PRINTED.match, first[:_LOOK].splitlines()) if one]
+        stamps = [float(stamp) for stamp in found if stamp.count(b".") == 1 and b"-" not in stamp]
+        steps = [b <= a for a, b in pairwise(stamps)]
+        self._delta = bool(stamps) and max(stamps) < _WALL_S and sum(steps) * 5 > len(steps)
 
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
         """Read lines."""
@@ -199,22 +235,75 @@ class Candump(Lines):
         )
         return at, lines, status
 
-    def asked(self, line: bytes, names: Names) -> bool:
-        """Take the name of a line's interface."""
-        name = line.split()[1]
+    def asked(self, line: bytes, names: Names, batch: Batch) -> int:
+        """Take the name of a line's interface, or read a line of a console."""
+        if line[:1] == b"\t":
+            return PASSED
+        if found := _PRINTED.match(line):
+            return self._printed(found, names, batch)
+        if not (found := _LOGGED.match(line)) or len(found[1]) > _LONGEST:
+            return BAD
+        return ASK if self._learn(found[1], names) else BAD
+
+    def kind(self, line: bytes) -> str:
+        """Return that candump -e explains an error frame."""
+        del line
+        return "explanation of an error frame"
+
+    def _learn(self, name: bytes, names: Names) -> bool:
+        """Take the name of an interface; returns whether it is new to the kernel."""
         place = names.place(name.decode("ascii", "backslashreplace"))
-        if place >= len(self._names):
+        while place >= len(self._names):
             self._names = np.concatenate((self._names, np.zeros_like(self._names)))
             self._lengths = np.concatenate((self._lengths, np.full_like(self._lengths, -1)))
+        if self._lengths[place] >= 0:
+            return False
         self._names[place, : len(name)] = np.frombuffer(name, np.uint8)
         self._lengths[place] = len(name)
-        return False
+        return True
 
-    def bad(self, line: bytes, number: int) -> InputError:
-        """Return the error of a bad line."""
-        return InputError(_BAD_LINE, file=self._path, line=number, value=shown(line))
+    def _printed(self, found: re.Match[bytes], names: Names, batch: Batch) -> int:
+        """Read a line of a console."""
+        stamp, name, sent, bits, digits, size, rest = found.groups()
+        t_ns = self._stamp_ns(stamp.decode())
+        can_id = int(digits, 16)
+        if len(digits) == 8 and not can_id & ERROR:
+            can_id |= EXTENDED
+        count = 8 if size[:1] == b"{" else int(size[1:-1])
+        fd = count > 8 or len(size) == 4  # [08]: CAN FD, [8]: classic
+        flags = FD if fd else 0
+        if bits:
+            flags |= (BRS if fd and b"B" in bits else 0) | (ESI if fd and b"E" in bits else 0)
+        flags |= OWN if sent == b"TX" else 0
+        data = bytes(count)
+        if rest[:14] == b"remote request":
+            can_id |= REMOTE
+        else:
+            try:
+                data = bytes.fromhex(b" ".join(rest.split()[:count]).decode())
+            except ValueError:
+                return BAD
+        if t_ns is None or len(data) != count or count > 64 or (can_id & REMOTE and count > 8):
+            return BAD
+        frames = empty(1)
+        put(frames, 0, t_ns, can_id, data, flags=flags)
+        batch.put(frames, np.array([names.place(name.decode("ascii", "backslashreplace"))], np.int64))
+        return DONE
+
+    def _stamp_ns(self, text: str) -> int | None:
+        """Return a stamp of a console [ns], None: it is none."""
+        whole, _, part = text.partition(".")
+        if whole.isdecimal():
+            t_ns = int(whole) * 10**9 + int(part.ljust(9, "0")[:9])
+            if self._delta:
+                t_ns = self._last_ns = self._last_ns + t_ns
+            return t_ns
+        try:
+            date = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=self.zone)
+        except ValueError:
+            return None
+        return int(date.timestamp()) * 10**9 + int(part.ljust(9, "0")[:9])
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
         """Return whether the last line is cut: it is no frame, or one that is shorter than its like."""
-        del line
-        return frame is None or cut_short(frame, before)
+        return line[:1] != b"\t" and (frame is None or cut_short(frame, before))

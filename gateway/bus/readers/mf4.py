@@ -22,9 +22,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.bus.conditions import BUS_ERROR, PROTOCOL
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage
-from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, Read, placed
+from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, PassedOver, Read, placed
 from gateway.common.archives import unpacked, whole
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
@@ -108,11 +109,13 @@ class _Group:
         index: of the group.
         kind: name of its structure.
         begin_ns: of the measurement [ns].
-        names: takes the channels.
+
+    Attributes:
+        frames, channel: those that are read and not taken; numbers as in the file.
     """
 
-    def __init__(self, mdf: Any, index: int, kind: str, begin_ns: int, names: Names) -> None:
-        self._mdf, self._index, self._kind, self._begin_ns, self._names = mdf, index, kind, begin_ns, names
+    def __init__(self, mdf: Any, index: int, kind: str, begin_ns: int) -> None:
+        self._mdf, self._index, self._kind, self._begin_ns = mdf, index, kind, begin_ns
         self._count = int(mdf.groups[index].channel_group.cycles_nr)
         self._next = 0
         self.frames, self.channel = empty(0), np.empty(0, np.int64)
@@ -131,7 +134,7 @@ class _Group:
         # and IDE) as a formula of the record's number, a virtual channel.
         found = self._mdf.get(self._kind, self._index, record_offset=self._next, record_count=count, raw=False)
         self._next += count
-        self.frames, self.channel = _frames(found, self._kind, self._begin_ns, self._names)
+        self.frames, self.channel = _frames(found, self._kind, self._begin_ns)
 
     def take(self, until_ns: int) -> tuple[Frames, NDArray[np.int64]]:
         """Return the frames up to a time."""
@@ -141,8 +144,8 @@ class _Group:
         return taken
 
 
-def _frames(found: Any, kind: str, begin_ns: int, names: Names) -> tuple[Frames, NDArray[np.int64]]:
-    """Return the records of a structure as frames, and the places of their channels."""
+def _frames(found: Any, kind: str, begin_ns: int) -> tuple[Frames, NDArray[np.int64]]:
+    """Return the records of a structure as frames, and the numbers of their channels."""
     records = {name.partition(".")[2]: found.samples[name] for name in found.samples.dtype.names}
     count = len(found.timestamps)
     frames = empty(count)
@@ -167,8 +170,13 @@ def _frames(found: Any, kind: str, begin_ns: int, names: Names) -> tuple[Frames,
     frames["flags"] = flags
     if "DataBytes" in records and "DataLength" in records and kind != "CAN_RemoteFrame":
         _put_payloads(frames, records["DataBytes"], records["DataLength"])
+    if kind == "CAN_RemoteFrame" and "DLC" in records:
+        frames["length"] = np.minimum(records["DLC"], 8)
+    if kind == "CAN_ErrorFrame":  # a logger knows no classes; those of SocketCAN are in logs of python-can, and ours
+        bare = (frames["can_id"] & ID_MASK == 0) & (frames["length"] == 0)
+        frames["can_id"][bare], frames["length"][bare] = ERROR | PROTOCOL | BUS_ERROR, 8
     channel = records.get("BusChannel", np.array(NO_CHANNEL))
-    return frames, placed(np.broadcast_to(channel.astype(np.int64), count), names)
+    return frames, np.broadcast_to(channel.astype(np.int64), count)
 
 
 @kernel
@@ -198,7 +206,7 @@ def _put_payloads(frames: Frames, data: NDArray[np.uint8], lengths: NDArray[Any]
     frames["length"] = np.where(frames["can_id"] & REMOTE, 0, lengths)
 
 
-def _groups(mdf: Any, names: Names) -> list[_Group]:
+def _groups(mdf: Any) -> list[_Group]:
     """Return the groups of CAN frames of a file."""
     from asammdf.blocks.source_utils import Source  # noqa: PLC0415 - an extra, slow to load
 
@@ -213,27 +221,30 @@ def _groups(mdf: Any, names: Names) -> list[_Group]:
         has = {channel.name for channel in group.channels}
         kind = next((kind for kind in _KINDS if kind in has), None)
         if kind is not None:
-            found.append(_Group(mdf, index, kind, begin_ns, names))
+            found.append(_Group(mdf, index, kind, begin_ns))
     return found
 
 
-def _joined(groups: list[_Group]) -> Iterator[Read]:
-    """Yield the frames of all groups, in order of time."""
+def _joined(groups: list[_Group], names: Names) -> Iterator[Read]:
+    """Yield the frames of all groups, in order of time, and the places of their channels, which count from 0."""
+    first: int | None = None
     while True:
         for group in groups:
             group.fill()
         held = [group for group in groups if len(group.frames)]
         if not held:
             return
+        if first is None:  # 1, but python-can writes the numbers that it is given
+            first = 0 if any((group.channel == 0).any() for group in held) else 1
         last = [int(group.frames["t_ns"].max()) for group in held if group.more]
         until = min(last) if last else np.iinfo(np.int64).max
         taken = [group.take(until) for group in held]
-        if len(taken) == 1:
-            yield taken[0]
-            continue
-        frames = np.concatenate([frames for frames, _ in taken])
-        order = np.argsort(frames["t_ns"], kind="stable")
-        yield frames[order], np.concatenate([channel for _, channel in taken])[order]
+        frames, channel = taken[0]
+        if len(taken) > 1:
+            frames = np.concatenate([frames for frames, _ in taken])
+            order = np.argsort(frames["t_ns"], kind="stable")
+            frames, channel = frames[order], np.concatenate([channel for _, channel in taken])[order]
+        yield frames, placed(np.where(channel == NO_CHANNEL, channel, channel - first), names)
 
 
 class Mf4:
@@ -245,8 +256,13 @@ class Mf4:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.passed_over: list[str] = []
+        self.passed_over = PassedOver()
         self.origin_ns = 0
+
+    @staticmethod
+    def sniff(first: bytes) -> bool:
+        """Return whether a log begins as one of MDF 4 does, finished or not."""
+        return (first[:3] == b"MDF" and first[8:9] == b"4") or first.startswith(b"UnFinMF ")
 
     def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
         """Yield a log's frames."""
@@ -276,6 +292,6 @@ class Mf4:
             # It maps a file that has a name, and reads another one whole.
             mdf = MDF(self._path if stream is None else whole(stream, self._path), **_OPEN)
         try:
-            yield from _joined(_groups(mdf, names))
+            yield from _joined(_groups(mdf), names)
         finally:
             mdf.close()

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of
-from gateway.bus.readers.batch import DATA, Names, Read
+from gateway.bus.readers.batch import DATA, Names, PassedOver, Read
 from gateway.common.archives import whole
 from gateway.common.parquet import longest_of, opened
 from gateway_fdi.errors import InputError, nearest
@@ -83,8 +83,13 @@ class Parquet:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.passed_over: list[str] = []
+        self.passed_over = PassedOver()
         self.origin_ns = 0
+
+    @staticmethod
+    def sniff(first: bytes) -> bool:
+        """Return whether a log begins as Parquet does."""
+        return first.startswith(_MAGIC)
 
     def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
         """Yield a log's frames."""

@@ -13,8 +13,8 @@ import numpy as np
 from gateway.bus.readers.batch import FLAGS, LENGTH
 from gateway_fdi.jit import kernel
 
-#: State of the line where a kernel stops: all is read or the batch is full; it is bad; Python is to look at it; it is
-#: no frame but should be one.
+#: State of the line where a kernel stops: all is read or the batch is full; it is damaged; Python is to look at it; it
+#: is an event that is no frame.
 DONE, BAD, ASK, PASSED = 0, 1, 2, 3
 
 #: Character -> its value as a hexadecimal digit, 255: none.
@@ -127,7 +127,7 @@ def begin_frame(words: Any, k: int, t_ns: int, can_id: int, flags: int) -> None:
         can_id: with its flags.
         flags: of the frame.
     """
-    words[k, 0] = np.uint64(t_ns)
+    words[k, 0] = np.uint64(np.int64(t_ns))
     words[k, 1] = np.uint64(can_id) | (np.uint64(flags) << np.uint64(FLAGS))
     for j in range(2, 10):
         words[k, j] = np.uint64(0)

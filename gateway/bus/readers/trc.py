@@ -1,25 +1,43 @@
-"""PEAK's TRC, file versions 1.0, 1.1, 1.3, 2.0 and 2.1.
+"""PEAK's TRC, file versions 1.0 to 1.3, 2.0 and 2.1.
 
 Lines are, with the columns of each version::
 
     1)      1841 0001 8 00 00 00 00 00 00 00 00                1.0: number, time, identifier, length
     1)    1059.9 Rx     0300  7  00 00 00 00 04 00 00           1.1: number, time, type, identifier, length
-    1)    1059.9  1  Rx     0300 -  7  00 00 00 00 04 00 00     1.3: with a bus, and a reserved column
+    1)    1059.9  1  Rx     0300    7  00 00 00 00 04 00 00     1.2: with a bus
+    1)    1059.9  1  Rx     0300 -  7  00 00 00 00 04 00 00     1.3: with a reserved column, too
     1    1059.900 DT     0300 Rx 7  00 00 00 00 04 00 00        2.x: as its header says ($COLUMNS)
 
-Times are milliseconds since a start that the header has, as days since 1899-12-30; 1.0 has none.
+Times are milliseconds since a start that the header has, as days since 1899-12-30 without a time zone; 1.0 has none.
+Lines of the bus's state (Warng, ST), of its errors (Error, ER) and their counters (EC) become error frames.
 """
 
 from __future__ import annotations
 
+import re
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.bus.conditions import (
+    ACTIVE,
+    BUS_ERROR,
+    BUS_OFF,
+    CONTROLLER,
+    COUNTERS,
+    PROTOCOL,
+    RX_OVERFLOW,
+    RX_PASSIVE,
+    RX_WARNING,
+    TX_OVERFLOW,
+    TX_PASSIVE,
+    TX_WARNING,
+)
 from gateway.bus.frames import BRS, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames
-from gateway.bus.readers.batch import Batch, Names
+from gateway.bus.readers.batch import Batch, Names, error_frame
 from gateway.bus.readers.scan import (
     ASK,
     BAD,
@@ -29,18 +47,19 @@ from gateway.bus.readers.scan import (
     begin_frame,
     byte_words,
     decimal,
+    fd_length,
     line_end,
     number,
     set_length,
     skip,
     word_end,
 )
-from gateway.bus.readers.text import Lines, shown
+from gateway.bus.readers.text import Lines
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
 
 #: Days from 1899-12-30 to 1970-01-01.
-_EPOCH_DAYS = 25569
+EPOCH_DAYS = 25569
 #: Columns of a line at most.
 _MOST = 16
 #: Where a version has its columns; -1: nowhere. In this order they are the kernel's ``place``.
@@ -48,10 +67,19 @@ TIME, TYPE, ID, LENGTH, DIRECTION, BUS, DATA = range(7)
 _VERSIONS = {
     "1.0": (1, -1, 2, 3, -1, -1, 4),
     "1.1": (1, 2, 3, 4, 2, -1, 5),
+    "1.2": (1, 3, 4, 5, 3, 2, 6),
     "1.3": (1, 3, 4, 6, 3, 2, 7),
 }
-#: Versions whose types are directions, and lie in no column of their own.
-_NO_FRAME, _BAD, _FRAME = -1, -2, 0
+#: Codes of a bus's state (PCAN-Basic), and byte 1 of an error frame of class CONTROLLER that says it.
+_CODES = {0x01: TX_OVERFLOW, 0x02: RX_OVERFLOW, 0x04: RX_WARNING | TX_WARNING, 0x08: RX_WARNING | TX_WARNING}
+_CODES |= {0x40: RX_OVERFLOW, 0x80: TX_OVERFLOW, 0x40000: RX_PASSIVE | TX_PASSIVE}
+_OFF = 0x10
+#: Kind of an error, as PEAK has it in the place of the identifier -> byte 2 of an error frame: bit, form, stuff.
+_ERRORS = {1: 0x01, 2: 0x02, 4: 0x04}
+_EXACT = re.compile(rb"SocketCAN=([0-9A-F]{8})#([0-9A-F]*)")  # as our writer has it
+_STARTS = re.compile(rb"\s*\d+\)?\s+\d")
+#: Result of a line that is no frame: an event, or damaged.
+_NO_FRAME, _BAD = -2, -3
 
 
 @kernel
@@ -96,11 +124,11 @@ def trc_line(
         start: of the log [ns].
 
     Returns:
-        its bus, -1: no frame, -2: a bad line, -3: a line with too few columns.
+        its bus, counted from 0; _NO_FRAME, _BAD.
     """
     second = place[7] == 2
     if count <= max(place[ID], place[TYPE], place[LENGTH], place[DIRECTION], place[BUS]):
-        return -3
+        return _BAD
     flags, remote = 0, False
     if second:
         flags = flags_of(text, begin[place[TYPE]])
@@ -131,16 +159,16 @@ def trc_line(
     if count > place[DATA] and not second and text[begin[place[DATA]]] == 82:  # RTR
         remote = True
     begin_frame(words, k, start + t_ns, can_id | (REMOTE if remote else 0), flags)
-    if not remote and wanted:
+    if remote:
+        set_length(words, k, min(wanted, 8))
+    elif wanted:
         if count <= place[DATA]:
-            return -3
-        length, i = byte_words(text, begin[place[DATA]], 64 if second else wanted, 16, hexes, row)
-        if length < 0:
             return _BAD
-        if length < wanted and not second:
-            return -3
+        length, i = byte_words(text, begin[place[DATA]], 64 if second else wanted, 16, hexes, row)
+        if length != wanted and not (second and length in (fd_length(wanted), min(wanted, 8))):
+            return _BAD
         set_length(words, k, length)
-    return bus
+    return bus - 1
 
 
 @kernel
@@ -154,7 +182,7 @@ def scan_trc(
         at: where to begin.
         words: the batch, uint64, shape (frames, 10).
         data: the same as uint8, shape (frames, 80).
-        channel: takes the bus of each frame.
+        channel: takes the bus of each frame, counted from 0.
         k: frames that are in already.
         place: of the columns, see :func:`trc_line`.
         start: of the log [ns].
@@ -179,13 +207,12 @@ def scan_trc(
             count += 1
             i = skip(text, word_end(text, i))
         bus = trc_line(text, begin, count, place, hexes, words, data[k], k, start)
-        if bus == -3:
-            return at, lines, k, PASSED
+        if bus == _NO_FRAME:
+            return at, lines, k, ASK
         if bus == _BAD:
             return at, lines, k, BAD
-        if bus >= 0:
-            channel[k] = bus
-            k += 1
+        channel[k] = bus
+        k += 1
         at = line_end(text, i)
         lines += 1
     return at, lines, k, DONE
@@ -205,6 +232,20 @@ class Trc(Lines):
         self._place = np.zeros(8, np.int64)
         self._begin = np.zeros(_MOST, np.int64)
 
+    @property
+    def good(self) -> str:  # type: ignore[override]
+        """What a line has."""
+        return f"TRC of version {self._version}"
+
+    @staticmethod
+    def sniff(first: bytes) -> bool:
+        """Return whether its header tells its version, or its lines are those of 1.0."""
+        if b";$FILEVERSION=" in first[:4096]:
+            return True
+        lines = [line for line in first.splitlines()[:40] if line.strip()]
+        rest = [line for line in lines if not line.startswith(b";")]
+        return len(rest) < len(lines) and bool(rest) and bool(_STARTS.match(rest[0]))
+
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
         """Read lines."""
         start = 0 if self._version == "1.0" else self._start
@@ -213,30 +254,68 @@ class Trc(Lines):
         )
         return at, lines, status
 
-    def asked(self, line: bytes, names: Names) -> bool:
-        """Look at a line of the header, or the first one after it."""
+    def asked(self, line: bytes, names: Names, batch: Batch) -> int:
+        """Look at a line of the header, the first one after it, or an event."""
         del names
         text = line.decode("ascii", "replace").strip()
         if not text.startswith(";"):
+            if self._place[7]:
+                return self._event(line, batch)
             self._settle()
-            return False
+            return ASK
         if not self._place[7]:
             key, _, value = text.partition("=")
             match key:
                 case ";$FILEVERSION":
-                    self._version = value if value in (*_VERSIONS, "2.0", "2.1") else "1.0"
+                    self._version = value
                 case ";$STARTTIME":
-                    self._start = round((float(value) - _EPOCH_DAYS) * 86400e6) * 1000
+                    since_us = round((float(value) - EPOCH_DAYS) * 86400e6)
+                    here = datetime(1970, 1, 1, tzinfo=self.zone) + timedelta(microseconds=since_us)
+                    self._start = (since_us - (here.utcoffset() or timedelta()) // timedelta(microseconds=1)) * 1000
                 case ";$COLUMNS":
                     self._columns = value
-        return True
+        return DONE
+
+    def _event(self, line: bytes, batch: Batch) -> int:
+        """Take a line that is no frame: a state of the bus becomes an error frame."""
+        words, place = line.split(), self._place
+        kind = words[place[TYPE]] if place[TYPE] >= 0 else b"Warng"
+        if place[DIRECTION] >= 0 and place[7] == 1:
+            kind = words[place[DIRECTION]]
+        first = place[DATA]
+        try:
+            whole, _, part = words[place[TIME]].partition(b".")
+            t_ns = int(whole) * 10**6 + int(part.ljust(6, b"0")[:6])
+            t_ns += self._start if self._version != "1.0" else 0
+            channel = int(words[place[BUS]]) - 1 if place[BUS] >= 0 else 0
+            data = bytes.fromhex(b"".join(words[first : first + int(words[place[LENGTH]])]).decode())
+        except ValueError:
+            return BAD
+        if exact := _EXACT.search(line):
+            found = int(exact[1], 16) & ID_MASK, bytes.fromhex(exact[2].decode())
+        elif kind in (b"Warng", b"ST"):
+            code = int.from_bytes(data, "big")
+            said = ACTIVE if code == 0 else sum({_CODES[bit] for bit in _CODES if code & bit})
+            found = (BUS_OFF if code & _OFF else 0) | (CONTROLLER if said else 0), bytes([0, said])
+        elif kind in (b"Error", b"ER"):
+            which = words[place[ID]]
+            found = PROTOCOL | BUS_ERROR, bytes([0, 0, _ERRORS.get(int(which, 16) if which.isalnum() else 0, 0)])
+        elif kind == b"EC" and len(data) >= 2:
+            found = COUNTERS, bytes([0, 0, 0, 0, 0, 0, data[1], data[0]])
+        else:
+            return PASSED
+        error_frame(batch, t_ns, *found, channel)
+        return DONE
 
     def _settle(self) -> None:
         """Find the columns: the header is over.
 
         Raises:
-            InputError: version 2 without columns that are needed.
+            InputError: an unknown version, or version 2 without columns that are needed.
         """
+        if self._version not in (*_VERSIONS, "2.0", "2.1"):
+            known = f"versions {', '.join(_VERSIONS)}, 2.0 and 2.1 are"
+            raise InputError(f"a TRC log of version {self._version} is not read; {known}", file=self._path)
         if self._version in _VERSIONS:
             self._place[:] = (*_VERSIONS[self._version], 1)
             return
@@ -248,11 +327,6 @@ class Trc(Lines):
             text = f"its $COLUMNS lack {', '.join(missing)}" if self._columns else "it has no $COLUMNS"
             raise InputError(f"not a TRC log of version {self._version}: {text}", file=self._path)
         self._place[:] = [*(where[name] for name in "OTIld"), where.get("B", -1), where["D"], 2]
-
-    def bad(self, line: bytes, number: int) -> InputError:
-        """Return the error of a bad line."""
-        text = f"not a line of a TRC log, version {self._version}"
-        return InputError(text, file=self._path, line=number, value=shown(line))
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
         """Return whether the last line is cut: it is no frame where it should be one."""

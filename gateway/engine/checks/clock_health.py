@@ -10,12 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from gateway.common.times import NEVER
+from gateway.common.times import NEVER, zone_of
 from gateway.engine.events import NO_BUS
 from gateway.engine.instances import FaultSlot
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
+from gateway_fdi.errors import InputError
 
 #: First part of the ids of the gateway's own faults.
 OWN = "gateway"
@@ -51,6 +52,18 @@ class ClockParams(MonitorParams):
         allow_inf_nan=False,
         description="each time of this length without a step is a passed test [s]",
     )
+    zone: str = Field(
+        "UTC", description="time zone of logs whose header has a date without one (ASC, BLF, TRC), e.g. Europe/Berlin"
+    )
+
+    @field_validator("zone")
+    @classmethod
+    def _zone_is_known(cls, zone: str) -> str:
+        try:
+            zone_of(zone)
+        except InputError as error:
+            raise ValueError(error.message) from error
+        return zone
 
 
 def fill(row: Any, params: ClockParams | None, first_fault: int) -> list[FaultSlot]:

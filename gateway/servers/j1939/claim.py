@@ -121,8 +121,12 @@ class Claim:
         return self._given_ns + 1 if self._due_ns is None else self._due_ns
 
     def on_claim(self, pdu: Pdu, t_ns: int) -> list[Pdu]:
-        """Take another's claim: defend the address, or give it up to a smaller NAME."""
-        if len(pdu.data) != 8 or pdu.source == NULL:
+        """Take another's claim: defend the address, or give it up to a smaller NAME.
+
+        One with our NAME is our own that has come back, from a bridge, a second adapter, an echo: NAMEs are unique
+        (J1939-81, 4.1.1), so it is no contention.
+        """
+        if len(pdu.data) != 8 or pdu.source == NULL or pdu.data == self._data:
             return []
         self._taken.add(pdu.source)
         if pdu.source != self.address or self.lost:

@@ -13,6 +13,7 @@ from gateway.j1939.frame import (
     ADDRESS_CLAIMED,
     COMMANDED_ADDRESS,
     GLOBAL,
+    NULL,
     REQUEST,
     TP_CM,
     TP_DT,
@@ -107,6 +108,8 @@ class J1939Endpoint:
         if pdu.pgn == ADDRESS_CLAIMED:
             self._made += self._claim.on_claim(pdu, self._now_ns)
             self._move()
+            return None
+        if pdu.source == self._claim.address != NULL:  # our own that has come back
             return None
         if pdu.pgn == REQUEST:
             request = self._requested(pdu.data, pdu.source, pdu.destination)

@@ -13,7 +13,7 @@ from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.database import Database
 from gateway.signals.protection.protection import Protection
 from gateway_bench.vecu.restbus.courses import Log
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import InputError, InputErrors
 
 Values = NDArray[np.float64]
 
@@ -34,6 +34,8 @@ def _points(database: Database, file: Path, channel: str | None, name: str, _cha
             if not np.isnan(value) and (not times or frame["t_ns"] > times[-1]):
                 times.append(int(frame["t_ns"]))
                 values.append(value)
+    if reader.problems:
+        raise InputErrors(reader.problems)
     if not times:
         seen = ", ".join(sorted(reader.seen)) or "nothing"
         of = f"channel {channel} (the log has {seen})" if channel is not None else "the log"
