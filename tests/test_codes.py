@@ -9,6 +9,7 @@ from gateway.engine.checks import (
     bus_health,
     clock_health,
     communication,
+    door_health,
     memory_health,
     monitor_health,
     monitoring_health,
@@ -32,6 +33,7 @@ KNOWN = {
         *monitor_health.FAULTS,
         *reporter_health.FAULTS,
         *monitoring_health.FAULTS,
+        *door_health.FAULTS,
     ),
 }
 

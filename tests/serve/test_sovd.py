@@ -225,7 +225,7 @@ def test_operations_logs_and_status(doors):
     assert told == ["routine", "reset", "routine"]
 
 
-def test_every_failure_is_a_generic_error(doors):
+def test_every_failure_is_a_generic_error(doors, caught):
     client = Client(doors)
     assert client("GET", "/sovd/v1/nothing")[0] == 404
     assert client("GET", "/sovd/v1/components/gate%0Away".replace("%0A", "\n"))[0] == 404
