@@ -8,6 +8,7 @@ from amount import SMALL, examples
 from outcomes import Outcomes, note_ids
 from uses import missing
 
+from gateway.common.fence import Fence
 from gateway_fdi.common import log
 from gateway_fdi.jit import BOUNDSCHECK, COMPILED
 
@@ -78,3 +79,24 @@ def pytest_collection_finish():
 def _plain_logging():
     """Log lines go to this test's standard error, whatever a test of the command line has set up."""
     log.reset()
+
+
+@pytest.fixture(autouse=True)
+def _walls(request, monkeypatch):
+    """An exception that a wall catches fails the test, unless it plants some and looks at what was ``caught``."""
+    found, note = [], Fence.note
+
+    def noted(self, door, error, peer="", *, second=False):
+        found.append((door, error, str(peer), second))
+        note(self, door, error, peer, second=second)
+
+    monkeypatch.setattr(Fence, "note", noted)
+    yield found
+    if "caught" not in request.fixturenames and found:
+        raise AssertionError(f"walls have caught: {found}") from found[0][1]
+
+
+@pytest.fixture
+def caught(_walls):
+    """What walls have caught: door, exception, name of the peer, whether it was the second wall."""
+    return _walls

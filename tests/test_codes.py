@@ -9,6 +9,7 @@ from gateway.engine.checks import (
     bus_health,
     clock_health,
     communication,
+    door_health,
     memory_health,
     monitor_health,
     monitoring_health,
@@ -34,6 +35,7 @@ KNOWN = {
         *monitor_health.FAULTS,
         *reporter_health.FAULTS,
         *monitoring_health.FAULTS,
+        *door_health.FAULTS,
     ),
 }
 

@@ -15,8 +15,8 @@ from gateway.cli.events import EventPrinter
 from gateway.cli.present import say
 from gateway.cli.run import Ending
 from gateway.live.clock import Clock
-from gateway.live.link import Link
-from gateway.live.loop import Live, bus_event
+from gateway.live.link import Link, bus_event
+from gateway.live.loop import Live
 from gateway.live.notify import Notifier
 from gateway.live.record import Nobody
 from gateway_fdi.common.tomlfile import validate

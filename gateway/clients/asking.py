@@ -18,6 +18,7 @@ from gateway.clients.ecu import MS, Ask, EcuClient
 from gateway.clients.line import Line
 from gateway.clients.pgn import MARK, ended_by, identifiers_of
 from gateway.clients.refusals import PENDING
+from gateway.common.fence import Fence
 from gateway.common.times import NEVER
 from gateway.faults.vehicle import TOLD, Told
 from gateway.isotp.edges import FLOW_CONTROL, MOST_LONG, MOST_SHORT
@@ -58,8 +59,17 @@ class Ecu:
     detailed: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
+        self.begin_again()
+
+    def begin_again(self) -> None:
+        """Forget the messages that are under way."""
         place = self.client.place
         self.answers, self.requests = Reassembler(place.tester, MOST_LONG), Reassembler(place.target)
+        self.asked = b""
+
+    def __str__(self) -> str:
+        """Return its name."""
+        return self.client.params.name
 
 
 class Asking:
@@ -71,6 +81,7 @@ class Asking:
         dm1: hears DTCs that are broadcast; None: nobody does.
         bus_of: index of the bus of the answers, by index of the bus.
         may_ask: whether a bus may be asked now: it lives, the vehicle is awake, nobody has switched communication off.
+        fence: counts exceptions that answers cause.
 
     Attributes:
         heard: what it listens to, on any bus.
@@ -85,8 +96,10 @@ class Asking:
         may_ask: Callable[[int], bool],
         dm1: Dm1Listener | None = None,
         bus_of: Mapping[int, int] | None = None,
+        fence: Fence | None = None,
     ) -> None:
         self._dm1, self._bus_of = dm1, bus_of or {}
+        self._wall = (fence or Fence()).wall("ecu")
         self.ecus = tuple(ecus)
         self._may_ask = may_ask
         self._apart_ns = {bus: round(1e9 / rate) for bus, rate in rates.items()}
@@ -112,6 +125,7 @@ class Asking:
         self.heard = Heard(known, frozenset() if dm1 is None else MASKS)
         self._ids = np.asarray(sorted(known), np.uint32)
         self._places = places
+        self._now_ns = 0
         self.next_ns = 0 if self._apart_ns else NEVER
 
     def identifiers_on(self, bus: int) -> list[int] | None:
@@ -128,7 +142,9 @@ class Asking:
         told = np.zeros(len(frames), np.bool_) if self._dm1 is None else self._dm1.among(frames)
         parts, start = [], 0
         for k in np.flatnonzero(mine | told):
-            made = joined([self._take(frames[k]) if mine[k] else empty(0), self._broadcast(frames[k], told[k])])
+            said = self._wall.keep(self._take, frames[k], of="an answer", instead=empty(0)) if mine[k] else empty(0)
+            broadcast = self._wall.keep(self._broadcast, frames[k], told[k], of="DM1", instead=empty(0))
+            made = joined([said, broadcast])
             if len(made):
                 parts += [frames[start : k + 1], made]
                 start = int(k) + 1
@@ -140,7 +156,7 @@ class Asking:
 
     def _take(self, frame: np.void) -> Frames:
         bus, can_id, t_ns = int(frame["bus"]), int(frame["can_id"]), int(frame["t_ns"])
-        data, made = payload(frame), []
+        data, made, self._now_ns = payload(frame), [], t_ns
         if self._is_back(bus, can_id, data, t_ns):
             return empty(0)
         if (bus, can_id) in self._groups:
@@ -158,10 +174,8 @@ class Asking:
                 ecu.client.give_way(t_ns)
                 ecu.asked = ecu.requests.take(data, t_ns) or ecu.asked
             else:
-                content = data if address is None else data[1:]
-                if content and content[0] >> 4 == FLOW_CONTROL:
-                    self._said.append(ecu.client.on_flow_control(frame, t_ns))
-                made.append(self._answer(ecu, data, t_ns))
+                answer = self._wall.keep(self._answer, ecu, frame, data, of=ecu, ends=self._restart, instead=empty(0))
+                made.append(answer)
         return joined(made)
 
     def _is_back(self, bus: int, can_id: int, data: bytes, t_ns: int) -> bool:
@@ -174,8 +188,17 @@ class Asking:
                 return True
         return False
 
-    def _answer(self, ecu: Ecu, data: bytes, t_ns: int) -> Frames:
+    def _restart(self, ecu: Ecu) -> None:
+        """Give up what is under way with an ECU whose answer raised."""
+        ecu.begin_again()
+        ecu.client.restart(self._now_ns)
+
+    def _answer(self, ecu: Ecu, frame: np.void, data: bytes) -> Frames:
         """Take a frame of an answer; returns the frames of the answer that it completes."""
+        t_ns = int(frame["t_ns"])
+        content = data if ecu.client.place.tester is None else data[1:]
+        if content and content[0] >> 4 == FLOW_CONTROL:
+            self._said.append(ecu.client.on_flow_control(frame, t_ns))
         before, errors = ecu.answers.receiving, ecu.answers.errors
         answer = ecu.answers.take(data, t_ns)
         if answer is None:
@@ -202,9 +225,9 @@ class Asking:
 
     def _tell(self, told: Told, t_ns: int, bus: int) -> Frames:
         """Keep what is told, and return the frame that is its place in time."""
-        self.told.append(told)
         made = empty(1)
         put(made, 0, t_ns, TELLS, b"", bus=bus)
+        self.told.append(told)  # last: each has its frame
         return made
 
     def _broadcast(self, frame: np.void, wanted: bool) -> Frames:
@@ -223,23 +246,32 @@ class Asking:
     def poll(self, t_ns: int) -> Frames:
         """Let time pass; returns the frames to send."""
         said, self._said = self._said, []
+        self._now_ns, keep = t_ns, self._wall.keep
         for ecu in self.ecus:
-            said.append(ecu.client.on_time(t_ns))
+            said.append(keep(ecu.client.on_time, t_ns, of=ecu, ends=self._restart, instead=empty(0)))
         for bus in self._apart_ns:
             if t_ns >= self._next_of_bus[bus]:
-                said.append(self._ask(bus, t_ns))
+                said.append(keep(self._ask, bus, t_ns, of=bus, ends=self._rest, instead=empty(0)))
         for ecu in self.ecus:
-            if not ecu.client.passes(t_ns):
-                continue
-            if self._may_ask(ecu.client.bus):
-                said.append(ecu.client.pass_on(t_ns))
-                ecu.asked = ecu.client.request
-            else:
-                ecu.client.waiting.give_up()
+            if ecu.client.passes(t_ns):
+                said.append(keep(self._pass_on, ecu, t_ns, of=ecu, ends=self._restart, instead=empty(0)))
         self._plan()
         made = joined(said)
         self._sent += [(t_ns, int(one["bus"]), int(one["can_id"]), payload(one)) for one in made]
         return made
+
+    def _pass_on(self, ecu: Ecu, t_ns: int) -> Frames:
+        """Return the next request of a tester to an ECU."""
+        if not self._may_ask(ecu.client.bus):
+            ecu.client.waiting.give_up()
+            return empty(0)
+        made = ecu.client.pass_on(t_ns)
+        ecu.asked = ecu.client.request
+        return made
+
+    def _rest(self, bus: int) -> None:
+        """Ask nothing on a bus for a while, after an exception."""
+        self._next_of_bus[bus] = self._now_ns + LOOK_NS
 
     def _ask(self, bus: int, t_ns: int) -> Frames:
         """Return the next request on a bus, if there is one."""

@@ -339,6 +339,16 @@ class EcuClient:
             ask.due_ns = t_ns
         self._rests_ns = max(self._rests_ns, t_ns + YIELD_NS)
 
+    def restart(self, t_ns: int) -> None:
+        """Give up what is under way, after an exception, and rest."""
+        self._sender = self._new_sender()
+        try:
+            if self._asked is not None:
+                self._absent(t_ns)
+        finally:
+            self._asked, self._deadline_ns = None, NEVER
+            self._rests_ns = max(self._rests_ns, t_ns + FIRST_REST_NS)
+
     def succeed(self, old: EcuClient) -> None:
         """Go on where the client of the configuration before stops, if it is of the same ECU.
 

@@ -162,7 +162,7 @@ class Survey:
             return
         came = yield self._single(can_id, PROBES[1]), 3 * P2_NS
         both = first & self._answered(came, PROBES[1])
-        if len(both) == 1:
+        if len(both) == 1 and not (can_id ^ min(both)) & EXTENDED:
             self.found.ecus.setdefault(Place(can_id, both.pop()), None)
         else:
             self.found.unclear.append(can_id)

@@ -271,6 +271,12 @@ class Config(StrictModel):
         return keys[check]
 
     @property
+    def has_doors(self) -> bool:
+        """Whether testers, readers, reporters or asked ECUs are heard, so that their bytes can make handling fail."""
+        asked = (self.output.uds, self.output.obd, self.output.j1939, self.status, self.report)
+        return self.access.watched and (bool(self.ecu) or any(each is not None for each in asked))
+
+    @property
     def access_rules(self) -> AccessParams:
         """The rules of access, with those that the UDS server's own table gives."""
         uds = self.output.uds

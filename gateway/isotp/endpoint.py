@@ -47,6 +47,13 @@ class IsoTpEndpoint:
         self._physical = params.request | flags
         self._functional = None if params.functional is None else params.functional | flags
 
+    def restart(self) -> None:
+        """Drop what is under way; what was counted stays."""
+        before = self._layer
+        self._layer = IsoTpLayer(self._params, self._address)
+        self._layer.errors = before.errors
+        self._layer.advance(before.now_ns)
+
     def succeed(self, old: IsoTpEndpoint, bus: int | None) -> bool:
         """Keep requests and answers that are under way, if the addresses are the same; returns whether they are.
 

@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from gateway.bus.ring import Ring
+from gateway.common.fence import Fence
 from gateway.config.load import load_config
 from gateway.config.model import Config, StatusConfig
 from gateway.faults.kept import KeptStore
 from gateway.faults.restarts import WELL_S, Restart
 from gateway.live.doip_door import DoipDoor
 from gateway.live.doors import Doors, TableDoor
-from gateway.live.link import Link
-from gateway.live.loop import GRACE_NS, Live, Tap, bus_event
+from gateway.live.link import Link, bus_event
+from gateway.live.loop import GRACE_NS, Live, Tap
 from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
@@ -76,7 +77,8 @@ class Daemon:
         self._path, self._bus, self._memory = path, bus, memory
         self._listener, self._given_taps = tell, list(taps)
         self.status: StatusSocket | None = None
-        self._doors = Doors()
+        self._fence = Fence()
+        self._doors = Doors(self._fence)
         self._asked: dict[str, TableDoor] = {}
         self._notifier = notifier or Notifier({})
         self._leaving = asked
@@ -91,7 +93,7 @@ class Daemon:
         parts.engine.warm()
         on_built()
         store = KeptStore(memory or config.memory.path, connect=self._machine.connect, displacing=True)
-        gateway = Gateway(config, file=path, parts=parts, store=store)
+        gateway = Gateway(config, file=path, parts=parts, store=store, fence=self._fence)
         gateway.listen(self._tell)
         if self._machine.begin_writer is not None:
             gateway.write_beside(self._machine.begin_writer(), self._machine.patience_s)
@@ -118,6 +120,7 @@ class Daemon:
                 monotonic=self._machine.monotonic,
                 settle=self._machine.settle,
                 door=self._doors,
+                fence=self._fence,
             )
         except BaseException:
             self._close_doors()
@@ -244,7 +247,7 @@ class Daemon:
         machine = self._machine
         return Link(
             uri, index, name, machine.open_bus, machine.clock, monotonic=machine.monotonic,
-            before_close=self.gateway.store.settle_journal,
+            before_close=self.gateway.store.settle_journal, wall=self._fence.wall("bus"),
         )  # fmt: skip
 
     def _new_ring(self, config: Config) -> Ring | None:
@@ -334,7 +337,7 @@ class Daemon:
             self._live.drain()
             self._live.finish()
             began_s = self._machine.monotonic()
-            gateway = Gateway(new.config, file=self._path, parts=new.parts, store=old.store)
+            gateway = Gateway(new.config, file=self._path, parts=new.parts, store=old.store, fence=self._fence)
             if self._machine.monotonic() - began_s >= SOON_S:
                 self._live.hold()
         except GatewayError:

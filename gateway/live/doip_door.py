@@ -3,32 +3,30 @@
 from __future__ import annotations
 
 import ipaddress
-import selectors
 import socket
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from contextlib import suppress
+from typing import Any
 
 from gateway.bus.frames import Frames
+from gateway.common.budget import Budget
 from gateway.host.sockets import reuse
 from gateway.host.waiting import Selector
 from gateway.live.clock import Clock
+from gateway.live.doip_peer import Peer, State
 from gateway.live.listening import Listening
 from gateway.runtime.app import Gateway
-from gateway.servers.doip.connection import Connection
 from gateway.servers.doip.params import DoipParams
 from gateway.servers.doip.server import DoipServer
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError
 
-if TYPE_CHECKING:
-    from ssl import SSLSocket
-
-#: Most that is read or sent of one connection at once [byte]; connections and datagrams taken in one turn of the loop.
-CHUNK_BYTES, MOST_IN_A_TURN = 64 << 10, 8
+#: Connections and datagrams of each socket that are taken in one turn of the loop.
+MOST_IN_A_TURN = 8
 #: TLS handshakes that are gone on with in one turn: each takes a millisecond of the frames' time.
 HANDSHAKES_IN_A_TURN = 1
-#: Time for a closed tester to take what was sent to it last [s], and how many may take it.
-LINGER_S, LINGERING = 1.0, 32
+#: Closed testers that may take what was sent to them last.
+LINGERING = 32
 #: The vehicle is announced this often, with this time between (ISO 13400-2, Table 42) [s].
 ANNOUNCEMENTS, ANNOUNCE_S = 3, 0.5
 #: Longest datagram that makes sense [byte].
@@ -38,34 +36,6 @@ DATAGRAM = 2048
 _Attend = Callable[[socket.socket], None]
 
 log = get_logger(__name__)
-
-
-class _Peer:
-    """A socket and its connection; ``shaking``: the TLS handshake is not over; ``until_s``: it only lingers."""
-
-    def __init__(self, made: socket.socket, connection: Connection) -> None:
-        self.socket, self.connection = made, connection
-        self.shaking = connection.secure
-        self.until_s: float | None = None
-        self.events = selectors.EVENT_READ
-
-    def shake(self) -> bool:
-        """Go on with the handshake; returns whether it is over. Raises OSError where it fails."""
-        tls: SSLSocket = self.socket  # type: ignore[assignment]
-        tls.do_handshake()
-        subject = (tls.getpeercert() or {}).get("subject", ())
-        names = [value for part in subject for key, value in part if key == "commonName"]  # type: ignore[str-unpack]
-        self.connection.certificate = str(names[0]) if len(names) == 1 else ""
-        self.shaking = False
-        return True
-
-
-def _would_wait(error: OSError) -> int | None:
-    """Return the event that an operation of a socket waits for; None: it has failed."""
-    if isinstance(error, BlockingIOError):
-        return 0
-    name = type(error).__name__  # without ssl, which is slow to load
-    return {"SSLWantReadError": selectors.EVENT_READ, "SSLWantWriteError": selectors.EVENT_WRITE}.get(name)
 
 
 class DoipDoor:
@@ -80,19 +50,26 @@ class DoipDoor:
         InputError: this machine does not have an address, or a port is taken.
     """
 
+    name = "doip"
+
     def __init__(self, params: DoipParams, gateway: Gateway, clock: Clock) -> None:
         self._params, self._gateway, self._clock = params, gateway, clock
-        self._selector = Selector()
+        self._wall = gateway.fence.wall(self.name)
         self._found: DoipServer | None = _server_of(gateway)
-        self._peers: list[_Peer] = []
-        self._lingering: list[_Peer] = []
-        self._listening = Listening(self._selector, "DoIP: a tester cannot be taken")
-        self._datagrams: list[socket.socket] = []
         self._announced, self._announce_s = 0, 0.0
         self._now_s = 0.0
         self._shakes = 0
+        self._open()
+
+    def _open(self) -> None:
+        self._selector, self._budget = Selector(), Budget()
+        self._peers: list[Peer] = []
+        self._lingering: list[Peer] = []
+        self._listening = Listening(self._selector, "DoIP: a tester cannot be taken")
+        self._datagrams: list[socket.socket] = []
+        self._own: list[socket.socket] = []  # that it has opened to listen at
         try:
-            for address in params.bind:
+            for address in self._params.bind:
                 self._listen(address)
         except BaseException:
             self.close()
@@ -124,11 +101,10 @@ class DoipDoor:
                 text = f"nothing can listen at {address}: {error.strerror or error}"
                 raise InputError(text, key=f"output.doip.{key}", value=port) from error
             made.setblocking(False)
-            if kind == socket.SOCK_STREAM:
-                self._listening.add(made, attend)
-            else:
+            self._own.append(made)
+            self._listening.add(made, attend)
+            if kind == socket.SOCK_DGRAM:
                 self._datagrams.append(made)
-                self._selector.register(made, selectors.EVENT_READ, attend)
 
     @property
     def _server(self) -> DoipServer:
@@ -153,7 +129,7 @@ class DoipDoor:
     def replace(self, gateway: Gateway, params: DoipParams) -> None:
         """Have another gateway serve from now on; the connections stay, where the settings are the same."""
         before, self._gateway, self._params = self._found, gateway, params
-        self._found = _server_of(gateway)
+        self._found, self._wall = _server_of(gateway), gateway.fence.wall(self.name)
         if before is not None:
             self._server.adopt(before)
         gateway.servers.wake(self._server)
@@ -165,35 +141,46 @@ class DoipDoor:
             now_s: of a clock that is never set [s].
             wanted: whether the descriptor was readable.
         """
+        self._now_s = now_s
         self._listening.turn(now_s)
         if self._announced < self._most_announcements and now_s >= self._announce_s:
-            self._announce(now_s)
+            self._announced, self._announce_s = self._announced + 1, now_s + ANNOUNCE_S
+            self._wall.keep(self._announce, of="announcement")
         if wanted:
-            self._now_s, self._shakes = now_s, HANDSHAKES_IN_A_TURN
-            for key, _ in self._selector.select(0):
-                if isinstance(key.data, _Peer):
-                    self._hear(key.data)
+            self._shakes = HANDSHAKES_IN_A_TURN
+            for key, _ in self._budget.among(self._selector.select(0)):
+                if isinstance(key.data, Peer):
+                    self._wall.keep(self._hear, key.data, of=key.data, ends=self._close)
                 else:
-                    key.data(key.fileobj)
+                    self._wall.keep(key.data, key.fileobj, of="no tester yet", ends=self._rest)
         if self._peers:
             self._gateway.servers.wake(self._server)
             for peer in list(self._peers):
-                self._flush(peer, now_s)
-            for peer in self._peers:  # one that ended may have made room for another
-                if peer.connection.out and not peer.shaking:
-                    self._watch(peer, peer.events | selectors.EVENT_WRITE)
-        for peer in [each for each in self._lingering if now_s >= (each.until_s or 0.0)]:
-            self._forget(peer)
+                self._wall.keep(self._flush, peer, of=peer, ends=self._close)
+            for peer in list(self._peers):  # one that ended may have made room for another
+                self._wall.keep(self._watch, peer, of=peer, ends=self._close)
+        for peer in [each for each in self._lingering if now_s >= each.until_s]:
+            self._close(peer)
+
+    def _rest(self, _: object) -> None:
+        """Take no connections for a while, after one of which no tester is known."""
+        self._listening.rest(self._now_s)
+
+    def restart(self) -> None:
+        """End all connections, and listen again.
+
+        Raises:
+            InputError: a port is taken.
+        """
+        self.close()
+        self._open()
 
     def close(self) -> None:
         """End all connections."""
-        for peer in list(self._peers):
-            self._drop(peer)
-        for peer in list(self._lingering):
-            self._forget(peer)
-        for made in self._datagrams:
+        for peer in [*self._peers, *self._lingering]:
+            self._close(peer)
+        for made in self._own:
             made.close()
-        self._listening.close()
         self._selector.close()
 
     # Datagrams
@@ -202,22 +189,27 @@ class DoipDoor:
         for _ in range(MOST_IN_A_TURN):
             try:
                 data, peer = made.recvfrom(DATAGRAM)
-                answer = self._server.identity.answer(data, len(self._server.active))
-                if answer:
-                    made.sendto(answer, peer)
             except BlockingIOError:
                 return
-            except OSError as error:  # of an answer before, or one that cannot be sent
-                log.debug("DoIP: no answer by UDP", reason=error.strerror)
+            except OSError as error:  # of an answer before
+                log.debug("DoIP: nothing heard by UDP", reason=error.strerror)
+                continue
+            self._wall.keep(self._answer_one, made, data, peer, of=peer)
+
+    def _answer_one(self, made: socket.socket, data: bytes, peer: Any) -> None:
+        answer = self._server.identity.answer(data, len(self._server.active))
+        try:
+            if answer:
+                made.sendto(answer, peer)
+        except OSError as error:  # it cannot be sent, or there is no room
+            log.debug("DoIP: no answer by UDP", reason=error.strerror)
 
     @property
     def _most_announcements(self) -> int:
         return ANNOUNCEMENTS if self._params.announce else 0
 
-    def _announce(self, now_s: float) -> None:
+    def _announce(self) -> None:
         """Announce the vehicle by the interfaces of ``bind``; no router takes it further."""
-        self._announced += 1
-        self._announce_s = now_s + ANNOUNCE_S
         for text in self._params.announce:
             to = ipaddress.ip_address(text)
             family = socket.AF_INET6 if to.version == 6 else socket.AF_INET
@@ -239,66 +231,55 @@ class DoipDoor:
             taken = self._listening.accept(listener, self._now_s)
             if taken is None:
                 return
-            made, peer = taken
-            try:
-                made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                if secure and self._server.tls is not None:
-                    made = self._server.tls.wrap_socket(made, server_side=True, do_handshake_on_connect=False)
-            except OSError:
-                made.close()  # gone again
-                continue
-            connection = self._server.connect(peer[0], self._clock.now(), secure=secure)
-            self._peers.append(_Peer(made, connection))
-            self._selector.register(made, selectors.EVENT_READ, self._peers[-1])
+            made, address = taken
+            self._take_or_close(made, address, secure)
+
+    def _take_or_close(self, made: socket.socket, address: tuple[str, int], secure: bool) -> None:
+        self._wall.keep(self._take, made, address[0], secure, of=address, ends=lambda _: made.close())
+
+    def _take(self, made: socket.socket, address: str, secure: bool) -> None:
+        try:
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except OSError:
+            made.close()  # gone again
+            return
+        connection = self._server.connect(address, self._clock.now(), secure=secure)
+        peer = Peer(made, connection)
+        self._peers.append(peer)
+        if secure and self._server.tls is not None:
+            self._wall.keep(peer.secure, self._server.tls, of=peer, ends=self._close)
+        self._wall.keep(self._watch, peer, of=peer, ends=self._close)
 
     def _accept_tls(self, listener: socket.socket) -> None:
         self._accept(listener, secure=True)
 
-    def _hear(self, peer: _Peer) -> None:
-        try:
-            if peer.shaking:
-                if not self._shakes:
-                    return
-                self._shakes -= 1
-                peer.shake()
-            while True:
-                data = peer.socket.recv(CHUNK_BYTES)
-                if not data:
-                    self._drop(peer)
-                    return
-                if peer.until_s is None:
-                    self._server.receive(peer.connection, data, self._clock.now())
-                if not (peer.connection.secure and peer.connection.hungry and self._pending(peer)):
-                    return
-        except OSError as error:
-            waits = _would_wait(error)
-            if waits is None:
-                self._drop(peer)
-            elif waits:
-                self._watch(peer, waits)
-
-    def _pending(self, peer: _Peer) -> bool:
-        """Return whether TLS has bytes that no selector sees."""
-        return bool(peer.socket.pending())  # type: ignore[attr-defined]
-
-    def _flush(self, peer: _Peer, now_s: float) -> None:
-        out, connection = peer.connection.out, peer.connection
-        try:
-            if out and not peer.shaking:
-                del out[: peer.socket.send(out[:CHUNK_BYTES])]
-        except OSError as error:
-            if _would_wait(error) is None:
-                self._drop(peer)
+    def _hear(self, peer: Peer) -> None:
+        if peer.state is State.HANDSHAKING:
+            if not self._shakes:
                 return
-        if connection.ends:
-            self._end(peer, now_s)
-        elif not peer.shaking:
-            wanted = (selectors.EVENT_READ if connection.hungry else 0) | (selectors.EVENT_WRITE if out else 0)
-            self._watch(peer, wanted)
-            if connection.secure and connection.hungry and self._pending(peer):
-                self._hear(peer)
+            self._shakes -= 1
+        try:
+            data = peer.hear()
+        except OSError:
+            self._drop(peer)
+            return
+        if data and peer.state is State.OPEN:
+            self._server.receive(peer.connection, data, self._clock.now())
+        if data == b"" or peer.has_ended:
+            self._drop(peer)
 
-    def _watch(self, peer: _Peer, events: int) -> None:
+    def _flush(self, peer: Peer) -> None:
+        try:
+            peer.send()
+        except OSError:
+            self._drop(peer)
+            return
+        if peer.connection.ends:
+            self._end(peer)
+
+    def _watch(self, peer: Peer) -> None:
+        """Wait for the events that a connection wants."""
+        events = peer.wanted
         if events == peer.events:
             return
         if not peer.events:
@@ -309,33 +290,36 @@ class DoipDoor:
             self._selector.modify(peer.socket, events, peer)
         peer.events = events
 
-    def _end(self, peer: _Peer, now_s: float) -> None:
+    def _end(self, peer: Peer) -> None:
         """Close a connection so that its tester can take what was sent last, as an answer that says why."""
         self._peers.remove(peer)
-        self._server.disconnect(peer.connection)
-        peer.until_s = now_s + LINGER_S
         self._lingering.append(peer)
+        self._server.disconnect(peer.connection)
         try:
-            peer.socket.shutdown(socket.SHUT_WR)
+            peer.linger(self._now_s)
         except OSError:
-            self._forget(peer)
-            return
-        self._watch(peer, selectors.EVENT_READ)
+            self._close(peer)
+        self._watch(peer)
         if len(self._lingering) > LINGERING:
-            self._forget(self._lingering[0])
+            self._close(self._lingering[0])
 
-    def _drop(self, peer: _Peer) -> None:
-        """Forget a connection whose tester has gone."""
-        if peer.until_s is None:
-            self._peers.remove(peer)
-            self._server.disconnect(peer.connection)
-            self._lingering.append(peer)
-        self._forget(peer)
+    def _drop(self, peer: Peer) -> None:
+        """Forget a connection that has failed, or whose tester has gone; it gets the alert of TLS, if there is one."""
+        if peer.is_served:
+            with suppress(OSError):
+                peer.send()
+        self._close(peer)
 
-    def _forget(self, peer: _Peer) -> None:
-        self._watch(peer, 0)
-        self._lingering.remove(peer)
-        peer.socket.close()
+    def _close(self, peer: Peer) -> None:
+        """Forget a connection, whatever is wrong with it."""
+        peer.state = State.CLOSED
+        for known in (self._peers, self._lingering):
+            if peer in known:
+                known.remove(peer)
+        if peer.connection in self._server.connections:
+            self._wall.keep(self._server.disconnect, peer.connection, of=peer)
+        self._wall.keep(self._watch, peer, of=peer)
+        self._wall.keep(peer.socket.close, of=peer)
 
 
 def _server_of(gateway: Gateway) -> DoipServer | None:

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
+from typing import Any
 
 import numpy as np
 
 from gateway.bus.base import Bus, Statistics
 from gateway.bus.conditions import LOSS, LOST, RUNNING, are_conditions, condition_frame
 from gateway.bus.frames import Frames, empty
+from gateway.common.fence import Fence, Wall
 from gateway.live.clock import Clock
 from gateway.live.stamps import Stamps
 from gateway.live.transmit import Transmitter
@@ -44,6 +46,7 @@ class Link:
         clock: the engine's.
         monotonic: for the waits [s].
         before_close: called before its socket is closed: nobody may send by that any more.
+        wall: counts what a driver raises beside :class:`BusError`; that is an end of the bus, too.
 
     Attributes:
         index, name: may be changed at any time.
@@ -61,7 +64,9 @@ class Link:
         *,
         monotonic: Callable[[], float] = time.monotonic,
         before_close: Callable[[], None] = lambda: None,
+        wall: Wall | None = None,
     ) -> None:
+        self._wall = wall or Fence().wall("bus")
         self._before_close = before_close
         self.uri, self.index, self.name = uri, index, name
         self._opener, self._clock, self._monotonic = opener, clock, monotonic
@@ -118,11 +123,11 @@ class Link:
         if self._bus is None and self._monotonic() >= self._next_try:
             try:
                 self._open()
-            except BusError as error:
+            except Exception as error:  # each driver has its own
                 self._drop()  # opened, and gone again before it was set up
                 self._wait_s = min(2 * self._wait_s, LONGEST_WAIT_S)
                 self._next_try = self._monotonic() + self._wait_s
-                self.reason = str(error)
+                self.reason = self._reason(error)
         if len(self._transmitter):
             self._send(empty(0))
 
@@ -139,8 +144,8 @@ class Link:
         try:
             self._bus.index = self.index
             count = self._bus.receive(self._batch)
-        except BusError as error:
-            self._lose(str(error))
+        except Exception as error:
+            self._lose(self._reason(error))
             told += self._told
             self._told = []
             return self._joined(told), False
@@ -202,16 +207,20 @@ class Link:
             return
         try:
             self._transmitter.send(self._bus, frames)
-        except BusError as error:
-            self._end(str(error))
+        except Exception as error:
+            self._end(self._reason(error))
 
     def listen_to(self, can_ids: Sequence[int] | None, *, echo: bool) -> None:
         """Choose what comes: identifiers (None: all), and whether what is sent here comes back."""
         self._filters, self._echo = can_ids, echo
         try:
             self._choose()
-        except BusError as error:
-            self._end(str(error))
+        except Exception as error:
+            self._end(self._reason(error))
+
+    def _reason(self, error: Exception) -> str:
+        """Return why the bus is gone; what no driver should raise is counted."""
+        return str(error) if isinstance(error, BusError) else self._wall.caught(error, self.name)
 
     def _choose(self) -> None:
         if self._bus is not None:
@@ -265,8 +274,8 @@ class Link:
         if self._bus is not None:
             self._before_close()
             _add(self._past, self._bus.statistics)
-            self._bus.close()
-            self._bus, self._ending = None, ""
+            bus, self._bus, self._ending = self._bus, None, ""
+            self._wall.keep(bus.close, of=self.name)
 
     def _with_losses(self, frames: Frames, losses: Sequence[tuple[int, int]]) -> Frames:
         """Return the frames with LOSS where frames are missing."""
@@ -277,6 +286,21 @@ class Link:
             parts.append(condition_frame(t_ns, self.index, LOSS, lost))
             at = place
         return np.concatenate([*parts, frames[at:]])
+
+
+def bus_event(link: Link, state: str, t_ns: int) -> dict[str, Any]:
+    """Return the event of the JSON contract that tells the state of a bus at a time of the wall clock."""
+    return {
+        "event": "bus",
+        "t_ns": t_ns,
+        "bus": link.name,
+        "uri": link.uri,
+        "state": state,
+        **asdict(link.statistics),
+        "unsent": link.unsent,
+        "losses": link.losses,
+        "reason": link.reason,
+    }
 
 
 def _add(total: Statistics, part: Statistics) -> None:

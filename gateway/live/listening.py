@@ -39,6 +39,13 @@ class Listening:
             for made, data in self._sockets.items():
                 self._selector.register(made, selectors.EVENT_READ, data)
 
+    def rest(self, now_s: float) -> None:
+        """Listen to none of them for a while; ``now_s``: as of :meth:`turn`."""
+        if self._rests_until is None:
+            for each in self._sockets:
+                self._selector.unregister(each)
+        self._rests_until = now_s + REST_S
+
     def accept(self, listener: socket.socket, now_s: float) -> tuple[socket.socket, Any] | None:
         """Return the next connection, which never waits, and its other end's address; None: there is none now."""
         if self._rests_until is not None:  # since another socket of the same turn
@@ -49,14 +56,7 @@ class Listening:
             return None  # gone again
         except OSError as error:  # no descriptors left: the socket stays readable
             log.warning(self._what, reason=error.strerror)
-            for each in self._sockets:
-                self._selector.unregister(each)
-            self._rests_until = now_s + REST_S
+            self.rest(now_s)
             return None
         made.setblocking(False)
         return made, peer
-
-    def close(self) -> None:
-        """Close the sockets."""
-        for made in self._sockets:
-            made.close()

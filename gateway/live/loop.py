@@ -7,7 +7,6 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,16 +14,18 @@ import numpy as np
 from gateway.bus.conditions import LOST, RUNNING, step_frame
 from gateway.bus.frames import ERROR, OWN, Frames, empty
 from gateway.bus.timeline import to_wall
+from gateway.common.fence import Fence
 from gateway.engine.core import Engine
 from gateway.faults.journal_steps import Journalled
 from gateway.host.slice import short_slices
 from gateway.live import pumping
 from gateway.live.clock import Clock
-from gateway.live.link import Link
+from gateway.live.link import Link, bus_event
 from gateway.live.pump import Left, Pump
 from gateway.runtime.quiet import Quiet
 from gateway.servers.foretelling import Foretelling
 from gateway_fdi.common.log import get_logger
+from gateway_fdi.errors import GatewayError
 
 #: Without traffic, the engine's time lags the clock by this, so that a frame that is still on its
 #: way through the kernel is not overtaken by the timers it would have stopped.
@@ -41,6 +42,8 @@ KEEP_S = 10.0
 SWITCH_S = 0.00005
 #: Batches taken from a bus when there is no next turn: more than any queue holds.
 LAST_TURN = 4096
+#: Turns in a row that may fail before the loop gives up: a new process may do better. Wait after one of them [s].
+MOST_FAILURES, REST_S = 50, 0.02
 
 log = get_logger(__name__)
 
@@ -148,6 +151,7 @@ class Live:
         monotonic: for periodic work [s].
         settle: called when everything is built (False), and in the turn after it was replaced (True).
         door: for watchers; None: there are none.
+        fence: counts exceptions that reach the loop.
     """
 
     def __init__(
@@ -162,8 +166,10 @@ class Live:
         monotonic: Callable[[], float] = time.monotonic,
         settle: Callable[[bool], None] = collect_and_freeze,
         door: Door | None = None,
+        fence: Fence | None = None,
     ) -> None:
         self._settle, self._door = settle, door
+        self._fence, self._failures = fence or Fence(), 0
         self._knocked = False
         self._gateway = gateway
         self._links = list(links)
@@ -213,11 +219,27 @@ class Live:
         try:
             with short_slices():
                 while not stop():
-                    self.turn()
+                    try:
+                        self.turn()
+                    except GatewayError:
+                        raise
+                    except Exception as error:
+                        self._go_on_after(error)
+                    else:
+                        self._failures = 0
                     if on_turn is not None:
                         on_turn()
         finally:
             sys.setswitchinterval(before_s)
+
+    def _go_on_after(self, error: Exception) -> None:
+        """Go on after a turn that failed: the second wall. Raises it again where nothing is served any more."""
+        self._fence.note("loop", error, second=True)
+        self._failures += 1
+        if self._failures >= MOST_FAILURES:
+            raise error
+        self._more = True  # frames may wait that no descriptor tells
+        time.sleep(REST_S if self._tick_s else 0.0)
 
     def turn(self) -> None:
         """Wait for frames or for time to pass, and do what is due."""
@@ -436,18 +458,3 @@ class Live:
     def bus_states(self) -> list[dict[str, Any]]:
         """Return how the buses do, as events of the JSON contract."""
         return [bus_event(link, "open" if link.running else "lost", self._clock.wall()) for link in self._links]
-
-
-def bus_event(link: Link, state: str, t_ns: int) -> dict[str, Any]:
-    """Return the event of the JSON contract that tells the state of a bus at a time of the wall clock."""
-    return {
-        "event": "bus",
-        "t_ns": t_ns,
-        "bus": link.name,
-        "uri": link.uri,
-        "state": state,
-        **asdict(link.statistics),
-        "unsent": link.unsent,
-        "losses": link.losses,
-        "reason": link.reason,
-    }

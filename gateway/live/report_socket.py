@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 from gateway.bus.frames import Frames
+from gateway.common.budget import Budget
 from gateway.common.jsonlines import line
 from gateway.faults.reported import ReportParams
 from gateway.host.sockets import credentials_of, groups_of, listen_at, remove
@@ -28,7 +29,8 @@ MOST_IN_A_TURN = 32
 #: Time that a connection is not heard after a report that was refused for its sender's fault [s].
 PAUSE_S = 0.01
 #: Reasons for the pause: a sender of too much or of nonsense does not keep the loop busy.
-_PAUSING = {"malformed", "unknown_fault", "not_allowed", "rate", "data"}
+_PAUSING = {"malformed", "unknown_fault", "not_allowed", "rate", "data", "internal"}
+_FAILED = {"ok": False, "refused": "internal", "why": REFUSALS["internal"]}
 _TURNED_AWAY = line({"ok": False, "refused": "not_allowed", "why": REFUSALS["not_allowed"]}).encode()
 
 log = get_logger(__name__)
@@ -40,6 +42,9 @@ class _Connection:
     def __init__(self, made: socket.socket, number: int) -> None:
         self.socket, self.number = made, number
         self.waiting = b""
+
+    def __str__(self) -> str:
+        return f"connection {self.number}"
 
 
 class ReportSocket:
@@ -58,20 +63,27 @@ class ReportSocket:
         UnsupportedError: this system cannot say who connects.
     """
 
+    name = "report"
+
     def __init__(self, params: ReportParams, gateway: Gateway) -> None:
         if not sys.platform.startswith("linux"):
             raise UnsupportedError("[report]: only Linux says which process reports")
         self.params, self._gateway = params, gateway
+        self._wall = gateway.fence.wall(self.name)
         self._path = Path(params.socket)
-        self._selector = Selector()
-        self._socket = listen_at(self._path, "report socket", kind=socket.SOCK_SEQPACKET, mode=params.mode_of_socket)
-        self._inode = self._path.stat().st_ino
-        self._listening = Listening(self._selector, "report socket: a reporter cannot be taken")
-        self._listening.add(self._socket)
         self._connections: list[_Connection] = []
         self._paused: dict[_Connection, float] = {}  # until when
         self.refused = 0
+        self._open()
         self._say_strangers()
+
+    def _open(self) -> None:
+        mode = self.params.mode_of_socket
+        self._selector, self._budget, self._now_s = Selector(), Budget(), 0.0
+        self._socket = listen_at(self._path, "report socket", kind=socket.SOCK_SEQPACKET, mode=mode)
+        self._inode = self._path.stat().st_ino
+        self._listening = Listening(self._selector, "report socket: a reporter cannot be taken")
+        self._listening.add(self._socket)
 
     def _say_strangers(self) -> None:
         for reporter in self.params.reporter:
@@ -95,7 +107,7 @@ class ReportSocket:
 
     def replace(self, gateway: Gateway, params: ReportParams) -> None:
         """Give the reports to another gateway from now on; the connections stay."""
-        self._gateway, self.params = gateway, params
+        self._gateway, self.params, self._wall = gateway, params, gateway.fence.wall(self.name)
         self._path.chmod(params.mode_of_socket)
         self._say_strangers()
 
@@ -109,7 +121,9 @@ class ReportSocket:
         reports = self._gateway.reports
         if not reports.begun:
             return  # no time to stamp a report with
-        reports.pass_time()
+        if reports.is_due:
+            self._wall.keep(reports.pass_time, of="all reporters")
+        self._now_s = now_s
         self._listening.turn(now_s)
         for connection in [each for each, until_s in self._paused.items() if now_s >= until_s]:
             del self._paused[connection]
@@ -117,22 +131,36 @@ class ReportSocket:
             wanted = True
         if not wanted:
             return
-        ready = [key for key, _ in self._selector.select(0)]
+        ready = self._selector.select(0)
         room = max(MOST_IN_A_TURN // max(len(ready), 1), 1)
-        for key in ready:
+        for key, _ in self._budget.among(ready):
             if key.fileobj is self._socket:
-                self._accept(now_s)
+                self._wall.keep(self._accept, now_s, of="no reporter yet", ends=self._rest)
             else:
-                self._hear(key.data, room, now_s)
+                self._wall.keep(self._hear, key.data, room, now_s, of=key.data, ends=self._drop)
+
+    def _rest(self, _: object) -> None:
+        """Take no reporters for a while, after an exception of which none is known."""
+        self._listening.rest(self._now_s)
+
+    def restart(self) -> None:
+        """End all connections, and listen again.
+
+        Raises:
+            InputError: something else is at its path now.
+        """
+        self.close()
+        self._open()
 
     def close(self) -> None:
         """End all connections."""
         for connection in self._connections:
-            self._gateway.reports.let_go(connection.number)
+            self._wall.keep(self._gateway.reports.let_go, connection.number, of=connection)
             connection.socket.close()
         self._connections.clear()
+        self._paused.clear()
         self._selector.close()
-        self._listening.close()
+        self._socket.close()
         remove(self._path, self._inode)
 
     def _accept(self, now_s: float) -> None:
@@ -146,6 +174,9 @@ class ReportSocket:
                 log.warning("report socket: too many connections, one refused", most=self.params.connections)
             made.close()
             return
+        self._wall.keep(self._take, made, of="a reporter", ends=lambda _: made.close())
+
+    def _take(self, made: socket.socket) -> None:
         pid, uid, gid = credentials_of(made)
         number = self._gateway.reports.enter(uid, {gid, *groups_of(made)}, pid)
         if number is None:
@@ -173,7 +204,8 @@ class ReportSocket:
             if not packet:
                 self._drop(connection)
                 return
-            answer = self._gateway.reports.take(connection.number, packet, now_s)
+            take, number = self._gateway.reports.take, connection.number
+            answer = self._wall.keep(take, number, packet, now_s, of=connection, instead=_FAILED)
             data = line(answer).encode()
             if not self._send(connection.socket, data):
                 connection.waiting = data
@@ -195,10 +227,14 @@ class ReportSocket:
         return True
 
     def _drop(self, connection: _Connection) -> None:
-        self._selector.unregister(connection.socket)
-        connection.socket.close()
+        """Forget a connection, whatever is wrong with it."""
+        if connection not in self._connections:
+            return
         self._connections.remove(connection)
-        self._gateway.reports.leave(connection.number)
+        if self._paused.pop(connection, None) is None:
+            self._wall.keep(self._selector.unregister, connection.socket, of=connection)
+        self._wall.keep(self._gateway.reports.leave, connection.number, of=connection)
+        connection.socket.close()
 
 
 def _events_of(connection: _Connection) -> int:

@@ -23,28 +23,27 @@ from typing import Any
 
 import numpy as np
 
-from gateway import __version__
 from gateway.bus.frames import Frames
 from gateway.bus.traffic import Traffic
+from gateway.common.budget import Budget
 from gateway.common.jsonlines import line
 from gateway.engine.buckets import TickRow
 from gateway.host.sockets import credentials_of, listen_at, remove
 from gateway.host.waiting import Selector
+from gateway.live.hello import described
 from gateway.live.listening import Listening
 from gateway.live.status_commands import Commands, monitoring_of
 from gateway.runtime.app import Gateway
-from gateway.servers.uds.params import S3_MS
 from gateway_fdi.common.log import get_logger
 
-PROTOCOL = 1
 #: Readers at a time.
 READERS = 8
 #: A reader with this much unread gets no ticks [byte].
 ENOUGH_BYTES = 256 << 10
 #: One with this much unread, all of it events, is sent away [byte].
 MOST_BYTES = 4 << 20
-#: Longest line that a reader may send, and most that is read or sent at once [byte].
-LINE_BYTES, CHUNK_BYTES = 64 << 10, 64 << 10
+#: Longest line that a reader may send, and most that is read or sent at once [byte]; lines of one that wait.
+LINE_BYTES, CHUNK_BYTES, MOST_LINES = 64 << 10, 64 << 10, 16
 #: How often what is shown [s].
 TICK_S, BUSES_S, MESSAGES_S = 0.05, 0.5, 1.0
 #: No detection counter is this.
@@ -68,6 +67,9 @@ class _Reader:
         self.missed = 0
         self.behind = False  # waits until its socket takes more
 
+    def __str__(self) -> str:
+        return f"reader {self.number}, uid {self.uid}"
+
     def put(self, data: bytes) -> None:
         self.waiting.append(data)
         self.bytes += len(data)
@@ -83,12 +85,14 @@ class StatusSocket:
         readers: most at a time.
 
     Attributes:
-        sent_away: readers that did not take their events.
+        sent_away: readers that did not take their events, or asked too much.
         refused: connections beyond the most.
 
     Raises:
         InputError: another process listens there, or something else is at this path.
     """
+
+    name = "status"
 
     def __init__(
         self,
@@ -100,18 +104,21 @@ class StatusSocket:
     ) -> None:
         self.path, self._most = path, readers
         self._buses = buses
-        self._selector = Selector()
-        self._socket = listen_at(path)
-        self._inode = path.stat().st_ino
-        self._listening = Listening(self._selector, "status socket: a reader cannot be taken")
-        self._listening.add(self._socket)
         self._readers: list[_Reader] = []
         self._pending: list[_Reader] = []  # of whom commands wait
         self._due = [0.0, 0.0, 0.0]
         self._count = 0
         self._ended, self._ended_s = "", 0.0
         self.sent_away = self.refused = self.ticks = 0
+        self._open()
         self.replace(gateway)
+
+    def _open(self) -> None:
+        self._selector, self._budget = Selector(), Budget()
+        self._socket = listen_at(self.path)
+        self._inode = self.path.stat().st_ino
+        self._listening = Listening(self._selector, "status socket: a reader cannot be taken")
+        self._listening.add(self._socket)
 
     def fileno(self) -> int:
         """Return a descriptor that is readable when a reader wants something, or can take more."""
@@ -119,8 +126,8 @@ class StatusSocket:
 
     def replace(self, gateway: Gateway) -> None:
         """Show another gateway from now on; the readers are told what there is now."""
-        self._gateway = gateway
-        self._commands = Commands(gateway, self._say)
+        self._gateway, self._wall = gateway, gateway.fence.wall(self.name)
+        self._commands = Commands(gateway, self._say, self._wall)
         for reader in self._readers:
             self._commands.enter(reader.number, reader.uid)
         self._traffic = Traffic(len(gateway.config.bus))
@@ -147,7 +154,10 @@ class StatusSocket:
     def tell(self, event: dict[str, Any]) -> None:
         """Pass on an event of the JSON contract."""
         if self._readers:
-            self._send(_message("event", event=event), event=True)
+            self._wall.keep(self._tell, event, of="an event")
+
+    def _tell(self, event: dict[str, Any]) -> None:
+        self._send(_message("event", event=event), event=True)
 
     def turn(self, now_s: float, *, wanted: bool = True) -> None:
         """Serve the readers, without waiting.
@@ -157,35 +167,54 @@ class StatusSocket:
             wanted: whether the descriptor was readable.
         """
         self._listening.turn(now_s)
+        self._now_s = now_s
         if wanted:
-            self._attend(now_s)
+            for key, mask in self._budget.among(self._selector.select(0)):
+                if key.fileobj is self._socket:
+                    self._wall.keep(self._accept, now_s, of="no reader yet", ends=self._rest)
+                else:
+                    self._wall.keep(self._attend, key.data, mask, of=key.data, ends=self._drop)
         if not self._readers:
             return
         if self._ended:
             self._poll_alone(now_s)
-        self._commands.pass_time(now_s)
+        self._wall.keep(self._commands.pass_time, now_s, of="sessions of readers")
         for k, (every_s, show) in enumerate(
             ((TICK_S, self._tick), (BUSES_S, self._show_buses), (MESSAGES_S, self._show_messages))
         ):
             if now_s >= self._due[k]:
                 self._due[k] = now_s + every_s
-                show()
+                self._wall.keep(show, of="all readers")
         if self._pending and not self._gateway.writing:
-            self._obey()
+            reader = self._pending.pop(0)
+            self._wall.keep(self._obey, reader, of=reader, ends=self._drop)
         for reader in list(self._readers):
             if reader.bytes > 2 * MOST_BYTES:  # it asks and asks
-                self._send_away(reader)
+                self._send_away(reader, "does not take what it gets")
             elif reader.waiting and not reader.behind:
-                self._flush(reader)
+                self._wall.keep(self._flush, reader, of=reader, ends=self._drop)
+
+    def _rest(self, _: object) -> None:
+        """Take no readers for a while, after an exception of which none is known."""
+        self._listening.rest(self._now_s)
+
+    def restart(self) -> None:
+        """Send all readers away, and listen again.
+
+        Raises:
+            InputError: something else is at its path now.
+        """
+        self.close()
+        self._open()
 
     def close(self) -> None:
         """Send what the readers take at once, and close."""
         for reader in list(self._readers):
-            self._flush(reader)
+            self._wall.keep(self._flush, reader, of=reader)
         for reader in list(self._readers):
             self._drop(reader)
         self._selector.close()
-        self._listening.close()
+        self._socket.close()
         remove(self.path, self._inode)
 
     def _poll_alone(self, now_s: float) -> None:
@@ -195,16 +224,11 @@ class StatusSocket:
 
     # Readers
 
-    def _attend(self, now_s: float) -> None:
-        for key, mask in self._selector.select(0):
-            if key.fileobj is self._socket:
-                self._accept(now_s)
-                continue
-            reader: _Reader = key.data
-            if mask & selectors.EVENT_WRITE:
-                self._flush(reader)
-            if mask & selectors.EVENT_READ and reader in self._readers:
-                self._hear(reader)
+    def _attend(self, reader: _Reader, mask: int) -> None:
+        if mask & selectors.EVENT_WRITE and reader in self._readers:
+            self._flush(reader)
+        if mask & selectors.EVENT_READ and reader in self._readers:
+            self._hear(reader)
 
     def _accept(self, now_s: float) -> None:
         taken = self._listening.accept(self._socket, now_s)
@@ -216,6 +240,9 @@ class StatusSocket:
             log.warning("status socket: too many readers, one refused", most=self._most, refused=self.refused)
             connection.close()
             return
+        self._wall.keep(self._take, connection, of="a reader", ends=lambda _: connection.close())
+
+    def _take(self, connection: socket.socket) -> None:
         self._count += 1
         reader = _Reader(connection, self._count)
         if not self._readers:  # earlier results were shown to no reader, and have no known time
@@ -224,8 +251,11 @@ class StatusSocket:
             self._due = [0.0, 0.0, 0.0]
         self._tell_all_counters()
         self._readers.append(reader)
+        self._wall.keep(self._greet_one, reader, of=reader, ends=self._drop)
+
+    def _greet_one(self, reader: _Reader) -> None:
+        self._selector.register(reader.socket, selectors.EVENT_READ, reader)
         self._commands.enter(reader.number, reader.uid)
-        self._selector.register(connection, selectors.EVENT_READ, reader)
         reader.put(self._greeting())
 
     def _hear(self, reader: _Reader) -> None:
@@ -242,15 +272,13 @@ class StatusSocket:
         *lines, rest = bytes(reader.heard).split(b"\n")
         reader.heard[:] = rest
         reader.lines.extend(lines)
-        if len(reader.lines) > 16 or max(len(rest), *map(len, lines), 0) > LINE_BYTES:
-            log.warning("status socket: a reader asks too much, sent away", reader=reader.number)
-            self._drop(reader)
+        if len(reader.lines) > MOST_LINES or max(len(rest), *map(len, lines), 0) > LINE_BYTES:
+            self._send_away(reader, "asks too much")
         elif reader.lines and reader not in self._pending:
             self._pending.append(reader)
 
-    def _obey(self) -> None:
-        """Do one command a turn."""
-        reader = self._pending.pop(0)
+    def _obey(self, reader: _Reader) -> None:
+        """Do one command; there is one a turn."""
         answer = self._commands.answer(reader.lines.popleft(), reader.number)
         if answer is not None:
             reader.put(_message("answer", **answer))
@@ -268,13 +296,13 @@ class StatusSocket:
             if not event and reader.bytes > ENOUGH_BYTES:
                 reader.missed += 1
             elif reader.bytes > MOST_BYTES:
-                self._send_away(reader)
+                self._send_away(reader, "does not take what it gets")
             else:
                 reader.put(data)
 
-    def _send_away(self, reader: _Reader) -> None:
+    def _send_away(self, reader: _Reader, why: str) -> None:
         self.sent_away += 1
-        log.warning("status socket: a reader does not take what it gets, sent away", reader=reader.number)
+        log.warning(f"status socket: a reader {why}, sent away", reader=reader.number)
         self._drop(reader)
 
     def _flush(self, reader: _Reader) -> None:
@@ -300,12 +328,15 @@ class StatusSocket:
             self._selector.modify(reader.socket, events, reader)
 
     def _drop(self, reader: _Reader) -> None:
-        self._selector.unregister(reader.socket)
-        reader.socket.close()
+        """Forget a reader, whatever is wrong with it."""
+        if reader not in self._readers:
+            return
         self._readers.remove(reader)
         if reader in self._pending:
             self._pending.remove(reader)
-        self._commands.leave(reader.number)
+        for step, what in ((self._selector.unregister, reader.socket), (self._commands.leave, reader.number)):
+            self._wall.keep(step, what, of=reader)
+        self._wall.keep(reader.socket.close, of=reader)
 
     # Contents for readers
 
@@ -318,7 +349,7 @@ class StatusSocket:
 
     def _greeting(self) -> bytes:
         if not self._hello:
-            self._hello = {**_described(self._gateway), "ended": self._ended}
+            self._hello = {**described(self._gateway), "ended": self._ended}
         return _message("hello", **self._hello, monitoring=monitoring_of(self._gateway))
 
     def _tell_all_counters(self) -> None:
@@ -359,6 +390,7 @@ class StatusSocket:
                 monitoring=monitoring,
                 reporters=self._gateway.reports.states(),
                 ecus=self._gateway.asking.states(),
+                exceptions={"first": self._gateway.fence.first, "second": self._gateway.fence.second},
             )
         )
         for reader in self._readers:
@@ -381,47 +413,3 @@ def _message(kind: str, data: bytes = b"", **fields: Any) -> bytes:
     if data:
         fields["size"] = len(data)
     return line({"kind": kind, **fields}).encode() + b"\n" + data
-
-
-def _described(gateway: Gateway) -> dict[str, Any]:
-    """Return what there is to see."""
-    config = gateway.config
-    told = gateway.describe()
-    owners = {monitor.name: monitor.type for monitor in config.monitor}
-    file, senders = gateway.store.path, gateway.senders
-    asked = set(gateway.asking.askable)
-    uds = config.output.uds
-    return {
-        "protocol": PROTOCOL,
-        "version": __version__,
-        "name": config.name,
-        "memory": None if file is None else str(file.resolve()),
-        "faults": [
-            {**fault, "bus": _bus_of(gateway, k), "monitor": fault["id"].rpartition(".")[0],
-             "ecu": senders.get(fault["id"].rpartition(".")[0], ""),
-             "type": owners.get(fault["id"].split(".")[0], "check")}
-            for k, fault in enumerate(told["faults"])
-        ],
-        "buses": [
-            {"name": bus.name, "uri": bus.uri, "bitrate": bus.bitrate, "data_bitrate": bus.data_bitrate,
-             "database": [str(path.resolve()) for path in bus.database],
-             "filtered": gateway.identifiers_on(k) is not None}
-            for k, bus in enumerate(config.bus)
-        ],
-        "ecus": [
-            {"name": ecu.name, "bus": ecu.bus or config.bus[0].name, "asked": ecu.name in asked,
-             "dids": sorted({read.key[1] for read in ecu.read if read.key[0] == 0x22})}
-            for ecu in config.ecu
-        ],
-        "identifiers": told["identifiers"],
-        "levels": [] if uds is None else uds.levels,
-        "s3_s": (S3_MS if uds is None else uds.s3_ms) / 1e3,
-        "signals": list(gateway.signal_slots),
-        "notes": list(gateway.notes),
-    }  # fmt: skip
-
-
-def _bus_of(gateway: Gateway, fault: int) -> str:
-    bus = gateway.engine.faults[fault].bus
-    buses = gateway.config.buses
-    return buses[bus].name if bus < len(buses) else ""

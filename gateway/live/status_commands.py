@@ -30,6 +30,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from gateway.common.fence import Wall
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.interventions import Intervention
 from gateway.host.process import NOBODY, user
@@ -48,6 +49,7 @@ _KEYS = {
     "values": {"signals"},
     "request": {"tester", "ecu", "uds"},
 }
+_WANTED = f'a command is {{"do": ...}}, one of {", ".join(_KEYS)}'
 #: Signals that one command may ask for.
 MOST_SIGNALS = 256
 #: Longest ``by`` and ``why`` [characters].
@@ -104,10 +106,11 @@ class Commands:
     Args:
         gateway: of whom.
         say: tells a reader what comes later.
+        wall: around each command.
     """
 
-    def __init__(self, gateway: Gateway, say: Say) -> None:
-        self._gateway, self._say = gateway, say
+    def __init__(self, gateway: Gateway, say: Say, wall: Wall) -> None:
+        self._gateway, self._say, self._wall = gateway, say, wall
         self._gateway.local.push = lambda reader, tester, answer: say(
             reader, "response", {"tester": tester, "uds": answer.hex()}
         )
@@ -139,27 +142,27 @@ class Commands:
             text: the line.
             reader: its number.
         """
-        ticket: Any = None
+        told: dict[str, Any] = {"id": None}
+        session = self._sessions[reader]
+        failed = {"ok": False, "error": "an internal error of the gateway; its log has more"}
+        done = self._wall.keep(self._answer, text, session, reader, told, of=session.holder.name, instead=failed)
+        return None if done is None else {**told, **done, "monitoring": monitoring_of(self._gateway)}
+
+    def _answer(self, text: bytes, session: _Session, reader: int, told: dict[str, Any]) -> dict[str, Any] | None:
+        """Do one command; ``told`` gets its ``id``."""
         try:
-            asked = _parsed(text)
-            ticket = asked.get("id")
-            session = self._sessions[reader]
+            asked = _loaded(text)
+            told["id"] = asked.get("id")
+            _refuse_unless_command(asked)
             if asked["do"] == "request":
                 self._request(asked, session, reader)
                 return None
             if asked["do"] != "values":  # a reader that only looks keeps nothing
                 session.until_s = self._now_s + self._s3_s
-            result = getattr(self, f"_{asked['do']}")(asked, session)
+            return {"ok": True, **getattr(self, f"_{asked['do']}")(asked, session)}
         except GatewayError as error:
             refused = {"refused": int(error.refusal)} if isinstance(error, RefusedError) else {}
-            return {
-                "id": ticket,
-                "ok": False,
-                "error": str(error),
-                **refused,
-                "monitoring": monitoring_of(self._gateway),
-            }
-        return {"id": ticket, "ok": True, **result, "monitoring": monitoring_of(self._gateway)}
+            return {"ok": False, "error": str(error), **refused}
 
     def pass_time(self, now_s: float) -> None:
         """End what readers have switched off, if their session or its conditions are over.
@@ -173,9 +176,9 @@ class Commands:
             self._watched_s = now_s
         for session in self._sessions.values():
             if session.holder.actions and now_s >= session.until_s:
-                session.holder.end()
+                self._wall.keep(session.holder.end, of=session.holder.name)
             elif watch:
-                session.holder.end_unmet()
+                self._wall.keep(session.holder.end_unmet, of=session.holder.name)
 
     def leave(self, reader: int) -> None:
         """Switch on again what a reader switched off that is gone, and end its testers."""
@@ -300,14 +303,19 @@ class RefusedError(GatewayError):
         super().__init__(f"refused (0x{refusal:02X}), {action}: {refusal.words}; force overrides it, which is noted")
 
 
-def _parsed(text: bytes) -> dict[str, Any]:
+def _loaded(text: bytes) -> dict[str, Any]:
     try:
         asked = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError("a command is one line of JSON") from error
-    if not isinstance(asked, dict) or asked.get("do") not in _KEYS:
-        raise InputError(f'a command is {{"do": ...}}, one of {", ".join(_KEYS)}')
+    if not isinstance(asked, dict):
+        raise InputError(_WANTED)
+    return asked
+
+
+def _refuse_unless_command(asked: dict[str, Any]) -> None:
+    if not isinstance(asked.get("do"), str) or asked["do"] not in _KEYS:
+        raise InputError(_WANTED)
     unknown: Sequence[str] = sorted(set(asked) - _KEYS[asked["do"]] - {"id", "do"})
     if unknown:
         raise InputError(f"{asked['do']} has no such key", key=unknown[0])
-    return asked

@@ -17,6 +17,7 @@ REFUSALS = {
     "not_allowed": "this user may not report it ([report] users, groups)",
     "rate": "too many reports in a second ([report] events_per_s)",
     "data": "the fault has no such data, or it is no number",
+    "internal": "an internal error of the gateway; its log has more",
     "monitoring_off": "monitoring is switched off; no test result counts",
     "not_enabled": "test results of this fault do not count now (operation cycle, enable conditions, root causes)",
 }

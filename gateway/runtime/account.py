@@ -7,6 +7,7 @@ from typing import Any
 
 from gateway.answers.pages import AnswerBus
 from gateway.clients.asking import Asking
+from gateway.common.fence import Fence
 from gateway.config.model import Config
 from gateway.engine.core import Engine
 from gateway.faults.catalogue import Catalogue, as_dict
@@ -43,7 +44,7 @@ def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
 
 def counters(
     engine: Engine,
-    speakers: tuple[BusServers, Asking, Security],
+    speakers: tuple[BusServers, Asking, Security, Fence],
     upkeep: Upkeep,
     recorder: Recorder | None,
     reports: Reports,

@@ -124,6 +124,7 @@ class Gateway(Passage):
         self._outbox.succeed(old._outbox)
         self._doubts.succeed(old._doubts)
         self.security.succeed(old.security)
+        self._caught.succeed(old._caught)
         self._causes.succeed(old._causes)
         self._explainer.succeed(old._explainer)
         self._meter.succeed(old._meter)
@@ -185,6 +186,7 @@ class Gateway(Passage):
             self._causes.look(t_ns)
         self._explainer.finish(t_ns)
         self._strangers.finish(self.engine.wall_ns(t_ns))
+        self._caught.look()
         self.security.pass_time(self.engine.wall_ns(t_ns), final=True)
         if complete:
             self.memory.end_cycle(self.engine.wall_ns(t_ns))
@@ -270,7 +272,7 @@ class Gateway(Passage):
             self._verdicts.count,
             counters(
                 self.engine,
-                (self.servers, self.asking, self.security),
+                (self.servers, self.asking, self.security, self.fence),
                 self._upkeep,
                 self._recorder,
                 self.reports,

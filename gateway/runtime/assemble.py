@@ -13,11 +13,19 @@ from gateway.clients.asking import Asking
 from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.ecu import MS, Ask, asks_of
 from gateway.clients.params import DTC_REQUESTS, EcuParams
+from gateway.common.fence import Fence
 from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
-from gateway.engine.checks import memory_health, monitor_health, monitoring_health, reporter_health, restart_health
+from gateway.engine.checks import (
+    door_health,
+    memory_health,
+    monitor_health,
+    monitoring_health,
+    reporter_health,
+    restart_health,
+)
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.engine.depends.behind import Tests
@@ -71,6 +79,7 @@ _OWN = (
     *monitoring_health.FAULTS,
     *monitor_health.FAULTS,
     *reporter_health.FAULTS,
+    *door_health.FAULTS,
 )
 
 
@@ -220,6 +229,8 @@ def _own_faults(config: Config, monitors: Iterable[MonitorInstance]) -> list[Fau
         watched += monitor_health.FAULTS
     if config.report is not None:
         watched += reporter_health.FAULTS
+    if config.has_doors:
+        watched += door_health.FAULTS
     return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
 
 
@@ -390,7 +401,9 @@ def servers_of(
     return [*made, _local_server(config, testers)]
 
 
-def asking_of(config: Config, parts: Parts, control: TesterControl, may_ask: Callable[[int], bool]) -> Asking:
+def asking_of(
+    config: Config, parts: Parts, control: TesterControl, may_ask: Callable[[int], bool], fence: Fence
+) -> Asking:
     """Build the clients of other ECUs.
 
     Args:
@@ -398,11 +411,12 @@ def asking_of(config: Config, parts: Parts, control: TesterControl, may_ask: Cal
         parts: of it.
         control: judges conditions.
         may_ask: whether a bus may be asked now, by its index.
+        fence: counts exceptions that answers cause.
     """
     made = ecus_of(config, parts.answers, lambda params: [*asks_of(params), *_asks_of_dtcs(params, control)])
     rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
     bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}
-    return Asking(made, rates, may_ask, _dm1_of(config), bus_of)
+    return Asking(made, rates, may_ask, _dm1_of(config), bus_of, fence)
 
 
 def _dm1_of(config: Config) -> Dm1Listener | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gateway.common.fence import Fence
 from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.engine.depends.derive import Dependences
@@ -11,6 +12,7 @@ from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.runtime.assemble import Parts, asking_of, connect_routes, identifiers_of, prepare, servers_of
+from gateway.runtime.caught import CaughtExceptions
 from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
 from gateway.runtime.doubts import Doubts
@@ -47,6 +49,7 @@ class Connected:
         store: an open fault memory to go on with, instead of ``memory_path``.
         lasting: whether batches are not written to after they were fed, as those of a log: they can be kept as they
             are.
+        fence: counts exceptions that come from outside; None: one of its own.
 
     Raises:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
@@ -62,8 +65,10 @@ class Connected:
         parts: Parts | None = None,
         store: KeptStore | None = None,
         lasting: bool = False,
+        fence: Fence | None = None,
     ) -> None:
         self.config = config
+        self.fence = fence or Fence()
         self.parts: Parts = prepare(config, file) if parts is None else parts
         self.engine, self.catalogue = self.parts.engine, self.parts.catalogue
         self.store = KeptStore(None if memory_path is None else Path(memory_path)) if store is None else store
@@ -94,11 +99,11 @@ class Connected:
         self._standing = Standing(self.engine, self.controls, told=self.store.path is None)
         self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
         self.identifiers = identifiers_of(config, self.parts, self.memory, self.controls)
-        self.asking = asking_of(config, self.parts, self.controls, self._may_ask)
+        self.asking = asking_of(config, self.parts, self.controls, self._may_ask, self.fence)
         self._vehicle = Vehicle(config, self.asking, self.memory, self.engine)
         servers = servers_of(config, self.parts, self.memory, self.authority, self.identifiers)
         servers += [self._vehicle] if config.answered else []
-        self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send)
+        self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send, self.fence)
         self.local = next(each for each in servers if isinstance(each, LocalServer))
         self._dtc_frames = next((each for each in servers if isinstance(each, DtcFrameSender)), None)
         connect_routes(self.servers, self.asking)
@@ -168,4 +173,5 @@ class Connected:
             (self._off, self._restarted),
         )
         self.controls.connect(self._interventions)
+        self._caught = CaughtExceptions(self.fence, self.engine, self.security, self._verdicts.take, self.memory.status)
         self.reports = Reports(self.config.report, self.engine, self.controls, self._verdicts.take, self._outbox.tell)

@@ -159,6 +159,7 @@ class Passage(Connected):
         self._upkeep.look(self.engine.now_ns)
         self._proofs.look()
         self._suspicions.look()
+        self._caught.look()
         self.security.pass_time(self.engine.wall_ns(self.engine.now_ns))
         self._interventions.serve_requests()
         self._upkeep.tend()

@@ -239,10 +239,15 @@ class Reports:
         """Take it that we end a connection: its reports stay as they are."""
         del self._senders[number]
 
+    @property
+    def is_due(self) -> bool:
+        """Whether it is time for :meth:`pass_time`."""
+        return bool(self._reporters) and self._engine.now_ns >= self._look_ns
+
     def pass_time(self) -> None:
         """Look whether a report is overdue, and whether the gateway's own fault is as it should be."""
         now = self._engine.now_ns
-        if not self._reporters or now < self._look_ns:
+        if not self.is_due:
             return
         self._look_ns = now + LOOK_NS
         for name, reporter in self._reporters.items():

@@ -76,10 +76,19 @@ class Page:
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         work = asyncio.create_task(self.hub.run())
+        asyncio.get_running_loop().set_exception_handler(self._on_error)
         try:
             yield
         finally:
             work.cancel()
+
+    def _on_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """Count an exception that reached the loop: the second wall."""
+        error = context.get("exception")
+        if isinstance(error, Exception):
+            self.hub.fence.note("page", error, context.get("message", ""), second=True)
+        else:
+            loop.default_exception_handler(context)
 
     # Files
 

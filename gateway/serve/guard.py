@@ -20,6 +20,7 @@ from collections.abc import Awaitable, Callable, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from gateway.common.fence import Fence, Wall
 from gateway.serve.sovd.errors import error_body
 from gateway_fdi.common.log import get_logger
 
@@ -108,18 +109,44 @@ class Guard:
         app: the application.
         rights: of the users.
         on_refused: told of each request that was refused: its status.
+        wall: around each request; None: one of its own.
     """
 
-    def __init__(self, app: App, rights: Rights, on_refused: Callable[[int], None] = lambda status: None) -> None:
+    def __init__(
+        self,
+        app: App,
+        rights: Rights,
+        on_refused: Callable[[int], None] = lambda status: None,
+        wall: Wall | None = None,
+    ) -> None:
         self._app, self._rights, self._on_refused = app, rights, on_refused
+        self._wall = wall or Fence().wall("page")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer one request."""
+        """Answer one request; an exception ends it, with the status 500 where it has no answer yet."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
         if scope["type"] != "http":
             return
+        begun = False
+
+        async def told(message: MutableMapping[str, Any]) -> None:
+            nonlocal begun
+            begun = True
+            await send(message)
+
+        try:
+            await self._answer(scope, receive, told)
+        except SlowReader:
+            log.warning("a client does not read its answer, sent away", path=scope["path"][:80])
+        except Exception as error:
+            client = scope.get("client") or ("",)
+            self._wall.caught(error, f"{client[0]}, {scope['method']} {scope['path']}")
+            if not begun:
+                await _refuse(send, 500, "an internal error", sovd=_is_sovd(scope))
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
         scope["gateway.who"] = self._rights.who(_token_of(headers))
         wrong = self._wrong(scope, headers)
@@ -138,10 +165,7 @@ class Guard:
                     await asyncio.wait_for(_body(receive, DRAIN_BYTES, keep=False), BODY_S)
             await _refuse(send, *wrong, sovd=_is_sovd(scope))
             return
-        try:
-            await self._app(scope, _given(body, receive), _guarded(send, self._rights))
-        except SlowReader:
-            log.warning("a client does not read its answer, sent away", path=scope["path"][:80])
+        await self._app(scope, _given(body, receive), _guarded(send, self._rights))
 
     def _wrong(self, scope: Scope, headers: list[tuple[str, str]]) -> tuple[int, str] | None:
         """Return what is wrong with a request: status and text."""

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from gateway.common.fence import Fence
 from gateway.common.jsonlines import line
 from gateway.engine.buckets import TickRow
 from gateway.faults.records import Recording
@@ -125,7 +126,9 @@ class Hub:
     """
 
     def __init__(self, socket: Path) -> None:
-        self.link = StatusLink(socket, self._on_message, self._on_link)
+        self.fence = Fence()
+        self._wall = self.fence.wall("gateway")
+        self.link = StatusLink(socket, self._on_message, self._on_link, self._wall)
         self.connected, self.reason = False, "not reached yet"
         self.hello: dict[str, Any] = {
             "name": "", "faults": [], "buses": [], "version": "", "memory": None, "ended": "", "ecus": [],
@@ -135,6 +138,7 @@ class Hub:
         self.memory: dict[str, Any] = self.memory_file.read(())
         self.buses: list[dict[str, Any]] = []
         self.counters: dict[str, int] = {}
+        self.exceptions: dict[str, dict[str, int]] = {}  # of the daemon, by wall and door
         self.reporters: list[dict[str, Any]] = []
         self.ecus: list[dict[str, Any]] = []
         self.security: dict[tuple[str, str], dict[str, Any]] = {}  # the last event of each sensor and kind
@@ -266,16 +270,19 @@ class Hub:
             take(message, block)
 
     def _on_hello(self, message: dict[str, Any], _: bytes) -> None:
-        old = [fault["id"] for fault in self.hello["faults"]]
-        self.hello = {key: value for key, value in message.items() if key not in ("kind", "protocol")}
-        if [fault["id"] for fault in message["faults"]] != old:
-            self.history, self.latest, self.worst = History(len(message["faults"])), {}, {}
+        old, new = ([fault["id"] for fault in hello["faults"]] for hello in (self.hello, message))
         path = message["memory"]
+        file = MemoryFile(None if path is None else Path(path))
+        names, loads = MessageNames(message["buses"]), BusLoads(message["buses"])
+        memory = file.read(message["faults"])
+        # From here on nothing fails: what is shown is of this message as a whole.
+        told = {key: value for key, value in message.items() if key not in ("kind", "protocol", "monitoring")}
+        self.hello = self.hello | told
+        if new != old:
+            self.history, self.latest, self.worst = History(len(new)), {}, {}
         self._thread.submit(self.memory_file.close)
-        self.memory_file = MemoryFile(None if path is None else Path(path))
-        self._names, self._loads = MessageNames(message["buses"]), BusLoads(message["buses"])
-        self.memory = self.memory_file.read(message["faults"])
-        self.monitoring = self.hello.pop("monitoring", ALL_ON)
+        self.memory_file, self.memory, self._names, self._loads = file, memory, names, loads
+        self.monitoring = message.get("monitoring", ALL_ON)
         state = self._state()
         for viewer in self._viewers:
             viewer.begin(state, self.history.past())
@@ -313,7 +320,7 @@ class Hub:
 
     def _on_buses(self, message: dict[str, Any], _: bytes) -> None:
         self.buses, self.counters = self._loads.shown(message), message["counters"]
-        self.reporters = message.get("reporters", [])
+        self.reporters, self.exceptions = message.get("reporters", []), message.get("exceptions", {})
         ecus = message.get("ecus", [])
         if ecus != self.ecus:
             self.ecus = ecus
@@ -343,11 +350,17 @@ class Hub:
                 if not self.connected:
                     continue
             self._stale.clear()
-            file, faults = self.memory_file, self.hello["faults"]
-            found = await self._in_thread(file.read, faults)
-            if not self.connected:
-                self._thread.submit(file.close)
-            if file is self.memory_file and found != self.memory:
-                self.memory = found
-                self._tell("memory", found)
+            try:
+                await self._read_memory_once()
+            except Exception as error:  # it is read again
+                self._wall.caught(error, "fault memory's file")
             await asyncio.sleep(READ_S)
+
+    async def _read_memory_once(self) -> None:
+        file, faults = self.memory_file, self.hello["faults"]
+        found = await self._in_thread(file.read, faults)
+        if not self.connected:
+            self._thread.submit(file.close)
+        if file is self.memory_file and found != self.memory:
+            self.memory = found
+            self._tell("memory", found)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from gateway.common.fence import Fence, Wall
 from gateway.host.sockets import open_connection
 from gateway.serve.wire import Garbled, Splitter
 
@@ -34,6 +35,7 @@ class StatusLink:
         path: of the socket.
         on_message: takes each message and its block.
         on_link: told whether there is a daemon, and why not.
+        wall: around each message; None: one of its own.
     """
 
     def __init__(
@@ -41,7 +43,9 @@ class StatusLink:
         path: Path,
         on_message: Callable[[dict[str, Any], bytes], None],
         on_link: Callable[[bool, str], None],
+        wall: Wall | None = None,
     ) -> None:
+        self._wall = wall or Fence().wall("gateway")
         self.path = path
         self._on_message, self._on_link = on_message, on_link
         self._writer: asyncio.StreamWriter | None = None
@@ -81,11 +85,14 @@ class StatusLink:
                     if message.get("protocol") != PROTOCOL:
                         raise Garbled(f"protocol {message.get('protocol')}: gateway and page are of different versions")
                     self._on_link(True, "")
-                if kind == "answer":
-                    waiting = self._answers.get(message.get("id", 0))
-                    if waiting is not None and not waiting.done():
-                        waiting.set_result(message)
-                self._on_message(message, block)
+                self._wall.keep(self._take, message, block, of=kind)
+
+    def _take(self, message: dict[str, Any], block: bytes) -> None:
+        if message["kind"] == "answer":
+            waiting = self._answers.get(message.get("id", 0))
+            if waiting is not None and not waiting.done():
+                waiting.set_result(message)
+        self._on_message(message, block)
 
     def _end(self) -> None:
         if self._writer is not None:

@@ -53,6 +53,7 @@ class Metrics(Collector):
         yield from self._reporters()
         yield from self._ecus()
         yield from self._security()
+        yield self._exceptions()
         decoded = self._hub.counters
         for name, text in (
             ("frames", "Frames taken in."),
@@ -151,6 +152,20 @@ class Metrics(Collector):
             found.add_metric([event["sensor"], event["kind"]], float(event["total"]))
         if self._hub.security:
             yield found
+
+    def _exceptions(self) -> Metric:
+        """Exceptions that walls caught: of the gateway, and of this process (``page``)."""
+        labels = ["process", "wall", "door"]
+        found = CounterMetricFamily("gateway_exceptions", "Exceptions that ended the work for a peer.", labels=labels)
+        own = self._hub.fence
+        for process, walls in (
+            ("gateway", self._hub.exceptions),
+            ("page", {"first": own.first, "second": own.second}),
+        ):
+            for wall in ("first", "second"):
+                for door, count in (walls.get(wall) or {"": 0}).items():
+                    found.add_metric([process, wall, door], float(count))
+        return found
 
     def _buses(self) -> Iterator[Metric]:
         state = GaugeMetricFamily("gateway_bus_open", "Whether the bus is open.", labels=["bus"])

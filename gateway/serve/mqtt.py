@@ -35,8 +35,8 @@ from gateway.serve.link import Refused
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError
 
-#: Pace of looking for changes [s].
-LOOK_S = 0.1
+#: Pace of looking for changes, and rest after an exception [s].
+LOOK_S, REST_S = 0.1, 1.0
 ONLINE, OFFLINE = "online", "offline"
 #: Keys of an entry that are told.
 _TOLD = (
@@ -82,6 +82,7 @@ class Publisher:
 
     def __init__(self, hub: Hub, settings: BrokerSettings, name: str) -> None:
         self._hub, self._settings = hub, settings
+        self._wall = hub.fence.wall("mqtt")
         self.base = settings.base.strip("/") or f"gateway/{topic_part(name)}"
         self._told: dict[str, str] = {}  # topic -> retained state that the broker has
         self._anew = True
@@ -90,6 +91,7 @@ class Publisher:
         client.will_set(f"{self.base}/status", OFFLINE, qos=1, retain=True)
         client.reconnect_delay_set(1, 10)
         client.max_queued_messages_set(1000)
+        client.suppress_exceptions = True  # of ours, in its thread: it goes on
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
         if settings.user:
@@ -104,9 +106,13 @@ class Publisher:
         self._client.loop_start()
         try:
             while True:
-                if self._client.is_connected():
-                    self._tell_states()
-                    await self._tell_signals()
+                try:
+                    if self._client.is_connected():
+                        self._tell_states()
+                        await self._tell_signals()
+                except Exception as error:  # of one look; the next one tells it all
+                    self._wall.caught(error, "a look")
+                    await asyncio.sleep(REST_S)
                 await asyncio.sleep(LOOK_S)
         finally:
             await asyncio.to_thread(self._end)
@@ -156,11 +162,11 @@ class Publisher:
         states = self.states()
         for topic, payload in states.items():
             if self._told.get(topic) != payload:
-                self._publish(topic, payload)
-                self._told[topic] = payload
+                self._told[topic] = payload  # before: one that cannot be told is not tried for ever
+                self._wall.keep(self._publish, topic, payload, of=topic)
         for topic in [topic for topic in self._told if topic not in states]:
-            self._publish(topic, "")
             del self._told[topic]
+            self._wall.keep(self._publish, topic, "", of=topic)
 
     async def _tell_signals(self) -> None:
         now = asyncio.get_running_loop().time()

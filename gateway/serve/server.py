@@ -290,7 +290,7 @@ def serve(settings: ServeSettings, rights: Rights, listener: socket.socket) -> N
         more = {"ssl_certfile": settings.certificate, "ssl_keyfile": settings.key}
     hub = Hub(settings.socket)
     config = uvicorn.Config(
-        Guard(Page(hub).app(), rights, hub.on_refused),
+        Guard(Page(hub).app(), rights, hub.on_refused, hub.fence.wall("page")),
         http=_Protocol,
         loop="asyncio",
         ws="none",

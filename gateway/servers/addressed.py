@@ -21,6 +21,7 @@ class AddressedServer(BusServer):
 
     normal = False
     prompt = True
+    door = "uds"
 
     def __init__(self, transport: IsoTpEndpoint) -> None:
         self._transport = transport
@@ -32,6 +33,10 @@ class AddressedServer(BusServer):
 
     def go_on(self, old: AddressedServer) -> None:
         """Keep the rest of what a server of the same kind and address had under way."""
+
+    def restart(self) -> None:
+        """Drop requests and answers that are under way."""
+        self._transport.restart()
 
     def identifiers(self, bus: int) -> list[int] | None:
         """Return its request identifiers, if it is on this bus."""

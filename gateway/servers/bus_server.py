@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
+from gateway.common.fence import Fence, Wall
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
+from gateway.servers.application import Application
+from gateway.servers.uds.nrc import Nrc
 
 
 class BusServer:
@@ -27,6 +30,14 @@ class BusServer:
     urgent = False
     #: Frames that it takes where :meth:`identifiers` are too many to list; see :class:`gateway.bus.heard.Heard`.
     masks: frozenset[tuple[int, int]] = frozenset()
+    #: Name under which its exceptions are counted.
+    door = "bus"
+    #: Around the work for one tester; :class:`gateway.servers.bus_servers.BusServers` gives it that of the gateway.
+    wall = Wall(Fence(), door)
+
+    def __str__(self) -> str:
+        """Return its name for people."""
+        return f"all of {self.door}"
 
     def identifiers(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) it listens to on a bus; None: those of :attr:`masks`."""
@@ -59,6 +70,23 @@ class BusServer:
             old: one of its servers, of any kind; not to be used any more.
             buses: index of a bus there -> its index here.
         """
+
+    def restart(self) -> None:
+        """Drop what is under way, after an exception of which no tester is known."""
+
+    def answered(self, application: Application, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
+        """Return an application's responses to a request; where it fails, that it is rejected (0x10).
+
+        Args:
+            application: whose request it is.
+            request: not empty.
+            functional: whether it was meant for every server.
+            t_ns: now.
+        """
+        failed = [bytes([0x7F, request[0], Nrc.GENERAL_REJECT])]
+        return self.wall.keep(
+            application.answer, request, functional, t_ns, of=f"request {request[:8].hex()}", instead=failed
+        )
 
     def counters(self) -> dict[str, int]:
         """Return what it counted, by name."""

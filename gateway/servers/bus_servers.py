@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from gateway.bus.frames import URGENT, Frames, empty
 from gateway.bus.heard import Heard
+from gateway.common.fence import Fence
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.servers.bus_server import BusServer
 
 _NOBODY = np.void(b"")
+#: Time that a server has no turn after an exception that ended no single tester: it may come again at once [ns].
+REST_NS = 100_000_000
 
 
 class BusServers:
@@ -22,14 +26,21 @@ class BusServers:
         servers: each reads no clock: times come with the calls.
         buses: how many the gateway has.
         may_send: whether normal communication is on at present (ISO 14229-1, 0x28).
+        fence: counts their exceptions.
 
     Attributes:
         heard: what they listen to, on any bus.
     """
 
-    def __init__(self, servers: Sequence[BusServer], buses: int, may_send: Callable[[], bool]) -> None:
+    def __init__(
+        self, servers: Sequence[BusServer], buses: int, may_send: Callable[[], bool], fence: Fence | None = None
+    ) -> None:
         self.all = tuple(servers)
         self._may_send = may_send
+        self._now_ns = 0
+        fence = fence or Fence()
+        for server in self.all:
+            server.wall = fence.wall(server.door)
         self._due = [server.next_ns for server in self.all]
         self._next_due = min(self._due, default=NEVER)
         ids = [server.identifiers(bus) or [] for server in self.all for bus in range(buses)]
@@ -80,9 +91,7 @@ class BusServers:
 
     def on_frame(self, k: int, frame: np.void, t_ns: int) -> Frames:
         """Give a server a frame that it wanted; returns frames to send."""
-        made = self.all[k].on_frame(frame, t_ns)
-        self._set_due(k)
-        return self._allowed(self.all[k], made)
+        return self._done(k, t_ns, self.all[k].on_frame, frame, t_ns)
 
     def promise(self, frames: Frames, t_ns: int) -> list[Frames]:
         """Return frames that have testers wait, whose requests are among frames that are fed later."""
@@ -90,15 +99,15 @@ class BusServers:
         for server in self.all:
             mask = server.wanted(frames)
             for k in () if mask is None else np.flatnonzero(mask):
-                made.append(self._allowed(server, server.promise(frames[k], t_ns)))
+                promised = server.wall.keep(server.promise, frames[k], t_ns, of=server, instead=empty(0))
+                made.append(self._allowed(server, promised))
         return made
 
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> list[Frames]:
         """Tell all of changes that are durable; returns frames to send."""
         frames = []
         for k, server in enumerate(self.all if changes else ()):
-            frames.append(self._allowed(server, server.on_changes(changes, t_ns)))
-            self._set_due(k)
+            frames.append(self._done(k, t_ns, server.on_changes, changes, t_ns))
         return frames
 
     def on_time(self, t_ns: int, *, prompt: bool = False) -> list[Frames]:
@@ -113,8 +122,7 @@ class BusServers:
         frames = []
         for k, server in enumerate(self.all):
             if t_ns >= self._due[k] and (server.prompt or not prompt):
-                frames.append(self._allowed(server, server.on_time(t_ns)))
-                self._set_due(k)
+                frames.append(self._done(k, t_ns, server.on_time, t_ns))
         return frames
 
     @property
@@ -140,8 +148,24 @@ class BusServers:
         """Look again when a server is due: something came to it by no bus."""
         self._set_due(self.all.index(server))
 
+    def _done(self, k: int, t_ns: int, work: Callable[..., Frames], *arguments: Any) -> Frames:
+        """Have a server do something; returns the frames to send. One that fails drops what it had under way."""
+        self._now_ns = t_ns
+        server = self.all[k]
+        made: Frames | None = server.wall.keep(work, *arguments, of=server, ends=self._restart)
+        if made is None:
+            return empty(0)
+        self._set_due(k)
+        return self._allowed(server, made)
+
+    def _restart(self, server: BusServer) -> None:
+        self._due[self.all.index(server)] = self._now_ns + REST_NS
+        self._next_due = min(self._due)
+        server.restart()
+
     def _set_due(self, k: int) -> None:
-        self._due[k] = self.all[k].next_ns
+        server = self.all[k]
+        self._due[k] = server.wall.keep(_next_of, server, of=server, instead=self._now_ns + REST_NS)
         self._next_due = min(self._due)
 
     def _allowed(self, server: BusServer, frames: Frames) -> Frames:
@@ -151,3 +175,7 @@ class BusServers:
         if server.urgent:
             frames["rank"] = URGENT
         return frames
+
+
+def _next_of(server: BusServer) -> int:
+    return server.next_ns

@@ -49,7 +49,7 @@ class DiagnosticServer(AddressedServer):
 
     def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         application = self._application_for(request)
-        return [] if application is None else application.answer(request, functional, t_ns)
+        return [] if application is None else self.answered(application, request, functional, t_ns)
 
     def _application_for(self, request: bytes) -> Application | None:
         if self._obd is not None and (request[0] in MODES or self.uds is None):

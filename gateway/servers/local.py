@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from gateway.bus.frames import Frames, empty
+from gateway.common.budget import Budget
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.servers.bus_server import BusServer
@@ -50,6 +51,9 @@ class _Tester:
     waiting: deque[_Asked] = field(default_factory=deque)
     open: _Asked | None = None
 
+    def __str__(self) -> str:
+        return f"reader {self.reader}, tester {self.name}"
+
     @property
     def is_idle(self) -> bool:
         """Whether nothing of it lasts."""
@@ -70,6 +74,7 @@ class LocalServer(BusServer):
 
     normal = False
     prompt = True
+    door = "status"
 
     def __init__(self, new_tester: Callable[[str, int], UdsServer]) -> None:
         self._new_tester = new_tester
@@ -78,6 +83,7 @@ class LocalServer(BusServer):
         self.push: Push = lambda reader, tester, answer: None
         self._testers: dict[tuple[int, str], _Tester] = {}
         self._now_ns = 0
+        self._budget, self._first = Budget(), 0
 
     def identifiers(self, bus: int) -> list[int]:
         """Return that it listens to nothing on a bus."""
@@ -127,11 +133,18 @@ class LocalServer(BusServer):
             self._end(each)
 
     def _end(self, one: _Tester) -> None:
-        for route in self.routes.values():
-            route.line.forget(one.server)
-        one.server.leave()
-        one.waiting.clear()
         del self._testers[one.reader, one.name]
+        one.waiting.clear()
+        self.wall.keep(one.server.leave, of=one)
+        for route in self.routes.values():
+            self.wall.keep(route.line.forget, one.server, of=one)
+
+    def _fail(self, one: _Tester) -> None:
+        """End a tester whose work raised; its requests are rejected."""
+        waits = [*([] if one.open is None else [one.open]), *one.waiting]
+        self._end(one)
+        for asked in waits:
+            asked.done([bytes([0x7F, asked.request[0], Nrc.GENERAL_REJECT])])
 
     def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
         """Have requests asked again (0x21) that the configuration before did not answer; its sessions are over."""
@@ -145,11 +158,17 @@ class LocalServer(BusServer):
     def on_time(self, t_ns: int) -> Frames:
         """Answer what waits, and let sessions end."""
         self._now_ns = max(self._now_ns, t_ns)  # that of the monitors lags
-        for one in list(self._testers.values()):
-            self._take(one, one.server.pass_time(self._now_ns))
-            while one.waiting and one.open is None:
-                self._answer(one, one.waiting.popleft())
+        self._budget.begin()
+        testers = list(self._testers.values())
+        self._first = (self._first + 1) % max(len(testers), 1)  # each is first in turn: none waits for ever
+        for one in [*testers[self._first :], *testers[: self._first]]:
+            self.wall.keep(self._pass_time, one, of=one, ends=self._fail)
         return empty(0)
+
+    def _pass_time(self, one: _Tester) -> None:
+        self._take(one, one.server.pass_time(self._now_ns))
+        while one.waiting and one.open is None and not self._budget.over:
+            self._answer(one, one.waiting.popleft())
 
     def _take(self, one: _Tester, answers: Sequence[bytes]) -> None:
         """Give answers that come later, or by themselves, to whom they are for."""
@@ -162,7 +181,7 @@ class LocalServer(BusServer):
 
     def _answer(self, one: _Tester, asked: _Asked) -> None:
         if asked.ecu == SELF:
-            answers = one.server.answer(asked.request, False, self._now_ns)
+            answers = self.answered(one.server, asked.request, False, self._now_ns)
             if answers and is_pending(answers[-1]):
                 one.open = asked
             else:
@@ -189,10 +208,13 @@ class LocalServer(BusServer):
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
         """Push the responses that testers asked for on changes (0x86)."""
         self._now_ns = max(self._now_ns, t_ns)
-        for one in self._testers.values():
-            for answer in one.server.on_changes(changes, self._now_ns):
-                self.push(one.reader, one.name, answer)
+        for one in list(self._testers.values()):
+            self.wall.keep(self._tell_changes, one, changes, of=one, ends=self._fail)
         return empty(0)
+
+    def _tell_changes(self, one: _Tester, changes: Sequence[DtcChange]) -> None:
+        for answer in one.server.on_changes(changes, self._now_ns):
+            self.push(one.reader, one.name, answer)
 
     @property
     def next_ns(self) -> int:

@@ -48,4 +48,5 @@ def test_two_sockets_rest_where_one_finds_no_descriptors_and_listen_again(monkey
             assert listening.accept(each, 7.0) is None
             taken.close()
             tester.close()
-        listening.close()
+        for each in made:
+            each.close()

@@ -9,6 +9,7 @@ import pytest
 from daemon_rig import World
 from reporting import write_config
 
+from gateway.common.fence import Fence
 from gateway.host.sockets import groups_of, listen_at
 from gateway.live import report_socket as module
 from gateway.serve.metrics import Metrics
@@ -272,6 +273,7 @@ class Told:
 
     connected, monitoring = True, {"on": True}
     hello, worst, buses, counters, missed, refused, security = {"faults": []}, {}, [], {}, 0, 0, {}
+    exceptions, fence = {}, Fence()
 
     def __init__(self, reporters):
         self.reporters, self.ecus = reporters, []

@@ -13,7 +13,7 @@ from gateway.cli.report import RunReport
 from gateway.cli.watch import drawn, told
 from gateway.faults import service
 from gateway.faults.cases import cases_of
-from gateway.live.status import _described
+from gateway.live.hello import described
 from gateway.runtime.app import Gateway
 from gateway.serve.hub import Hub
 from gateway.serve.memory import MemoryFile
@@ -35,7 +35,7 @@ def shown(tmp_path):
     gateway.feed(frames(5.0, 8.0, Speed=40))
     hub = Hub(tmp_path / "nobody")
     hub._on_link(True, "")
-    hub._on_hello(json.loads(json.dumps(_described(gateway))), b"")
+    hub._on_hello(json.loads(json.dumps(described(gateway))), b"")
     hub.memory = MemoryFile(path).read(hub.hello["faults"])
     yield hub, path
     gateway.close()

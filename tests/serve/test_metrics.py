@@ -12,7 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from gateway.config.load import load_config
 from gateway.engine.buckets import TickRow
-from gateway.live.status import _described
+from gateway.live.hello import described
 from gateway.runtime.app import Gateway
 from gateway.serve.hub import Hub
 from gateway.serve.metrics import Metrics
@@ -27,7 +27,7 @@ def hub(tmp_path):
     gateway = Gateway(load_config(shipped("gateway.toml")))
     made = Hub(tmp_path / "nobody")
     made._on_link(True, "")
-    made._on_hello(json.loads(json.dumps(_described(gateway))), b"")
+    made._on_hello(json.loads(json.dumps(described(gateway))), b"")
     gateway.close()
     made.memory = {**made.memory, "status": {"crank.missed_pulse": 0x2F}}
     rows = np.zeros(1, TickRow.dtype)
@@ -77,7 +77,7 @@ def test_security_events_are_metrics_states_of_a_broker_and_listed(hub):
 def test_labels_are_those_of_the_catalogue(hub):
     """Whatever the wire says: no label is of a frame, a reason or a file."""
     known = {fault["id"] for fault in hub.hello["faults"]} | {fault["dtc"] for fault in hub.hello["faults"]}
-    known |= {"powertrain", "bus_off", *hub_bits()}
+    known |= {"powertrain", "bus_off", *hub_bits(), "gateway", "page", "first", "second", ""}
     for key in samples(Metrics(hub).text()):
         assert {value for _, value in key[1:]} <= known
 

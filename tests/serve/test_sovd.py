@@ -234,7 +234,7 @@ def test_operations_logs_and_status(doors):
 
 
 @pytest.mark.evidence("ISO 17978-3: errors")
-def test_every_failure_is_a_generic_error(doors):
+def test_every_failure_is_a_generic_error(doors, caught):
     client = Client(doors)
     assert client("GET", "/sovd/v1/nothing")[0] == 404
     assert client("GET", "/sovd/v1/components/gate%0Away".replace("%0A", "\n"))[0] == 404

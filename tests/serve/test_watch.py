@@ -9,7 +9,7 @@ from rich.console import Console
 from gateway.cli.watch import drawn, told, watch
 from gateway.config.load import load_config
 from gateway.engine.buckets import TickRow
-from gateway.live.status import _described
+from gateway.live.hello import described
 from gateway.runtime.app import Gateway
 from gateway.serve.hub import Hub
 from gateway_fdi.common.resources import shipped
@@ -20,7 +20,7 @@ def hub(tmp_path):
     gateway = Gateway(load_config(shipped("gateway.toml")))
     made = Hub(tmp_path / "nobody")
     made._on_link(True, "")
-    made._on_hello(json.loads(json.dumps(_described(gateway))), b"")
+    made._on_hello(json.loads(json.dumps(described(gateway))), b"")
     gateway.close()
     rows = np.zeros(3, TickRow.dtype)
     rows["fault"], rows["count"], rows["numbers"] = (0, 1, 2), 1, 1

@@ -17,12 +17,9 @@ from gateway.serve.sovd.errors import SovdError
 from gateway.serve.sovd.model import Body, Described, Describing, Model, Nothing
 from gateway.serve.sovd.replies import error_response, failure
 from gateway.serve.sovd.state import State
-from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError
 
 JSON = "application/json"
-
-log = get_logger(__name__)
 
 
 @dataclass(frozen=True)
@@ -97,7 +94,7 @@ async def serve(endpoint: Endpoint, state: State, request: Request) -> Response:
     except GatewayError as error:
         return error_response(503, str(error))
     except Exception as error:
-        log.error("SOVD: an error of this server", path=request.url.path[:80], reason=repr(error))
+        state.hub.fence.note("sovd", error, f"{request.method} {request.url.path}")
         return error_response(500, "an error of this server, which is in its log")
     if isinstance(found, Response):
         return found

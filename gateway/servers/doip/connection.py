@@ -47,6 +47,10 @@ class Connection:
     rivals: set[Connection] = field(default_factory=set)
     more: bool = False
 
+    def __str__(self) -> str:
+        """Return its name."""
+        return self.name
+
     def put(self, kind: Kind, body: bytes) -> None:
         """Send a message, if there is still someone to take it."""
         if not self.ends:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from gateway.bus.frames import Frames, empty
+from gateway.common.budget import Budget
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.servers.bus_server import BusServer
@@ -57,6 +58,7 @@ class DoipServer(BusServer):
 
     normal = False
     prompt = True
+    door = "doip"
 
     def __init__(
         self, params: DoipParams, new_tester: NewTester, identity: Identity, tls: SSLContext | None = None
@@ -68,6 +70,7 @@ class DoipServer(BusServer):
         self._own = params.address.to_bytes(2, "big")
         self.counts: Counter[str] = Counter()
         self._now_ns = 0
+        self._budget, self._first = Budget(), 0
 
     # Connections
 
@@ -88,8 +91,10 @@ class DoipServer(BusServer):
 
     def disconnect(self, gone: Connection) -> None:
         """Forget a connection that is closed."""
-        self._end(gone)
-        self.connections.remove(gone)
+        try:
+            self._end(gone)
+        finally:
+            self.connections.remove(gone)
 
     def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
         """Take it that the sessions of the configuration before are over; :meth:`adopt` begins them again."""
@@ -133,17 +138,22 @@ class DoipServer(BusServer):
             return
         one.ends, one.asks, one.more, one.check_ends_ns = True, None, False, None
         one.rivals.clear()
+        server, one.server = one.server, None
+        if server is not None:
+            self.wall.keep(server.leave, of=one)
         for route in self.routes.values():
-            route.line.forget(one)
-        if one.server is not None:
-            one.server.leave()
-            one.server = None
+            self.wall.keep(route.line.forget, one, of=one)
         for other in self.connections:
             if one in other.rivals and other.asks is not None:
                 other.rivals.clear()
-                asked, other.asks = other.asks, None
-                self._activate(other, asked)
-                other.more = not other.ends
+                self.wall.keep(self._take_place, other, of=other, ends=self._end)
+
+    def _take_place(self, other: Connection) -> None:
+        """Activate a connection that has waited for a place."""
+        asked, other.asks = other.asks, None
+        assert asked is not None
+        self._activate(other, asked)
+        other.more = not other.ends
 
     # Messages
 
@@ -152,13 +162,14 @@ class DoipServer(BusServer):
         self._now_ns = max(self._now_ns, t_ns)
         if not one.ends:
             one.splitter.put(data)
+            self._budget.begin()
             self._go_on(one)
 
     def _go_on(self, one: Connection) -> None:
-        """Take the messages that have come, at most some of them."""
+        """Take the messages that have come, at most some of them, one at least."""
         one.more = False
-        for _ in range(MOST_IN_A_TURN):
-            if one.stuck or one.asks is not None:
+        for k in range(MOST_IN_A_TURN):
+            if one.stuck or one.asks is not None or (k and self._budget.over):
                 break
             found = one.splitter.take()
             if found is None:
@@ -286,7 +297,7 @@ class DoipServer(BusServer):
         self._acknowledge(one, body)
         for each in self.routes if functional else ():  # judged before our own server changes its session
             self._pass_on(one, each, body, functional=True)
-        self._answer(one, one.server.answer(request, functional, self._now_ns))
+        self._answer(one, self.answered(one.server, request, functional, self._now_ns))
 
     def _acknowledge(self, one: Connection, body: bytes) -> None:
         self._count("requests")
@@ -340,22 +351,30 @@ class DoipServer(BusServer):
         """Send the responses that testers asked for on changes (0x86)."""
         self._now_ns = max(self._now_ns, t_ns)
         for each in self.active:
-            if each.server is not None:
-                self._answer(each, each.server.on_changes(changes, t_ns))
+            self.wall.keep(self._tell_changes, each, changes, t_ns, of=each, ends=self._end)
         return empty(0)
+
+    def _tell_changes(self, one: Connection, changes: Sequence[DtcChange], t_ns: int) -> None:
+        if one.server is not None:
+            self._answer(one, one.server.on_changes(changes, t_ns))
 
     def on_time(self, t_ns: int) -> Frames:
         """Go on with messages that wait, send answers that come later, and close what has been silent for too long."""
         self._now_ns = max(self._now_ns, t_ns)  # that of the monitors lags
-        for each in list(self.connections):
-            if each.server is not None:
-                self._answer(each, each.server.pass_time(t_ns))
-            if each.more and not each.stuck:
-                self._go_on(each)
-            if self._due_ns(each) <= t_ns and (each.stuck or not each.more):
-                self._count("silent")
-                self._end(each)
+        self._budget.begin()
+        self._first = (self._first + 1) % max(len(self.connections), 1)  # each is first in turn: none waits for ever
+        for each in [*self.connections[self._first :], *self.connections[: self._first]]:
+            self.wall.keep(self._pass_time, each, t_ns, of=each, ends=self._end)
         return empty(0)
+
+    def _pass_time(self, one: Connection, t_ns: int) -> None:
+        if one.server is not None:
+            self._answer(one, one.server.pass_time(t_ns))
+        if one.more and not one.stuck and not self._budget.over:
+            self._go_on(one)
+        if self._due_ns(one) <= t_ns and (one.stuck or not one.more):
+            self._count("silent")
+            self._end(one)
 
     def _due_ns(self, one: Connection) -> int:
         """Return when a connection is closed if nothing comes."""

@@ -76,6 +76,11 @@ class J1939Endpoint:
         self._claim, self.transport, self._now_ns = old._claim, old.transport, old._now_ns
         return True
 
+    def restart(self) -> None:
+        """Drop what is under way; the address stays."""
+        self.transport.reset()
+        self._made.clear()
+
     @property
     def bus(self) -> int:
         """Index of its bus."""

@@ -38,6 +38,7 @@ class J1939Server(BusServer):
     """
 
     prompt = True
+    door = "j1939"
 
     def __init__(
         self,
@@ -60,6 +61,10 @@ class J1939Server(BusServer):
         """Keep the address, the sessions of the transport protocol, and the record of DTCs that were told."""
         if isinstance(old, J1939Server) and self.endpoint.succeed(old.endpoint, buses.get(old.endpoint.bus)):
             self._dm1.succeed(old._dm1)
+
+    def restart(self) -> None:
+        """Drop the messages of several frames that are under way."""
+        self.endpoint.restart()
 
     def identifiers(self, bus: int) -> list[int] | None:
         """Any sender on its bus may mean it."""

@@ -8,6 +8,7 @@ from enum import IntEnum
 class Nrc(IntEnum):
     """The codes that this server uses."""
 
+    GENERAL_REJECT = 0x10
     SERVICE_NOT_SUPPORTED = 0x11
     SUB_FUNCTION_NOT_SUPPORTED = 0x12
     INCORRECT_LENGTH = 0x13
