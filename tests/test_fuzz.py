@@ -27,12 +27,7 @@ def fuzz():
     return made.fuzz
 
 
-CASES = [
-    # The fence around the status socket's commands ends it; then this mark goes.
-    pytest.param(name, marks=pytest.mark.xfail(strict=False)) if name == "status" else name
-    for name in parsers.TARGETS
-    if name not in SLOW
-]
+CASES = [name for name in parsers.TARGETS if name not in SLOW]
 
 
 @pytest.mark.evidence("Bounded: parsers")

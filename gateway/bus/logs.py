@@ -277,12 +277,12 @@ class LogWriter:
 
     @property
     def lost(self) -> Counter[str]:
-        """What the format cannot hold -> of how many frames."""
+        """Properties that the format cannot hold -> of how many frames."""
         return Counter(getattr(self._sink, "lost", ()))
 
     @property
     def problems(self) -> list[InputError]:
-        """What the log does not say of the frames that were written."""
+        """Properties of the frames that are not in the log, as one error."""
         what = ", ".join(f"{name} ({count} frames)" for name, count in self.lost.items() if count)
         text = f"{self._format} cannot hold all of these frames; not in this log: {what}"
         return [InputError(text, file=self._path)] if what else []

@@ -118,7 +118,7 @@ class LoopbackBus(Bus):
     def send(self, frames: Frames) -> int:
         """Send frames to all others on the bus; waits a while until the hub takes them."""
         data = b"".join(
-            # A remote frame's DLC goes as so many zeros.
+            # A remote frame's DLC goes as this number of zeros.
             extended_frame(
                 (0, int(one["can_id"]), int(one["flags"]), bytes(one["data"][: one["length"]])), stamped=False
             )

@@ -1,8 +1,8 @@
 """Writers of logs in other tools' formats, which :mod:`gateway.bus.readers` gives back frame by frame.
 
 Each keeps nanoseconds, remote frames with their DLC, and the classes and data of error frames, which python-can's
-writers lose. Where a format has no place for classes, they stand behind what it has, as ``SocketCAN``. What a format
-cannot hold at all is counted.
+writers lose. Where a format has no place for classes, they stand behind what it has, as ``SocketCAN``. Properties that
+a format cannot hold at all are counted.
 """
 
 from __future__ import annotations

@@ -365,7 +365,7 @@ class Csv(Lines):
 
     @property
     def good(self) -> str:  # type: ignore[override]
-        """What a line has."""
+        """The fields of a line."""
         return _PYTHON_CAN.decode() if self._map is None else "its fields as the header has them"
 
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:

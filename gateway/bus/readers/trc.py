@@ -234,7 +234,7 @@ class Trc(Lines):
 
     @property
     def good(self) -> str:  # type: ignore[override]
-        """What a line has."""
+        """The format of a line."""
         return f"TRC of version {self._version}"
 
     @staticmethod
