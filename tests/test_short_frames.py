@@ -54,6 +54,13 @@ def test_a_sender_whose_frames_become_shorter_is_accused_and_they_are_not_used(c
     assert car.of("short_frames") == []
 
 
+def test_frames_that_always_were_short_fail_where_the_configuration_names_that_fault(tmp_path):
+    car = Car(write(tmp_path, MESSAGE, MONITORS + '[fault."b.M.length"]\ndtc = "U0401-81"\n'))
+    car.feed([bytes([200, 0, 0, 0, 0, 0])] * 20)
+    assert car.failed() == ["M.length"]
+    assert stepped(car) == [0, 0], "they are not used"
+
+
 def test_a_value_of_before_counts_no_more_when_frames_end_before_it(tmp_path):
     """Of a monitor of two messages: the other one comes, this one comes short."""
     other = 'BO_ 257 N: 8 A\n SG_ Value : 0|16@1+ (1,0) [0|0] "" B\n'

@@ -101,7 +101,7 @@ def build_engine(
     vectors, triggers = _vectors(plan, made.triggered)
     pages = _pages(made.pages, vectors, plan)
     crcs = protection.Tables()
-    check_rows = _checks(checks, buses, plan, by_bus, vectors, faults, crcs)
+    check_rows = _checks(checks, buses, plan, by_bus, vectors, faults, crcs, (debounces or {}).keys())
     silences = [silence_of(k, bus.params, checks, by_bus) for k, bus in enumerate(buses)]
     health = _health(buses, silences, clock, faults)
     faults += reported
@@ -346,13 +346,16 @@ def _checks(
     vectors: Any,
     faults: list[FaultSlot],
     crcs: protection.Tables,
+    named: Collection[str],
 ) -> Any:
     """Return the table of message checks; their faults are appended to ``faults``."""
     rows = table(len(checks), Check)
     for k, check in enumerate(checks):
         vectors[plan.message(check.bus, check.params.message)]["check"] = k
         wake_ms = buses[check.bus].params.wake_ms if check.bus < len(buses) else 0.0
-        faults += communication.fill(rows[k], check, plan, databases[check.bus], len(faults), crcs, wake_ms=wake_ms)
+        faults += communication.fill(
+            rows[k], check, plan, databases[check.bus], len(faults), crcs, wake_ms=wake_ms, named=named
+        )
     communication.connect_synced(rows, checks)
     return rows
 

@@ -12,7 +12,7 @@ frequency too high, 62 signal compare failure.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -384,8 +384,21 @@ def fill(
     crcs: Tables,
     *,
     wake_ms: float = 0.0,
+    named: Collection[str] = (),
 ) -> list[FaultSlot]:
-    """Fill one row of checks, ``wake_ms`` is that of its bus; returns the faults it can report, in order."""
+    """Fill one row of checks; returns the faults it can report, in order.
+
+    Args:
+        row: of :class:`Check`.
+        check: what is asked for.
+        plan: the decode tables.
+        database: of its bus.
+        first_fault: place of its first fault.
+        crcs: tables of checksums.
+        wake_ms: of its bus [ms].
+        named: ids of faults that the configuration names. Frames that always were short fail where the fault of their
+            length is one of them.
+    """
     p, message = check.params, _message(check, database)
     with under(_key(check)):
         asked = protection_for(message, p)
@@ -411,6 +424,8 @@ def fill(
             slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
     row["bus"] = check.bus
     row["length"] = message.length
+    if f"{check.name}.{p.fault_of(LENGTH).name}" in named:
+        row["longest"] = message.length
     row["only_length"] = 0 if isinstance(p.length, bool) else p.length
     row["need"] = (_bits(asked).bit_length() + 7) // 8
     senders.fill(row, p.most)
