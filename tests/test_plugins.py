@@ -236,8 +236,8 @@ def test_a_package_brings_a_command_a_log_format_a_checksum_and_a_key_function(t
     counted = run("workshop", log, cwd=tmp_path, path=site)
     assert counted.stdout == "1A0  2\n1A1  1\n", counted.stderr
     made = run("convert", "log", log, tmp_path / "a.log", cwd=tmp_path, path=site)
-    assert made.returncode == 0, made.stderr
-    assert "1 places could not be read" in made.stderr
+    assert made.returncode == 2, made.stderr
+    assert "line 3: what is this': damaged, passed over: 1 x" in made.stderr
     assert [line.split()[1:] for line in (tmp_path / "a.log").read_text().splitlines()] == [
         ["can0", "1A0#0011"], ["can1", "1A0#2233"], ["can0", "1A1#44"],
     ]  # fmt: skip

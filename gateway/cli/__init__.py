@@ -400,7 +400,10 @@ def decode(
     database: Annotated[
         list[Path] | None,
         typer.Option(
-            "--database", "-d", help="Database for the frames of all buses (.dbc, .kcd, .sym, .arxml); may be repeated."
+            "--database",
+            "-d",
+            help="Database for the frames of all buses (.dbc, .kcd, .sym, .arxml); may be repeated. One bus of"
+            " several: car.kcd#Motor.",
         ),
     ] = None,
     config: Annotated[
@@ -436,6 +439,22 @@ def plot_command(
     """Draw what the monitors computed over time.
 
     The picture shows values against their limits, with DTCs marked.
+    """
+
+
+@app.command()
+@does("gateway.cli.trust:trust")
+def trust(
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="FILE...", help="Code: .py, .fmu, what a method has learned.")
+    ] = None,
+    system: Annotated[
+        bool, typer.Option("--system", help="For every user of this machine, in /etc/gateway/trusted.")
+    ] = False,
+) -> None:
+    """Let code run that a configuration, a scenario or a model names, as it is now; without a file list what may.
+
+    The modules beside it that it imports are taken, too.
     """
 
 

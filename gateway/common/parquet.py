@@ -25,9 +25,10 @@ _MAGIC = b"PAR1"
 #: Thrift's types: true and false, byte, whole numbers, double, bytes, list and set, structure.
 _TRUE, _FALSE, _BYTE, _WHOLE, _DOUBLE, _BYTES, _LISTS, _STRUCT = 1, 2, 3, (4, 5, 6), 7, 8, (9, 10), 12
 #: Fields of the footer: groups of rows; their columns; a column's own data, of these its type, the names of its path,
-#: its bytes in the file, where its data begin, and where its dictionary does. Apache Parquet, parquet.thrift.
+#: its number of values, its bytes in the file, where its data begin, and where its dictionary does. Apache Parquet,
+#: parquet.thrift.
 _GROUPS, _COLUMNS, _DATA = 4, 1, 3
-_TYPE, _PATH, _SIZE, _BEGIN, _DICTIONARY = 1, 3, 7, 9, 11
+_TYPE, _PATH, _COUNT, _SIZE, _BEGIN, _DICTIONARY = 1, 3, 5, 7, 9, 11
 _BYTE_ARRAY = 6
 #: Fields of a page's header: kind, bytes unpacked, bytes in the file, headers of data pages of both versions.
 _KIND, _UNPACKED, _PACKED, _DATA_PAGES = 1, 2, 3, (5, 8)
@@ -144,6 +145,8 @@ def _look(source: BinaryIO, path: Path) -> set[str]:
     """
     found = set()
     for name, lists, data in _columns(source, path):
+        if not data[_COUNT]:
+            continue  # pyarrow reads nothing of it
         dictionary = data.get(_DICTIONARY) or 0
         at = dictionary if 0 < dictionary < data[_BEGIN] else data[_BEGIN]
         end, values = at + data[_SIZE], 0

@@ -196,7 +196,7 @@ def _local(module: str) -> tuple[Path, Path] | None:
     """Return the folder and the file of a module that is not of the installation, None: there is none."""
     top = module.partition(".")[0]
     on_path = [Path(place or ".") for place in sys.path]
-    for folder in dict.fromkeys([*filter(None, [_claimed.get(top)]), *_folders, *on_path]):
+    for folder in dict.fromkeys([*filter(None, [_claimed.get(top)]), *on_path, *_folders]):
         if (file := _place_in(folder, module)) is not None:
             return folder, file
     return None

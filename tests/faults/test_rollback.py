@@ -199,6 +199,7 @@ def test_what_is_beside_may_be_of_before(tmp_path, monkeypatch):
     before = image(path, tmp_path / "before")
     monkeypatch.setattr(chain, "MOST", 40)
     store, memory = kept(path)
+    memory.start_cycle(0)
     for k in range(150):
         memory.apply(event(k % 3, k % 2 == 0, k), nothing)
         memory.commit()

@@ -56,6 +56,7 @@ def test_the_same_seed_is_the_same_run(tmp_path):
         ("stopped", "behind true time"),
     ],
 )
+@pytest.mark.usefixtures("caught")  # the checks raise in the loop
 def test_what_is_wrong_is_found(kind, says, tmp_path, monkeypatch):
     """The checks can fail: frames that nobody counts, a store that writes nothing, a tester nobody hears, time
     that stops.

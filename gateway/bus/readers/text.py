@@ -27,6 +27,10 @@ ZEROS = "a run of zero bytes"
 LONG = f"a line that is longer than {LINE} bytes"
 
 
+#: How often a line is asked for at most: after the header, for what it names, for what it says.
+ASKED = 4
+
+
 class Lines(ABC):
     """A format of lines.
 
@@ -212,7 +216,7 @@ class TextReader:
         yield from self._some(text, names, batch)
 
     def _some(self, text: bytes, names: Names, batch: Batch) -> Iterator[None]:
-        array, at, asked = np.frombuffer(text, np.uint8), 0, -1
+        array, at, asked = np.frombuffer(text, np.uint8), 0, [0, 0]
         while at < len(array):
             at, lines, status = self.lines.scan(array, at, batch)
             self._line += lines
@@ -222,9 +226,10 @@ class TextReader:
                 continue
             end = text.index(b"\n", at) + 1
             line = text[at:end]
-            if status == ASK:  # again at this place: what was learned does not help
-                status = BAD if at == asked else self.lines.asked(line, names, batch)
-                asked = at
+            if status == ASK:
+                asked = [at, asked[1] + 1 if at == asked[0] else 1]
+                # Asked again and again at one place: what was learned does not help.
+                status = BAD if asked[1] > ASKED else self.lines.asked(line, names, batch)
             if status == BAD:
                 self._pass_over(f"no line of this format ({self.lines.good})", line)
             elif status == PASSED:
