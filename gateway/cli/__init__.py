@@ -452,7 +452,9 @@ def trust(
         bool, typer.Option("--system", help="For every user of this machine, in /etc/gateway/trusted.")
     ] = False,
 ) -> None:
-    """Let code run that a configuration, a scenario or a model names, as it is now; without a file list what may.
+    """Let code beside configurations run, as it is now.
+
+    Configurations, scenarios and models name it. Without a file it lists what may run.
 
     The modules beside it that it imports are taken, too.
     """
