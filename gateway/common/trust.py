@@ -195,7 +195,7 @@ def _place_in(folder: Path, module: str) -> Path | None:
 def _local(module: str) -> tuple[Path, Path] | None:
     """Return the folder and the file of a module that is not of the installation, None: there is none."""
     top = module.partition(".")[0]
-    on_path = [Path(place or ".") for place in sys.path]
+    on_path = [Path(place).absolute() for place in sys.path]
     for folder in dict.fromkeys([*filter(None, [_claimed.get(top)]), *on_path, *_folders]):
         if (file := _place_in(folder, module)) is not None:
             return folder, file
@@ -209,7 +209,7 @@ def file_of(module: str) -> Path | None:
         module: its name, with dots.
     """
     if _is_of_installation(module.partition(".")[0]):
-        for place in (Path(place or ".") for place in sys.path):
+        for place in (Path(place).absolute() for place in sys.path):
             if (file := _place_in(place, module)) is not None:
                 return file
     found = _local(module)

@@ -65,6 +65,8 @@ class State(Record):
     lead_ns: Annotated[f8s, MOST_INPUTS] = means("time of its frame before its sample", "ns")
     share: Annotated[f8s, MOST_INPUTS] = means("share of the samples before which a frame came")
     listened: i8 = means("samples in these averages")
+    ahead: Annotated[i8s, MOST_INPUTS] = means("frames more than samples, since one that came in time")
+    doubt: Annotated[i8s, MOST_INPUTS] = means("1: times and number of its frames contradict each other")
     told: Annotated[i8s, MOST_INPUTS] = means("its last alive counter")
     u: Annotated[f8s, MOST_INPUTS] = means("what holds from the present sample on")
     unsure: Annotated[i8s, MOST_INPUTS] = means("1: the frame that would say so is lost")
@@ -299,6 +301,20 @@ def command(s: State, c: Const, u: Inputs) -> bool:
 
 
 @kernel
+def _contradicts(s: State, c: Const, j: int, steps: int) -> bool:
+    """Return whether the times of a cyclic command say something else than the number of its frames.
+
+    A sample that waits L periods alone lets L more commands come before it. Where fewer have come the commands waited,
+    too, as behind a sender that stood still, and none of them can be told to be the one that held.
+    """
+    if c.timed == 1 or s.listened < _LISTENED or s.share[j] < _CYCLIC:
+        return False
+    late = _of_sample(s, c, j, (s.heard[j] - 1) % KEPT, s.before_ns) - steps
+    s.ahead[j] = s.ahead[j] + s.since[j] - steps if late > 0 else 0
+    return bool(late > 0 and s.ahead[j] != late)
+
+
+@kernel
 def _listen(s: State, c: Const, steps: int) -> None:
     """Learn how long before its sample each command comes, and whether it does before each."""
     s.listened += 1
@@ -307,7 +323,8 @@ def _listen(s: State, c: Const, steps: int) -> None:
             continue
         most = 2.0 if c.timed == 1 else 1.0  # one that comes late is there for the next sample, too
         s.share[j] += (min(s.since[j] / steps, most) - s.share[j]) / min(s.listened, 200)
-        if s.since[j] == 1 and steps == 1:
+        s.doubt[j] = _contradicts(s, c, j, steps)
+        if s.since[j] == 1 and steps == 1 and s.doubt[j] == 0:
             lead = float(s.t_ns - s.came_ns[j, (s.heard[j] - 1) % KEPT])
             if (
                 c.timed == 1
@@ -337,6 +354,8 @@ def commands(s: State, c: Const, u: Inputs, at: int) -> None:
         if newest >= 0:
             s.u[j] = s.value[j, newest]
         if not found and s.listened >= _LISTENED and s.share[j] >= _CYCLIC:
+            s.unsure[j] = 1
+        if s.doubt[j] == 1:
             s.unsure[j] = 1
 
 
