@@ -76,7 +76,8 @@ def received(made: socket.socket, source: int, answer: bytes) -> None:
 
 def tester(port: int, source: int, context: ssl.SSLContext | None) -> Iterator[None]:
     """A tester by DoIP: each second step asks and is answered."""
-    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as plain:
+    # From an address of its own, as on any network: an address that floods the door displaces its own connections.
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S, ("127.0.0.2", 0)) as plain:
         plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         made = plain if context is None else context.wrap_socket(plain)
         made.sendall(message(5, struct.pack(">HBI", source, 0, 0)))

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 #: Timers of ISO 13400-2, Table 42 [ns]: until activation, without messages, for the answer to an alive check.
 INITIAL_NS, GENERAL_NS, ALIVE_NS = 2_000_000_000, 300_000_000_000, 500_000_000
-#: Connections without activation at a time; of more the oldest one gives way.
+#: Connections without activation at a time; of more the oldest one gives way of the address that has most of them.
 UNACTIVATED = 16
 #: Messages of one connection in one turn of the loop.
 MOST_IN_A_TURN = 16
@@ -83,7 +83,8 @@ class DoipServer(BusServer):
         waiting = [each for each in self.connections if each.source is None and not each.ends]
         if len(waiting) >= UNACTIVATED:
             self._count("displaced")
-            self._end(waiting[0])
+            held = Counter(each.peer for each in waiting)
+            self._end(max(waiting, key=lambda each: held[each.peer]))  # the first of equals is the oldest
         made = Connection(peer, secure, t_ns, Splitter(self.params.most_bytes, self._room))
         self.connections.append(made)
         self._count("connections")
