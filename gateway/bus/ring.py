@@ -63,6 +63,17 @@ def _number(path: Path) -> int:
     return int(match[1]) if match else 0
 
 
+def _opened(path: Path, channels: Mapping[str, int] | None) -> LogReader | None:
+    """Return the reader of a segment; None: its recorder has just made room, and deleted it."""
+    try:
+        return read_log(path, channels=channels)
+    except (InputError, FileNotFoundError):
+        if path.exists():
+            raise
+    log.warning("a segment was deleted by its recorder before it was read", file=str(path))
+    return None
+
+
 class SegmentReader:
     """Reads the segments of a folder one after the other; an iterable of batches, once.
 
@@ -74,7 +85,8 @@ class SegmentReader:
 
     def __init__(self, folder: Path, channels: Mapping[str, int] | None) -> None:
         self.path = folder
-        self._readers = [read_log(path, channels=channels) for path in segments(folder)]
+        opened = [_opened(path, channels) for path in segments(folder)]
+        self._readers = [reader for reader in opened if reader is not None]
         self.bytes_total = sum(reader.bytes_total for reader in self._readers)
         self._ended: list[InputError] = []
 

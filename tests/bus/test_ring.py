@@ -110,6 +110,18 @@ def test_what_power_loss_cut_off_hides_nothing_behind_it(tmp_path):
     assert set(before) - set(numbers(tmp_path)) == {last}
 
 
+def test_a_folder_is_read_while_its_oldest_segments_go(tmp_path, monkeypatch):
+    ring = Ring(RingParams(folder=tmp_path, segment_mb=0.0005), {})
+    for k in range(5):
+        ring.write(batch(k * 10, 10))
+    gone, *_ = listed = segments(tmp_path)
+    kept = numbers(tmp_path)[len(numbers_of(gone)) :]
+    gone.unlink()
+    monkeypatch.setattr("gateway.bus.ring.segments", lambda folder: listed)
+    assert numbers(tmp_path) == kept
+    ring.close()
+
+
 def test_blf_segments_are_whole_files(tmp_path):
     ring = Ring(RingParams(folder=tmp_path, format="blf", segment_s=0.05), {})
     for k in range(10):
