@@ -25,7 +25,7 @@ BUSES = (
     "signals/test_random_databases.py",
     "signals/test_tooth_codec.py",
 )
-PLANTS = tuple(f"{plant}/monitor" for plant in ("linear", "pedal", "steering", "structural", "truck"))
+PLANTS = {plant: (f"{plant}/monitor",) for plant in ("linear", "pedal", "steering", "structural", "truck")}
 MONITORS = ("monitors",)
 #: Mathematics, the plants' too.
 FDI = (
@@ -37,7 +37,7 @@ CRANK = sorted(str(path.relative_to(TESTS)) for path in TESTS.glob("crank/monito
 
 ALL = {
     "engine": ENGINE, "buses": BUSES, "crank": CRANK[::2], "crank, too": CRANK[1::2], "monitors": MONITORS,
-    "plants": PLANTS, "mathematics": FDI,
+    **PLANTS, "mathematics": FDI,
 }  # fmt: skip
 #: Without those of plants that are not in this checkout.
 THERE = {part: [path for path in paths if (TESTS / path).exists()] for part, paths in ALL.items()}

@@ -415,6 +415,7 @@ def test_unfinished_messages_of_all_testers_have_one_room(doip):
     for one in testers:
         one.send(message(0x8001, address, length=65536))
     assert [one.take() for one in testers] == [[], [], [(0, b"\x03")]]
+    assert doip.tester(TESTER + 3)("3e00") == "7e00", "short ones always have room"
     testers[0].close()
     testers[2].send(bytes(65532))  # the rest, which is passed over
     assert testers[2].uds("3e00") == (0x8002, 0, ["7e00"])

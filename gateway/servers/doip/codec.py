@@ -140,16 +140,21 @@ def refusal(
     return Kind(kind), length, spoken
 
 
+#: Longest payload that has room at any time [byte]: who claims all the rest keeps no usual request out.
+SMALL = 4096
+
+
 class Splitter:
     """Cuts the stream of one connection into messages; a payload that is refused is passed over, and not kept.
 
     Args:
         most: longest payload [byte].
-        room: returns the bytes that there is room for at present, of all connections together.
+        room: returns the bytes that there is room for at present, of all connections together, for longer messages
+            than :data:`SMALL`.
 
     Attributes:
         room: the same.
-        claimed: bytes of the unfinished message, which ``room`` counts.
+        claimed: bytes of the unfinished message, if it is longer than :data:`SMALL`, which ``room`` counts.
     """
 
     def __init__(self, most: int, room: Callable[[], int]) -> None:
@@ -170,7 +175,7 @@ class Splitter:
         if self._begun is None:
             if len(self._bytes) < HEADER.size:
                 return None
-            found = refusal(self._bytes, BY_TCP, self._most, self.room())
+            found = refusal(self._bytes, BY_TCP, self._most, max(self.room(), SMALL))
             length = HEADER.unpack_from(self._bytes)[3]
             del self._bytes[: HEADER.size]
             if isinstance(found, Refused):
@@ -178,7 +183,7 @@ class Splitter:
                 del self._bytes[:passed]
                 self._skip = length - passed
                 return found
-            self._begun, self.claimed = found, found[1]
+            self._begun, self.claimed = found, found[1] if found[1] > SMALL else 0
         kind, length, version = self._begun
         if len(self._bytes) < length:
             return None

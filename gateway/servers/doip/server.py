@@ -123,7 +123,7 @@ class DoipServer(BusServer):
         return [each for each in self.connections if each.source is not None and not each.ends]
 
     def _room(self) -> int:
-        """Return the bytes that there is room for, of all unfinished messages."""
+        """Return the bytes that there is room for, of all unfinished messages that are long."""
         return 2 * self.params.most_bytes - sum(each.splitter.claimed for each in self.connections)
 
     def _count(self, name: str) -> None:
