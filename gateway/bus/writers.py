@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from abc import ABC, abstractmethod
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Callable
@@ -63,7 +64,7 @@ class _Dated:
         return datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=(self.begin_ns or 0) // 1000)
 
 
-class _TextWriter(_Dated):
+class _TextWriter(_Dated, ABC):
     """Writes lines, flushed after each batch."""
 
     end = ""
@@ -73,13 +74,13 @@ class _TextWriter(_Dated):
         self._file = path.open("w", encoding="ascii", newline="")
         self._count = 0
 
+    @abstractmethod
     def head(self) -> str:
         """Return the lines before the first frame."""
-        raise NotImplementedError
 
+    @abstractmethod
     def line(self, t_ns: int, can_id: int, flags: int, bus: int, data: bytes) -> str:
         """Return the line of a frame; ``data`` of a remote frame are its DLC in zeros."""
-        raise NotImplementedError
 
     def write(self, frames: Frames) -> None:
         """Append a batch."""

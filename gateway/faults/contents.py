@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -17,14 +18,15 @@ from gateway.faults.records import Cycle, Description, Permanent, Record, Record
 from gateway.faults.vehicle import EcuDtc
 
 
-class Contents:
+class Contents(ABC):
     """The reading side of a :class:`gateway.faults.store.Store`."""
 
     path: Path | None
     _write: bool
 
+    @abstractmethod
     def _reading(self) -> AbstractContextManager[sqlite3.Connection]:
-        raise NotImplementedError
+        """Return a connection whose reads are of one commit."""
 
     def load(self) -> list[Record]:
         """Return all records, in order of their DTCs, as of one commit of the writer.
