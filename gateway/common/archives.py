@@ -149,6 +149,16 @@ def _zstd() -> Any:
         return importlib.import_module("backports.zstd")
 
 
+def zstd_decompressor() -> Any:
+    """Make a decompressor of Zstandard with a window of :data:`WINDOW` at most.
+
+    Raises:
+        InputError: Zstandard is not installed.
+    """
+    zstd = _zstd()
+    return zstd.ZstdDecompressor(options={zstd.DecompressionParameter.window_log_max: WINDOW.bit_length() - 1})
+
+
 def stream_of(compression: str, raw: BinaryIO, path: Path) -> BinaryIO:
     """Return what a compressed file holds, piece by piece.
 
@@ -168,11 +178,10 @@ def stream_of(compression: str, raw: BinaryIO, path: Path) -> BinaryIO:
         one = _Unpacked(raw, path, lambda: lzma.LZMADecompressor(memlimit=WINDOW), _XZ)
     else:
         try:
-            zstd = _zstd()
+            zstd_decompressor()
         except InputError as error:
             raise error.within(path) from error
-        options = {zstd.DecompressionParameter.window_log_max: WINDOW.bit_length() - 1}
-        one = _Unpacked(raw, path, lambda: zstd.ZstdDecompressor(options=options), _ZSTD)
+        one = _Unpacked(raw, path, zstd_decompressor, _ZSTD)
     return cast("BinaryIO", io.BufferedReader(one, _PIECE))
 
 

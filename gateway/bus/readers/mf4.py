@@ -26,7 +26,7 @@ from gateway.bus.conditions import BUS_ERROR, PROTOCOL
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage
 from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, PassedOver, Read, placed
-from gateway.common.archives import unpacked, whole
+from gateway.common.archives import unpacked, whole, zstd_decompressor
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
 
@@ -81,6 +81,9 @@ def bound_blocks() -> None:
         utils.DECOMPRESS_FUNC_MAP[kind] = partial(unpacked, make=deflate.decompressobj, most=MOST)
     for kind in (kinds.DZ_BLOCK_LZ, kinds.DZ_BLOCK_LZ_TRANSPOSED):
         utils.DECOMPRESS_FUNC_MAP[kind] = partial(unpacked, make=LZ4FrameDecompressor, most=MOST)
+    for name in ("DZ_BLOCK_ZSTD", "DZ_BLOCK_ZSTD_TRANSPOSED"):  # older ones of asammdf do not know it
+        if hasattr(kinds, name):
+            utils.DECOMPRESS_FUNC_MAP[getattr(kinds, name)] = partial(unpacked, make=zstd_decompressor, most=MOST)
 
 
 @contextmanager
