@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, OWN, Frames
 from gateway.faults.vehicle import Told
-from gateway.j1939.frame import GLOBAL, NULL, TP_CM, TP_DT, read_pdu
-from gateway.j1939.transport import Transport
+from gateway.j1939.frame import GLOBAL, TP_CM, TP_DT, read_pdu
+from gateway.j1939.overheard import Overheard
 
 DM1 = 0xFECA
 _GROUPS = (DM1, TP_CM | GLOBAL, TP_DT | GLOBAL)
@@ -39,7 +39,7 @@ class Dm1Listener:
     ) -> None:
         self.buses = sorted(buses)
         self._names, self._of_buses, self._ours = names, of_buses, frozenset(ours)
-        self._transports = {bus: Transport(NULL) for bus in self.buses}
+        self._transports = {bus: Overheard({DM1}) for bus in self.buses}
 
     def among(self, frames: Frames) -> NDArray[np.bool_]:
         """Return which frames may be of DM1, shape (n,)."""
@@ -55,11 +55,9 @@ class Dm1Listener:
         if pdu.pgn == DM1:
             return self._told(bus, pdu.source, pdu.data)
         transport, t_ns = self._transports[bus], int(frame["t_ns"])
-        transport.on_time(t_ns)
-        _, message = transport.on_pdu(pdu, t_ns)
-        if message is None or message.pgn != DM1:
-            return None
-        return self._told(bus, message.source, message.data)
+        transport.pass_time(t_ns)
+        message = transport.take(pdu, t_ns)
+        return None if message is None else self._told(bus, message.source, message.data)
 
     def _told(self, bus: int, source: int, data: bytes) -> Told | None:
         if len(data) < 6:
@@ -82,4 +80,4 @@ class Dm1Listener:
     @property
     def errors(self) -> int:
         """Messages that were cut."""
-        return sum(each.aborted + each.refused for each in self._transports.values())
+        return sum(each.cut for each in self._transports.values())

@@ -39,14 +39,18 @@ class Pdu:
 
 def read_pdu(frame: np.void) -> Pdu:
     """Return an extended frame as a PDU."""
-    can_id = int(frame["can_id"])
+    return pdu_of(int(frame["can_id"]), payload(frame))
+
+
+def pdu_of(can_id: int, data: bytes) -> Pdu:
+    """Return a frame of an identifier of 29 bits as a PDU."""
     number, source = (can_id >> 8) & 0x3FFFF, can_id & 0xFF
     to_one = (number >> 8) & 0xFF < 240
     return Pdu(
         number & 0x3FF00 if to_one else number,
         source,
         number & 0xFF if to_one else GLOBAL,
-        payload(frame),
+        data,
         (can_id >> 26) & 7,
     )
 

@@ -49,18 +49,6 @@ class _Outgoing:
         return bytes([control]) + size + bytes([self.packets]) + last + pgn_bytes(self.pgn)
 
 
-@dataclass
-class _Incoming:
-    pgn: int
-    size: int
-    packets: int
-    due_ns: int
-    data: bytearray = field(default_factory=bytearray)
-    next: int = 1
-    granted: int = 0  # 0: a broadcast
-    most: int = GRANT  # packets that one CTS may grant
-
-
 @dataclass(frozen=True)
 class Message:
     """A message received whole."""
@@ -69,6 +57,62 @@ class Message:
     source: int
     destination: int
     data: bytes
+    priority: int = 6
+
+
+@dataclass
+class Incoming:
+    """A message that is being received.
+
+    Attributes:
+        pgn: its parameter group.
+        size: its length [byte].
+        due_ns: when the next packet is late.
+        data: that has come.
+        next: packet that is to come, from 1.
+        broken: why it will not be whole; "": it may be.
+    """
+
+    pgn: int
+    size: int
+    due_ns: int
+    data: bytearray = field(default_factory=bytearray)
+    next: int = 1
+    broken: str = ""
+
+    @property
+    def packets(self) -> int:
+        """Packets of the transport protocol that it has."""
+        return -(-self.size // 7)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of it has come."""
+        return len(self.data) >= self.size
+
+    def take(self, number: int, part: bytes) -> bool:
+        """Take a packet; returns whether it is in its place. The last one, sent twice, is, and changes nothing."""
+        if number == self.next:
+            self.data += part
+            self.next += 1
+            return True
+        return number == self.next - 1
+
+    def message(self, source: int, destination: int, priority: int = 6) -> Message:
+        """Return it, whole."""
+        return Message(self.pgn, source, destination, bytes(self.data[: self.size]), priority)
+
+
+def announced(data: bytes) -> tuple[int, bool]:
+    """Return the length that an RTS or BAM announces [byte], and whether it can be so."""
+    size = int.from_bytes(data[1:3], "little")
+    return size, 9 <= size <= LONGEST and data[3] == -(-size // 7)
+
+
+@dataclass
+class _Session(Incoming):
+    granted: int = 0  # 0: a broadcast
+    most: int = GRANT  # packets that one CTS may grant
 
 
 class Transport:
@@ -83,7 +127,7 @@ class Transport:
         self._waiting: deque[_Outgoing] = deque()
         self._broadcast: _Outgoing | None = None
         self._sending: _Outgoing | None = None
-        self._receiving: dict[tuple[int, int], _Incoming] = {}
+        self._receiving: dict[tuple[int, int], _Session] = {}
         self.aborted = 0
         self.refused = 0
 
@@ -163,11 +207,11 @@ class Transport:
         return [], None
 
     def _on_announcement(self, pdu: Pdu, pgn: int, t_ns: int) -> list[Pdu]:
-        size, packets = int.from_bytes(pdu.data[1:3], "little"), pdu.data[3]
+        size, possible = announced(pdu.data)
         to_all = pdu.data[0] == BAM
         if to_all != (pdu.destination == GLOBAL):
             return []
-        if not 9 <= size <= LONGEST or packets != -(-size // 7):
+        if not possible:
             return [] if to_all else [self._abort(pdu.source, pgn, RESOURCES)]
         key = pdu.source, pdu.destination
         if key not in self._receiving and len(self._receiving) >= MOST_RECEIVING:
@@ -176,11 +220,11 @@ class Transport:
         most = pdu.data[4]  # that the sender can send after one CTS; 0xFF: any number
         if not to_all and not most:
             return [self._abort(pdu.source, pgn, RESOURCES)]
-        session = _Incoming(pgn, size, packets, t_ns + T1_NS, most=min(GRANT, most))
+        session = _Session(pgn, size, t_ns + T1_NS, most=min(GRANT, most))
         self._receiving[key] = session
         return [] if to_all else [self._grant(pdu.source, session, t_ns)]
 
-    def _grant(self, source: int, session: _Incoming, t_ns: int) -> Pdu:
+    def _grant(self, source: int, session: _Session, t_ns: int) -> Pdu:
         count = min(session.most, session.packets - session.next + 1)
         session.granted = session.next + count - 1
         session.due_ns = t_ns + T2_NS
@@ -192,23 +236,22 @@ class Transport:
         session = self._receiving.get(key)
         if session is None:
             return [], None
-        if pdu.data[0] != session.next:
-            if pdu.data[0] == session.next - 1:  # sent twice
-                return [], None
+        before = session.next
+        if not session.take(pdu.data[0], pdu.data[1:]):
             del self._receiving[key]
             if pdu.destination == GLOBAL:
                 self.aborted += 1
                 return [], None
             return [self._abort(pdu.source, session.pgn, BAD_SEQUENCE)], None
-        session.data += pdu.data[1:]
-        session.next += 1
+        if session.next == before:
+            return [], None
         session.due_ns = t_ns + T1_NS
-        if session.next <= session.packets:
+        if not session.is_whole:
             if session.granted and session.next > session.granted:
                 return [self._grant(pdu.source, session, t_ns)], None
             return [], None
         del self._receiving[key]
-        message = Message(session.pgn, pdu.source, pdu.destination, bytes(session.data[: session.size]))
+        message = session.message(pdu.source, pdu.destination)
         if pdu.destination == GLOBAL:
             return [], message
         size = session.size.to_bytes(2, "little")
