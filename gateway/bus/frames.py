@@ -28,11 +28,15 @@ EXTENDED = 0x8000_0000  # CAN_EFF_FLAG
 REMOTE = 0x4000_0000  # CAN_RTR_FLAG
 ERROR = 0x2000_0000  # CAN_ERR_FLAG
 ID_MASK = 0x1FFF_FFFF
+#: A whole message that was put together of several frames, or taken out of a container: no bus has such frames.
+#: Its identifier is that of the message. One of more than 64 bytes is several frames, one after the other.
+WOVEN = ERROR | REMOTE
 
 FD = 0x01  # CAN FD format (CANFD_FDF)
 BRS = 0x02  # bit-rate switch
 ESI = 0x04  # error state indicator of the sender
 OWN = 0x08  # sent by this process
+MORE = 0x10  # the woven message goes on in the next frame
 
 #: Rank of a frame to be sent: the order in which a bus takes frames when it cannot take all at once. A cyclic one gives
 #: way to the next of its identifier. Frames received have rank 0.
@@ -79,6 +83,12 @@ def copied(frames: Frames) -> Frames:
 def chosen(frames: Frames, mask: NDArray[np.bool_]) -> Frames:
     """Return a copy of the frames of a batch that a mask, shape (n,), chooses."""
     return frames.view(RAW).take(np.flatnonzero(mask)).view(FRAME)
+
+
+def have_data(frames: Frames) -> NDArray[np.bool_]:
+    """Return which frames carry data of a message, shape (n,): all but remote and error frames."""
+    flags = frames["can_id"] & WOVEN
+    return np.asarray((flags == 0) | (flags == WOVEN), np.bool_)
 
 
 def has_none_of(frames: Frames, ids: frozenset[int]) -> bool:

@@ -21,6 +21,7 @@ from gateway.config.monitor_types import monitor_of
 from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams, Refinement, SensorCalibration
 from gateway.runtime.answers import Answers
 from gateway.runtime.app import Gateway
+from gateway.signals.tables import DecodePlan
 from gateway_fdi.errors import InputError, InputErrors
 
 Progress = Callable[[int], None]
@@ -120,10 +121,10 @@ def read_even(config: Config, path: Path, maps: Sequence[str] = ()) -> Iterator[
 
 
 def read_answered(
-    config: Config, answers: Sequence[AnswerBus], path: Path, maps: Sequence[str]
+    config: Config, answers: Sequence[AnswerBus], plan: DecodePlan, path: Path, maps: Sequence[str]
 ) -> Iterator[tuple[Frames, float]]:
-    """Yield a healthy log as :func:`read_even` does, with the frames of answers."""
-    heard = Answers(config, answers)
+    """Yield a healthy log as :func:`read_even` does, with the frames of answers and of messages of several frames."""
+    heard = Answers(config, answers, plan)
     for frames, done in read_even(config, path, maps):
         yield heard.add(frames), done
 

@@ -11,17 +11,18 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
-from gateway.bus.frames import ERROR, REMOTE, Frames
+from gateway.bus.frames import Frames, have_data
 from gateway.calibration.file import put, rounded
 from gateway.calibration.logs import Chosen, Reading, Replay, of_kind
 from gateway.calibration.part import Part, Parts, failed_in
+from gateway.clients.woven import woven_of
 from gateway.config.model import Config
 from gateway.config.resolve import resolve
 from gateway.engine.wiring import wire
 from gateway.monitors.contract import SensorCalibration
 from gateway.monitors.sampling import Const, Numbers, Sampling, number_all, prepare
 from gateway.signals.decode import lookup
-from gateway.signals.payloads import columns
+from gateway.signals.payloads import are_last, columns
 from gateway.signals.tables import SignalRef, compile_plan
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import zeros
@@ -67,12 +68,14 @@ class _Reader:
         self._columns = [
             (self._plan.message(place.bus, place.message), self._plan.position(*place)) for place in places
         ]
+        self._woven = woven_of(self._plan)
         self._rows: dict[int, int] = {}
         self._values: list[list[tuple[NDArray[np.int64], Array]]] = [[] for _ in places]
 
     def take(self, frames: Frames) -> None:
         """Take a batch."""
-        frames = frames[frames["can_id"] & (ERROR | REMOTE) == 0]
+        frames = frames if self._woven is None else self._woven.hear(frames)
+        frames = frames[have_data(frames)]
         keys = frames["bus"].astype(np.int64) << 32 | frames["can_id"]
         for key in np.unique(keys):
             if int(key) not in self._rows:
@@ -84,6 +87,7 @@ class _Reader:
                 continue
             mine = frames[keys == key]
             values = columns(mine, self._plan, row)
+            mine = mine[are_last(mine)]
             for k, (message, position) in enumerate(self._columns):
                 if message == row:
                     self._values[k].append((mine["t_ns"].astype(np.int64), values[:, position]))

@@ -45,7 +45,7 @@ class _Decoded:
             "answers": self.answers.woven,
             "rows": self.written.rows,
             "files": [str(path) for path in self.written.files],
-            "foreign": self.written.foreign,
+            "foreign": self.foreign,
             "seconds": self.seconds,
             "notes": self.notes(),
             "reasons": [str(error) for error in self.problems],
@@ -55,6 +55,11 @@ class _Decoded:
     def frames(self) -> int:
         """Frames of the log."""
         return self.written.frames - self.answers.woven
+
+    @property
+    def foreign(self) -> int:
+        """Frames of no message, which carry no part of one either."""
+        return self.written.foreign - self.answers.carrying
 
     @property
     def problems(self) -> list[InputError]:
@@ -71,8 +76,8 @@ class _Decoded:
             lengths = f"{short.least} to {short.most}" if short.least < short.most else str(short.least)
             lost = f": not in them {', '.join(short.signals)}" if short.signals else ""
             notes.append(f"{short.count} frames of {name} are shorter than the database says, {lengths} bytes{lost}")
-        if self.written.foreign:
-            notes.append(f"{self.written.foreign} of {self.frames} frames are of no message of the database")
+        if self.foreign:
+            notes.append(f"{self.foreign} of {self.frames} frames are of no message of the database")
         notes += self.answers.notes()
         if not self.wall and self.written.rows:
             notes.append("the log has no wall time: its rows are in 1970")
@@ -117,7 +122,7 @@ def decode(
         say(f"database: {note}")
     wrong: list[InputError] = []
     for recording in recordings:
-        done = _decoded(lake, recording, channels, Answers(loaded, answers), zone or loaded.clock.zone)
+        done = _decoded(lake, recording, channels, Answers(loaded, answers, lake.plan), zone or loaded.clock.zone)
         wrong += done.problems
         if json:
             event = done.event()

@@ -18,6 +18,7 @@ from gateway.clients.ecu import MS, Ask, EcuClient
 from gateway.clients.line import Line
 from gateway.clients.pgn import MARK, ended_by, identifiers_of
 from gateway.clients.refusals import PENDING
+from gateway.clients.woven import Woven
 from gateway.common.fence import Fence
 from gateway.common.times import NEVER
 from gateway.faults.vehicle import TOLD, Told
@@ -80,6 +81,7 @@ class Asking:
         rates: requests a second at most, by index of the bus; on others nothing is asked.
         dm1: hears DTCs that are broadcast; None: nobody does.
         bus_of: index of the bus of the answers, by index of the bus.
+        woven: puts messages of several frames together; None: there are none.
         may_ask: whether a bus may be asked now: it lives, the vehicle is awake, nobody has switched communication off.
         fence: counts exceptions that answers cause.
 
@@ -97,8 +99,9 @@ class Asking:
         dm1: Dm1Listener | None = None,
         bus_of: Mapping[int, int] | None = None,
         fence: Fence | None = None,
+        woven: Woven | None = None,
     ) -> None:
-        self._dm1, self._bus_of = dm1, bus_of or {}
+        self._dm1, self._bus_of, self._woven = dm1, bus_of or {}, woven
         self._wall = (fence or Fence()).wall("ecu")
         self.ecus = tuple(ecus)
         self._may_ask = may_ask
@@ -122,7 +125,8 @@ class Asking:
                 self._functional.setdefault((client.bus, can_id), []).append(ecu)
         places = self._heard.keys() | self._functional.keys() | self._groups.keys()
         known = frozenset(can_id for _, can_id in places)
-        self.heard = Heard(known, frozenset() if dm1 is None else MASKS)
+        self._listens = Heard(known, frozenset() if dm1 is None else MASKS)
+        self.heard = self._listens if woven is None else self._listens.also(woven.heard)
         self._ids = np.asarray(sorted(known), np.uint32)
         self._places = places
         self._now_ns = 0
@@ -135,8 +139,10 @@ class Asking:
         return [can_id for index, can_id in self._places if index == bus]
 
     def hear(self, frames: Frames) -> Frames:
-        """Take frames in order of time; returns them with those of the answers that they complete."""
-        if self.heard.has_none_of(frames):
+        """Take frames in order of time; returns them with those of the answers and messages that they complete."""
+        if self._woven is not None:
+            frames = self._wall.keep(self._woven.hear, frames, of="messages of several frames", instead=frames)
+        if self._listens.has_none_of(frames):
             return frames
         mine = np.isin(frames["can_id"], self._ids)
         told = np.zeros(len(frames), np.bool_) if self._dm1 is None else self._dm1.among(frames)
@@ -334,6 +340,8 @@ class Asking:
                 ecu.weaver.counts.update(known.weaver.counts)
         if self._dm1 is not None and old._dm1 is not None:
             self._dm1.succeed(old._dm1, buses)
+        if self._woven is not None and old._woven is not None:
+            self._woven.succeed(old._woven, buses)
         for bus, at_ns in old._next_of_bus.items():
             if buses.get(bus) in self._next_of_bus:
                 self._next_of_bus[buses[bus]] = at_ns
@@ -342,6 +350,7 @@ class Asking:
     def counters(self) -> dict[str, int]:
         """Return what they counted, of all ECUs together."""
         found: dict[str, int] = {} if self._dm1 is None else {"dm1_cut": self._dm1.errors}
+        found |= {} if self._woven is None else self._woven.counters()
         for state in self.states():
             for name, count in state.items():
                 if isinstance(count, int):

@@ -22,7 +22,7 @@ from gateway.bus.frames import Frames
 from gateway.decode.kinds import NAMES, Kind, arrow_type, column, common_kind, kind_of
 from gateway.signals.database import Database
 from gateway.signals.decode import OK, TOO_SHORT, UNKNOWN_MUX
-from gateway.signals.payloads import decode_columns, message_rows
+from gateway.signals.payloads import are_last, decode_payloads, message_rows, payloads_of
 from gateway.signals.tables import DecodePlan, SignalRef, compile_plan
 from gateway_fdi.errors import InputError
 
@@ -234,15 +234,16 @@ class LogTables:
         frames = np.concatenate(table.held)
         self._held -= table.rows
         table.held, table.rows = [], 0
-        found = decode_columns(frames, self._lake.plan, table.row)
+        words, lengths = payloads_of(frames, self._lake.plan, table.row)
+        found, frames = decode_payloads(words, lengths, self._lake.plan, table.row), frames[are_last(frames)]
         if (found.results != OK).any():
-            self._note(table, found.results, frames["length"])
+            self._note(table, found.results, lengths)
         columns = [column(kind, found.values[j], found.there[j], found.words) for j, kind in table.signals]
         if self._lake.plan.by_pgn[table.row]:
             columns.insert(0, pa.array((frames["can_id"] & 0xFF).astype(np.uint8)))
         self._by_day(table, np.ascontiguousarray(frames["t_ns"]), columns)
 
-    def _note(self, table: _Table, results: NDArray[np.uint8], lengths: NDArray[np.uint8]) -> None:
+    def _note(self, table: _Table, results: NDArray[np.uint8], lengths: NDArray[np.int64]) -> None:
         """Keep what is told of frames that do not have all signals of their message."""
         unselected = int((results == UNKNOWN_MUX).sum())
         if unselected:

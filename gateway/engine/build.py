@@ -42,6 +42,7 @@ from gateway.engine.tables import (
 )
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, HEALTH, timers_of
 from gateway.engine.wiring import Wired, wire
+from gateway.j1939.transport import LONGEST
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_emission, checked_faults
 from gateway.monitors.contract import RESULTS, Numbered
@@ -482,6 +483,7 @@ def _tables(plan: DecodePlan, made: _Handlers, verdicts: _Verdicts, crcs: protec
         outbox_cells=outbox_cells,
         reports=table(MOST_REPORTS, Report),
         others=table(MOST_SOURCES, Source),
+        woven=np.zeros((1, 2 + 8 * -(-LONGEST // 64)), np.uint64),
         timers=timers,
         groups=groups,
         members=members,

@@ -394,7 +394,7 @@ class Engine:
         clock = self.tables.clock[0]
         names = clock.dtype.names or ()
         hidden = {"now_ns", "offset_ns", "deadline_ns", "started", "stop", "held", "heeds", "urgent"}
-        hidden |= {"events", "sent", "fed", "taken", "reported", "gate_changes", "stepping"}
+        hidden |= {"events", "sent", "fed", "taken", "parts", "reported", "gate_changes", "stepping"}
         return {name: int(clock[name]) for name in names if name not in hidden}
 
     def misfits(self, fault: int) -> tuple[int, list[bytes]] | None:

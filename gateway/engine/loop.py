@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import LOSS
+from gateway.bus.frames import ERROR, MORE, REMOTE, WOVEN
 from gateway.engine.checks.bus_health import (
     SILENT,
     UNKNOWN,
@@ -64,6 +65,7 @@ from gateway.engine.samples import collect, wake_at_tick
 from gateway.engine.tables import NEVER
 from gateway.engine.timers import CHECK, DEBOUNCE, HANDLER, arm, next_due, put_right
 from gateway.monitors.contract import FAILED, LEAST_SLEEP_NS, MAX_RESULTS, NOT_TESTED, TIMER
+from gateway.signals.bits import needed_by
 from gateway.signals.decode import (
     INVALID_VALUE,
     OK,
@@ -82,7 +84,6 @@ from gateway_fdi.jit import call_entry, kernel, read_ahead
 
 #: With more messages than fit the processor's nearest cache, the data of the frame ``_AHEAD`` places on are fetched.
 _MANY, _AHEAD = 100, 6
-_ERROR, _REMOTE = 0x2000_0000, 0x4000_0000
 
 
 @kernel
@@ -374,7 +375,7 @@ def take_short(T: Any, t_ns: int, row: int, length: int) -> None:
     v.lacks = 0
     for j in range(m.count):
         s = T.signals[m.first + j]
-        if s.slot >= 0 and s.need > length:
+        if s.slot >= 0 and needed_by(s) > length:
             T.mailbox[s.slot] = np.nan
             v.lacks = 1
     if v.told_short == 0:
@@ -399,10 +400,11 @@ def lacks_input(T: Any, h: Any, row: int) -> bool:
 def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any, own: int) -> None:
     """Handle one frame, ``own``: a monitor sent it: vector table, decode, check, mailbox, monitors."""
     clock = T.clock[0]
-    if can_id & _ERROR:
+    flags = can_id & WOVEN
+    if flags == ERROR:
         on_error_frame(T, t_ns, bus, can_id, int(np.int64(words[0])))
         return
-    if can_id & _REMOTE:
+    if flags == REMOTE:
         clock.remote += 1
         return
     row = lookup(T.keys, T.rows, bus, can_id)
@@ -441,6 +443,21 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any, 
                 while at >= 0:
                     at = collect(T, t_ns, row, h, at)  # the first frames of the first sample
             mark_not_tested(T, t_ns, h)
+
+
+@kernel(inlined=False)
+def join_woven(T: Any, flags: int, length: int, words: Any) -> int:
+    """Take a frame of a woven message; returns the length of the message that it ends, -1: it goes on [byte]."""
+    clock, cells = T.clock[0], T.woven[0]
+    parts = int(clock.parts)
+    if parts == 0:
+        for k in range(cells.shape[0]):
+            cells[k] = 0
+    first = min(2 + 8 * parts, cells.shape[0] - 8)  # a longer one is none of ours
+    for k in range(8):
+        cells[first + k] = words[k]
+    clock.parts = parts + 1 if flags & MORE else 0
+    return -1 if flags & MORE else 64 * parts + length
 
 
 @kernel(inlined=False)
@@ -493,10 +510,15 @@ def advance(T: Any, t_ns: int) -> None:
 def take(T: Any, frame: Any, words: Any, own: int) -> None:
     """Handle a frame at the present time; one of our own is neither evidence that the bus works, nor traffic."""
     clock = T.clock[0]
-    decoded = clock.decoded
-    if own == 0 and frame["can_id"] & _ERROR == 0:
+    decoded, length = clock.decoded, int(frame["length"])
+    if own == 0 and frame["can_id"] & ERROR == 0:
         on_sign_of_life(T, frame["t_ns"], frame["bus"])
-    dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], frame["length"], words, own)
+    elif frame["can_id"] & WOVEN == WOVEN:
+        length = join_woven(T, frame["flags"], length, words)
+        if length < 0:
+            return
+        words = T.woven[0, 2:]
+    dispatch(T, frame["t_ns"], frame["bus"], frame["can_id"], length, words, own)
     if own == 1:
         clock.decoded = decoded
 
@@ -504,7 +526,7 @@ def take(T: Any, frame: Any, words: Any, own: int) -> None:
 @kernel
 def advance_to(T: Any, frame: Any, words: Any) -> None:
     """Move the clock to a frame."""
-    if frame["can_id"] & _ERROR and tells_loss(frame["can_id"], int(np.int64(words[0]))):
+    if frame["can_id"] & WOVEN == ERROR and tells_loss(frame["can_id"], int(np.int64(words[0]))):
         # Before the deadlines in the gap: the frame that tells of a loss comes after the gap.
         restart_supervision(T, frame["t_ns"], frame["bus"], LOSS)
     advance(T, frame["t_ns"])

@@ -142,6 +142,7 @@ class ClockPass(Record):
     stop: u1 = means("1: the pass ends here")
     held: u1 = means("whether test results do not count at present")
     heeds: u1 = means("1: the pass ends with each verdict; 0: not with a first pass of a fault that was not there")
+    parts: u1 = means("frames of a woven message that have come")
     reported: i8 = means("results of the gateway itself that wait")
     gate_changes: i8 = means("what gates ask for, but for signals: cycles that began or ended, failed results of roots")
     stepping: i8 = means("timer of the monitor that is being stepped, and one; 0: none is")
@@ -203,6 +204,7 @@ class Tables(NamedTuple):
     Buckets: a row for each fault, its results since the last look (see engine.buckets).
     Reports: results of the gateway itself, of which the clock knows how many wait.
     Strangers: ``known_keys`` and ``known_rows``, what the buses know, and a row for each unknown identifier.
+    Woven: a message of several frames, cells as a frame has them (see loop.join_woven).
     State: ``mailbox`` float64 (slots,), ``pool`` float64 and ``pool_ns`` int64 views of the inputs.
     Samples: ``samplers`` of the monitors that step once a sample, the messages that are ``sampled``, the inputs that
     these have ``carried``; ``held``: the parts that have come of unfinished samples.
@@ -253,6 +255,7 @@ class Tables(NamedTuple):
     known_rows: NDArray[np.int32]
     strangers: NDArray[np.void]
     others: NDArray[np.void]
+    woven: NDArray[np.uint64]
     clock: NDArray[np.void]
 
 

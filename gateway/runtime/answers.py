@@ -1,4 +1,4 @@
-"""Answers of ECUs in frames that no gateway is fed, of a log: the same messages that one would make of them."""
+"""Answers of ECUs, and messages of several frames, in frames of a log that no gateway is fed: as one has them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from gateway.bus.frames import Frames, chosen
 from gateway.clients.asking import TELLS, Asking, Ecu
 from gateway.clients.ecu import Ask, EcuClient
 from gateway.clients.params import EcuParams
+from gateway.clients.woven import woven_of
 from gateway.config.model import Config
+from gateway.signals.tables import DecodePlan
 
 
 def ecus_of(config: Config, answers: Sequence[AnswerBus], asks: Callable[[EcuParams], list[Ask]]) -> list[Ecu]:
@@ -30,20 +32,27 @@ def ecus_of(config: Config, answers: Sequence[AnswerBus], asks: Callable[[EcuPar
 
 
 class Answers:
-    """Puts the frames of answers behind those that complete them; it asks nothing.
+    """Puts the frames of answers and of messages behind those that complete them; it asks nothing.
 
     Args:
         config: the configuration.
         answers: buses of the answers, in the order of ``Config.answered``.
+        plan: of the signals that are decoded.
 
     Attributes:
-        woven: how many frames of answers there were.
+        woven: how many frames of answers and messages there were.
     """
 
-    def __init__(self, config: Config, answers: Sequence[AnswerBus]) -> None:
-        self._first = len(config.bus)
-        self._asking = Asking(ecus_of(config, answers, lambda _: []), {}, lambda _: False)
+    def __init__(self, config: Config, answers: Sequence[AnswerBus], plan: DecodePlan) -> None:
+        self._first, self._messages = len(config.bus), woven_of(plan)
+        ecus = ecus_of(config, answers, lambda _: [])
+        self._asking = Asking(ecus, {}, lambda _: False, woven=self._messages)
         self.woven = 0
+
+    @property
+    def carrying(self) -> int:
+        """Frames that carry parts of messages: they are no messages by themselves."""
+        return 0 if self._messages is None else self._messages.carrying
 
     def add(self, frames: Frames) -> Frames:
         """Return frames, in order of time, with those of the answers that they complete."""
@@ -56,8 +65,8 @@ class Answers:
         return made
 
     def notes(self) -> list[str]:
-        """Return what came of the answers, one line an ECU that said something."""
-        said = []
+        """Return what came of messages of several frames, and of the answers, one line an ECU that said something."""
+        said = [] if self._messages is None else self._messages.notes()
         for state in self._asking.states():
             known = sum(state[f"answers_{name}"] for name in ("decoded", "shorter", "longer"))
             unknown, refused, cut = (state[f"answers_{name}"] for name in ("unknown", "negative", "cut"))

@@ -13,6 +13,7 @@ from gateway.clients.asking import Asking
 from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.ecu import MS, Ask, asks_of
 from gateway.clients.params import DTC_REQUESTS, EcuParams
+from gateway.clients.woven import woven_of
 from gateway.common.fence import Fence
 from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
@@ -416,7 +417,7 @@ def asking_of(
     made = ecus_of(config, parts.answers, lambda params: [*asks_of(params), *_asks_of_dtcs(params, control)])
     rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
     bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}
-    return Asking(made, rates, may_ask, _dm1_of(config), bus_of, fence)
+    return Asking(made, rates, may_ask, _dm1_of(config), bus_of, fence, woven_of(parts.engine.plan))
 
 
 def _dm1_of(config: Config) -> Dm1Listener | None:

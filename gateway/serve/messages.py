@@ -12,6 +12,7 @@ import numpy as np
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.bus.traffic import Seen
 from gateway.signals.database import load_database
+from gateway.signals.keys import can_id_of, is_alone, is_woven
 from gateway_fdi.errors import InputError
 
 #: Signals of one message that are shown.
@@ -39,7 +40,7 @@ class MessageNames:
                 self.wrong.append(str(error))
                 continue
             for message in database:
-                self._known[k, message.frame_id | (EXTENDED if message.is_extended_frame else 0)] = message
+                self._known[k, can_id_of(message)] = message
                 for signal in message.signals:
                     for prefix in ("", f"{bus['name']}."):
                         self._units.setdefault(f"{prefix}{message.name}.{signal.name}", signal.unit or None)
@@ -75,14 +76,12 @@ class MessageNames:
             "longest_ms": row["longest_ns"] / 1e6 if gaps else None,
             "age_ms": max(now_ns - int(row["last_ns"]), 0) / 1e6,
             "data": payload.hex(" "),
-            "signals": _signals(message, payload),
+            "signals": _signals(message, payload) if message and is_alone(message, is_woven(message, False)) else [],
         }
 
 
 def _signals(message: Any, payload: bytes) -> list[list[Any]]:
     """Return name, value or text, and unit of each signal of a payload."""
-    if message is None:
-        return []
     try:
         decoded = message.decode(payload, decode_choices=True, allow_truncated=True)
     except Exception:  # a payload that does not fit its database is shown as it is

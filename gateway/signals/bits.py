@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from cantools.database.can.signal import Signal
 
 
+#: Longest payload of a frame [byte].
+LONGEST = 64
+
+
 class Field(Record):
     """Where a field of at most 64 bits lies; records of SIGNAL have the same names."""
 
@@ -92,6 +96,18 @@ def swapped(word: Any) -> Any:
     word = ((word >> np.uint64(8)) & low8) | ((word & low8) << np.uint64(8))
     word = ((word >> np.uint64(16)) & low16) | ((word & low16) << np.uint64(16))
     return (word >> np.uint64(32)) | (word << np.uint64(32))
+
+
+@kernel
+def needed_by(s: Any) -> int:
+    """Return the length from which on a payload has all bits of a field [byte].
+
+    Args:
+        s: record of :class:`Field`, or of SIGNAL.
+    """
+    if s.big == 1:
+        return 8 * int(s.word) + (63 - int(s.shift)) // 8 + 1
+    return 8 * int(s.word) + (int(s.shift) + int(s.length) + 7) // 8
 
 
 @kernel

@@ -9,7 +9,10 @@ from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gateway.j1939.transport import LONGEST as LONGEST_WOVEN
+from gateway.signals.bits import LONGEST
 from gateway.signals.bounds import refuse_lengths, refuse_scalings
+from gateway.signals.containers import CONTAINED, contained_in, with_short_headers
 from gateway.signals.dialect import mended, signals_said, text_of, without
 from gateway.signals.identity import (
     exact_name,
@@ -35,8 +38,6 @@ if TYPE_CHECKING:
 _log = get_logger(__name__)
 
 _LINE = re.compile(r"line (\d+)")
-#: Longest payload of a frame [byte].
-LONGEST = 64
 #: Of files that hold a database.
 SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml")
 #: Statements that a file may lose, since they are none of its format.
@@ -63,8 +64,9 @@ class Database:
         self._notes: list[str] = []
         self._sources: dict[str, Message] = {}
         of_name: dict[str, list[tuple[Message, Path]]] = {}
-        for message, file in messages:
-            of_name.setdefault(message.name, []).append((message, file))
+        for container, file in messages:
+            for message in (container, *contained_in(container)):
+                of_name.setdefault(message.name, []).append((message, file))
         for name, mine in of_name.items():
             different = _different(mine)
             if len(different) == 1:
@@ -95,9 +97,10 @@ class Database:
 
     def _shadow(self) -> None:
         """Find the messages whose identifier another one has already."""
-        owners: dict[tuple[int, bool], Message] = {}
+        owners: dict[tuple[int, bool, bool], Message] = {}
         for name, message in self._messages.items():
-            owner = owners.setdefault((message.frame_id, message.is_extended_frame), message)
+            key = message.frame_id, message.is_extended_frame, message.protocol == CONTAINED
+            owner = owners.setdefault(key, message)
             if owner is not message:
                 self._shadowed[name] = owner.name
                 of = {one.bus_name for one in (owner, message)} - {None}
@@ -111,9 +114,11 @@ class Database:
         found = list(self._notes)
         for message in self:
             if message.is_container:
-                inside = ", ".join(each.name for each in message.contained_messages or ())
-                found.append(f"{message.name} is a container: its PDUs are not decoded ({inside})")
-            elif message.length > LONGEST:
+                own = {each.name for each in contained_in(message)}
+                out = [each.name for each in message.contained_messages or () if each.name not in own]
+                if out:
+                    found.append(f"{message.name}: PDUs without a number of 29 bits are not decoded: {', '.join(out)}")
+            elif message.length > (LONGEST_WOVEN if message.protocol == "j1939" else LONGEST):
                 found.append(f"{message.name} has {message.length} bytes: of a frame the first {LONGEST} are decoded")
             out = [signal.name for signal in message.signals if sticks_out(message, signal)]
             if out and not message.is_container:
@@ -269,7 +274,7 @@ def _parsed(text: str, suffix: str, path: Path) -> list[Message]:
         found = again
     if not found:
         raise InputError("the file holds no CAN messages", file=path)
-    refuse_scalings(found, path)
+    refuse_scalings([*found, *(each for one in found for each in contained_in(one))], path)
     return found
 
 
@@ -278,7 +283,7 @@ def _read(text: str, suffix: str) -> list[Message]:
 
     from gateway.signals.compact import compact  # noqa: PLC0415 - with cantools
 
-    text, wide = narrowed(text) if suffix == ".dbc" else (text, {})
+    text, wide = narrowed(text) if suffix == ".dbc" else (with_short_headers(text), {})
     loaded = cantools.database.load_string(text, database_format=suffix[1:], strict=False)
     messages = list(loaded.messages) if isinstance(loaded, cantools.database.can.Database) else []
     read = sum(len(message.signals) for message in messages)

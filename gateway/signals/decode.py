@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from gateway.signals.bits import read_bits
+from gateway.bus.frames import ERROR
+from gateway.signals.bits import needed_by, read_bits
 from gateway_fdi.jit import f8, i2, i4, kernel, record, u1, u4
 
 OK, TOO_SHORT, UNKNOWN_MUX, INVALID_VALUE = 0, 1, 2, 3
@@ -16,10 +17,9 @@ UNSIGNED, SIGNED, FLOAT16, FLOAT32, FLOAT64 = range(5)
 #: One signal. ``parent`` is the multiplexer's place among the message's signals (-1: always there), present when its
 #: raw value is in one of the ranges ``mux_ids[first_id:+ids]``, pairs of least and greatest; a multiplexer's own known
 #: values are those of ``mux_ids[first_known:+known]``. ``slot`` is -1 for a signal that is not asked for. A
-#: floating-point signal is valid between ``low`` and ``high``. ``need`` is the length from which on a frame has all its
-#: bits. One of several signals of one name puts its value at the place ``into``, too; that place has a parent without
-#: ids: by itself it is never there. A ``plain`` signal is an unsigned number of less than 64 bits that lies
-#: little-endian in one word, and is neither multiplexed nor a multiplexer.
+#: floating-point signal is valid between ``low`` and ``high``. One of several signals of one name puts its value at the
+#: place ``into``, too; that place has a parent without ids: by itself it is never there. A ``plain`` signal is an
+#: unsigned number of less than 64 bits: little-endian in one word, neither multiplexed nor a multiplexer.
 SIGNAL = record(
     scale=f8,
     offset=f8,
@@ -39,7 +39,6 @@ SIGNAL = record(
     spill=u1,
     kind=u1,
     plain=u1,
-    need=u1,
 )
 
 #: One message: length from which on a frame has all its signals, these ``signals[first:first + count]``, its identity,
@@ -48,6 +47,8 @@ SIGNAL = record(
 MESSAGE = record(length=i4, first=i4, count=i4, can_id=u4, slot=i4, bus=u1, floats=u1, whole=u1)
 
 _PGN = np.uint64(1 << 40)  # marks keys that match by PGN
+_GROUP = 0x3FFFF | ERROR >> 8  # of an identifier without its lowest byte: the group, and that it is of a woven message
+_TO_ONE = _GROUP & ~0xFF  # the same without a destination
 
 
 @kernel
@@ -77,9 +78,9 @@ def pgn_key(bus: int, can_id: int) -> Any:
     SAE J1939-21: the PDU format is byte 2 of the identifier; below 240 (PDU1) byte 1 is the
     destination address, from 240 on (PDU2) it belongs to the parameter group number.
     """
-    group = (can_id >> 8) & 0x3FFFF
+    group = (can_id >> 8) & _GROUP
     if (can_id >> 16) & 0xFF < 240:
-        group &= 0x3FF00
+        group &= _TO_ONE
     return _PGN | (np.uint64(bus) << np.uint64(32)) | np.uint64(group)
 
 
@@ -240,7 +241,7 @@ def cut_off(length: int, m: Any, signals: Any, values: Any, present: Any) -> Non
     """
     for j in range(m.count):
         s = signals[np.uint64(m.first + j)]
-        if s.need > length or (s.parent >= 0 and (s.ids == 0 or present[s.parent] == 0)):
+        if needed_by(s) > length or (s.parent >= 0 and (s.ids == 0 or present[s.parent] == 0)):
             present[j] = 0
         elif s.into >= 0 and present[j] == 1:
             present[s.into] = 1

@@ -26,7 +26,7 @@ KEPT = 64
 _NAME, _SUFFIX, _AGAIN = "database", ".parsed", "this database is parsed again"
 _PACKAGES = ("cantools", "bitstruct")
 #: Modules that make messages of a file's bytes.
-_MADE_BY = ("bounds", "compact", "dialect", "ranges")
+_MADE_BY = ("bounds", "compact", "containers", "dialect", "ranges")
 
 
 def source_of(module: str) -> bytes:

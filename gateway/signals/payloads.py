@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import ERROR, FRAME, REMOTE, Frames
+from gateway.bus.frames import ERROR, FRAME, MORE, REMOTE, Frames
 from gateway.signals.bits import read_bits
 from gateway.signals.decode import FLOAT16, OK, decode, lookup
 from gateway.signals.tables import DecodePlan
@@ -74,7 +74,7 @@ def rows_of(cells: Any, keys: Any, rows: Any, out: Any) -> int:
         can_id = np.int64(cells[k, 1] & np.uint64(0xFFFFFFFF))
         bus = np.int64((cells[k, 1] >> np.uint64(32)) & np.uint64(0xFF))
         out[k] = -1
-        if not can_id & (REMOTE | ERROR):
+        if (can_id & REMOTE == 0) == (can_id & ERROR == 0):  # neither, or woven
             out[k] = lookup(keys, rows, bus, can_id)  # type: ignore[arg-type]
         if out[k] >= 0:
             found += 1
@@ -94,6 +94,30 @@ def words_of(frames: Frames) -> NDArray[np.uint64]:
     return np.ascontiguousarray(frames["data"]).view("<u8").reshape(len(frames), 8)
 
 
+def are_last(frames: Frames) -> NDArray[np.bool_]:
+    """Return which frames end a message, shape (n,): all but those of a woven one that goes on in the next frame."""
+    return np.asarray(frames["flags"] & MORE == 0, np.bool_)
+
+
+def payloads_of(frames: Frames, plan: DecodePlan, row: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+    """Return the payloads of messages, shape (messages, words), zero beyond their lengths, and these [byte].
+
+    Args:
+        frames: of one message; of a woven one all that belong together.
+        plan: of it.
+        row: of the message in the plan.
+    """
+    words, lengths, parts = words_of(frames), frames["length"].astype(np.int64), plan.parts(row)
+    if parts == 1:
+        return words, lengths
+    ends = np.flatnonzero(are_last(frames))
+    begins = np.concatenate([[0], ends[:-1] + 1]).astype(np.intp)[: len(ends)]
+    of = np.repeat(np.arange(len(ends)), ends - begins + 1)
+    made = np.zeros((len(ends), parts, 8), np.uint64)
+    made[of, np.arange(len(of)) - begins[of]] = words[: len(of)]
+    return made.reshape(len(ends), 8 * parts), lengths[ends] + 64 * (ends - begins)
+
+
 class Columns(NamedTuple):
     """Signals of frames of one message.
 
@@ -101,7 +125,7 @@ class Columns(NamedTuple):
         values: physical values, shape (signals, frames), in the plan's order; any number where there is none.
         there: whether a frame has them, shape (signals, frames).
         results: OK, TOO_SHORT or UNKNOWN_MUX (``signals.decode``), shape (frames,).
-        words: the payloads, shape (frames, 8).
+        words: the payloads, shape (frames, 8), of more than 64 bytes (frames, words).
     """
 
     values: NDArray[np.float64]
@@ -111,18 +135,18 @@ class Columns(NamedTuple):
 
 
 def decode_columns(frames: Frames, plan: DecodePlan, row: int) -> Columns:
-    """Decode frames of one message.
+    """Decode frames of one message; of a woven one all that :func:`payloads_of` joins.
 
     Args:
         frames: of this message.
         plan: with all its signals.
         row: of the message in the plan.
     """
-    return decode_payloads(words_of(frames), frames["length"].astype(np.int64), plan, row)
+    return decode_payloads(*payloads_of(frames, plan, row), plan, row)
 
 
 def decode_payloads(words: NDArray[np.uint64], lengths: NDArray[np.int64], plan: DecodePlan, row: int) -> Columns:
-    """Decode payloads of one message: shape (frames, 8), zero beyond their lengths [byte]; else as above."""
+    """Decode payloads of one message, as :func:`payloads_of` has them; else as above."""
     count, frames = int(plan.messages[row]["count"]), len(words)
     values, present = np.zeros(max(count, 1)), np.zeros(max(count, 1), np.uint8)
     out, there = np.zeros((count, frames)), np.zeros((count, frames), np.uint8)

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import EXTENDED, Frames
-from gateway.signals.bits import place
-from gateway.signals.database import LONGEST, Database
+from gateway.bus.frames import EXTENDED, WOVEN, Frames
+from gateway.j1939.transport import LONGEST as LONGEST_WOVEN
+from gateway.signals.bits import LONGEST, needed_by, place
+from gateway.signals.containers import Container
+from gateway.signals.database import Database
 from gateway.signals.decode import (
     FLOAT16,
     FLOAT32,
@@ -22,12 +24,9 @@ from gateway.signals.decode import (
     SIGNAL,
     SIGNED,
     UNSIGNED,
-    exact_key,
-    hashed,
-    pgn_key,
-    source_key,
 )
-from gateway.signals.identity import ONE_SOURCE, needs
+from gateway.signals.identity import needs
+from gateway.signals.keys import ANY_SOURCE, by_pgn, can_id_of, containers_of, groups_of, is_woven, key_table
 from gateway.signals.ranges import Pairs, Ranges, runs
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED
@@ -35,11 +34,6 @@ from gateway_fdi.jit import COMPILED
 if TYPE_CHECKING:
     from cantools.database.can import Message
     from cantools.database.can.signal import Signal
-
-#: Length from which on a frame has a signal that no frame has.
-_NEVER = 255
-#: J1939 source address of a database's message that any node may send: the null address.
-_ANY_SOURCE = 0xFE
 
 #: Before the name of a multiplexer's raw number, where its value is another one.
 _RAW = "\0"
@@ -63,6 +57,7 @@ class SignalRef(NamedTuple):
 class DecodePlan:
     """The decode tables, and the names of what is in them.
 
+    ``woven``: messages that may come in several frames; ``containers``, by bus and identifier, have PDUs to decode.
     ``keys``/``rows`` are an open-addressed hash from a frame's bus and identifier to the row of its
     message; ``messages``, ``signals`` and ``mux_ids`` as the decode kernels want them.
     """
@@ -77,6 +72,8 @@ class DecodePlan:
     slot_message: NDArray[np.int32]
     message_names: tuple[tuple[int, str], ...]
     by_pgn: tuple[bool, ...]
+    woven: tuple[bool, ...]
+    containers: Mapping[tuple[int, int], Container]
     positions: dict[SignalRef, int]
 
     @property
@@ -123,47 +120,50 @@ class DecodePlan:
         A database that describes a group of J1939 for several sources names them.
         """
         ids = self.messages["can_id"]
-        keys = [(int(bus), int(group)) for bus, group in zip(self.messages["bus"], _groups(ids), strict=True)]
+        keys = [(int(bus), int(group)) for bus, group in zip(self.messages["bus"], groups_of(ids), strict=True)]
         count = Counter(key for key, group in zip(keys, self.by_pgn, strict=True) if group)
         return [
-            int(can_id & 0xFF) if group and count[key] > 1 and can_id & 0xFF != _ANY_SOURCE else -1
+            int(can_id & 0xFF) if group and count[key] > 1 and can_id & 0xFF != ANY_SOURCE else -1
             for can_id, key, group in zip(ids, keys, self.by_pgn, strict=True)
         ]
 
     def beyond(self, row: int, length: int) -> list[str]:
         """Return the signals of a message that are beyond the end of frames of a length, of those that are decoded."""
         first, count = self.messages["first"][row], self.messages["count"][row]
-        mine = self.signals[first : first + count]
-        return [self.slot_names[slot].signal for slot in mine["slot"][mine["need"] > length] if slot >= 0]
+        mine = self.signals[first : first + count].view(np.recarray)
+        need = getattr(needed_by, "py_func", needed_by)
+        return [self.slot_names[s.slot].signal for s in mine if s.slot >= 0 and need(s) > length]
 
     def message(self, bus: int, name: str) -> int:
         """Return the row of a message."""
         return self._rows[bus, name]
+
+    def parts(self, row: int) -> int:
+        """Return how many frames of 64 bytes a message has at most: more than one only if it is woven."""
+        longest = LONGEST_WOVEN if self.woven[row] else LONGEST
+        return max(-(-min(int(self.messages[row]["length"]), longest) // LONGEST), 1)
 
     def identifiers(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) of a bus's messages; None if some match by PGN."""
         mine = [row for row, (index, _) in enumerate(self.message_names) if index == bus]
         if any(self.by_pgn[row] for row in mine):
             return None
-        return [int(self.messages["can_id"][row]) for row in mine]
+        ids = {int(self.messages["can_id"][row]) for row in mine}
+        ids |= {can_id for index, can_id in self.containers if index == bus}
+        return sorted(can_id for can_id in ids if can_id & WOVEN != WOVEN)
 
     def among(self, frames: Frames, slots: Sequence[int]) -> NDArray[np.bool_]:
         """Return which frames are of the messages of some mailbox slots, shape (n,)."""
         ids = frames["can_id"]
+        ids = np.where(ids & WOVEN == WOVEN, ids & ~np.uint32(WOVEN), ids)
         mask = np.zeros(len(frames), np.bool_)
         for row in {int(self.slot_message[slot]) for slot in slots}:
             wanted = self.messages["can_id"][row]
             same = ids == wanted
             if self.by_pgn[row]:
-                same |= (ids & EXTENDED != 0) & (_groups(ids) == _groups(wanted))
+                same |= (ids & EXTENDED != 0) & (groups_of(ids) == groups_of(wanted))
             mask |= same & (frames["bus"] == self.message_names[row][0])
         return mask
-
-
-def _groups(ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Return the parameter group numbers of extended identifiers (SAE J1939-21), without destinations."""
-    groups = (ids >> 8) & 0x3FFFF
-    return np.where((ids >> 16) & 0xFF < 240, groups & 0x3FF00, groups)
 
 
 def _valid_range(signal: Signal) -> tuple[float, float]:
@@ -186,67 +186,7 @@ def signal_row(signal: Signal) -> Any:
         row["kind"] = SIGNED if signal.is_signed else UNSIGNED
     row["scale"], row["offset"] = signal.scale, signal.offset
     row["slot"] = row["parent"] = row["into"] = -1
-    row["need"] = min(needs(signal), _NEVER)
     return row
-
-
-def by_pgn(message: Message, whole_bus: bool) -> bool:
-    """Return whether a message matches by its PGN, ``whole_bus``: all of its bus do."""
-    return message.is_extended_frame and message.protocol != ONE_SOURCE and (whole_bus or message.protocol == "j1939")
-
-
-def _hash(
-    messages: Sequence[tuple[int, Message]], by_group: Sequence[bool]
-) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
-    """Return the table of all keys by which frames find their message.
-
-    Raises:
-        InputError: two messages have one identifier.
-    """
-    made: dict[int, int] = {}
-    # As plain Python: for a number by itself the way to machine code is longer.
-    of_id, of_group, of_source = (getattr(each, "py_func", each) for each in (exact_key, pgn_key, source_key))
-    for row, (bus, message) in enumerate(messages):
-        other = made.setdefault(int(of_id(bus, can_id_of(message))), row)
-        if other != row:
-            text = f"has the identifier of {messages[other][1].name}: 0x{message.frame_id:X}"
-            raise InputError(text, key=message.name)
-    for row, (bus, message) in enumerate(messages):
-        if message.protocol == ONE_SOURCE:
-            made.setdefault(int(of_source(bus, can_id_of(message))), row)
-    # Of several messages of a group that of any source takes the frames of sources that none names.
-    groups = [row for row, group in enumerate(by_group) if group]
-    for row in sorted(groups, key=lambda row: (messages[row][1].frame_id & 0xFF != _ANY_SOURCE, row)):
-        bus, can_id = messages[row][0], can_id_of(messages[row][1])
-        if can_id & 0xFF != _ANY_SOURCE:
-            made.setdefault(int(of_source(bus, can_id)), row)
-        made.setdefault(int(of_group(bus, can_id)), row)
-    return hash_table(list(made), list(made.values()))
-
-
-def can_id_of(message: Message) -> int:
-    """Return the identifier of a message as frames have it, with its flag EXTENDED."""
-    return int(message.frame_id) | (EXTENDED if message.is_extended_frame else 0)
-
-
-def hash_table(keys: Sequence[int], of: Sequence[int] | None = None) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
-    """Return the open-addressed table of different keys, for ``find``.
-
-    Args:
-        keys: of it.
-        of: the row of each; None: its place in the sequence.
-    """
-    capacity = 8
-    while capacity < 2 * len(keys) + 1:
-        capacity *= 2
-    slots, rows = np.zeros(capacity, np.uint64), np.full(capacity, -1, np.int32)
-    begins = getattr(hashed, "py_func", hashed)
-    for row, key in zip(range(len(keys)) if of is None else of, keys, strict=True):
-        at = int(begins(np.uint64(key), capacity - 1))
-        while rows[at] >= 0:
-            at = (at + 1) % capacity
-        slots[at], rows[at] = key, row
-    return slots, rows
 
 
 def compile_plan(
@@ -279,11 +219,12 @@ def compile_plan(
         ((bus, by_bus[bus].message(name)) for bus, name in asked),
         key=lambda pair: (pair[0], pair[1].is_extended_frame, pair[1].frame_id, pair[1].name),
     )
-    rows = _Rows(np.zeros(len(chosen), MESSAGE))
+    woven = [is_woven(message, bus in pgn) for bus, message in chosen]
+    rows = _Rows(np.zeros(len(chosen), MESSAGE), woven)
     for row, (bus, message) in enumerate(chosen):
         rows.add(row, bus, message, asked[bus, message.name], by_bus[bus].joined(message.name))
     by_group = [by_pgn(message, bus in pgn) for bus, message in chosen]
-    keys, places = _hash(chosen, by_group)
+    keys, places = key_table(chosen, by_group, woven)
     signals = np.asarray(rows.signals, SIGNAL) if rows.signals else np.zeros(0, SIGNAL)
     return DecodePlan(
         keys,
@@ -296,6 +237,8 @@ def compile_plan(
         np.asarray(rows.slot_message, np.int32),
         tuple((bus, message.name) for bus, message in chosen),
         tuple(by_group),
+        tuple(woven),
+        containers_of(databases, chosen),
         rows.positions,
     )
 
@@ -340,6 +283,7 @@ class _Rows:
 
     Attributes:
         messages: of MESSAGE, shape (messages,).
+        woven: whether each may come in several frames.
         signals: of SIGNAL; those of one message lie together.
         mux_ids: ranges of multiplexer values that the signals' rows point to.
         slots: the signal of each mailbox slot, with its unit and the row of its message.
@@ -347,6 +291,7 @@ class _Rows:
     """
 
     messages: NDArray[np.void]
+    woven: Sequence[bool]
     signals: list[Any] = field(default_factory=list)
     mux_ids: list[tuple[int, int]] = field(default_factory=list)
     slots: list[SignalRef] = field(default_factory=list)
@@ -363,13 +308,15 @@ class _Rows:
         entry["first"], entry["count"] = len(self.signals), len(needed.places)
         entry["can_id"], entry["bus"] = can_id_of(message), bus
         signals = [signal for signal in needed.places.values() if signal is not None]
-        entry["length"] = max([message.length, *(min(needs(signal), _NEVER) for signal in signals)])
+        entry["length"] = max([message.length, *map(needs, signals)])
         entry["floats"] = any(signal.is_float for signal in signals)
         alone = not any(signal.is_float or signal.is_multiplexer or signal.multiplexer_ids for signal in signals)
-        alone = alone and all(needs(signal) <= LONGEST for signal in signals)
+        longest = LONGEST_WOVEN if self.woven[row] else LONGEST
+        alone = alone and all(needs(signal) <= longest for signal in signals)
         entry["whole"], entry["slot"] = alone and names >= needed.places.keys(), len(self.slots)
         for at, (name, signal) in enumerate(needed.places.items()):
-            made = _empty_row() if signal is None else self._signal(needed, name, signal)
+            there = signal is not None and needs(signal) <= longest  # else no frame has it
+            made = self._signal(needed, name, signal) if signal is not None and there else _empty_row()
             if name in names:
                 ref = SignalRef(bus, message.name, name)
                 self.positions[ref] = at
@@ -381,8 +328,6 @@ class _Rows:
 
     def _signal(self, needed: _Needed, name: str, signal: Signal) -> Any:
         """Return the row of a signal, its multiplexing resolved to places of the message's other signals."""
-        if needs(signal) > LONGEST:  # no frame has it
-            return _empty_row()
         entry = signal_row(signal)
         if name.startswith(_RAW):
             entry["kind"], entry["scale"], entry["offset"] = UNSIGNED, 1.0, 0.0

@@ -248,6 +248,39 @@ def _frames(folder, stack):
     return Target((b"".join(singles), several, wanted), feed, _answers(doors))
 
 
+def _long(_folder, _stack):
+    """Bytes as frames of messages of several frames: an identifier of the list, a length, a payload; and so on."""
+    from long_messages import batch, fast, long_message, signal, transported
+
+    from gateway.clients.woven import woven_of
+    from gateway.signals.containers import Container, unpack
+    from gateway.signals.database import Database
+    from gateway.signals.tables import compile_plan
+
+    ids = (0x18ECFF21, 0x1CEBFF21, 0x18EC2101, 0x1CEB2101, 0x1CEC0121, 0x19F80535, 0x18FEE321)
+    messages = [long_message("A", 0xFEE3, 100, [signal("S", 0, 8)]), long_message("F", 0x1F805, 43, [])]
+    woven = woven_of(compile_plan([(0, Database([(message, None) for message in messages]))]))
+    well = transported(0xFEE3, 0x21, 0xFF, bytes(100)), fast(0x1F805, 0x35, 0xFF, bytes(43), 1)
+
+    def feed(data):
+        for kind in ((3, 1, True), (4, 4, False)):
+            unpack(data, Container(*kind, frozenset()))
+        rows, t_s = [], woven.woven + 1.0
+        while len(data) > 2:
+            t_s += data[1] / 256
+            rows.append((t_s, ids[data[0] % len(ids)], data[2 : 2 + data[1] % 9]))
+            data = data[2 + data[1] % 9 :]
+        woven.hear(batch(rows))
+
+    def alive():
+        before = woven.woven
+        woven.hear(batch(*([(t_s + 1e6, *rest) for t_s, *rest in frames] for frames in well)))
+        assert woven.woven == before + 2
+
+    samples = (b"".join(bytes([ids.index(can_id), 8]) + data for _, can_id, data in frames) for frames in well)
+    return Target(tuple(samples), feed, alive)
+
+
 def _doip(folder, stack):
     from doip_rig import GATEWAY, TESTER, Peer, message
 
@@ -334,6 +367,7 @@ TARGETS = {
     "reports": _reports,
     "requests": _requests,
     "frames": _frames,
+    "long": _long,
     "doip": _doip,
     "status": _status,
     "sovd": _sovd,

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED
+from gateway.j1939.frame import TP_CM, TP_DT
 from gateway.signals.database import Database
 from gateway.signals.decode import exact_key, pgn_key
-from gateway.signals.tables import by_pgn, hash_table
+from gateway.signals.keys import by_pgn, can_id_of, hash_table, is_woven
 from gateway_fdi.jit import Record, i8, means, u1, u4, u8
 
 #: Unknown identifiers that have a place of their own; further ones share the last place.
@@ -50,8 +51,10 @@ def known_table(
     keys: set[Any] = set()
     for bus, database in databases:
         for message in database:
-            can_id = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
+            can_id = can_id_of(message)
             keys.add(pgn_key(bus, can_id) if by_pgn(message, bus in pgn) else exact_key(bus, can_id))
+            if is_woven(message, bus in pgn):
+                keys.update(pgn_key(bus, EXTENDED | carrier << 8) for carrier in (TP_CM, TP_DT))
     for bus, identifiers, groups in known:
         for can_id in identifiers:
             keys.add(pgn_key(bus, can_id) if can_id & EXTENDED and bus in pgn else exact_key(bus, can_id))

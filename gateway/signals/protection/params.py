@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from gateway.signals.bits import field_of
+from gateway.signals.bits import LONGEST, field_of
 from gateway.signals.protection.checksum import LIST, MOST_EXTRA, Checksum
 from gateway.signals.protection.crc import KNOWN, Crc
 from gateway.signals.protection.e2e import Header, protection_of
@@ -317,6 +317,10 @@ def protection_for(message: Message, asked: ProtectionParams) -> Protection:
     Raises:
         InputError: signals that it does not have, a checksum of another width, ...; the key is that of the table.
     """
+    for key in ("counter", "crc", "checksum", "e2e", "secoc") if message.length > LONGEST else ():
+        if getattr(asked, key) is not None:
+            text = f"{message.name} has {message.length} bytes: beyond {LONGEST} neither counter nor checksum is read"
+            raise InputError(text, key=key)
     if asked.e2e is not None:
         with under("e2e"):
             return asked.e2e.protection(message)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gateway.bus.conditions import BUS_OFF, RESTARTED
 from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, Frames, empty, put
 from gateway.signals.database import Database
+from gateway.signals.keys import can_id_of
 from gateway_bench.vecu.contract import Truth
 from gateway_bench.vecu.scenario import WireFault
 from gateway_fdi.errors import InputError, named, nearest
@@ -40,8 +41,7 @@ def concerned(fault: WireFault, key: str, databases: Mapping[int, Database]) -> 
     names: dict[str, Concerned] = {}
     for bus, database in databases.items():
         for message in database:
-            flag = EXTENDED if message.is_extended_frame else 0
-            names.setdefault(message.name, (message.frame_id | flag, bus))
+            names.setdefault(message.name, (can_id_of(message), bus))
     if text in names:
         return names[text]
     digits = text.lower().removeprefix("0x")

@@ -33,8 +33,8 @@ class Payloads:
 
     @property
     def bytes(self) -> NDArray[np.uint8]:
-        """The payloads byte by byte, shape (frames, 64)."""
-        return np.ascontiguousarray(self.words).view(np.uint8).reshape(len(self), 64)
+        """The payloads byte by byte, shape (frames, 64), of woven messages a multiple of it."""
+        return np.ascontiguousarray(self.words).view(np.uint8).reshape(len(self), 8 * self.words.shape[1])
 
 
 @kernel

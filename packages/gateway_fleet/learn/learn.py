@@ -140,7 +140,7 @@ def observe(asked: Asked, progress: Progress) -> tuple[Observation, tuple[Databa
     own = [own_database(asked, bus) for bus in asked.buses]
     observer = Observer(config, databases, own)
     for path in asked.logs:
-        log = read_answered(config, answers, path, asked.maps)
+        log = read_answered(config, answers, observer.plan, path, asked.maps)
         observer.read(path, log, asked.hold_out, _by_log(progress, "reading"))
     observation = observer.result()
     _refuse_strangers(asked, observation, {str(path) for path in own})

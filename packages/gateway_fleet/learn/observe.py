@@ -12,12 +12,13 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
-from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, REMOTE, Frames
+from gateway.bus.frames import EXTENDED, ID_MASK, Frames, have_data
+from gateway.clients.woven import woven_of
 from gateway.config.model import Config
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
 from gateway.signals.decode import lookup, of_a_tester
-from gateway.signals.payloads import columns, decode_payloads, valued, words_of
+from gateway.signals.payloads import are_last, decode_payloads, payloads_of, valued, words_of
 from gateway.signals.tables import compile_plan
 from gateway_fleet.learn import observers
 from gateway_fleet.learn.course import Courses
@@ -124,17 +125,21 @@ class Observer:
         config: buses, with their databases and how they match.
         databases: of the buses.
         own: of each bus, the database of identifiers that no other has; None: there is no place for one.
+
+    Attributes:
+        plan: of all signals.
     """
 
     def __init__(self, config: Config, databases: Sequence[Database], own: Sequence[Path | None]) -> None:
         self._config, self._own = config, own
         pgn = [index for index, bus in enumerate(config.bus) if bus.match == "pgn"]
-        self._plan = compile_plan(list(enumerate(databases)), pgn=pgn)
-        of = zip(self._plan.by_pgn, self._plan.named_sources(), strict=True)
+        self.plan = compile_plan(list(enumerate(databases)), pgn=pgn)
+        self._woven = woven_of(self.plan)
+        of = zip(self.plan.by_pgn, self.plan.named_sources(), strict=True)
         self._sources = [source if group else None for group, source in of]
         self._last_column = 0
         self._rows: dict[int, int] = {}
-        self._made = [self._seen(row, databases) for row in range(len(self._plan.message_names))]
+        self._made = [self._seen(row, databases) for row in range(len(self.plan.message_names))]
         self._foreign: Counter[tuple[int, int]] = Counter()
         self._notes = [(bus, note) for bus, database in enumerate(databases) for note in database.notes]
         self._snapshots = Snapshots(sum(len(seen.signals) for seen in self._made))
@@ -144,10 +149,10 @@ class Observer:
         self._asked = {(bus, each) for bus, place in places for each in (place.request, place.response)}
 
     def _seen(self, row: int, databases: Sequence[Database]) -> Seen:
-        bus, name = self._plan.message_names[row]
+        bus, name = self.plan.message_names[row]
         message = databases[bus].message(name)
         by_place = {
-            ref.signal: place for ref, place in self._plan.positions.items() if (ref.bus, ref.message) == (bus, name)
+            ref.signal: place for ref, place in self.plan.positions.items() if (ref.bus, ref.message) == (bus, name)
         }
         by_name = databases[bus].signals(name)
         signals = [by_name[each] for each in sorted(by_place, key=lambda each: by_place[each])]
@@ -161,7 +166,7 @@ class Observer:
         return Seen(bus, message, signals, place, courses, observers=shown, unknown=unknown, values=self._values(row))
 
     def _values(self, row: int) -> Callable[[Payloads], NDArray[np.float64]]:
-        plan = self._plan
+        plan = self.plan
         return lambda some: valued(decode_payloads(some.words, some.lengths, plan, row), plan, row)
 
     def read(self, path: Path, batches: Iterator[tuple[Frames, float]], hold_out: float, progress: Progress) -> None:
@@ -195,7 +200,7 @@ class Observer:
         self._end(log)
 
     def _add(self, log: LogSeen, frames: Frames) -> None:
-        frames = frames[frames["can_id"] & (ERROR | REMOTE) == 0]
+        frames = frames[have_data(frames)]
         if not len(frames):
             return
         if log.first_ns is None:
@@ -229,7 +234,8 @@ class Observer:
             row = self._row(int(ordered[begin]))
             if row < 0:
                 key = int(ordered[begin])
-                self._foreign[key >> 32, key & 0xFFFFFFFF] += int(end - begin)
+                if not self._carries(key >> 32, key & 0xFFFFFFFF):  # of others the messages are among the frames
+                    self._foreign[key >> 32, key & 0xFFFFFFFF] += int(end - begin)
             else:
                 by_row.setdefault(row, []).append(order[begin:end])
         for row, parts in by_row.items():
@@ -239,13 +245,17 @@ class Observer:
     def _row(self, key: int) -> int:
         found = self._rows.get(key)
         if found is None:
-            found = int(lookup(self._plan.keys, self._plan.rows, key >> 32, key & 0xFFFFFFFF))
+            found = int(lookup(self.plan.keys, self.plan.rows, key >> 32, key & 0xFFFFFFFF))
             self._rows[key] = found = self._unknown(key >> 32, key & 0xFFFFFFFF) if found < 0 else found
         return found
 
+    def _carries(self, bus: int, can_id: int) -> bool:
+        """Return whether frames of an identifier are parts of messages."""
+        return self._woven is not None and self._woven.carries(bus, can_id)
+
     def _unknown(self, bus: int, can_id: int) -> int:
         """Return the place of a message for an identifier that no database has, -1 if none is to be made."""
-        if self._own[bus] is None or (bus, can_id) in self._asked:
+        if self._own[bus] is None or (bus, can_id) in self._asked or self._carries(bus, can_id):
             return -1
         by_pgn = bool(can_id & EXTENDED) and self._config.bus[bus].match == "pgn"
         mine = [seen for seen in self._made if seen.bus == bus]
@@ -262,15 +272,19 @@ class Observer:
             frames = self._of_one_source(seen, row, frames)
             if not len(frames):
                 return
+        words, lengths = words_of(frames), frames["length"].astype(np.int64)
+        if row < len(self.plan.woven):
+            words, lengths = payloads_of(frames, self.plan, row)
+            frames = frames[are_last(frames)][: len(words)]
         t_ns = frames["t_ns"]
         seen.frames += len(frames)
         seen.last_ns = int(t_ns[-1])
         self._pauses[seen.bus].give(seen.gaps, t_ns)
-        lengths, counts = np.unique(frames["length"], return_counts=True)
-        seen.lengths.update({int(length): int(count) for length, count in zip(lengths, counts, strict=True)})
-        seen.samples.add(words_of(frames), frames["length"].astype(np.int64), t_ns)
+        found, counts = np.unique(lengths, return_counts=True)
+        seen.lengths.update({int(length): int(count) for length, count in zip(found, counts, strict=True)})
+        seen.samples.add(words, lengths, t_ns)
         if seen.signals:
-            values = columns(frames, self._plan, row)
+            values = valued(decode_payloads(words, lengths, self.plan, row), self.plan, row)
             usual_s = seen.gaps.quantile_ns(0.5) * 1e-9 if seen.gaps.count else 0.0
             seen.courses.add(t_ns, values, usual_s)
             self._snapshots.put(seen.columns, t_ns, values)

@@ -100,7 +100,7 @@ def _replay(
 
     windows: list[list[Frames]] = []
     last_ns = 0
-    for frames, done in read_answered(result.config, result.parts.answers, log.path, maps):
+    for frames, done in read_answered(result.config, result.parts.answers, engine.plan, log.path, maps):
         begins = [] if cut is None else [cut + WINDOW_NS * k for k in BEGINS[len(windows) :]]
         reached = [int(np.argmax(frames["t_ns"] >= at)) for at in begins if int(frames["t_ns"].max()) >= at]
         for k, part in enumerate(np.split(frames, reached)):

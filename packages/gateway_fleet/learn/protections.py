@@ -11,7 +11,7 @@ import numpy as np
 from cantools.database.can import Message
 from numpy.typing import NDArray
 
-from gateway.signals.bits import field_of
+from gateway.signals.bits import LONGEST, field_of
 from gateway.signals.payloads import bits_of
 from gateway.signals.protection.auto import automatic
 from gateway_fdi.errors import InputError
@@ -59,9 +59,11 @@ def protection_found(
         whole: False: only its counter is looked for.
         cycles: of each run, the times of its frames in cycles of the message; None: it has no cycle.
     """
+    named = tuple(signal.name for signal in message.signals if called_checksum(signal.name))
+    if message.length > LONGEST:  # which neither has a rule
+        return ProtectionFound(None, None, named, 0)
     frames, follows, between = joined(message.length, runs, cycles)
     counter = _counter(message, frames, follows, between)
-    named = tuple(signal.name for signal in message.signals if called_checksum(signal.name))
     if not whole:
         return ProtectionFound(counter, None, named, len(frames))
     found_with, proof = _split(frames)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from gateway.signals.containers import CONTAINED
 from gateway.signals.database import Database
 from gateway.signals.identity import sticks_out
 from gateway.signals.protection.auto import automatic
@@ -93,7 +94,7 @@ def _tell(params: RestbusParams, names: list[str], why: str) -> None:
 
 def _chosen(params: RestbusParams, database: Database) -> dict[str, Message]:
     """Return the messages asked for, by name, in the database's order."""
-    everything = {message.name: message for message in database}
+    everything = {message.name: message for message in database if message.protocol != CONTAINED}
     if not everything:
         raise InputError("the bus has no database", key="bus", value=params.bus or "")
     nodes = {node for message in everything.values() for node in message.senders}
