@@ -156,6 +156,17 @@ class Model:
         """Fault and residual of each gain, in the order of the columns of G."""
         return tuple((f, row) for f, fault in enumerate(self.faults) for row in fault.residuals)
 
+    @property
+    def lengths(self) -> dict[str, int]:
+        """Lengths of the arrays of its records, by the names of :data:`LENGTHS`."""
+        gains = len(self.gains)
+        return {
+            "residuals": len(self.noise), "slow": max(len(self.slow), 1), "gains": max(gains, 1),
+            "columns": max(len(self.slow) + gains, 1), "faults": max(len(self.faults), 1),
+            "edges": len(self.faults) + 1, "onsets": self.onsets,
+            "room": max((len(fault.residuals) for fault in self.faults), default=1) + 1,
+        }  # fmt: skip
+
     def _check(self) -> None:
         m = len(self.noise)
         wrong = Gathered()
@@ -198,13 +209,7 @@ class Model:
             InputError, InputErrors: something of it is no model.
         """
         self._check()
-        gains = self.gains
-        lengths = {
-            "residuals": len(self.noise), "slow": max(len(self.slow), 1), "gains": max(len(gains), 1),
-            "columns": max(len(self.slow) + len(gains), 1), "faults": max(len(self.faults), 1),
-            "edges": len(self.faults) + 1, "onsets": self.onsets,
-            "room": max((len(fault.residuals) for fault in self.faults), default=1) + 1,
-        }  # fmt: skip
+        lengths = self.lengths
 
         class OwnState(State, lengths=lengths):
             pass

@@ -5,9 +5,9 @@ the blocks behind the one that is kept before it, w of them. So, relative to no 
 
     weight of (f, onset) = lambda_f dt w * likelihood ratio        before the start: how likely it is there
 
-Told: ``cause`` when one fault has :data:`SURE`; ``one of`` the fewest that have :data:`ENOUGH` together, at most
-:data:`~gateway_fdi.evidence.model.MOST`; else ``not isolated``; nothing below the threshold
-of :mod:`gateway_fdi.evidence.alarm`, and as long as it may be no fault.
+Told: ``cause`` when one fault has :data:`SURE`; ``one of`` the fewest that have :data:`ENOUGH` together, one or at most
+:data:`~gateway_fdi.evidence.model.MOST`; else ``not isolated``; nothing below the threshold of
+:mod:`gateway_fdi.evidence.alarm`, and as long as it may be no fault.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _listed(s: Any, c: Any, largest: float) -> tuple[int, float]:
         together += s.probability[best]
         if n == 0 and together >= SURE:
             return CAUSE, together
-        if n > 0 and together >= ENOUGH:
+        if together >= ENOUGH:
             return ONE_OF, together
     for n in range(MOST):
         s.new[n] = -1
