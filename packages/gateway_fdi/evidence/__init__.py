@@ -14,6 +14,7 @@ long-run covariance. All is linear and Gaussian, so probabilities are exact wher
 - :mod:`~gateway_fdi.evidence.onsets`: blocks into information since each onset;
 - :mod:`~gateway_fdi.evidence.hypotheses`: likelihood and size of each fault at each onset;
 - :mod:`~gateway_fdi.evidence.posterior`: probabilities, and what is told;
+- :mod:`~gateway_fdi.evidence.healing`: when it has gone;
 - :mod:`~gateway_fdi.evidence.alarm`: from which ratio on it is told, and how often that is wrong;
 - :mod:`~gateway_fdi.evidence.healthy`: noise and jitter from healthy records.
 

@@ -63,6 +63,11 @@ class State(Record, lengths=LENGTHS):
     entry: Annotated[f8s, "onsets"] = means("log likelihood ratio of the block in which a fault begins")
     since_a: Annotated[f8s, "onsets", "columns", "columns"] = means("A since each onset")
     since_b: Annotated[f8s, "onsets", "columns"] = means("b since each onset")
+    born_a: Annotated[f8s, "onsets", "slow", "slow"] = means("A of the slow errors before each onset")
+    born_b: Annotated[f8s, "onsets", "slow"] = means("b of the slow errors before each onset")
+    window_a: Annotated[f8s, "columns", "columns"] = means("A of the window in which a fault may have gone")
+    window_b: Annotated[f8s, "columns"] = means("b of that window")
+    watched: i8 = means("blocks of it and 1; 0: there is none")
     evidence: f8 = means("logarithm of the likelihood without a fault, of what is integrated out so far")
     work_a: Annotated[f8s, "columns", "columns"] = means("scratch")
     work_b: Annotated[f8s, "columns"] = means("scratch")
@@ -243,4 +248,4 @@ class Model:
         c.threshold, c.confirm = self.threshold, self.confirm
         s.onsets, s.onset[0] = 1, 0
         s.listed[:] = s.named[:] = -1
-        s.since_a[0, range(p), range(p)] = c.prior[:p]
+        s.since_a[0, range(p), range(p)] = s.born_a[0, range(p), range(p)] = c.prior[:p]

@@ -42,6 +42,14 @@ def advance(s: Any, c: Any) -> None:
             s.since_b[k, i] += s.b[i]
             for j in range(n):
                 s.since_a[k, i, j] += s.a[i, j]
+    if s.watched > 0:
+        for i in range(p):
+            blur(s.window_a, s.window_b, n, i, c.walk[i])
+        for i in range(n):
+            s.window_b[i] += s.b[i]
+            for j in range(n):
+                s.window_a[i, j] += s.a[i, j]
+        s.watched += 1
     s.blocks += 1
     blocks.drop(s)
 
@@ -67,6 +75,10 @@ def _begin(s: Any, c: Any, n: int) -> None:
         s.since_b[k, i] = s.since_b[0, i] if i < c.slow else 0.0
         for j in range(n):
             s.since_a[k, i, j] = s.since_a[0, i, j] if max(i, j) < c.slow else 0.0
+    for i in range(c.slow):
+        s.born_b[k, i] = s.since_b[0, i]
+        for j in range(c.slow):
+            s.born_a[k, i, j] = s.since_a[0, i, j]
     s.onset[k] = s.blocks
     s.onsets = k + 1
 
@@ -95,6 +107,10 @@ def _leave(s: Any, n: int, out: int) -> None:
             s.since_b[k, i] = s.since_b[k + 1, i]
             for j in range(n):
                 s.since_a[k, i, j] = s.since_a[k + 1, i, j]
+        for i in range(len(s.born_b[0])):
+            s.born_b[k, i] = s.born_b[k + 1, i]
+            for j in range(len(s.born_b[0])):
+                s.born_a[k, i, j] = s.born_a[k + 1, i, j]
     s.onsets -= 1
     for f in range(len(s.chosen)):
         if s.chosen[f] > out:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gateway_fdi.errors import InputError
-from gateway_fdi.evidence import blocks, onsets, posterior
+from gateway_fdi.evidence import blocks, healing, onsets, posterior
 from gateway_fdi.evidence.model import Model
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import f8s, kernel
@@ -117,6 +117,7 @@ def over(model: Model, r: ArrayLike, h: ArrayLike, g: ArrayLike) -> Course:
         size.append(s.found[place, each])
         spread.append(s.spread[place, each])
         posterior.tell(s, c, largest)
+        healing.heal(s, c)
         faults = tuple(int(f) for f in s.named if f >= 0)
         told.append(Told(int(s.kind), faults, float(s.sure), int(s.since)))
     shape = (len(ratio), len(each))
