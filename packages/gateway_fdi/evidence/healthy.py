@@ -46,7 +46,7 @@ def noise(records: Sequence[Arrays], slow: Sequence[Slow], samples: int) -> NDAr
         InputError: fewer than two blocks for each residual, or a residual that is always the same.
     """
     total, blocks = 0.0, 0
-    prior = np.diag([one.prior**-2 for one in slow])
+    prior = np.diag(np.array([one.prior**-2 for one in slow]))
     for r, h, _ in records:
         count = len(r) // samples
         there: NDArray[np.bool_] = np.asarray(np.isfinite(r).all(1))
@@ -54,7 +54,7 @@ def noise(records: Sequence[Arrays], slow: Sequence[Slow], samples: int) -> NDAr
         spread = own.std(0)
         if not (spread > 0.0).all():
             raise InputError("a residual is always the same", key="records", value=str(int(np.argmin(spread))))
-        a = (columns / spread[:, None]).reshape(-1, len(slow))
+        a = (columns / spread[:, None]).reshape(own.size, len(slow))
         x = np.linalg.solve(a.T @ a / samples + prior, a.T @ (own / spread).reshape(-1) / samples)
         left = np.where(there[:, None], r - h @ x, 0.0)[: count * samples]
         sums = left.reshape(count, samples, -1).sum(1)[there[: count * samples].reshape(count, samples).all(1)]

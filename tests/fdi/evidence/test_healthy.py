@@ -65,3 +65,9 @@ def test_noise_and_jitter_are_those_of_healthy_records(jitter, low, high):
     assert course.told[-1].faults == (0,)
     assert abs(course.told[-1].since - 100) <= 1
     assert abs(course.size[-1, 0] - 6.0) < 4.0 * course.spread[-1, 0]
+
+
+def test_noise_of_a_plant_of_which_nothing_is_off_is_that_of_its_residuals():
+    white = np.random.default_rng(SEED).normal(size=(4000, 1))
+    found = healthy.noise([(white, np.zeros((4000, 1, 0)), np.zeros((4000, 0)))], (), 20)
+    assert found == pytest.approx(np.eye(1), rel=0.4)
