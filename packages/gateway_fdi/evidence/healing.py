@@ -5,6 +5,9 @@ by itself. So, while one is told, windows of the newest blocks are judged alone,
 known before the onset: a window that is :data:`GONE` times as likely without the fault says that it has gone, and
 everything begins again with what it says of the slow errors. In a window in which the plant does not show the fault
 both are as likely: it stands.
+
+The end of a fault is no hypothesis of its own: until a window has seen it, another fault that has begun then may
+explain the residuals better, and be told.
 """
 
 from __future__ import annotations
