@@ -1,0 +1,110 @@
+"""Samples into the quadratic form of a block.
+
+With Z the columns of a sample, H and the gains, each gain in the row of its residual, and W the inverse of the noise's
+covariance,
+
+    A = sum Z' W Z        b = sum Z' W r
+
+A residual that is missing is integrated out of W. When the block is whole, the jitter of the slow errors is integrated
+out of it.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+from gateway_fdi.evidence.quadratic import blur
+from gateway_fdi.jit import f8s, kernel
+
+
+@kernel
+def add(s: Any, c: Any, r: f8s, h: f8s, g: f8s) -> bool:
+    """Take a sample; returns whether the block is whole.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        r: residuals, shape (residuals,); NaN: it is missing.
+        h: sensitivities to the slow errors, shape (residuals, slow).
+        g: gains, shape (gains,).
+    """
+    _weigh(s, c, r)
+    _add_slow(s, c, h)
+    _add_gains(s, c, g)
+    s.taken += 1
+    return bool(s.taken >= c.samples)
+
+
+@kernel
+def _weigh(s: Any, c: Any, r: f8s) -> None:
+    """Find W of the residuals that are there, 0 for others, and W r."""
+    m = c.residuals
+    for i in range(m):
+        s.left[i] = 0.0
+        for j in range(m):
+            s.rows[i, j] = c.weight[i, j]
+    for i in range(m):
+        if not isfinite(r[i]):
+            blur(s.rows, s.left, m, i, 0.0)
+    for i in range(m):
+        if isfinite(r[i]):
+            for j in range(m):
+                s.left[j] += s.rows[j, i] * r[i]
+
+
+@kernel
+def _add_slow(s: Any, c: Any, h: f8s) -> None:
+    """Take the columns of the slow errors; leaves H' W."""
+    m = c.residuals
+    for k in range(c.slow):
+        for i in range(m):
+            s.weighted[k, i] = 0.0
+        for j in range(m):
+            if s.rows[j, j] != 0.0 and h[j, k] != 0.0:
+                s.b[k] += h[j, k] * s.left[j]
+                for i in range(m):
+                    s.weighted[k, i] += s.rows[i, j] * h[j, k]
+        for j in range(k + 1):
+            for i in range(m):
+                if s.rows[i, i] != 0.0:
+                    s.a[k, j] += s.weighted[k, i] * h[i, j]
+
+
+@kernel
+def _add_gains(s: Any, c: Any, g: f8s) -> None:
+    """Take the columns of the gains, each in the row of its residual."""
+    p = c.slow
+    for k in range(c.first[c.faults]):
+        row = c.row[k]
+        if s.rows[row, row] == 0.0:
+            continue
+        s.b[p + k] += g[k] * s.left[row]
+        for j in range(p):
+            s.a[p + k, j] += s.weighted[j, row] * g[k]
+        for j in range(k + 1):
+            if s.rows[row, c.row[j]] != 0.0:
+                s.a[p + k, p + j] += g[k] * s.rows[row, c.row[j]] * g[j]
+
+
+@kernel
+def close(s: Any, c: Any) -> float:
+    """Make a block's form whole, its jitter integrated out; returns the logarithm of the factor."""
+    n = c.slow + c.first[c.faults]
+    for i in range(n):
+        for j in range(i):
+            s.a[j, i] = s.a[i, j]
+    gained = 0.0
+    for k in range(c.slow):
+        gained += blur(s.a, s.b, n, k, c.jitter[k])
+    return gained
+
+
+@kernel
+def drop(s: Any) -> None:
+    """Forget the samples of a block."""
+    for i in range(len(s.b)):
+        s.b[i] = 0.0
+        for j in range(len(s.b)):
+            s.a[i, j] = 0.0
+    s.taken = 0

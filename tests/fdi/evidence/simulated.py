@@ -1,0 +1,75 @@
+"""Linear plants with Gaussian noise, drawn as the evidence takes them; and their likelihoods by dense matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gateway_fdi.evidence.model import FINER, SCALES, Fault, Model, Slow
+
+
+def plant(rng, *, faults=4, residuals=3, slow=2, jitter=0.0, walk=0.0, error=0.3, samples=10, unknown=False, **more):
+    """Return a model whose faults move some of the residuals, in other signs and sizes."""
+    a = rng.normal(size=(residuals, residuals))
+    noise = a @ a.T + 0.3 * np.eye(residuals)
+    found = []
+    for k in range(faults):
+        moves = np.flatnonzero(rng.random(residuals) < 0.7)
+        moves = moves if len(moves) else np.array([k % residuals])
+        found.append(Fault(f"f{k}", tuple(moves.tolist()), 3.0, error, per_h=40.0, present=0.2, **more))
+    if unknown:
+        found.append(Fault("unknown", tuple(range(residuals)), 2.0, per_h=20.0, present=0.01, common=False))
+    errors = tuple(Slow(f"x{k}", 0.5, walk) for k in range(slow))
+    return Model(errors, tuple(found), noise, 0.1, samples, jitter)
+
+
+def drive(rng, model, n):
+    """Return sensitivities and gains along a drive of n samples."""
+    m, count = len(model.noise), len(model.gains)
+    t = np.arange(n)[:, None] * model.period_s
+    h = 1.0 + np.sin(t * rng.uniform(0.2, 2.0, m * len(model.slow)) + rng.uniform(0, 6, m * len(model.slow)))
+    g = rng.normal(size=count) * (1.0 + 0.5 * np.sin(t * rng.uniform(0.2, 2.0, count)))
+    return h.reshape(n, m, len(model.slow)), g
+
+
+def columns(model, g, fault, since, n):
+    """Return what each gain of a fault adds to the record, shape (n m, gains of the fault)."""
+    m = len(model.noise)
+    found = np.zeros((n, m, len(model.faults[fault].residuals)))
+    mine = [k for k, (f, _) in enumerate(model.gains) if f == fault]
+    for i, k in enumerate(mine):
+        found[since:, model.gains[k][1], i] = g[since:, k]
+    return found.reshape(n * m, -1)
+
+
+def covariance(model, h):
+    """Return the covariance of a record without a fault, shape (n m, n m): noise, x, its walk and its jitter."""
+    n, m, _ = h.shape
+    of = np.arange(n) // model.samples
+    seconds = model.samples * model.period_s
+    total = np.kron(np.eye(n), model.noise)
+    for k, one in enumerate(model.slow):
+        walked = one.prior**2 + one.walk**2 * seconds * np.minimum(of[:, None], of[None, :])
+        moved = (model.jitter * one.prior) ** 2 * (of[:, None] == of[None, :])
+        flat = h[:, :, k].reshape(-1)
+        total += np.kron(walked + moved, np.ones((m, m))) * np.outer(flat, flat)
+    return total
+
+
+def sizes(fault, scale):
+    """Return the covariance of what a fault's gains are multiplied by."""
+    m = len(fault.residuals)
+    if not fault.common:
+        return scale**2 * np.eye(m)
+    return scale**2 * (np.ones((m, m)) + fault.error**2 * np.eye(m))
+
+
+def scales(fault):
+    """Return the scales of a fault's size."""
+    return [fault.size / FINER**n for n in range(SCALES)]
+
+
+def gaussian(r, v):
+    """Return the logarithm of the density of N(0, V)."""
+    factor = np.linalg.cholesky(v)
+    z = np.linalg.solve(factor, r)
+    return -0.5 * z @ z - np.log(np.diag(factor)).sum() - 0.5 * len(r) * np.log(2 * np.pi)
