@@ -64,6 +64,24 @@ def test_a_fault_met_by_a_full_disk_is_told_and_stored_when_there_is_room(make, 
     assert of(rig, "dtc")[-1]["stored"] is True
 
 
+@pytest.mark.evidence("Durability: full disk")
+def test_a_write_that_failed_is_told_before_anybody_sees_what_it_did_not_store(make, disk):
+    """Whoever joins the thread that writes (a clear, a look at the file) leaves it to be told."""
+    rig = make()
+    memory = rig.gateway.memory
+    rig.fail(0)
+    rig.heal(0)
+    rig.gateway.write_beside(patience_s=0.0)
+    disk["broken"] = True
+    rig.fail(0)
+    memory.join()
+    assert memory.outage.reason, "it failed, and nothing was told yet"
+    assert memory.state("b.M0.length").occurrence == 1, "as the DTC frame of the cyclic list has it"
+    rig.wait(10)
+    assert ("U3000-44", True) in told(rig)
+    assert memory.state("b.M0.length").occurrence == 2
+
+
 @pytest.mark.evidence("Durability: events")
 def test_events_are_told_after_they_are_stored(make):
     rig = make()

@@ -261,12 +261,12 @@ class Ledger:
 
     @property
     def shown(self) -> dict[str, Record]:
-        """Records as last written; while nothing can be written, or where others see them first, as they are."""
+        """Records as last written; once it is told that nothing can be, or where others see them first, as they are."""
         return self.records if self._shows_all else self._stored
 
     @property
     def _shows_all(self) -> bool:
-        return bool(self._ahead or self.outage.reason)
+        return self._ahead or self.outage.is_open
 
     def shown_failed(self) -> list[Record]:
         """Return those of :attr:`shown` that have failed since they were cleared; in no order."""

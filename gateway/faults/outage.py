@@ -15,12 +15,15 @@ class Outage:
         reason: why the last attempt failed, "" if it did not.
         since_ns: when the first one failed [ns].
         failures: attempts that failed, of all outages.
+        awaited: whether somebody tells of it before others see what is not written.
+        told: whether that was done.
     """
 
     def __init__(self) -> None:
         self.reason = ""
         self.since_ns = 0
         self.failures = 0
+        self.awaited = self.told = False
         self._tried_ns = 0
         self._wait_ns = 0
 
@@ -36,7 +39,12 @@ class Outage:
 
     def ended(self) -> None:
         """Note that all is written."""
-        self.reason = ""
+        self.reason, self.told = "", False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether others see what is not written."""
+        return bool(self.reason) and (self.told or not self.awaited)
 
     def is_due(self, t_ns: int) -> bool:
         """Return whether to try again; always so while there is no outage."""

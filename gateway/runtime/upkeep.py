@@ -84,6 +84,7 @@ class Upkeep:
         self._down = False
         self._paused = False
         self.not_stored = 0
+        memory.outage.awaited = True
 
     def succeed(self, old: Upkeep) -> None:
         """Go on where that of an earlier configuration stops."""
@@ -243,6 +244,7 @@ class Upkeep:
             self._report(NOT_WRITTEN, down, float(down), (waiting,), sink)
             news = True
         self._tested = True
+        self._memory.outage.told = down
         self._store.note_unsaved(down)
         return news
 

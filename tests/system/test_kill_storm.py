@@ -36,9 +36,9 @@ def kill_9(tmp_path, memory, kills, rng, disk=None):
         storm = stack.enter_context(Storm(host, int(port), rng.randrange(2**32)))
         while len(runs) < kills:
             started = start(config, uri, memory, tmp_path)
-            while tester.recv(0) is not None:
-                pass
             told = Told()
+            while (got := tester.recv(0)) is not None:
+                told.note(got)  # that nothing can be written may be the first that it says
             for action in (None,) if disk is None else (disk.fill, disk.free, disk.fill):
                 if action is not None and rng.random() < 0.8:
                     action(started)
