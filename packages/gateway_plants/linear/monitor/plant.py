@@ -32,6 +32,8 @@ MOST_MISSING = 5
 KEPT = 8
 #: Share of the samples before which a command's frame comes, from which on it is cyclic; samples until that is known.
 _CYCLIC, _LISTENED = 0.7, 40
+#: Samples in a row behind which the number of a command's frames is right, and not their times.
+_SURE = 3
 #: Share of a period by which a command that comes a little behind its sample is still that one's.
 EARLY = 0.1
 #: Which of the samplings: a frame of commands, or a sample of the outputs.
@@ -66,6 +68,8 @@ class State(Record):
     share: Annotated[f8s, MOST_INPUTS] = means("share of the samples before which a frame came")
     listened: i8 = means("samples in these averages")
     ahead: Annotated[i8s, MOST_INPUTS] = means("frames more than samples, since one that came in time")
+    off: Annotated[i8s, MOST_INPUTS] = means("samples by which its frames come later than its samples do")
+    alike: Annotated[i8s, MOST_INPUTS] = means("samples in a row of which that is so")
     doubt: Annotated[i8s, MOST_INPUTS] = means("1: times and number of its frames contradict each other")
     told: Annotated[i8s, MOST_INPUTS] = means("its last alive counter")
     u: Annotated[f8s, MOST_INPUTS] = means("what holds from the present sample on")
@@ -305,13 +309,17 @@ def _contradicts(s: State, c: Const, j: int, steps: int) -> bool:
     """Return whether the times of a cyclic command say something else than the number of its frames.
 
     A sample that waits L periods alone lets L more commands come before it. Where fewer have come the commands waited,
-    too, as behind a sender that stood still, and none of them can be told to be the one that held.
+    too, as behind a sender that stood still. Once, frames may also be lost; where it stays so their number is right.
     """
     if c.timed == 1 or s.listened < _LISTENED or s.share[j] < _CYCLIC:
+        s.off[j] = 0
         return False
     late = _of_sample(s, c, j, (s.heard[j] - 1) % KEPT, s.before_ns) - steps
     s.ahead[j] = s.ahead[j] + s.since[j] - steps if late > 0 else 0
-    return bool(late > 0 and s.ahead[j] != late)
+    off = late - s.ahead[j] if late > 0 else 0
+    s.alike[j] = s.alike[j] + 1 if off == s.off[j] else 1
+    s.off[j] = off
+    return bool(off != 0 and s.alike[j] < _SURE)
 
 
 @kernel
@@ -324,7 +332,7 @@ def _listen(s: State, c: Const, steps: int) -> None:
         most = 2.0 if c.timed == 1 else 1.0  # one that comes late is there for the next sample, too
         s.share[j] += (min(s.since[j] / steps, most) - s.share[j]) / min(s.listened, 200)
         s.doubt[j] = _contradicts(s, c, j, steps)
-        if s.since[j] == 1 and steps == 1 and s.doubt[j] == 0:
+        if s.since[j] == 1 and steps == 1 and s.off[j] == 0:
             lead = float(s.t_ns - s.came_ns[j, (s.heard[j] - 1) % KEPT])
             if (
                 c.timed == 1
@@ -347,7 +355,7 @@ def commands(s: State, c: Const, u: Inputs, at: int) -> None:
         found, newest = False, -1
         for back in range(min(s.heard[j], KEPT)):
             place = (s.heard[j] - 1 - back) % KEPT
-            which = _of_sample(s, c, j, place, s.before_ns)
+            which = _of_sample(s, c, j, place, s.before_ns) - s.off[j]
             if which <= at:
                 newest, found = place, which == at
                 break
