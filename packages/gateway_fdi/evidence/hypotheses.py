@@ -18,6 +18,9 @@ from gateway_fdi.evidence.model import SCALES
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import kernel
 
+#: Standard deviations below 0 from which on the tail of a Gaussian is taken by its series.
+FAR = -12.0
+
 
 @kernel
 def judge(s: Any, c: Any) -> None:
@@ -116,7 +119,3 @@ def _cut(s: Any, k: int, f: int, sign: float) -> float:
     s.found[k, f] += sign * spread * slope
     s.spread[k, f] = spread * sqrt(max(1.0 - slope * (slope + at), 0.0))
     return log(2.0) + below
-
-
-#: Standard deviations below 0 from which on the tail of a Gaussian is taken by its series.
-FAR = -12.0

@@ -7,8 +7,9 @@ is an onset like the others, and always kept.
 A fault begins somewhere in a block, and generators need some time until their residuals show it as the gains say. So,
 where a model has a fault that moves each residual by an amount of its own, an onset's first block is that, or as
 without a fault, whatever has begun: it does not say which, and no wrong fault has its name from the moment of onset.
- Of the others, those go that lie closest, in their age, to their
-neighbours: their distances grow like their age.
+
+Where there is no room for another onset the one goes that lies closest to its neighbours, compared with its age: so the
+distances of those that stay grow like their age.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from typing import Any
 from gateway_fdi.evidence import blocks, hypotheses
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import kernel
+
+#: Probability of a fault from which on its likeliest onset is kept.
+PROTECTED = 0.01
 
 
 @kernel
@@ -115,7 +119,3 @@ def _leave(s: Any, n: int, out: int) -> None:
     for f in range(len(s.chosen)):
         if s.chosen[f] > out:
             s.chosen[f] -= 1
-
-
-#: Probability of a fault from which on its likeliest onset is kept.
-PROTECTED = 0.01
