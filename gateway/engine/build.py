@@ -45,7 +45,7 @@ from gateway.engine.wiring import Wired, wire
 from gateway.j1939.transport import LONGEST
 from gateway.monitors.authors import author_of
 from gateway.monitors.conformance import checked_emission, checked_faults
-from gateway.monitors.contract import RESULTS, Numbered
+from gateway.monitors.contract import RESULTS, Debounce, Numbered
 from gateway.monitors.sampling import MOST_MESSAGES
 from gateway.signals.database import Database
 from gateway.signals.protection import protection
@@ -414,10 +414,15 @@ def _verdicts(
     """
     debounces = table(len(faults), DebounceRow)
     own_gates = [gates.get(slot.id, Gate()) for slot in faults]
-    for row, slot, gate in zip(debounces, faults, own_gates, strict=True):
+    alike: dict[tuple[Debounce, int], list[int]] = {}
+    for k, (slot, gate) in enumerate(zip(faults, own_gates, strict=True)):
         asked = slot.fault.debounce.changed(settings.get(slot.id, {}))
-        configure(row, asked, trigger_fdc=gate.trigger_fdc)
-        row["bus"] = slot.bus
+        alike.setdefault((asked, gate.trigger_fdc), []).append(k)
+    for (asked, trigger_fdc), places in alike.items():
+        one = debounces[places[0]]
+        configure(one, asked, trigger_fdc=trigger_fdc)
+        debounces[places[1:]] = one
+    debounces["bus"] = [slot.bus for slot in faults]
     ids = {slot.id: k for k, slot in enumerate(faults)}
     _refuse_unknown_roots(gates, ids)
     return _Verdicts(debounces, *fill_gates(own_gates, debounces, ids, plan))

@@ -16,10 +16,11 @@ def assert_consistent(t: Tables) -> None:
     assert len(t.vectors) == messages
     whole = t.messages[t.messages["whole"] == 1]
     assert (whole["slot"] + whole["count"] <= slots).all()
-    for m in whole:
-        mine = t.signals[m["first"] :][: m["count"]]
-        assert (mine["slot"] == m["slot"] + np.arange(m["count"])).all()
-        assert (mine["parent"] < 0).all()
+    of = np.repeat(np.arange(len(whole)), whole["count"])
+    nth = np.arange(len(of)) - (whole["count"].cumsum() - whole["count"])[of]
+    mine = t.signals[whole["first"][of] + nth]
+    assert (mine["slot"] == whole["slot"][of] + nth).all()
+    assert (mine["parent"] < 0).all()
     assert (t.vectors["first"] + t.vectors["count"] <= len(t.triggers)).all()
     assert (t.vectors["check"] < len(t.checks)).all()
     assert (t.checks["sync"] < len(t.checks)).all()
@@ -50,11 +51,10 @@ def assert_consistent(t: Tables) -> None:
             assert y["cells"] >= h["slots"] * (KEPT + 1 if y["const"]["lines"] else y["const"]["depth"])
         assert 0 <= h["fault"] <= h["fault"] + h["faults"] <= faults
         assert h["emit"] < len(t.emits)
-    for row in (*t.checks, *t.health):
-        assert (row["fault"] < faults).all()
-    for d in t.debounces:
-        assert d["first_condition"] + d["conditions"] <= len(t.conditions)
-        assert d["first_root"] + d["roots"] <= len(t.roots)
+    for rows in (t.checks, t.health):
+        assert (rows["fault"] < faults).all()
+    assert (t.debounces["first_condition"] + t.debounces["conditions"] <= len(t.conditions)).all()
+    assert (t.debounces["first_root"] + t.debounces["roots"] <= len(t.roots)).all()
     assert ((t.roots >= 0) & (t.roots < max(faults, 1))).all()
     assert ((t.conditions["slot"] >= 0) & (t.conditions["slot"] < slots)).all()
     assert (t.emits["first"] + t.emits["count"] <= len(t.emit_signals)).all()

@@ -178,16 +178,14 @@ def is_lasting(T: Any, d: Any) -> bool:
 
 def fill_gates(gates: Sequence[Gate], debounces: Any, ids: Mapping[str, int], plan: DecodePlan) -> tuple[Any, Any]:
     """Fill the gates of all faults; returns the tables of conditions and of roots."""
-    conditions: list[Condition] = []
-    roots: list[int] = []
-    for row, gate in zip(debounces, gates, strict=True):
-        row["first_condition"], row["conditions"] = len(conditions), len(gate.conditions)
-        row["first_root"], row["roots"] = len(roots), len(gate.roots)
-        row["cycle"] = gate.cycle
-        row["gated"] = bool(gate.conditions or gate.roots or gate.cycle >= 0)
-        row["resets"] = gate.resets
-        conditions += gate.conditions
-        roots += [ids[name] for name in gate.roots]
+    conditions = [condition for gate in gates for condition in gate.conditions]
+    roots = [ids[name] for gate in gates for name in gate.roots]
+    for name in ("conditions", "roots"):
+        counts = np.array([len(getattr(gate, name)) for gate in gates])
+        debounces[name], debounces[f"first_{name[:-1]}"] = counts, counts.cumsum() - counts
+    debounces["cycle"] = [gate.cycle for gate in gates]
+    debounces["gated"] = [bool(gate.conditions or gate.roots or gate.cycle >= 0) for gate in gates]
+    debounces["resets"] = [gate.resets for gate in gates]
     debounces["is_root"][roots] = 1
     made = table(max(len(conditions), 1), ConditionRow)
     for row, condition in zip(made, conditions, strict=False):

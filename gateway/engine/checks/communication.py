@@ -400,6 +400,7 @@ def fill(
             length is one of them.
     """
     p, message = check.params, _message(check, database)
+    place = plan.message(check.bus, p.message)
     with under(_key(check)):
         asked = protection_for(message, p)
     summed = asked.checksum is not None
@@ -408,23 +409,24 @@ def fill(
         asked.counter is not None or (asked.freshness is not None and asked.freshness.bits > 0),
         summed,
         p.length is not False,
-        p.value and bool(plan.messages[plan.message(check.bus, p.message)]["floats"]),
+        p.value and bool(plan.messages[place]["floats"]),
         summed,
         p.most is not None,
         p.most is not None and asked.counter is not None,
     )
     slots: list[FaultSlot] = []
-    row["row"] = plan.message(check.bus, p.message)
-    for kind, is_wanted in enumerate(wanted):
-        row["fault"][kind] = first_fault + len(slots) if is_wanted else -1
-        if is_wanted:
-            fault = p.fault_of(kind)
-            if kind == TIMEOUT and plan.by_pgn[row["row"]]:
-                fault = replace(fault, evidence=(*fault.evidence, "source address"))
-            slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
+    row["row"] = place
+    places = [-1] * len(wanted)
+    for kind in (kind for kind, is_wanted in enumerate(wanted) if is_wanted):
+        fault = p.fault_of(kind)
+        if kind == TIMEOUT and plan.by_pgn[place]:
+            fault = replace(fault, evidence=(*fault.evidence, "source address"))
+        places[kind] = first_fault + len(slots)
+        slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
+    row["fault"] = places
     row["bus"] = check.bus
     row["length"] = message.length
-    if f"{check.name}.{p.fault_of(LENGTH).name}" in named:
+    if named and f"{check.name}.{p.fault_of(LENGTH).name}" in named:
         row["longest"] = message.length
     row["only_length"] = 0 if isinstance(p.length, bool) else p.length
     row["need"] = (_bits(asked).bit_length() + 7) // 8

@@ -181,8 +181,9 @@ def fill(row: Any, asked: Protection, tables: Tables) -> None:
         bits |= placed(field, value)
         mask |= mask_of(field)
     row["constants"] = len(asked.constants)
-    row["constant"] = np.frombuffer(bits.to_bytes(64, "little"), "<u8")
-    row["is_constant"] = np.frombuffer(mask.to_bytes(64, "little"), "<u8")
+    if mask:
+        row["constant"] = np.frombuffer(bits.to_bytes(64, "little"), "<u8")
+        row["is_constant"] = np.frombuffer(mask.to_bytes(64, "little"), "<u8")
     mask |= 0 if asked.checksum is None else mask_of(asked.field)
     mask |= 0 if asked.counter is None else mask_of(asked.counter.field)
     mask |= 0 if asked.freshness is None or asked.freshness.field is None else mask_of(asked.freshness.field)
