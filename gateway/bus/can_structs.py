@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.base import Statistics
-from gateway.bus.frames import BRS, ESI, FD, FRAME, OWN, REMOTE, Frames, empty
+from gateway.bus.frames import BRS, ERROR, ESI, FD, FRAME, OWN, REMOTE, Frames, empty
 from gateway_fdi.jit import address_of_array, bound, kernel
 
 # From linux/can.h, asm-generic/socket.h, linux/socket.h; not all are in the socket module.
@@ -130,6 +130,9 @@ def _to_frame(f: Any, fd: bool, own: bool, stamp: int, bus: int) -> None:
         bus: index of the bus.
     """
     length = int(min(np.int64(f["bus"]), 64 if fd else 8))
+    can_id = np.int64(f["can_id"])
+    if can_id & ERROR:
+        f["can_id"] = can_id & ~REMOTE
     kept = 0 if np.int64(f["can_id"]) & REMOTE else length  # a remote frame has a length but no data
     raw = np.int64(f["flags"])
     flags = OWN if own else 0

@@ -28,7 +28,8 @@ EXTENDED = 0x8000_0000  # CAN_EFF_FLAG
 REMOTE = 0x4000_0000  # CAN_RTR_FLAG
 ERROR = 0x2000_0000  # CAN_ERR_FLAG
 ID_MASK = 0x1FFF_FFFF
-#: A whole message that was put together of several frames, or taken out of a container: no bus has such frames.
+#: A whole message that was put together of several frames, or taken out of a container: no bus has such frames, and
+#: what comes in with both flags is an error frame (:func:`of_bus`).
 #: Its identifier is that of the message. One of more than 64 bytes is several frames, one after the other.
 WOVEN = ERROR | REMOTE
 
@@ -152,6 +153,11 @@ def payload(frame: np.void) -> bytes:
     return b"" if int(frame["can_id"]) & REMOTE else bytes(frame["data"][: int(frame["length"])])
 
 
+def of_bus(can_id: int) -> int:
+    """Return an identifier as a bus may have it: an error frame is no remote frame."""
+    return can_id & ~REMOTE if can_id & ERROR else can_id
+
+
 def nanoseconds(seconds: float) -> int:
     """Turn a library's float seconds into integer nanoseconds.
 
@@ -168,10 +174,10 @@ def put_message(frames: Frames, index: int, message: can.Message, *, bus: int = 
     can_id = message.arbitration_id & ID_MASK
     if message.is_extended_id:
         can_id |= EXTENDED
-    if message.is_remote_frame:
-        can_id |= REMOTE
     if message.is_error_frame:
         can_id |= ERROR
+    elif message.is_remote_frame:
+        can_id |= REMOTE
     flags = 0
     if message.is_fd:
         flags |= FD

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.candump import CandumpWriter
-from gateway.bus.frames import Frames, chosen
+from gateway.bus.frames import REMOTE, WOVEN, Frames, chosen
 from gateway.bus.log_source import ARCHIVE, COMPRESSIONS, compression_of, damage, members, open_log, pull
 from gateway.bus.parquet import ParquetWriter
 from gateway.bus.readers.asc import Asc
@@ -214,6 +214,8 @@ class LogReader:
 
     def _placed(self, frames: Frames, channel: NDArray[np.int64]) -> Frames:
         """Count the frames of each channel, and leave out those of no bus."""
+        if (both := frames["can_id"] & WOVEN == WOVEN).any():
+            frames["can_id"][both] &= np.uint32(~REMOTE & 0xFFFFFFFF)
         known = self._names.known
         now = np.bincount(channel, minlength=len(known))
         counts = now.copy()

@@ -11,7 +11,7 @@ flags in hex, payload as hex or ``-``. Plain clients never see such a line, nor 
 
 from __future__ import annotations
 
-from gateway.bus.frames import ERROR, EXTENDED, FD, FD_LENGTHS, ID_MASK, REMOTE
+from gateway.bus.frames import ERROR, EXTENDED, FD, FD_LENGTHS, ID_MASK, REMOTE, of_bus
 
 #: Longest line accepted.
 LONGEST = 512
@@ -77,7 +77,7 @@ def parse_extended(words: list[str]) -> Parts:
 def _checked(can_id: int) -> int:
     if not 0 <= can_id <= 0xFFFFFFFF or (not can_id & (EXTENDED | ERROR) and can_id & ID_MASK > 0x7FF):
         raise ValueError("identifier")
-    return can_id & _KNOWN_BITS
+    return of_bus(can_id & _KNOWN_BITS)
 
 
 def split(buffer: bytearray) -> tuple[list[list[str]], int]:

@@ -15,7 +15,22 @@ from hypothesis import strategies as st
 from gateway.bus.adapter import PythonCanBus
 from gateway.bus.base import Statistics
 from gateway.bus.can_structs import Packer, RawReceiver
-from gateway.bus.frames import BRS, ESI, EXTENDED, FD, FD_LENGTHS, REMOTE, empty, payload, put, to_message
+from gateway.bus.frames import (
+    BRS,
+    ERROR,
+    ESI,
+    EXTENDED,
+    FD,
+    FD_LENGTHS,
+    REMOTE,
+    empty,
+    payload,
+    put,
+    put_message,
+    to_message,
+)
+from gateway.bus.logs import read_log
+from gateway.bus.socketcand import parse_extended
 from gateway.bus.uri import loopback_address, open_bus
 from gateway_fdi.errors import BusError, InputError
 
@@ -185,3 +200,25 @@ def test_datagrams_that_are_no_frames_are_counted(pair):
     assert receiver.receive(out, 0) == 1
     assert payload(out[0]) == b"abcdefgh"
     assert statistics.rejected == 4
+
+
+def test_a_frame_with_the_flags_of_a_whole_message_is_an_error_frame_at_each_door(tmp_path):
+    """Both flags at once mark messages that the gateway has put together: nobody may send one in."""
+    can_id, data = EXTENDED | ERROR | REMOTE | 0x123, bytes([1, 2, 3, 4, 5, 6, 7, 8])
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    received = empty(2)
+    with ours, theirs:
+        ours.setblocking(False)
+        theirs.send(struct.pack("=IB3x8s", can_id, 8, data))
+        assert RawReceiver(ours, Statistics()).receive(received, 0) == 1
+    log = tmp_path / "a.log"
+    log.write_text(f"(1.000000) can0 {can_id:08X}#{data.hex()}\n")
+    message = can.Message(arbitration_id=0x123, is_error_frame=True, is_remote_frame=True)
+    put_message(received, 1, message)
+    doors = {
+        "raw socket": int(received["can_id"][0]),
+        "python-can": int(received["can_id"][1]),
+        "hub": parse_extended(["x", f"{can_id:X}", "-", "0", data.hex()])[1],
+        "log": int(next(iter(read_log(log)))["can_id"][0]),
+    }
+    assert doors == dict.fromkeys(doors, EXTENDED | ERROR | 0x123)
