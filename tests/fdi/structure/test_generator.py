@@ -1,7 +1,10 @@
 """Generated residual generators against residuals derived by hand, on simulated data."""
 
 import ast
+import contextlib
+import sys
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from residual_runner import Runner, close
 from scipy.linalg import expm
 
 from gateway_fdi.jit import zeros
+from gateway_fdi.structure.generator import budget
 from gateway_fdi.structure.generator.code import write
 from gateway_fdi.structure.generator.loading import load, residual_generator
 from gateway_fdi.structure.generator.realisation import realise
@@ -205,7 +209,7 @@ def test_loops_are_refused_or_solved_as_declared():
     runner = Runner(residual_generator(loop_model((Loop(*BOTH, Solvable.UNIQUE),)), SET, "e3"))
     assert abs(runner.step(0.0, u=7.0, w=1.0, y=5.0) - (3 * 2 - 5)) < 1e-12
     hard = ("a + exp(b) * b = u", "a**2 - sin(b) = w", "a * b = y")
-    with pytest.raises(NotSolvableError, match="algebra does not solve it|algebra finds"):
+    with pytest.raises(NotSolvableError, match="algebra (does not solve it|takes too long)"):
         realise(loop_model((Loop(*BOTH, Solvable.UNIQUE),), hard), SET, "e3")
 
 
@@ -433,3 +437,34 @@ def test_constants_are_checked(truck):
     )
     with pytest.raises(ValueError, match='"r_w" .*no value'):
         bare.prepare(c[0])
+
+
+# Algebra has a budget
+# ----------------------------------------------------------------------------------------------------
+
+
+def test_algebra_that_takes_too_long_names_what_cures_it(monkeypatch):
+    equations = frozenset(["e1", "e2", "e3"])
+    realised = realise(spring(), equations, "e3")
+    assert write("r", realised)
+    monkeypatch.setattr(budget, "CALLS", 100)
+    with pytest.raises(NotSolvableError, match=r"x, v: \(24\) takes too long to solve; give them start values"):
+        write("r", realised)
+    assert write("r", realise(spring(), equations, "e3", start={"x": 1.0, "v": 2.0}))
+    cubic = replace(spring().equations[2], relation=Relation.parse("y = x + x * x * x"))
+    model = replace(spring(), equations=(*spring().equations[:2], cubic))
+    with pytest.raises(NotSolvableError, match="e3: algebra takes too long to solve it; give the solution in the mod"):
+        realise(model, equations, "e1")
+
+
+def test_a_budget_that_is_spent_is_not_caught_within_and_leaves_the_tracer():
+    def endless():
+        while True:
+            with contextlib.suppress(Exception):
+                abs(Fraction(1, 3))
+
+    before = sys.gettrace()
+    with pytest.raises(budget.TooLongError):
+        budget.bounded(endless)
+    assert sys.gettrace() is before
+    assert budget.bounded(lambda: 3) == 3

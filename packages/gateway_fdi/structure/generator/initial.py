@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import sympy
 
+from gateway_fdi.structure.generator.budget import TooLongError, bounded
 from gateway_fdi.structure.generator.realisation import Realisation
 from gateway_fdi.structure.generator.solving import NotSolvableError
 from gateway_fdi.structure.generator.symbols import Algebra
@@ -64,9 +65,11 @@ def find_initial(realisation: Realisation) -> Initial:
         if condition.atoms(sympy.Derivative, sympy.Subs):
             raise NotSolvableError(f"{names}: (24) needs the derivative of a table; {hint}")
     try:
-        found = sympy.solve(conditions, wanted, dict=True)
+        found = bounded(lambda: sympy.solve(conditions, wanted, dict=True))
     except NotImplementedError:
         found = []
+    except TooLongError as error:
+        raise NotSolvableError(f"{names}: (24) takes too long to solve; {hint}") from error
     if len(found) != 1 or any(x not in found[0] for x in wanted):
         raise NotSolvableError(f"{names}: (24) has {len(found) or 'no'} solutions; {hint}")
     return Initial({x: found[0][of[x]] for x in free}, rates)

@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 
 import sympy
 
+from gateway_fdi.structure.generator.budget import cancelled
 from gateway_fdi.structure.generator.solving import NotSolvableError, Solution, solve
 from gateway_fdi.structure.generator.symbols import Algebra, Symbols
 from gateway_fdi.structure.model import Model, der, state_of
@@ -175,7 +176,7 @@ def _measured(model: Model, equations: frozenset[str], consistency: str, avoided
     residual = symbols.residual(check.relation)
     gain = sympy.diff(residual, symbols.of[fault])
     if avoided:
-        gain = sympy.cancel(gain / sympy.diff(residual, symbols.of[der(avoided[0])]))
+        gain = cancelled(gain / sympy.diff(residual, symbols.of[der(avoided[0])]))
     free = gain.free_symbols
     if gain == 0 or symbols.of[fault] in free or any(symbols.of[der(x)] in free for x in avoided):
         return "", None
@@ -223,4 +224,4 @@ def _transformation(
             raise NotSolvableError(f"equation {consistency} is not linear in der({x}): (20a) does not hold")
     first = slopes[avoided[0]]
     b = residual.subs(dict.fromkeys(derivatives.values(), 0)) / first
-    return b, {x: sympy.cancel(slope / first) for x, slope in slopes.items()}
+    return b, {x: cancelled(slope / first) for x, slope in slopes.items()}

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import sympy
 
+from gateway_fdi.structure.generator.budget import TooLongError, bounded, cancelled
 from gateway_fdi.structure.generator.symbols import Algebra, Symbols
 from gateway_fdi.structure.model import Equation, Loop, Model, Solvable
 from gateway_fdi.structure.sequence import Kind, Step
@@ -57,7 +58,7 @@ def linear(residual: Algebra, symbol: Algebra) -> Algebra | None:
     if slope.has(symbol) or slope.has(sympy.Derivative) or slope == 0:
         return None
     found = -residual.subs(symbol, 0) / slope
-    return sympy.cancel(found) if found.is_rational_function() else found
+    return cancelled(found) if found.is_rational_function() else found
 
 
 def _one(symbols: Symbols, equation: Equation, variable: str) -> tuple[tuple[Solution, ...], Solvable]:
@@ -103,14 +104,18 @@ def find_loop(model: Model, step: Step) -> Loop | None:
     return next((x for x in model.loops if x.equations == equations and x.variables == variables), None)
 
 
+def _numerator(residual: Algebra) -> Algebra:
+    """Return a residual without denominators: only numerators vanish."""
+    return sympy.fraction(sympy.together(residual))[0]
+
+
 def _solutions(residuals: list[Algebra], wanted: list[Algebra], where: str) -> list[list[Algebra]]:
     """Return the values of each wanted symbol in all solutions that algebra finds."""
-    # Denominators are multiplied out: only numerators vanish.
-    cleared = [sympy.fraction(sympy.together(residual))[0] for residual in residuals]
     try:
-        found = sympy.solve(cleared, wanted, dict=True)
-    except NotImplementedError as error:
-        raise NotSolvableError(f"{where}: algebra does not solve it; give the solution in the model") from error
+        found = bounded(lambda: sympy.solve([_numerator(residual) for residual in residuals], wanted, dict=True))
+    except (NotImplementedError, TooLongError) as error:
+        why = "takes too long to solve it" if isinstance(error, TooLongError) else "does not solve it"
+        raise NotSolvableError(f"{where}: algebra {why}; give the solution in the model") from error
     complete = [one for one in found if all(symbol in one for symbol in wanted)]
     if len(complete) != len(found) or not found:
         raise NotSolvableError(f"{where}: algebra does not solve it; give the solution in the model")
