@@ -6,12 +6,12 @@ no kernels are made, so its parts are smaller: all files, dealt out in turn.
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from amount import FULL
 from drawn import drawn
+from nested_pytest import PYTEST
 
 TESTS = Path(__file__).parent
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
@@ -74,8 +74,7 @@ def run(files, setting):
     """Run the smallest cases of some files and folders."""
     rest = [*(f"--ignore={path}" for path in WITHOUT_KERNELS), *files]
     ended = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist",
-         "-W", "error::RuntimeWarning", "--durations=15", *rest],
+        [*PYTEST, "-p", "no:xdist", "-W", "error::RuntimeWarning", "--durations=15", *rest],
         cwd=TESTS,
         env={**os.environ, "GATEWAY_TESTS": "small", **setting},
         capture_output=True,
