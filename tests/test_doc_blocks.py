@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from jsonschema import Draft202012Validator
+from jsonschema_rs import Draft202012Validator
 
 from gateway.cli import app
 from gateway.common.trust import importable
@@ -135,7 +135,7 @@ def test_scenarios_and_shipped_files_are_there():
 
 @pytest.fixture(scope="module")
 def judge():
-    """Return a validator of parts of a configuration: no key is needed, and none is unknown."""
+    """Return a validator of parts of a configuration, and the tables of monitors: no key is needed, none is unknown."""
     document = schema()
     base = document["$defs"]["MonitorConfig"]["properties"]
 
@@ -153,18 +153,19 @@ def judge():
         one["additionalProperties"] = "const" not in one["properties"]["type"]
         one["properties"] = {**base, **one["properties"]}
     loose(document)
-    return Draft202012Validator(document)
+    return Draft202012Validator(document), document["$defs"]["MonitorConfig"]["anyOf"]
 
 
 def of_a_configuration(judge, block):
     """Return whether a table is a configuration's, or of a bus or a monitor of it."""
+    validator, monitors = judge
     if isinstance(block.get("bus"), dict):  # tables of a bus that is told before
         block = {**block, "bus": [block["bus"]]}
     parts = [block, {"bus": [block]}]
-    for one in judge.schema["$defs"]["MonitorConfig"]["anyOf"]:
+    for one in monitors:
         if name := one["properties"]["type"].get("const"):
             parts.append({"monitor": [{"type": name, **block}]})
-    return any(judge.is_valid(part) for part in parts)
+    return any(validator.is_valid(part) for part in parts)
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from nested_pytest import PYTEST
 from uses import PACKAGES, PLANTS, lacking
 
 ROOT = Path(__file__).parent.parent
@@ -116,7 +117,7 @@ def test_outcomes_are_those_of_the_run_also_of_several_processes(evidence, tmp_p
     file = tmp_path / "out" / "told.json"
     support = os.pathsep.join([str(ROOT / "tests" / "support"), os.environ.get("PYTHONPATH", "")])
     environment = {**os.environ, "GATEWAY_OUTCOMES": str(file), "PYTHONPATH": support}
-    command = [sys.executable, "-m", "pytest", "-q", "-n", workers, "-p", "no:cacheprovider"]
+    command = [*PYTEST, "-q", "-n", workers]
     run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert run.returncode == 1, run.stdout
     told = evidence.joined([file])

@@ -1,17 +1,17 @@
 """Kernels as plain Python, and compiled with every index checked: the smallest cases of the same tests once more.
 
-Of each way a commit draws one part (GATEWAY_TESTS=full: all): all of it is a fifth of the whole time. For plain Python
+A commit draws one part of all (GATEWAY_TESTS=full: all): a part takes half a minute to one and a half. For plain Python
 no kernels are made, so its parts are smaller: all files, dealt out in turn.
 """
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from amount import FULL
 from drawn import drawn
+from nested_pytest import PYTEST
 
 TESTS = Path(__file__).parent
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
@@ -53,29 +53,21 @@ _FILES = sorted({
 } - set(WITHOUT_KERNELS))  # fmt: skip
 _HANDS = 12
 DEALT = {f"{k + 1} of {_HANDS}": _FILES[k::_HANDS] for k in range(_HANDS)}
+#: Part -> its files and folders, and its environment.
+WAYS = {f"plain, {part}": (files, PLAIN) for part, files in DEALT.items()}
+WAYS |= {f"checked, {part}": (files, CHECKED) for part, files in PARTS.items()}
 
 # Whether something hangs is seen by the limit of each test inside.
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
 
 
 @pytest.mark.evidence("Live is replay: kernels")
-@pytest.mark.parametrize("part", DEALT if FULL else drawn(DEALT))
-def test_as_plain_python(part):
-    run(DEALT[part], PLAIN)
-
-
-@pytest.mark.evidence("Live is replay: kernels")
-@pytest.mark.parametrize("part", PARTS if FULL else drawn(PARTS))
-def test_with_every_index_checked(part):
-    run(PARTS[part], CHECKED)
-
-
-def run(files, setting):
-    """Run the smallest cases of some files and folders."""
+@pytest.mark.parametrize("part", WAYS if FULL else drawn(WAYS))
+def test_as_plain_python_and_with_every_index_checked(part):
+    files, setting = WAYS[part]
     rest = [*(f"--ignore={path}" for path in WITHOUT_KERNELS), *files]
     ended = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-p", "no:xdist",
-         "-W", "error::RuntimeWarning", "--durations=15", *rest],
+        [*PYTEST, "-p", "no:xdist", "-W", "error::RuntimeWarning", "--durations=15", *rest],
         cwd=TESTS,
         env={**os.environ, "GATEWAY_TESTS": "small", **setting},
         capture_output=True,

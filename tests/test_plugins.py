@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from nested_pytest import PYTEST
 
 from gateway_fdi.common.resources import shipped
 
@@ -71,7 +72,7 @@ def test_each_example_is_checked_and_demonstrated_in_a_folder_of_its_own(tmp_pat
 def test_each_example_s_own_tests_pass(tmp_path, example):
     folder = copy(example, tmp_path)
     made = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:xdist"],
+        [*PYTEST, "-q", "-p", "no:xdist"],
         cwd=folder, capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert made.returncode == 0, made.stdout

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 import pytest
+from nested_pytest import PYTEST
 
 from gateway.bus.frames import empty, put
 from gateway.cli.check import check
@@ -180,7 +181,7 @@ def test_the_example_is_good(tmp_path):
 def test_the_template_s_own_tests_pass_without_a_warning_and_fail_with_a_slip(tmp_path):
     assert new_monitor("coolant", tmp_path / "coolant") == 0
     folder = tmp_path / "coolant"
-    command = [sys.executable, "-m", "pytest", "-q", "-W", "error", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    command = [*PYTEST, "-q", "-W", "error", "-p", "no:xdist"]
 
     def run(*more):
         return subprocess.run([*command, *more], cwd=folder, capture_output=True, text=True, timeout=600, check=False)

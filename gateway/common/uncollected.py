@@ -5,6 +5,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
+class _Frozen:
+    """Whether something was frozen when it was looked at: it stays so, and is not counted again, object by object."""
+
+    seen = False
+
+
 @contextmanager
 def uncollected() -> Iterator[None]:
     """Build something large without looking for garbage in it again and again; there is hardly any.
@@ -18,7 +24,8 @@ def uncollected() -> Iterator[None]:
         yield
     finally:
         if was_on:
-            if not gc.get_freeze_count():
+            _Frozen.seen = _Frozen.seen or gc.get_freeze_count() > 0
+            if not _Frozen.seen:
                 gc.freeze()
                 gc.unfreeze()
             gc.enable()

@@ -37,7 +37,7 @@ def test_they_run_on_the_wheel(tmp_path):
     environment |= {"JUPYTER_PLATFORM_DIRS": "1", "IPYTHONDIR": str(tmp_path / "ipython")}
     found = subprocess.check_output([sys.executable, "-c", code], cwd=tmp_path, env=environment, text=True)
     assert all(line.startswith(str(tmp_path)) for line in found.split())
-    some = NOTEBOOKS if FULL else drawn(NOTEBOOKS, 3)
+    some = NOTEBOOKS if FULL else drawn(NOTEBOOKS)
     options = ["--nbmake", "--nbmake-timeout=60", "-p", "no:xdist", "-p", "no:cacheprovider", "-p", "no:gateway", "-q"]
     command = [sys.executable, "-m", "pytest", *options, "-c", os.devnull, "--rootdir", str(ROOT), *map(str, some)]
     ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)

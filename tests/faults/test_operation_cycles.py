@@ -410,7 +410,7 @@ class LivesAgainstReference(RuleBasedStateMachine):
 def test_a_death_is_neutral_in_any_life():
     LivesAgainstReference.steps = LivesAgainstReference.deaths = 0
     LivesAgainstReference.TestCase.settings = settings(
-        max_examples=amount(600, 60, 10), stateful_step_count=60, deadline=None, derandomize=True
+        max_examples=amount(600, 30, 10), stateful_step_count=60, deadline=None, derandomize=True
     )
     LivesAgainstReference.TestCase().runTest()
     print(f"{LivesAgainstReference.steps} steps, {LivesAgainstReference.deaths} deaths")

@@ -3,9 +3,8 @@
 from pathlib import Path
 
 import isotp
-import numpy as np
 
-from gateway.bus.frames import EXTENDED, FD, empty, payload, put
+from gateway.bus.frames import EXTENDED, FD, empty, joined, payload, put
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 
@@ -97,7 +96,7 @@ class Rig:
         return self._keep(made)
 
     def _keep(self, made):
-        frames = np.concatenate(made) if made else empty(0)
+        frames = joined(made)
         found = [(int(f["can_id"]), payload(f)) for f in frames]
         self.sent += found
         return found

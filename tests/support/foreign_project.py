@@ -7,6 +7,8 @@ import sys
 from functools import cache
 from pathlib import Path
 
+from nested_pytest import PYTEST
+
 ROOT = Path(__file__).parents[2]
 #: No MF4 log is read in these projects.
 WITHOUT = str(Path(__file__).parent / "without")
@@ -31,7 +33,7 @@ def run(folder, *arguments):
     """Run pytest in a folder; returns exit code and what it printed."""
     installed = any(e.value == "gateway_pytest" for e in importlib.metadata.entry_points(group="pytest11"))
     door = [] if installed else ["-p", "gateway_pytest"]
-    command = [sys.executable, "-m", "pytest", *door, "-p", "no:cacheprovider", "-rA", *arguments]
+    command = [*PYTEST, "-p", "no:hypothesispytest", *door, "-rA", *arguments]
     done = subprocess.run(
         command, cwd=folder, env=environment(), capture_output=True, text=True, timeout=600, check=False
     )

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from amount import amount
+from tracked import tracked
 from typer.testing import CliRunner
 
 from gateway.cli import app
-from gateway.monitors.contract import FAILED
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import COMPILED, zeros
 from gateway_plants.crank.ecu.kinematics import tooth_times
-from gateway_plants.crank.monitor import MONITOR, adaptive, place
+from gateway_plants.crank.monitor import MONITOR, place
 from gateway_plants.crank.monitor.faults import FAULTS
 from gateway_plants.crank.study.follow import follower
 from gateway_plants.crank.wheel import Wheel
@@ -150,10 +150,7 @@ def test_a_gap_that_is_not_as_long_as_the_wheel_says_leaves_turns_to_learn_from(
     times, _ = train(f"0.9,56*1,{gap}", 800.0, 40, [27], [(2, 0.05, 0.0)])
     state, const, out = zeros(1, place.State), zeros(1, place.Const), zeros(1, MONITOR.results)
     place.prepare(state[0], const[0], w, 3000.0, 0.04, 30.0)
-    for y in np.diff(times):
-        out[0].n = 0
-        adaptive.tooth(state[0], const[0], y, out[0])
-        assert [k.fault for k in out[0].results[: out[0].n] if k.result == FAILED] == []
+    assert tracked(state[0], const[0], out[0], np.diff(times)) == 0
     assert state[0].phase == place.CONFIRMED
     assert state[0].profile.turns >= 10
     assert abs(state[0].speed_rpm - 800.0) < 8.0

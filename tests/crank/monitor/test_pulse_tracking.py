@@ -6,6 +6,7 @@ from amount import examples
 from filterpy.kalman import KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tracked import tracked
 
 from gateway_fdi.jit import COMPILED, zeros
 from gateway_plants.crank.monitor import MONITOR, adaptive, place
@@ -182,8 +183,7 @@ def test_regular_pulses_in_a_run_are_what_they_are_one_by_one():
             regular += taken
             k += taken
             if taken == 0:
-                out[0].n = 0
-                adaptive.tooth(state[0], const[0], y[k], out[0])
+                tracked(state[0], const[0], out[0], y[k : k + 1])
                 k += 1
         ends.append(numbers(state))
         assert state[0].index == len(y) % 58

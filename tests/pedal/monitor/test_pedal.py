@@ -104,7 +104,7 @@ SLOW = (
 def test_a_pedal_with_other_noise_than_its_data_sheet_s_is_not_accused(noise, points):
     """Told 2 mV: an ADC that averages has less, and repeats itself at rest and between two steps."""
     rng = np.random.default_rng([int(1e4 * noise), len(points)])
-    for _ in range(amount(20, 2)):
+    for _ in range(amount(20, 1)):
         sensors = tuple(
             SensorParams(
                 signal=name,
