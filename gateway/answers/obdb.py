@@ -212,8 +212,9 @@ def _address(table: Mapping[str, Any], place: _Place) -> Address:
         priority = _hex(table, "pri", place, 0x1F)
         request |= (_PRIORITY if priority is None else priority) << 16
         request = request << 8 | source
-    if response is not None and len(table["rax"]) < 8:  # the ECU's address is its last byte
-        response = 0x18DA0000 | source << 8 | response & 0xFF
+    if response is not None:  # of fewer than eight digits it is the end of an identifier, as FE0076 of 17FE0076
+        bits = 4 * len(table["rax"])
+        response |= (request >> 24 << 24 | 0xDA0000 | source << 8) >> bits << bits
     return Address(request | EXTENDED, None if response is None else response | EXTENDED, own, own)
 
 

@@ -52,6 +52,22 @@ def decoded(layout, data, **options):
     return {name: float(found.values[k, 0]) for k, name in enumerate(found.names) if found.there[k, 0]}
 
 
+@pytest.mark.parametrize(
+    ("said", "asked", "answers"),
+    [
+        ({"hdr": "FC00", "rax": "FE0076", "pri": "17", "tst": "76"}, 0x17FC0076, 0x17FE0076),  # platform MEB of VW
+        ({"hdr": "17FC0076", "rax": "FE0076"}, 0x17FC0076, 0x17FE0076),
+        ({"hdr": "DA10", "rax": "10"}, 0x18DA10F1, 0x18DAF110),
+        ({"hdr": "DA10", "rax": "18DAF110"}, 0x18DA10F1, 0x18DAF110),
+    ],
+)
+def test_an_answer_has_the_identifier_whose_end_a_signal_set_gives(said, asked, answers, tmp_path):
+    volts = {"id": "U", "name": "Volts", "fmt": {"len": 16, "max": 9, "unit": "volts"}}
+    file = tmp_path / "car.json"
+    file.write_text(json.dumps({"commands": [said | {"cmd": {"22": "0335"}, "freq": 1, "signals": [volts]}]}))
+    assert read_file(file).layouts[0].address == Address(asked | EXTENDED, answers | EXTENDED)
+
+
 def test_a_signal_set_gives_addresses_values_texts_and_limits(cars):
     found = read_file(cars)
     state = one(found.layouts, "220101")
