@@ -205,6 +205,8 @@ class Setup:
                 session.feed(log)
                 return session.close()
             recorded = Log(path_of(log, "log", "a path, or frames"), self.config, _texts(maps, "maps"))
+            if not allow_empty:
+                recorded.refuse_foreign(self._databases)
             with shown(progress) as tell:
                 for frames in recorded:
                     session.feed(frames)

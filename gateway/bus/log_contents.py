@@ -20,7 +20,7 @@ class Contents:
         file: the log.
         channels: frames of each channel in it.
         bus_of: name of the bus that a channel was taken as, None: left out.
-        state: "whole", "empty", "foreign" (no frame of a configured bus), "cut off", or "damaged".
+        state: "whole", "empty", "foreign" (no frame of a configured bus, or none known), "cut off", "damaged".
         wrong: what is wrong with it, one error each.
         notes: remarks for people, one line each.
     """
@@ -63,6 +63,7 @@ def contents(
     *,
     asked: Sequence[str] = (),
     damage: InputError | None = None,
+    foreign: bool = False,
     allow_empty: bool = False,
     allow_cut: bool = False,
 ) -> Contents:
@@ -74,6 +75,7 @@ def contents(
         channels: channel -> bus index, as the reader had it.
         asked: channels that were joined to buses by hand.
         damage: what ended reading.
+        foreign: the configuration knows none of its identifiers.
         allow_empty: a log without a frame of a configured bus is no error.
         allow_cut: nor is one that is cut off.
     """
@@ -107,6 +109,10 @@ def contents(
             f" join them, e.g. --map {next(iter(seen))}={names[0]}"
         )
         _refuse(made, InputError(text, file=reader.path), allowed=allow_empty)
+    elif foreign:
+        made.state = "foreign" if made.state == "whole" else made.state
+        text = "of another vehicle: the databases of the configuration know none of its identifiers; nothing was judged"
+        _refuse(made, InputError(text, file=reader.path), allowed=False)
     else:
         made.notes += _notes(made, names, channels)
     for name in asked:

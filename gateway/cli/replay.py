@@ -70,6 +70,8 @@ def replay(
     printer = EventPrinter(as_json=json, log=str(log) if among else None)
     recorded = Log(log, config, maps)
     parts = prepare(config, path, extra=chosen)
+    if not allow_empty:
+        recorded.refuse_foreign(parts.databases)
     injectors = injectors_of(config, parts, injections, seed)
     gateway = Gateway(config, memory, file=path, parts=parts, lasting=True)
     printer.definition = gateway.catalogue.get
@@ -144,7 +146,7 @@ def _write_junit(
 def _notes(found: Contents, config: Config, summary: Mapping[str, Any], injected: Mapping[str, Injector]) -> list[str]:
     """Return what a person should know of a replay beyond its events, one line each."""
     notes = [f"--inject {text!r}: {injector.count} frames" for text, injector in injected.items()]
-    if found.left_out < found.frames and not summary["decoded"] and _watches(config):
+    if found.state != "foreign" and not summary["decoded"] and _watches(config):
         notes.append("none of its frames is one that a monitor or check here wants")
     return notes
 

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
+
+import numpy as np
 
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import read_recording
 from gateway.common.times import zone_of
 from gateway.config.channels import channels_of
+from gateway.config.known import bus_instances
 from gateway.config.model import Config
+from gateway.engine.checks.strangers import known_table
+from gateway.signals.database import Database
+from gateway.signals.payloads import looked_up
 from gateway_fdi.errors import InputError
 
 
@@ -25,6 +32,7 @@ class Log:
     Attributes:
         reader: of it.
         damage: what ended reading; None: nothing did.
+        foreign: whether it is of another vehicle (:meth:`refuse_foreign`).
 
     Raises:
         InputError: it cannot be read at all, or a map is wrong.
@@ -35,13 +43,35 @@ class Log:
         self._channels = channels_of(config, maps)
         self.reader = read_recording(path, self._channels, zone_of(config.clock.zone))
         self.damage: InputError | None = None
+        self.foreign = False
 
     def __iter__(self) -> Iterator[Frames]:
-        """Yield its frames, batch by batch; damage ends them and is kept."""
+        """Yield its frames, batch by batch, none of another vehicle; damage ends them and is kept."""
         try:
-            yield from self.reader
+            for frames in self.reader:
+                yield frames[:0] if self.foreign else frames
         except InputError as error:
             self.damage = error
+
+    def refuse_foreign(self, databases: Sequence[Database]) -> None:
+        """Judge none of its frames if the configuration knows none of their identifiers: it is of another vehicle.
+
+        It is read up to the first that is known.
+
+        Args:
+            databases: of each bus.
+        """
+        pgn = {k for k, bus in enumerate(self._config.bus) if bus.match == "pgn"}
+        known = [(k, bus.known, bus.groups) for k, bus in enumerate(bus_instances(self._config))]
+        keys, rows = known_table([*enumerate(databases)], known, pgn)
+        rows = np.minimum(rows, 0)  # more may be known than rows have numbers
+        if not any(map(len, databases)):
+            return
+        with suppress(InputError):  # told when it is read again
+            for frames in read_recording(self.reader.path, self._channels, zone_of(self._config.clock.zone)):
+                if (looked_up(frames, keys, rows) >= 0).any():
+                    return
+                self.foreign = self.foreign or len(frames) > 0
 
     @property
     def whole(self) -> bool:
@@ -62,6 +92,7 @@ class Log:
             self._channels,
             asked=[text.rpartition("=")[0] for text in self._maps] if named else (),
             damage=self.damage,
+            foreign=self.foreign,
             allow_empty=allow_empty,
             allow_cut=allow_cut,
         )

@@ -157,9 +157,14 @@ def decode_payloads(words: NDArray[np.uint64], lengths: NDArray[np.int64], plan:
 
 def message_rows(frames: Frames, plan: DecodePlan) -> NDArray[np.int16]:
     """Return the row of each frame's message in a plan, -1: it has none; shape (frames,)."""
+    return looked_up(frames, plan.keys, plan.rows)
+
+
+def looked_up(frames: Frames, keys: NDArray[np.uint64], rows: NDArray[np.int32]) -> NDArray[np.int16]:
+    """Return the row of each frame in a table of keys, as ``rows_of`` has it; shape (frames,)."""
     frames = np.ascontiguousarray(frames)
     out = np.zeros(len(frames), np.int16)
-    rows_of(frames.view(np.uint64).reshape(len(frames), FRAME.itemsize // 8), plan.keys, plan.rows, out)
+    rows_of(frames.view(np.uint64).reshape(len(frames), FRAME.itemsize // 8), keys, rows, out)
     return out
 
 

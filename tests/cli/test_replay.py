@@ -88,6 +88,19 @@ def test_a_log_without_a_configured_bus_is_no_good_log(replay, tmp_path):
     assert "no frame of a configured bus" in meant.out
 
 
+def test_a_log_of_another_vehicle_is_not_judged(replay, tmp_path):
+    """Silent messages of ours would be its DTCs, and its identifiers strangers."""
+    (tmp_path / "a.log").write_text(lines("can0").replace("100#", "555#"))
+    ended = replay("a.log", "--fail-on-dtc", "--json", config="one.toml")
+    assert ended.code == 2
+    assert "a.log: of another vehicle: the databases of the configuration know none of its identifiers" in ended.err
+    assert [event for event in ended.events if event["event"] == "dtc"] == []
+    assert (ended.event("log")["state"], ended.event("log")["frames"]) == ("foreign", 60)
+    assert replay("a.log", "--fail-on-dtc", "--allow-empty", config="one.toml").code == 1, "it is asked for"
+    (tmp_path / "a.log").write_text(lines("can0").replace("100#", "555#") + lines("can0", begin=9.0))
+    assert replay("a.log", "--json", config="one.toml").event("log")["state"] == "whole"
+
+
 def test_channels_are_joined_to_buses(replay, tmp_path):
     (tmp_path / "a.log").write_text(lines("vcan7", "vcan8"))
     both = replay("a.log", "--map", "vcan7=chassis", "--map", "vcan8=body", "--fail-on-dtc", "--json")
@@ -237,7 +250,7 @@ def test_a_blf_that_its_recorder_did_not_finish(replay, tmp_path):
     path = tmp_path / "a.blf"
     logger = can.BLFWriter(path, max_container_size=300)
     for k in range(50):
-        logger(can.Message(timestamp=k / 10, arbitration_id=256, channel=0, data=bytes(8)))
+        logger(can.Message(timestamp=k / 10, arbitration_id=256, is_extended_id=False, channel=0, data=bytes(8)))
     logger.file.flush()
     ended = replay(path, config="one.toml")
     logger.stop()

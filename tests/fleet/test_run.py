@@ -124,6 +124,16 @@ def test_a_log_of_another_bus_is_told(fleet):
     assert "vcan7" in row["text"]
 
 
+def test_a_log_of_another_vehicle_is_told_and_not_judged(fleet):
+    log = fleet / "logs" / "car0" / "00000.log"
+    log.write_text("".join(f"({k / 10}) can0 7AA#00\n" for k in range(300)))
+    result = run(order(fleet, logs="logs/car0/00000.log"))
+    assert [outcome.state for outcome in result.outcomes] == ["foreign"]
+    (row,) = Verdicts(fleet / "out").rows("errors")
+    assert "of another vehicle" in row["text"]
+    assert list(Verdicts(fleet / "out").rows("dtcs")) == []
+
+
 def test_verdicts_of_another_configuration_are_not_mixed(fleet):
     run(order(fleet, logs="logs/car0"))
     write_config(fleet, high=700.0)

@@ -36,6 +36,7 @@ from gateway.faults.explained import Cause
 from gateway.faults.records import Record
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import prepare
 from gateway.runtime.log import Log
 from gateway.runtime.replay import replay
 from gateway.signals.database import file_and_bus
@@ -269,7 +270,9 @@ def _judged(setup: Setup, config: Config, recording: Recording, log: str, before
     watch, span = _Watch(), _Span()
     with ExitStack() as stack:
         memory = _begin_memory(setup, log, before)
-        gateway = Gateway(config, memory, file=setup.config, lasting=True)
+        parts = prepare(config, setup.config)
+        recorded.refuse_foreign(parts.databases)
+        gateway = Gateway(config, memory, file=setup.config, parts=parts, lasting=True)
         stack.callback(gateway.close)
         old = {record.id: record for record in gateway.store.load()}
         gateway.listen(watch)
