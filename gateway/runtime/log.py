@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.bus.frames import Frames
+from gateway.bus.frames import WOVEN, Frames
 from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import read_recording
 from gateway.common.times import zone_of
@@ -71,7 +71,7 @@ class Log:
             for frames in read_recording(self.reader.path, self._channels, zone_of(self._config.clock.zone)):
                 if (looked_up(frames, keys, rows) >= 0).any():
                     return
-                self.foreign = self.foreign or len(frames) > 0
+                self.foreign = self.foreign or bool((frames["can_id"] & WOVEN == 0).any())
 
     @property
     def whole(self) -> bool:

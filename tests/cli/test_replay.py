@@ -97,6 +97,8 @@ def test_a_log_of_another_vehicle_is_not_judged(replay, tmp_path):
     assert [event for event in ended.events if event["event"] == "dtc"] == []
     assert (ended.event("log")["state"], ended.event("log")["frames"]) == ("foreign", 60)
     assert replay("a.log", "--fail-on-dtc", "--allow-empty", config="one.toml").code == 1, "it is asked for"
+    (tmp_path / "a.log").write_text("(1.0) can0 20000040#0000000000000000\n" * 3)
+    assert replay("a.log", "--json", config="one.toml").event("log")["state"] == "whole", "the bus was off"
     (tmp_path / "a.log").write_text(lines("can0").replace("100#", "555#") + lines("can0", begin=9.0))
     assert replay("a.log", "--json", config="one.toml").event("log")["state"] == "whole"
 
