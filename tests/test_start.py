@@ -317,8 +317,8 @@ for name in {names!r}:
     algebra = {
         f"gateway_fdi.structure.generator.{name}"
         for name in (
-            *("c_code", "code", "conditioning", "initial", "loading", "propagation", "realisation", "solving"),
-            "symbols",
+            *("budget", "c_code", "code", "conditioning", "initial", "loading", "propagation", "realisation"),
+            *("solving", "symbols"),
         )
     } | {f"gateway_fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}

@@ -165,6 +165,7 @@ def test_a_report_without_its_packages_is_refused_before_a_log_is_looked_for(rep
 
 
 def test_a_log_of_nothing_that_is_watched(replay, tmp_path):
+    (tmp_path / "own.dbc").write_text(f"{DBC}BO_ 291 M1: 1 B\n")
     (tmp_path / "a.log").write_text("(1.0) can0 123#00\n")
     assert "none of its frames is one that a monitor or check here wants" in replay("a.log").out
 
