@@ -90,7 +90,12 @@ _TAKEN = {field.name for field in fields(FaultDefinition)} & FaultOverride.model
 }  # fmt: skip
 
 
+def _taken(settings: FaultOverride) -> dict[str, Any]:
+    return {name: getattr(settings, name) for name in _TAKEN}
+
+
 _NOTHING_SET = FaultOverride()
+_NOTHING_TAKEN = _taken(_NOTHING_SET)
 
 
 def define(
@@ -110,7 +115,7 @@ def define(
     """
     settings = override or _NOTHING_SET
     dtc = Dtc.parse(settings.dtc or fault.dtc)
-    taken = {name: getattr(settings, name) for name in _TAKEN}
+    taken = _NOTHING_TAKEN | {} if override is None else _taken(settings)
     if caused_by is not None:
         taken["caused_by"] = caused_by
     related = dtc.is_powertrain if settings.emission_related is None else settings.emission_related
@@ -122,7 +127,7 @@ def define(
         remedy=settings.remedy or fault.remedy or remedy_of(dtc.value),
         evidence=fault.evidence,
         tested=fault.tested,
-        debounce=fault.debounce.changed(settings.debounce.asked),
+        debounce=fault.debounce if override is None else fault.debounce.changed(settings.debounce.asked),
         severity=SEVERITIES[settings.severity] | CLASSES[settings.dtc_class],
         emission_related=related,
         permanent=mil and related if settings.permanent is None else settings.permanent,

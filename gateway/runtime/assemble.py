@@ -82,6 +82,7 @@ _OWN = (
     *reporter_health.FAULTS,
     *door_health.FAULTS,
 )
+_OWN_NAMES = {fault.name for fault in _OWN}
 
 
 @dataclass(frozen=True)
@@ -271,7 +272,7 @@ def _definition(resolved: Resolved, slot: FaultSlot) -> FaultDefinition:
 def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
     """Return what the configuration sets of a fault; one of the gateway itself is none of the vehicle's."""
     settings = config.fault.get(slot.id)
-    if slot.fault not in _OWN:
+    if slot.fault.name not in _OWN_NAMES or slot.fault not in _OWN:
         return settings
     asked = {} if settings is None else settings.model_dump(exclude_unset=True)
     own = {"emission_related": False, "priority": memory_health.PRIORITY}
