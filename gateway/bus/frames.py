@@ -153,9 +153,9 @@ def payload(frame: np.void) -> bytes:
     return b"" if int(frame["can_id"]) & REMOTE else bytes(frame["data"][: int(frame["length"])])
 
 
-def of_bus(can_id: int) -> int:
-    """Return an identifier as a bus may have it: an error frame is no remote frame."""
-    return can_id & ~REMOTE if can_id & ERROR else can_id
+def of_bus(can_id: Any) -> Any:
+    """Return an identifier, or an array of them, as a bus may have it: an error frame is no remote frame."""
+    return can_id & ~((can_id & ERROR) << 1)  # REMOTE is the bit above ERROR
 
 
 def nanoseconds(seconds: float) -> int:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.candump import CandumpWriter
-from gateway.bus.frames import REMOTE, WOVEN, Frames, chosen
+from gateway.bus.conditions import BUS_ERROR, PROTOCOL
+from gateway.bus.frames import ERROR, ID_MASK, Frames, chosen, of_bus
 from gateway.bus.log_source import ARCHIVE, COMPRESSIONS, compression_of, damage, members, open_log, pull
 from gateway.bus.parquet import ParquetWriter
 from gateway.bus.readers.asc import Asc
@@ -214,8 +215,10 @@ class LogReader:
 
     def _placed(self, frames: Frames, channel: NDArray[np.int64]) -> Frames:
         """Count the frames of each channel, and leave out those of no bus."""
-        if (both := frames["can_id"] & WOVEN == WOVEN).any():
-            frames["can_id"][both] &= np.uint32(~REMOTE & 0xFFFFFFFF)
+        frames["can_id"] = of_bus(frames["can_id"])
+        bare = (frames["can_id"] & (ERROR | ID_MASK) == ERROR) & (frames["length"] == 0)
+        if bare.any():  # the error frame of a logger that knows no classes
+            frames["can_id"][bare], frames["length"][bare] = ERROR | PROTOCOL | BUS_ERROR, 8
         known = self._names.known
         now = np.bincount(channel, minlength=len(known))
         counts = now.copy()

@@ -77,7 +77,7 @@ def parse_extended(words: list[str]) -> Parts:
 def _checked(can_id: int) -> int:
     if not 0 <= can_id <= 0xFFFFFFFF or (not can_id & (EXTENDED | ERROR) and can_id & ID_MASK > 0x7FF):
         raise ValueError("identifier")
-    return of_bus(can_id & _KNOWN_BITS)
+    return int(of_bus(can_id & _KNOWN_BITS))
 
 
 def split(buffer: bytearray) -> tuple[list[list[str]], int]:

@@ -115,7 +115,7 @@ def define(
     """
     settings = override or _NOTHING_SET
     dtc = Dtc.parse(settings.dtc or fault.dtc)
-    taken = _NOTHING_TAKEN | {} if override is None else _taken(settings)
+    taken = dict(_NOTHING_TAKEN) if override is None else _taken(settings)
     if caused_by is not None:
         taken["caused_by"] = caused_by
     related = dtc.is_powertrain if settings.emission_related is None else settings.emission_related

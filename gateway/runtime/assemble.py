@@ -82,6 +82,7 @@ _OWN = (
     *reporter_health.FAULTS,
     *door_health.FAULTS,
 )
+#: Most faults have other names: they are told apart at once.
 _OWN_NAMES = {fault.name for fault in _OWN}
 
 

@@ -61,12 +61,12 @@ class Log:
         Args:
             databases: of each bus.
         """
+        if not any(map(len, databases)):
+            return
         pgn = {k for k, bus in enumerate(self._config.bus) if bus.match == "pgn"}
         known = [(k, bus.known, bus.groups) for k, bus in enumerate(bus_instances(self._config))]
         keys, rows = known_table([*enumerate(databases)], known, pgn)
         rows = np.minimum(rows, 0)  # more may be known than rows have numbers
-        if not any(map(len, databases)):
-            return
         with suppress(InputError):  # told when it is read again
             for frames in read_recording(self.reader.path, self._channels, zone_of(self._config.clock.zone)):
                 if (looked_up(frames, keys, rows) >= 0).any():

@@ -22,7 +22,6 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.conditions import BUS_ERROR, PROTOCOL
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage
 from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, PassedOver, Read, placed
@@ -175,9 +174,6 @@ def _frames(found: Any, kind: str, begin_ns: int) -> tuple[Frames, NDArray[np.in
         _put_payloads(frames, records["DataBytes"], records["DataLength"])
     if kind == "CAN_RemoteFrame" and "DLC" in records:
         frames["length"] = np.minimum(records["DLC"], 8)
-    if kind == "CAN_ErrorFrame":  # a logger knows no classes; those of SocketCAN are in logs of python-can, and ours
-        bare = (frames["can_id"] & ID_MASK == 0) & (frames["length"] == 0)
-        frames["can_id"][bare], frames["length"][bare] = ERROR | PROTOCOL | BUS_ERROR, 8
     channel = records.get("BusChannel", np.array(NO_CHANNEL))
     return frames, np.broadcast_to(channel.astype(np.int64), count)
 

@@ -1,4 +1,4 @@
-"""A budget for steps of algebra, which end by themselves in any time: some expressions keep it busy for hours.
+"""A budget for a step of algebra: without one, some expressions keep it busy for hours.
 
 It counts calls, not seconds: a model that is solved on one machine is solved on each.
 """
@@ -31,6 +31,9 @@ class TooLongError(Exception):
 
 def bounded(work: Callable[[], Found]) -> Found:
     """Return what a step of algebra finds.
+
+    Args:
+        work: the step.
 
     Raises:
         TooLongError: it takes more than :data:`CALLS`.

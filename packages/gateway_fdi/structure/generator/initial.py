@@ -37,7 +37,7 @@ def find_initial(realisation: Realisation) -> Initial:
     """Return the initial values by (24).
 
     Raises:
-        NotSolvableError: (24) does not determine them, or not by algebra; names the states.
+        NotSolvableError: (24) does not determine them, or algebra does not find them in time; names the states.
     """
     free = realisation.initialised
     if not free:

@@ -28,7 +28,8 @@ def solve(model: Model, symbols: Symbols, step: Step) -> tuple[Solution, ...]:
 
     Raises:
         NotSolvableError: the model says that it cannot be solved, or says nothing of a loop; an equation is known by
-            its structure only; or algebra finds another number of solutions than the model declares.
+            its structure only; algebra does not solve it in time; or it finds another number of solutions than the
+            model declares.
     """
     where = ", ".join(step.equations)
     what = ", ".join(step.variables)
