@@ -33,6 +33,7 @@ from gateway.monitors.capabilities import (
     Calibration,
     Capability,
     CusumCalibration,
+    Failure,
     Gain,
     LastResult,
     Measured,
@@ -66,6 +67,7 @@ __all__ = [
     "Calibration",
     "Capability",
     "CusumCalibration",
+    "Failure",
     "Gain",
     "LastResult",
     "Measured",
@@ -495,6 +497,11 @@ class Monitor(Generic[P]):
         """Arguments of its kernel: state, constants, inputs, results."""
         return self.state.dtype, self.const.dtype, self.inputs.dtype, self.results
 
+    @property
+    def digest(self) -> str:
+        """Digest of its kernel, with all that it calls."""
+        return Closure(cast(Any, getattr(self.step, "py_func", self.step))).digest
+
     def _entry(self, *, checked: bool) -> int:
         try:
             return entry_point(self.step, self.records, checked=checked)
@@ -507,11 +514,6 @@ class Monitor(Generic[P]):
                 line=lines[-1] if lines else None,
                 key=f'monitor type "{self.type}"',
             ) from error
-
-
-def digest_of(monitor: Monitor[Any]) -> str:
-    """Return the digest of a monitor's kernel, with all that it calls."""
-    return Closure(cast(Any, getattr(monitor.step, "py_func", monitor.step))).digest
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,7 +16,7 @@ from gateway.engine.core import Engine, Sink
 from gateway.engine.events import MISCOUNTED, NO_FAULT, NO_NUMBER, TOO_MANY, TOO_SOON, Event
 from gateway.engine.instances import MonitorInstance
 from gateway.faults.hung import Hung
-from gateway.monitors.contract import COUNTS_ITSELF, MAX_RESULTS, WAKES_ITSELF, digest_of
+from gateway.monitors.contract import COUNTS_ITSELF, MAX_RESULTS, WAKES_ITSELF, Failure
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.jit import failure_of
 
@@ -61,7 +61,7 @@ class SwitchedOff:
         """
         told = []
         for k, instance in enumerate(self._engine.monitors):
-            reason = None if hung is None else hung.reason(instance.name, digest_of(instance.monitor))
+            reason = None if hung is None else hung.reason(instance.name, instance.monitor.digest)
             if reason is not None and not self._engine.tables.handlers[k]["off"]:
                 self._engine.switch_off(k, HUNG)
                 told.append(self._told(k, self._engine.wall_ns(self._engine.now_ns), reason))
@@ -71,7 +71,8 @@ class SwitchedOff:
         """Log that a monitor was switched off, and return the event of the JSON contract that tells it."""
         place = event.fault
         why = int(self._engine.tables.handlers[place]["off"])
-        reason = _REASONS.get(why) or failure_of(why)
+        own = self._engine.monitors[place].monitor.capability(Failure)
+        reason = (own and own.of(self._engine.state_of(place)[0])) or _REASONS.get(why) or failure_of(why)
         return self._told(place, event.t_ns, f"its step failed: {reason}", bus)
 
     def _told(self, place: int, t_ns: int, reason: str, bus: str = "") -> dict[str, Any]:
