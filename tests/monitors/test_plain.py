@@ -267,8 +267,8 @@ SLIPS = [
     ("@monitor(signals=['ECM.Coolant'], fault='P0128-00')\ndef Other(x):\n    return x > 1\n", "has no Mine"),
     ("def Mine(x):\n    return x > 1\n", "no Monitor"),
     (
-        "@monitor(signals=['ECM.Coolant'], fault='P0128-00')\nclass Mine:\n    def __init__(self):\n        self.x = 1 / 0"
-        "\n    def update(self, x):\n        return True\n",
+        "@monitor(signals=['ECM.Coolant'], fault='P0128-00')\nclass Mine:\n    def __init__(self):\n"
+        "        self.x = 1 / 0\n    def update(self, x):\n        return True\n",
         "ZeroDivisionError",
     ),
 ]  # fmt: skip

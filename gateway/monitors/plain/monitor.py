@@ -145,7 +145,7 @@ class Plain(Monitor[Any]):
 
     @property
     def digest(self) -> str:
-        """What tells it from another text of it."""
+        """Digest of its author's file."""
         return sha256(self.file.read_bytes()).hexdigest()
 
 

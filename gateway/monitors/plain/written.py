@@ -21,7 +21,7 @@ _SIGNAL = re.compile(r"(?P<name>[^\s\[]+)(?:\s*\[(?P<unit>[^\]]*)\])?")
 
 @dataclass(frozen=True)
 class Written:
-    """What an author wrote.
+    """Code of an author.
 
     Attributes:
         made: a function, or a class with ``update``.
