@@ -507,11 +507,12 @@ class Monitor(Generic[P]):
             return entry_point(self.step, self.records, checked=checked)
         except GatewayError as error:
             text = " ".join(str(error).split())
-            lines = [int(line) for file, line in _PLACES.findall(text) if file == str(self.file)]
+            own = self.file.resolve()
+            lines = [int(line) for file, line in _PLACES.findall(text) if Path(file).resolve() == own]
             raise InputError(
                 f"its kernel cannot be compiled: {text}",
                 file=self.file,
-                line=lines[-1] if lines else None,
+                line=lines[0] if lines else None,
                 key=f'monitor type "{self.type}"',
             ) from error
 

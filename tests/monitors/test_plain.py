@@ -246,6 +246,89 @@ def test_an_endless_loop_is_ended_and_the_others_go_on(loop, car, monkeypatch):
     assert not calls._limit.end()
 
 
+#: Sources that can be compiled, as they are -> a drive.
+COMPILED = {
+    "function": """
+        @monitor(signals=["ECM.Coolant"], fault="P0217-00", compiled=COMPILED)
+        def Mine(coolant, high: float = 110.0, back: float = 100.0):
+            if coolant > high or coolant < back:
+                return Result(coolant > high, coolant, high)
+        """,
+    "class": """
+        import math
+        import numpy as np
+
+        @monitor(signals=["ECM.Speed", "ECM.Coolant"], fault="P0116-00", compiled=COMPILED)
+        class Mine:
+            def __init__(self, most: float = 2.0, count: int = 7):
+                self.most, self.last, self.past, self.seen = most, math.nan, np.zeros(count), 0
+
+            def update(self, rpm, coolant, dt_s):
+                before, self.last = self.last, coolant
+                self.past[self.seen % 7] = abs(coolant - before)
+                self.seen += 1
+                if rpm < 100 or self.seen < 9:
+                    return None
+                return float(self.past.sum() * dt_s / 0.01 / 7 / self.most)
+        """,
+    "yes or no": """
+        @monitor(signals=["ECM.Speed", "ECM.Coolant"], fault="P0116-00", compiled=COMPILED)
+        def Mine(rpm, coolant, t_s, *, hot: int = 90):
+            return coolant > hot and (rpm < 500 or t_s > 3.0)
+        """,
+}
+
+
+def results(path, frames):
+    """Return each result of the monitor: passed or failed, value, limit, evidence."""
+    gateway = Gateway(load_config(path), file=path)
+    found = []
+    gateway.listen(lambda event: found.append(event) if event["event"] == "dtc" else None)
+    gateway.start(0)
+    gateway.feed(frames)
+    buckets = gateway.engine.take_buckets()
+    (place,) = [k for k, one in enumerate(gateway.catalogue) if one.id == "mine.fault"]
+    gateway.close()
+    row = buckets[place]
+    return [int(row["count"]), int(row["failed"]), float(row["low"]), float(row["high"]), float(row["worst"])], found
+
+
+@pytest.mark.parametrize("name", COMPILED)
+def test_the_same_source_compiled_says_the_same(name, car):
+    rng = np.random.default_rng(seed := 72)
+    print("seed", seed)
+    rows = np.column_stack([rng.integers(0, 1500, 500), 100 + 25 * np.sin(np.arange(500) / 9) + rng.normal(0, 2, 500)])
+    frames, text = drive(rows.round().tolist()), COMPILED[name]
+    plain = results(car(text.replace("COMPILED", "False")), frames)
+    compiled = results(car(text.replace("COMPILED", "True")), frames)
+    assert plain[0] == compiled[0]
+    assert plain[0][0] > plain[0][1] > 0, "some of each"
+    assert [(e["t_ns"], e["status"]) for e in plain[1]] == [(e["t_ns"], e["status"]) for e in compiled[1]]
+
+
+HEAD = "@monitor(signals=['ECM.Coolant'], fault='P0128-00', compiled=True)\n"
+CLASS = "class Mine:\n    def __init__(self):\n        self.{}\n    def update(self, x):\n        return x > 3\n"
+UNCOMPILED = [
+    ("def Mine(x):\n    y = x > 3\n    return y\n", 6, "say what this returns"),
+    ("def Mine(x):\n    if x > 3:\n        return x > 5\n    return x / 3\n", 7, "ratio and bool"),
+    ("def Mine(x):\n    pass\n", 3, "it returns nothing"),
+    ("def Mine(x):\n    z = open('/dev/null')\n    return x > 3\n", 5, "'open'"),
+    (CLASS.format("past = []"), 7, "'past' is []"),
+    (CLASS.format("last = None"), 7, "math.nan"),
+    (CLASS.format("max = 1.0"), 7, "another name"),
+    ("def Mine(x, name: str = 'a'):\n    return x > 3\n", 3, "'name' is 'a'"),
+]
+
+
+@pytest.mark.parametrize(("text", "line", "told"), UNCOMPILED)
+def test_what_cannot_be_compiled_is_told_with_its_line(text, line, told, car):
+    path = car(HEAD + text)
+    with pytest.raises(GatewayError) as error:
+        prepare(load_config(path), path).engine.warm()
+    assert told in str(error.value)
+    assert f".py:{line}" in str(error.value)
+
+
 SLIPS = [
     ("@monitor(signals=['ECM.Colant'], fault='P0128-00')\ndef Mine(x):\n    return x > 1\n", "did you mean Coolant"),
     ("@monitor(signals=['ECM.Coolant [K]'], fault='P0128-00')\ndef Mine(x):\n    return x > 1\n", "degC"),
