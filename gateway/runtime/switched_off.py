@@ -16,9 +16,8 @@ from gateway.engine.core import Engine, Sink
 from gateway.engine.events import MISCOUNTED, NO_FAULT, NO_NUMBER, TOO_MANY, TOO_SOON, Event
 from gateway.engine.instances import MonitorInstance
 from gateway.faults.hung import Hung
-from gateway.monitors.contract import COUNTS_ITSELF, MAX_RESULTS, WAKES_ITSELF, Failure
+from gateway.monitors.contract import COUNTS_ITSELF, MAX_RESULTS, WAKES_ITSELF
 from gateway_fdi.common.log import get_logger
-from gateway_fdi.jit import failure_of
 
 log = get_logger(__name__)
 
@@ -71,8 +70,8 @@ class SwitchedOff:
         """Log that a monitor was switched off, and return the event of the JSON contract that tells it."""
         place = event.fault
         why = int(self._engine.tables.handlers[place]["off"])
-        own = self._engine.monitors[place].monitor.capability(Failure)
-        reason = (own and own.of(self._engine.state_of(place)[0])) or _REASONS.get(why) or failure_of(why)
+        failure = self._engine.monitors[place].monitor.failure
+        reason = _REASONS.get(why) or failure(self._engine.state_of(place)[0], why)
         return self._told(place, event.t_ns, f"its step failed: {reason}", bus)
 
     def _told(self, place: int, t_ns: int, reason: str, bus: str = "") -> dict[str, Any]:

@@ -22,7 +22,7 @@ from gateway_fdi.errors import InputError
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.structure.generator.sources import load_source
 
-#: What a step returns -> how a result of it is reported.
+#: Result that a step returns -> how a result of it is reported.
 _REPORTS = {
     "result": "e = report(out, 0, found.failed, found.value, found.limit)",
     "bool": "e = report(out, 0, found, 1.0 if found else 0.0, 0.5)",

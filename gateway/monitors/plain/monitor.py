@@ -137,6 +137,11 @@ class Plain(Monitor[Any]):
         return self.written.file
 
     @property
+    def gets_numbers(self) -> bool:
+        """Whether its inputs are always there: unless its author said otherwise of one."""
+        return not any(one.optional or one.may_be_nan or one.spare for one in self.written.inputs.values())
+
+    @property
     def outside(self) -> bool:
         """Whether it does not come with the gateway: always, as far as it is its author's."""
         return True

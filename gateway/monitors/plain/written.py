@@ -46,9 +46,9 @@ class Written:
     @property
     def text(self) -> str:
         """Its first sentence for people; without one, its name."""
-        told = inspect.getdoc(self.made) if "__doc__" in vars(self.made) and self.made.__doc__ else ""
-        own = not told or str(told).startswith(f"{self.name}(")  # a dataclass' own text
-        return self.name.replace("_", " ") if own else str(told).partition("\n")[0].rstrip(".")
+        told = inspect.cleandoc(self.made.__doc__ or "")
+        own = not told or told.startswith(f"{self.name}(")  # a dataclass' own text
+        return self.name.replace("_", " ") if own else told.partition("\n")[0].rstrip(".")
 
     def instance(self, params: MonitorParams) -> Callable[..., Any]:
         """Return a function that takes a step's arguments, with these parameters."""
