@@ -14,6 +14,7 @@ from gateway.engine.events import QUALIFIED_FAILED
 from gateway.monitors.plain import Result, calls, monitor
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
+from gateway.runtime.replay import replay
 from gateway_fdi.errors import GatewayError, InputError
 
 DBC = """VERSION ""
@@ -244,6 +245,41 @@ def test_an_endless_loop_is_ended_and_the_others_go_on(loop, car, monkeypatch):
     assert "takes longer than 0.2 s" in off["reason"]
     np.zeros(10).sum()  # nothing is interrupted later
     assert not calls._limit.end()
+
+
+def test_a_replay_has_a_monitor_off_where_its_step_took_too_long(car, monkeypatch):
+    monkeypatch.setattr(calls, "LIMIT_S", 0.2)
+    text = """
+        import builtins
+        @monitor(signals=["ECM.Speed", "ECM.Coolant"], fault="P0217-00")
+        def Mine(rpm, coolant):
+            while rpm > 3000 and builtins.plain_is_slow:
+                pass
+            return coolant > 100
+    """
+    path, rows = car(text), [(900, 80)] * 20 + [(3500, 120)] + [(900, 120)] * 20
+    frames = drive(rows)
+
+    def verdicts(frames, *, slow):
+        monkeypatch.setattr("builtins.plain_is_slow", slow, raising=False)
+        gateway = Gateway(load_config(path), file=path)
+        events = []
+        gateway.listen(events.append)
+        replay(gateway, [frames])
+        late = gateway.take_overtimes()
+        gateway.close()
+        return [(e["event"], e["t_ns"], e.get("fault")) for e in events if e["event"] in ("dtc", "monitor_off")], late
+
+    live, late = verdicts(frames, slow=True)
+    assert ("monitor_off", 210_000_000, None) in live
+    assert not any(fault == "mine.fault" for _, _, fault in live)
+    assert len(late) == 1
+    recorded = np.concatenate([frames, late])  # it stands behind the batch
+    again, none = verdicts(recorded, slow=False)
+    assert again == live
+    assert not len(none)
+    without, _ = verdicts(frames, slow=False)
+    assert any(fault == "mine.fault" for _, _, fault in without), "else it would find the fault"
 
 
 #: Sources that can be compiled, as they are -> a drive.

@@ -35,7 +35,6 @@ from gateway.monitors.contract import (
     TIMER,
     Debounce,
     Evidence,
-    Failure,
     Family,
     Fault,
     Monitor,
@@ -234,9 +233,8 @@ class _Made:
     def plain(self) -> Plain:
         """Return one that calls Python."""
         written, names = self.written, tuple(self.dtcs)
-        failure = Failure(lambda s: calls.failure(int(s["number"])))
         return self._monitor(
-            State, Const, step, lambda p, s, c: _prepare(written, names, p, s, c), capabilities=(failure,)
+            State, Const, step, lambda p, s, c: _prepare(written, names, p, s, c), capabilities=(calls.FAILURE,)
         )
 
     def family(self, compiled: Compiled) -> PlainFamily:
