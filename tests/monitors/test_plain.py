@@ -10,8 +10,10 @@ import pytest
 from gateway.bus.frames import empty, put
 from gateway.common import trust
 from gateway.config.load import load_config
+from gateway.config.model import MonitorConfig
 from gateway.engine.events import QUALIFIED_FAILED
 from gateway.monitors.plain import Result, calls, monitor
+from gateway.monitors.plain.written import OWN_KEYS
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.replay import replay
@@ -391,6 +393,54 @@ SLIPS = [
         "ZeroDivisionError",
     ),
 ]  # fmt: skip
+
+
+FUNCTION = "def Mine(x):\n    return x > 1\n"
+#: Arguments of the decorator over FUNCTION, or over another one -> what is said.
+SLIPS += [
+    (f"@monitor({arguments})\n{below}", told)
+    for arguments, below, told in [
+        ("signals='ECM.Coolant', fault='P0128-00'", FUNCTION, "signals is a list"),
+        ("signals=None, fault='P0128-00'", FUNCTION, "signals is a list"),
+        ("signals=['ECM.Coolant'], fault=3", FUNCTION, "fault is a DTC"),
+        ("signals=['ECM.Coolant'], fault=['P0128-00']", FUNCTION, "fault is a DTC"),
+        ("signals=['ECM.Coolant'], fault={'a': 5}", FUNCTION, "fault is a DTC"),
+        ("signals=['ECM.Coolant'], fault={'a b!': 'P0128-00'}", FUNCTION, "a b!"),
+        ("signals=['ECM.Coolant'], fault=''", FUNCTION, "DTC"),
+        ("signals=['ECM.Coolant'], fault='P0128-00', debounce=5", FUNCTION, "debounce is a Debounce"),
+        ("signals=['ECM.Coolant'], fault='P0128-00', debounce=Debounce(0, 1)", FUNCTION, "failed_after"),
+        ("signals=['ECM.Coolant'], fault='P0128-00', debounce=Debounce(99999, 1)", FUNCTION, "failed_after"),
+        ("signals=['ECN.Coolant'], fault='P0128-00'", FUNCTION, "did you mean ECM"),
+        ("signals=['ECM.Coolant [degc]'], fault='P0128-00'", FUNCTION, "degC"),
+        ("signals=['ECM.Coolant', 'ECM.Coolant'], fault='P0128-00'", FUNCTION, "2 signals"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, type: str = 'a'):\n    return x > 1\n", "'type'"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, bus: int = 1):\n    return x > 1\n", "'bus'"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, a: Nope = 1):\n    return x > 1\n", "Nope"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, a: 5 = 1):\n    return x > 1\n", "a"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, _a: int = 1):\n    return x > 1\n", "'_a'"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine():\n    return True\n", "1 signals"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(t_s):\n    return True\n", "1 signals"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "class Mine:\n    update = 3\n", "needs a function update"),
+        (
+            "signals=['ECM.Coolant'], fault='P0128-00'",
+            "class Mine:\n    def update(self, x, limit: float = 1.0):\n        return True\n",
+            "update has the argument 'limit'",
+        ),
+        (
+            "signals=['ECM.Coolant'], fault='P0128-00'",
+            "class Mine:\n    def update(self):\n        return True\n",
+            "1 signals",
+        ),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "Mine = 3\n", "SyntaxError"),
+        ("signals=['ECM.Coolant'] * 65, fault='P0128-00'", FUNCTION, "65 signals"),
+        ("signals=['ECM.Coolant'], fault={f'f{k}': 'P0128-00' for k in range(17)}", FUNCTION, "17 faults"),
+        ("signals=['ECM.Coolant'], fault={'a': 'P0128-00', 'b': 'P0128-01'}, compiled=True", FUNCTION, "one fault"),
+    ]
+]
+
+
+def test_the_keys_of_a_table_are_no_parameters():
+    assert set(OWN_KEYS) == set(MonitorConfig.model_fields)
 
 
 @pytest.mark.parametrize(("text", "told"), SLIPS)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import numbers
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -51,6 +52,7 @@ from gateway_fdi.jit import COMPILED, Record, call_entry, f8s, i8, kernel, means
 
 #: Room for inputs, and for faults.
 MOST_INPUTS, MOST_FAULTS = 64, 16
+_NAME = re.compile(r"[A-Za-z0-9_-]+")
 #: Limit of a verdict that is a yes or no: 1 is a failure.
 _HALF = 0.5
 
@@ -202,7 +204,6 @@ def monitor(
         InputError: what stands below is no such function or class, signals and arguments do not go together, or it
             cannot be compiled.
     """
-    dtcs = {"fault": fault} if isinstance(fault, str) else dict(fault)
 
     def decorate(made: Any) -> Plain | PlainFamily:
         written = read(made, signals)
@@ -210,6 +211,13 @@ def monitor(
         def refuse(text: str) -> NoReturn:
             raise InputError(text, file=written.file, line=written.line, key=f"@monitor {written.name}")
 
+        dtcs = {"fault": fault} if isinstance(fault, str) else fault
+        if not isinstance(dtcs, Mapping) or not all(isinstance(one, str) for one in [*dtcs, *dtcs.values()]):
+            refuse(f'fault is a DTC, as "P0128-00", or a dictionary of names and DTCs, not {fault!r}')
+        if (wrong := next((name for name in dtcs if not _NAME.fullmatch(name)), None)) is not None:
+            refuse(f"a fault's name has letters, digits, _ and -: not {wrong!r}")
+        if not isinstance(debounce, Debounce | None):
+            refuse(f"debounce is a Debounce(failed_after=5, passed_after=5), not {debounce!r}")
         for what, count, most in (("signals", len(written.inputs), MOST_INPUTS), ("faults", len(dtcs), MOST_FAULTS)):
             if not 1 <= count <= most:
                 refuse(f"{count} {what}: 1 to {most}")
