@@ -354,7 +354,7 @@ UNCOMPILED = [
     (CLASS.format("past = []"), 7, "'past' is []"),
     (CLASS.format("last = None"), 7, "math.nan"),
     (CLASS.format("max = 1.0"), 7, "another name"),
-    ("def Mine(x, name: str = 'a'):\n    return x > 3\n", 3, "'name' is 'a'"),
+    ("def Mine(x, text: str = 'a'):\n    return x > 3\n", 3, "'text' is 'a'"),
 ]
 
 
