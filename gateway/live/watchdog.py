@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 from gateway.engine.core import Engine
 from gateway.faults.hung import hung_beside
-from gateway.monitors.contract import digest_of
 from gateway_fdi.jit import COMPILED
 
 #: Exit code: a step did not return. A service manager starts the gateway again (EX_TEMPFAIL of sysexits.h).
@@ -112,7 +111,7 @@ class Watchdog:
         path = self._memory()
         if path is not None:
             try:
-                hung_beside(path).add(instance.name, digest_of(kind), reason)
+                hung_beside(path).add(instance.name, kind.digest, reason)
             except OSError as error:
                 _say(f"{path}: cannot note that monitor {instance.name} is to stay off: {error}")
         self._leave(HUNG_EXIT)

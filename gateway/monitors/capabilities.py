@@ -223,6 +223,19 @@ class Suspects:
     names: Callable[[Any], Sequence[str]]
 
 
+@dataclass(frozen=True)
+class Failure:
+    """A monitor whose kernel calls Python: how that failed.
+
+    Attributes:
+        of: state -> why its last step failed, with file and line; "": it did not.
+        late: state -> whether it took too long.
+    """
+
+    of: Callable[[Any], str]
+    late: Callable[[Any], bool]
+
+
 #: Share of a part in a fault that says no more than that one of several parts is wrong: others mostly say which.
 VAGUE = 0.1
 #: Share of each other part in a fault that is told by tests behind it: several parts together may look like it.
@@ -330,6 +343,7 @@ Capability = (
     | Blames
     | Calibration
     | CusumCalibration
+    | Failure
     | Notes
     | Numbered
     | Parts
@@ -348,6 +362,7 @@ C = TypeVar(
     Blames,
     Calibration,
     CusumCalibration,
+    Failure,
     Notes,
     Numbered,
     Parts,

@@ -33,6 +33,7 @@ from gateway.monitors.capabilities import (
     Calibration,
     Capability,
     CusumCalibration,
+    Failure,
     Gain,
     LastResult,
     Measured,
@@ -54,7 +55,7 @@ from gateway.monitors.capabilities import (
 from gateway.monitors.sampling import MOST_MESSAGES
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import GatewayError, InputError
-from gateway_fdi.jit import Closure, Record, entry_point, f8, f8s, i4, i8, kernel, means, record
+from gateway_fdi.jit import Closure, Record, entry_point, f8, f8s, failure_of, i4, i8, kernel, means, record
 
 #: Those of capabilities.py: authors import all from here.
 __all__ = [
@@ -66,6 +67,7 @@ __all__ = [
     "Calibration",
     "Capability",
     "CusumCalibration",
+    "Failure",
     "Gain",
     "LastResult",
     "Measured",
@@ -430,6 +432,16 @@ class Monitor(Generic[P]):
         own = SampledInputs if issubclass(self.inputs, SampledInputs) else Inputs
         return own.dtype.itemsize // 8
 
+    def failure(self, state: Any, why: int) -> str:
+        """Return how a step failed, in words.
+
+        Args:
+            state: record of it.
+            why: as :func:`gateway_fdi.jit.call_entry` told it; not 0.
+        """
+        own = self.capability(Failure)
+        return (own.of(state) if own is not None else "") or failure_of(why)
+
     @property
     def readout(self) -> tuple[str, ...]:
         """Fields of the state that people are shown."""
@@ -467,6 +479,11 @@ class Monitor(Generic[P]):
         return Path(function.__code__.co_filename)
 
     @property
+    def gets_numbers(self) -> bool:
+        """Whether its inputs are always there: it is tried with no others."""
+        return False
+
+    @property
     def outside(self) -> bool:
         """Whether its kernel is none of the gateway's own."""
         module = str(getattr(self.step, "__module__", ""))
@@ -495,23 +512,24 @@ class Monitor(Generic[P]):
         """Arguments of its kernel: state, constants, inputs, results."""
         return self.state.dtype, self.const.dtype, self.inputs.dtype, self.results
 
+    @property
+    def digest(self) -> str:
+        """Digest of its kernel, with all that it calls."""
+        return Closure(cast(Any, getattr(self.step, "py_func", self.step))).digest
+
     def _entry(self, *, checked: bool) -> int:
         try:
             return entry_point(self.step, self.records, checked=checked)
         except GatewayError as error:
             text = " ".join(str(error).split())
-            lines = [int(line) for file, line in _PLACES.findall(text) if file == str(self.file)]
+            own = self.file.resolve()
+            lines = [int(line) for file, line in _PLACES.findall(text) if Path(file).resolve() == own]
             raise InputError(
                 f"its kernel cannot be compiled: {text}",
                 file=self.file,
-                line=lines[-1] if lines else None,
+                line=lines[0] if lines else None,
                 key=f'monitor type "{self.type}"',
             ) from error
-
-
-def digest_of(monitor: Monitor[Any]) -> str:
-    """Return the digest of a monitor's kernel, with all that it calls."""
-    return Closure(cast(Any, getattr(monitor.step, "py_func", monitor.step))).digest
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ compiled. It is for methods that are slow anyway, and periods of milliseconds an
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import cache, lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,13 +30,13 @@ from gateway.monitors.contract import (
     Signal,
     report,
 )
+from gateway.monitors.plain import calls
 from gateway_arena.monitor import runner
 from gateway_arena.monitor.kept import Kept, load, read
 from gateway_arena.monitor.params import MOST_FAULTS, MOST_INPUTS, Params, PartParams
 from gateway_arena.score import NAMED
 from gateway_fdi.errors import InputError, named
-from gateway_fdi.jit import Record, call_entry, f8, f8s, i8, kernel, labels, means, python_entry
-from gateway_fdi.jit.addresses import address_of_record
+from gateway_fdi.jit import Record, call_entry, f8, f8s, i8, kernel, labels, means
 
 TYPE, API = "method", 2
 #: Name of what has no name: something is not as in the healthy log.
@@ -58,15 +58,13 @@ class State(Record):
     samples: i8 = means("that the method took")
     left_out: i8 = means("samples in which a value was missing")
     begun: i8 = means("times that it began again after a gap")
+    number: i8 = means("of the function that is called")
 
 
 class Const(Record):
     """Constants."""
 
     call: i8 = means("address of Python's function")
-    number: i8 = means("of what stands behind this monitor")
-    state: i8 = means("address of the state")
-    here: i8 = means("address of this record")
     inputs: i8 = means("values of a sample")
     faults: i8 = means("faults that have a name")
     threshold: f8 = means("score above which it alarms")
@@ -93,8 +91,8 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
     for k in range(c.inputs):
         s.value[k] = u.value[k]
     s.gap, s.at_ns = u.gap, u.t_ns
-    if call_entry(c.call, c.state, c.here, c.state, c.state) != 0:
-        raise ValueError("the method failed; the line of the log before says how")
+    if call_entry(c.call, s.number, 0, 0, 0) != 0:
+        raise ValueError("the method failed")
     if s.judged == 0:
         return
     fired = s.score > c.threshold
@@ -108,11 +106,6 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
     if not fired or s.which < 0:
         e = report(out, c.faults, fired, s.score, c.threshold)
         e.score, e.threshold, e.weight = s.score, c.threshold, 0.0
-
-
-@cache
-def _call() -> int:
-    return python_entry(runner.step, (State.dtype, Const.dtype, State.dtype, State.dtype))
 
 
 def _parts(
@@ -160,8 +153,7 @@ def _prepare(kept: Kept | None, path: Path, p: PartParams, s: Any, c: Any) -> No
             found.limit(float(c.threshold))
         stepper = runner.Runner(p, found, np.array(kept.low), np.array(kept.high))
     assert stepper is not None
-    c.call, c.number = _call(), runner.enter(stepper, s)
-    c.state, c.here = address_of_record(s), address_of_record(c)
+    c.call, s.number = calls.address(), calls.enter(partial(stepper.step, s), s)
     c.inputs, c.faults, c.share = len(p.inputs), len(p.faults), NAMED
     s.which, s.score = -1, np.nan
 
@@ -194,6 +186,7 @@ def _monitor_of(_: str, folder: Path, kept: Kept | None) -> Monitor[Params]:
         prepare=lambda p, s, c: _prepare(kept, folder / p.fitted, p, s, c),  # type: ignore[arg-type] # of its part
         faults=_faults,  # type: ignore[arg-type]
         capabilities=(
+            calls.FAILURE,
             Notes(lambda _: () if kept is None else (kept.told,)),
             Parts(_parts),
             Quantities(lambda p: (Quantity("score", limit=limit(p)),), lambda s: (float(s["score"]),)),

@@ -6,9 +6,6 @@ them, because a method knows no gaps; after more it begins again, and settles.
 
 from __future__ import annotations
 
-import itertools
-import traceback
-import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -19,9 +16,6 @@ import numpy as np
 from gateway_arena.contract import Array
 from gateway_arena.monitor.params import Params
 from gateway_arena.score import NAMED
-from gateway_fdi.common.log import get_logger
-
-log = get_logger(__name__)
 
 
 class Stepper(Protocol):
@@ -93,8 +87,6 @@ class Collector:
             self.values.append(value)
 
 
-_steppers: dict[int, Stepper] = {}
-_numbers = itertools.count(1)
 _collecting: ContextVar[dict[str, list[Collector]] | None] = ContextVar("collecting", default=None)
 
 
@@ -122,29 +114,3 @@ def collector(p: Params) -> Collector | None:
 def is_collecting() -> bool:
     """Return whether samples are collected."""
     return _collecting.get() is not None
-
-
-def enter(stepper: Stepper, state: Any) -> int:
-    """Return the number of what stands behind a monitor, as long as the table of its state is there."""
-    number, owner = next(_numbers), state
-    while isinstance(getattr(owner, "base", None), np.ndarray):
-        owner = owner.base
-    _steppers[number] = stepper
-    if isinstance(owner, np.ndarray):
-        weakref.finalize(owner, _steppers.pop, number, None)
-    return number
-
-
-def step(s: Any, c: Any, *_: Any) -> None:
-    """Step what stands behind a monitor, by its records; what fails is logged.
-
-    Raises:
-        Exception: that of the method.
-    """
-    try:
-        _steppers[int(c.number)].step(s)
-    except Exception as error:
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        reason = f"{type(error).__name__}: {error} ({where.filename}:{where.lineno})"
-        log.error("a method failed at a sample", reason=reason)
-        raise

@@ -46,7 +46,7 @@ class Intrinsic:
 
 
 #: Kernels of plain Python by their number, which stands for the address when kernels are not compiled.
-PYTHON_ENTRIES: list[tuple[Callable[..., None], tuple[np.dtype[np.void], ...]]] = []
+PYTHON_ENTRIES: list[tuple[Callable[..., None], tuple[np.dtype[np.void] | None, ...]]] = []
 
 
 #: What went wrong in kernels of plain Python; :func:`call_entry` returned the place here, counted from 1.
@@ -60,7 +60,8 @@ def _call_entry(address: int, a: int, b: int, c: int, d: int) -> int:
         0, or what went wrong: for :func:`gateway_fdi.jit.failures.failure_of`.
     """
     step, dtypes = PYTHON_ENTRIES[int(address)]
-    records = (record_at(int(at), dtype) for at, dtype in zip((a, b, c, d), dtypes, strict=True))
+    given = zip((a, b, c, d), dtypes, strict=True)
+    records = (at if dtype is None else record_at(int(at), dtype) for at, dtype in given)
     try:
         step(*records)
     except Exception as error:

@@ -447,15 +447,15 @@ def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...
     return step.entry(tuple(map(Rec, records)), checked=checked or BOUNDSCHECK).address
 
 
-def python_entry(function: Callable[..., None], records: tuple[np.dtype[np.void], ...]) -> int:
+def python_entry(function: Callable[..., None], records: tuple[np.dtype[np.void] | None, ...]) -> int:
     """Give a function of plain Python an address that :func:`gateway_fdi.jit.call_entry` can jump to.
 
     It takes Python's lock, so it is for the few kernels that cannot do without. The call gives a status if the function
     raises; an interrupt is raised where Python goes on.
 
     Args:
-        function: of four records.
-        records: their dtypes.
+        function: of four records or numbers.
+        records: their dtypes, None: the number as it is given to :func:`gateway_fdi.jit.call_entry`.
 
     Returns:
         the address; it stays as long as the process.
@@ -466,7 +466,7 @@ def python_entry(function: Callable[..., None], records: tuple[np.dtype[np.void]
 
     def called(cells: Any, _: Any) -> int:
         try:
-            function(*(record_at(cells[k], dtype) for k, dtype in enumerate(records)))
+            function(*(cells[k] if dtype is None else record_at(cells[k], dtype) for k, dtype in enumerate(records)))
         except KeyboardInterrupt:
             _thread.interrupt_main()
             return 1

@@ -1,0 +1,166 @@
+"""Python behind monitors: a kernel calls it by its number, and it has a limit of time.
+
+A step takes Python's lock. One that does not come back within :data:`LIMIT_S` is interrupted, and the monitor is
+switched off; one that loops in C is not reached so: that is the watchdog's (:mod:`gateway.live.watchdog`).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import math
+import threading
+import time
+import traceback
+import weakref
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from gateway.monitors.capabilities import Failure
+from gateway_fdi.jit import python_entry
+
+#: How long a step may take [s], and how often that is looked at.
+LIMIT_S, LOOKED_S = 1.0, 0.1
+
+_steps: dict[int, Callable[[], None]] = {}
+_numbers = itertools.count(1)
+#: Why the last step of each that failed did so.
+_failures: dict[int, str] = {}
+_late: set[int] = set()
+
+
+class TooLongError(BaseException):
+    """A step took too long: no ``except Exception`` of its author keeps it."""
+
+
+class _Limit(threading.local):
+    """Interrupts a thread when a step on it takes too long; each thread has its own."""
+
+    def __init__(self) -> None:
+        self._watched = _Watched(threading.get_ident())
+        _watch().append(self._watched)
+
+    def begin(self) -> None:
+        """A step begins on this thread."""
+        self._watched.until_s = time.monotonic() + LIMIT_S
+
+    def end(self) -> bool:
+        """It has ended: nothing interrupts this thread any more; returns whether it took too long."""
+        self._watched.until_s = math.inf
+        if not self._watched.raised:
+            return False
+        with _lock:
+            _interrupt(self._watched.thread, None)  # one that has not been raised yet
+            self._watched.raised = False
+        return True
+
+
+class _Watched:
+    """A thread that steps.
+
+    Attributes:
+        thread: its identifier.
+        until_s: time of :func:`time.monotonic` at which its step has taken too long; inf: it steps nothing.
+        raised: whether it was interrupted.
+    """
+
+    def __init__(self, thread: int) -> None:
+        self.thread, self.until_s, self.raised = thread, math.inf, False
+
+
+_lock = threading.Lock()
+
+
+@cache
+def _watch() -> list[_Watched]:
+    """Return the list of the threads that are watched, by a thread of its own."""
+    watched: list[_Watched] = []
+
+    def work() -> None:
+        while True:
+            time.sleep(LOOKED_S)
+            for one in watched:
+                with _lock:
+                    if time.monotonic() > one.until_s:
+                        one.raised = True
+                        _interrupt(one.thread, TooLongError)
+
+    threading.Thread(target=work, name="limit of steps", daemon=True).start()
+    return watched
+
+
+def _interrupt(thread: int, kind: type[BaseException] | None) -> None:
+    given = ctypes.py_object(kind) if kind is not None else None
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), given)
+
+
+_limit = _Limit()
+
+
+def enter(step: Callable[[], None], state: Any) -> int:
+    """Return the number of a function that a monitor's kernel calls, as long as the table of its state is there.
+
+    Args:
+        step: steps it.
+        state: record of the monitor's state.
+    """
+    number, owner = next(_numbers), state
+    while isinstance(getattr(owner, "base", None), np.ndarray):
+        owner = owner.base
+    _steps[number] = step
+    if isinstance(owner, np.ndarray):
+        weakref.finalize(owner, _steps.pop, number, None)
+        weakref.finalize(owner, _failures.pop, number, None)
+        weakref.finalize(owner, _late.discard, number)
+    return number
+
+
+@cache
+def address() -> int:
+    """Return the address for :func:`gateway_fdi.jit.call_entry`; its first number is that of :func:`enter`."""
+    return python_entry(call, (None, None, None, None))
+
+
+def call(number: int, *_: int) -> None:
+    """Step what stands behind a monitor.
+
+    Raises:
+        RuntimeError: it failed; :func:`failure` says how.
+    """
+    failed: BaseException | None = None
+    try:
+        _limit.begin()
+        _steps[number]()
+    except (TooLongError, SystemExit, Exception) as error:
+        failed = error
+    finally:
+        late = _limit.end()
+    if late and not isinstance(failed, TooLongError):
+        failed = TooLongError()  # it kept the interrupt to itself, or came back just then
+    if failed is not None:
+        _failures[number] = _told(failed)
+        if isinstance(failed, TooLongError):
+            _late.add(number)
+        raise RuntimeError(_failures[number]) from None
+
+
+def failure(number: int) -> str:
+    """Return why a step failed, "": none did."""
+    return _failures.get(number, "")
+
+
+#: Capability of a monitor whose state has the number of :func:`enter` in its field ``number``.
+FAILURE = Failure(lambda s: failure(int(s["number"])), lambda s: int(s["number"]) in _late)
+
+
+def _told(error: BaseException) -> str:
+    here = str(__file__)
+    places = [at for at in traceback.extract_tb(error.__traceback__) if at.filename != here]
+    where = f" ({places[-1].filename}:{places[-1].lineno})" if places else ""
+    if isinstance(error, TooLongError):
+        return f"its step takes longer than {LIMIT_S:g} s{where}"
+    told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return f"{' '.join(told.split())}{where}"
