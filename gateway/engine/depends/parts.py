@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from gateway.engine.checks.silence import NOBODY
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
 from gateway_fdi.diagnosis.system import Component
@@ -20,8 +21,6 @@ CONNECTED = 0.3
 OF_MESSAGE, OF_SENDER = 0.02, 0.02
 #: Of a second sender of the message: values of both come in turn, until it is told.
 OF_SECOND = 0.3
-#: Senders of databases that do not know the sender.
-_NOBODY = ("XXX", "Vector__XXX")
 
 
 class Seen(NamedTuple):
@@ -73,7 +72,7 @@ class Network:
             found = self.databases[bus].message(message).senders
         except InputError:  # of a monitor's own message, from another database
             return []
-        return [component("ecu", self.names[bus], name) for name in found if name not in _NOBODY]
+        return [component("ecu", self.names[bus], name) for name in found if name not in NOBODY]
 
     def second_sender(self, bus: int, message: str) -> Component:
         """Return what sends a message beside its own sender."""
