@@ -11,8 +11,9 @@ from networks import causes, run, traffic
 #: Two buses; ECUs and their messages, as (identifier, cycle [ms]).
 NETWORK = {
     "drive": {
-        "Engine": [(0x100, 10), (0x101, 100)], "Gears": [(0x110, 20)], "Brakes": [(0x120, 20), (0x121, 50)],
-        "Steering": [(0x130, 10)], "Climate": [(0x140, 200)],
+        "Engine": [(0x100, 10), (0x101, 100)], "Gears": [(0x110, 20), (0x111, 100)],
+        "Brakes": [(0x120, 20), (0x121, 50)], "Steering": [(0x130, 10), (0x131, 50)],
+        "Climate": [(0x140, 200), (0x141, 100)],
     },
 }  # fmt: skip
 SLEEPS = "health = { sleeps = true }"
@@ -91,6 +92,43 @@ def test_terminal_15_says_that_nothing_falls_asleep(tmp_path):
     stops = {"Gears": 8.0, "Brakes": 9.0}
     frames = traffic(NETWORK, random.Random(3), 14, lambda b, e, i, t: t < stops.get(e, 14.0))
     codes, _, events = run(config_of(tmp_path, power=power), frames, 40)
-    assert codes == {"drive.M110.timeout", "drive.M120.timeout", "drive.M121.timeout", "drive.bus_silent"}
+    assert codes == {f"drive.M{i}.timeout" for i in (110, 111, 120, 121)} | {"drive.bus_silent"}
     assert min(e["t_ns"] for e in events if e["event"] == "dtc") * 1e-9 < 8.2
     assert activities(events) == [("running", "asleep")]
+
+
+def several(rng, health, folder, stop, nobody=()):
+    """Return the configuration, and frames in which messages stop at 8 s; ``nobody``: ECUs without a name."""
+    network = {"drive": {"XXX" if e in nobody else e: NETWORK["drive"][e] for e in NETWORK["drive"]}}
+    if nobody:
+        network["drive"]["XXX"] = [each for e in nobody for each in NETWORK["drive"][e]]
+    frames = traffic(network, rng, 24, lambda b, e, i, t: i not in stop or t < 8)
+    return networks.config_of(folder, network, 5.0, health=health), frames
+
+
+@pytest.mark.parametrize("health", ["", SLEEPS])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_two_ecus_at_once_are_two_ecus(tmp_path, seed, health):
+    rng = random.Random(300 + seed)
+    dead = rng.sample([*NETWORK["drive"]], 2)
+    stop = {can_id for ecu in dead for can_id, _ in NETWORK["drive"][ecu]}
+    config, frames = several(rng, health, tmp_path, stop)
+    codes, told, _ = run(config, frames, 24)
+    assert codes == {f"drive.M{can_id:X}.timeout" for can_id in stop}
+    assert {frozenset(g["cause"]) for g in told[-1]["groups"]} == {frozenset({f"ecu drive.{ecu}"}) for ecu in dead}
+    assert not [one for one in causes(told) if "bus drive" in one]
+
+
+@pytest.mark.parametrize("health", ["", SLEEPS])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_ecu_that_no_database_names_is_no_bus(tmp_path, seed, health):
+    """Others are heard at their rate, so that the bus is well; what stopped is told as one group."""
+    rng = random.Random(400 + seed)
+    dead = rng.choice(["Engine", "Brakes"])
+    stop = {can_id for can_id, _ in NETWORK["drive"][dead]}
+    config, frames = several(rng, health, tmp_path, stop, [*NETWORK["drive"]])
+    _, told, _ = run(config, frames, 24)
+    (group,) = told[-1]["groups"]
+    assert set(group["failed"]) == {f"drive.M{can_id:X}.timeout" for can_id in stop}
+    assert group["cause"] == ["ecu drive.unnamed"]
+    assert not [one for one in causes(told) if "bus drive" in one]

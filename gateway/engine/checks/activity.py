@@ -162,16 +162,13 @@ def _many_stop(T: Any, due: int, bus: int) -> bool:
 
 
 @kernel
-def is_told(T: Any, t_ns: int, c: Any) -> bool:
-    """Return whether a message that comes again was missing alone, so that this is told; it comes from here on."""
-    stopped, h = c.coming == STOPPED, T.health[c.bus]
+def begin_to_come(T: Any, t_ns: int, c: Any) -> bool:
+    """Take that a message comes again; returns whether it, and others that have stopped, were missing alone."""
+    h, stopped = T.health[c.bus], c.coming == STOPPED
     if c.coming == NOT_YET:
         h.joined_ns = max(h.joined_ns, t_ns)
+    elif stopped and h.activity == AWAKE and h.stops <= 1:
+        h.stops = 0
+        return True
     c.coming = COMES
-    if not stopped or h.activity != AWAKE or h.stops > 1:
-        return False
-    for k in range(T.checks.shape[0]):
-        if T.checks[k].bus == c.bus and T.checks[k].coming == STOPPED:
-            return True
-    h.stops = 0
-    return True
+    return False

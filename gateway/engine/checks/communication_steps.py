@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import RUNNING
-from gateway.engine.checks.activity import is_told, waits_to_settle
+from gateway.engine.checks.activity import begin_to_come, waits_to_settle
 from gateway.engine.checks.bus_health import SILENT
 from gateway.engine.checks.communication import (
     ACCEPT,
@@ -18,12 +18,14 @@ from gateway.engine.checks.communication import (
     IN_PART,
     LENGTH,
     MISFITS,
+    MISSING,
     MOST_LOSSES,
     NOT_YET,
     PROVEN,
     REJECT,
     RULE,
     SAMPLES,
+    STOPPED,
     TIMEOUT,
     VALUE,
     WIDE,
@@ -396,11 +398,17 @@ def is_usual(T: Any, c: Any, words: Any, length: int, status: int) -> bool:
 
 @kernel(inlined=False)
 def come(T: Any, t_ns: int, c: Any) -> None:
-    """Take the first frame of a message after it did not come; one that was missing alone is told before."""
-    overdue_ns = c.overdue_ns
-    if is_told(T, t_ns, c):
-        c.silent_ns += max(t_ns - overdue_ns, 0)
-        report_timeout(T, t_ns, c)
+    """Take the first frame of a message after it did not come; those that were missing alone are told before."""
+    if begin_to_come(T, t_ns, c):
+        for k in range(T.checks.shape[0]):
+            o = T.checks[k]
+            if o.bus == c.bus and o.coming == STOPPED:
+                o.coming = MISSING
+                o.silent_ns += max(t_ns - o.overdue_ns, 0)
+                o.deadline_ns = t_ns
+                report_timeout(T, t_ns, o)
+                arm(T, o.timer, o.deadline_ns)
+        c.coming = COMES
 
 
 @kernel

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from gateway.engine.checks.silence import NOBODY
+from gateway.j1939.frame import NULL
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
 from gateway_fdi.diagnosis.system import Component
@@ -72,7 +73,19 @@ class Network:
             found = self.databases[bus].message(message).senders
         except InputError:  # of a monitor's own message, from another database
             return []
-        return [component("ecu", self.names[bus], name) for name in found if name not in NOBODY]
+        named = [component("ecu", self.names[bus], name) for name in found if name not in NOBODY]
+        return named or self._by_address(bus, message)
+
+    def _by_address(self, bus: int, message: str) -> list[Component]:
+        """Return the ECU that has the source address of a J1939 message."""
+        found = self.databases[bus].message(message)
+        address = found.frame_id & 0xFF
+        known = found.protocol == "j1939" and address < NULL
+        return [component("ecu", self.names[bus], f"0x{address:02X}")] if known else []
+
+    def unnamed(self, bus: int) -> Component:
+        """Return an ECU that no database names."""
+        return component("ecu", self.names[bus], "unnamed")
 
     def second_sender(self, bus: int, message: str) -> Component:
         """Return what sends a message beside its own sender."""
