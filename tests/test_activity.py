@@ -86,6 +86,34 @@ def test_an_ecu_that_stops_alone_is_told_on_a_bus_that_may_sleep(tmp_path, seed,
         assert causes(told) <= {(f"ecu drive.{dead}",)}
 
 
+@pytest.mark.parametrize("health", ["", SLEEPS])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_bus_that_is_away_for_3_s_is_told(tmp_path, seed, health):
+    """It has a slow sender, so that it is silent as a whole only after 10 s: no code, but an event."""
+    rng = random.Random(500 + seed)
+    network = {"drive": NETWORK["drive"] | {"Clock": [(0x1F0, 4000)]}}
+    away = rng.uniform(8, 12)
+    frames = traffic(network, rng, 40, lambda b, e, i, t: not away < t < away + 3)
+    codes, told, events = run(networks.config_of(tmp_path, network, 5.0, health=health), frames, 40)
+    assert (codes, told) == (set(), [])
+    (asleep, waking, running) = [e for e in events if e["event"] == "activity"]
+    assert (asleep["activity"], waking["activity"], running["activity"]) == ("asleep", "waking", "running")
+    assert asleep["t_ns"] * 1e-9 == pytest.approx(away + 1.0, abs=0.1)
+    assert waking["t_ns"] * 1e-9 == pytest.approx(away + 3.0, abs=0.1)
+
+
+@pytest.mark.evidence("Healthy parts: cranking")
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_dip_while_cranking_accuses_nobody(tmp_path, seed):
+    """Most ECUs are reset at once for less than 2 s; one alone would be told."""
+    rng = random.Random(600 + seed)
+    stays, dip = rng.choice([*NETWORK["drive"]]), rng.uniform(1.2, 1.9)
+    frames = traffic(NETWORK, rng, 20, lambda b, e, i, t: e == stays or not 8 < t < 8 + dip)
+    codes, told, events = run(config_of(tmp_path), frames, 20)
+    assert (codes, told) == (set(), [])
+    assert [one for _, one in activities(events)] in ([], ["falling asleep", "running"])
+
+
 def test_terminal_15_says_that_nothing_falls_asleep(tmp_path):
     """While it is on, each sender is judged at once, and a silent bus is at fault."""
     power = '[power]\nawake = [{ signal = "drive.M100.Value", min = 1 }]\n'

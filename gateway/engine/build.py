@@ -353,9 +353,8 @@ def _checks(
     rows = table(len(checks), Check)
     numbers: dict[tuple[int, str], int] = {}
     for k, check in enumerate(checks):
-        own = (check.bus, f"message {check.params.message}")
         sender = sender_of(check.params.message, databases[check.bus])
-        rows[k]["sender"] = numbers.setdefault((check.bus, sender) if sender else own, len(numbers))
+        rows[k]["sender"] = numbers.setdefault((check.bus, sender), len(numbers)) if sender else -1 - k
         vectors[plan.message(check.bus, check.params.message)]["check"] = k
         wake_ms = buses[check.bus].params.wake_ms if check.bus < len(buses) else 0.0
         faults += communication.fill(

@@ -459,7 +459,8 @@ class Engine:
     def bus_lives(self, bus: int) -> bool:
         """Return whether a bus is neither off nor lost, nor silent as a whole, as one that sleeps."""
         row = self.tables.health[bus]
-        return not int(row["bad"]) & (1 << OFF | 1 << GONE) and int(row["silence"]) != WHOLE
+        silent = int(row["silence"]) == WHOLE and int(row["quiet_ns"]) > 0
+        return not int(row["bad"]) & (1 << OFF | 1 << GONE) and not silent
 
     def live_value(self, monitor: str, name: str) -> float:
         """Return a number of a monitor's readout now, NaN if there is none; of one in several parts the first's."""

@@ -287,7 +287,7 @@ def run_timers(T: Any, t_ns: int) -> None:
             on_timer(h, due)
             if h.look_ns <= due:
                 look_at_activity(T, due, index)
-            if h.silence == WHOLE and h.until[SILENT] == NEVER:
+            if h.silence == WHOLE and h.until[SILENT] == NEVER and h.quiet_ns > 0:
                 judge_silence(T, due, index)
             report_bus_results(T, due, h)
             skip_settled_windows(T, t_ns, h)

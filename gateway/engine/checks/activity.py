@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.common.times import NEVER
-from gateway.engine.checks.bus_health import AWAKE, FALLING, WAKING
+from gateway.engine.checks.bus_health import ASLEEP, AWAITED, AWAKE, FALLING, WAKING
 from gateway.engine.checks.communication import COMES, MISSING, NOT_YET, STOPPED, TIMEOUT
 from gateway.engine.events import ACTIVITY
 from gateway.engine.gate import said_awake
@@ -24,9 +24,14 @@ from gateway_fdi.jit import kernel
 
 #: How often it is looked whether a bus is awake, and how long none may have begun to come then, at least [ns].
 _LOOK_NS, _LEAST_NS = 500_000_000, 1_000_000_000
-#: Messages that stop at one time are switched off, not at fault, from this number on, and from this share of those of
-#: the bus on (its numerator and denominator); and they are of several senders.
-_MANY, _PART, _OF = 6, 2, 5
+#: A bus sleeps after this time without a frame [ns].
+_ASLEEP_NS = 1_000_000_000
+#: A gap between two frames of a bus is unusual from the shortest timeout / UNUSUAL on: then the next frame decides. It
+#: matters to a message from its own timeout / UNUSUAL on.
+UNUSUAL = 3
+#: Senders that stop at one time are switched off, not at fault, from this number on, a message whose sender nobody
+#: names being half of one; and from this share of the messages of the bus on (its numerator and denominator).
+_MANY, _PART, _OF = 3, 2, 5
 #: A bus that falls asleep is silent after this time, or those that have stopped are at fault [ns].
 _AFTER_RUN_NS = 300_000_000_000
 
@@ -48,8 +53,17 @@ def set_activity(T: Any, t_ns: int, bus: int, activity: int) -> None:
 
 @kernel
 def look_at_activity(T: Any, t_ns: int, bus: int) -> None:
-    """Look whether a bus that wakes or falls asleep is awake: all messages come, or for a while none has begun to."""
+    """Look whether a bus that wakes or falls asleep is awake: all messages come, or for a while none has begun to.
+
+    One on which nobody is heard is asleep; that changes nothing for its messages before it is silent as a whole.
+    """
     h = T.health[bus]
+    if h.silence == AWAITED and h.activity != ASLEEP:
+        h.look_ns = NEVER
+        watch_silence(h)
+        if h.look_ns <= t_ns:
+            set_activity(T, t_ns, bus, ASLEEP)
+        return
     settled = h.activity == WAKING and t_ns - h.joined_ns >= max(h.settle_ns, _LEAST_NS)
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
@@ -63,7 +77,7 @@ def look_at_activity(T: Any, t_ns: int, bus: int) -> None:
 def begin_waking(T: Any, t_ns: int, bus: int) -> None:
     """Take the first frame of a bus that was asleep: none of its messages has come yet."""
     h = T.health[bus]
-    h.joined_ns, h.stops = t_ns, 0
+    h.stops = 0
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
         if c.bus == bus and c.timeout_ns > 0:
@@ -71,8 +85,23 @@ def begin_waking(T: Any, t_ns: int, bus: int) -> None:
             c.seen, c.silent_ns, c.parked_ns, c.parks, c.asleep = 0, 0, 0, 0, 0
             c.deadline_ns = t_ns + c.wake_ns
             arm(T, c.timer, c.deadline_ns)
+    set_waking(T, t_ns, bus)
+
+
+@kernel
+def set_waking(T: Any, t_ns: int, bus: int) -> None:
+    """Note that a bus is heard again."""
+    h = T.health[bus]
+    h.joined_ns = t_ns
     set_activity(T, t_ns, bus, WAKING)
     arm(T, h.timer, h.deadline_ns)
+
+
+@kernel
+def watch_silence(h: Any) -> None:
+    """Look at a bus on which messages wait for a frame of anybody: it sleeps, after a while without one."""
+    h.look_ns = min(h.look_ns, h.heard_ns + max(_ASLEEP_NS, UNUSUAL * h.gap_ns))
+    h.deadline_ns = min(h.deadline_ns, h.look_ns)
 
 
 @kernel(inlined=False)
@@ -145,20 +174,29 @@ def _note_stop(h: Any, c: Any, due: int) -> None:
 
 @kernel
 def _many_stop(T: Any, due: int, bus: int) -> bool:
-    """Return whether the messages that have stopped are more than those of one sender that is at fault."""
+    """Return whether the senders that have stopped are more than those that are at fault at one time."""
     h = T.health[bus]
-    stopped = on = 0
-    several = False
+    stopped = on = halves = 0
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
         if c.bus != bus or c.timeout_ns <= 0:
             continue
         if c.coming == STOPPED:
             stopped += 1
-            several = several or c.sender != h.stop_sender
+            halves += 1 if c.sender < 0 else 2 * _is_first(T, k)
         elif c.coming == COMES and c.timeout_ns <= due - h.stop_until_ns:
             on += 1
-    return bool(several and stopped >= _MANY and stopped * _OF >= (stopped + on) * _PART)
+    return bool(halves >= 2 * _MANY and stopped * _OF >= (stopped + on) * _PART)
+
+
+@kernel
+def _is_first(T: Any, k: int) -> bool:
+    """Return whether a message is the first of those of its sender that have stopped."""
+    c = T.checks[k]
+    for j in range(k):
+        if T.checks[j].sender == c.sender and T.checks[j].coming == STOPPED:
+            return False
+    return True
 
 
 @kernel
@@ -168,7 +206,9 @@ def begin_to_come(T: Any, t_ns: int, c: Any) -> bool:
     if c.coming == NOT_YET:
         h.joined_ns = max(h.joined_ns, t_ns)
     elif stopped and h.activity == AWAKE and h.stops <= 1:
-        h.stops = 0
-        return True
+        if not _many_stop(T, t_ns, c.bus):
+            h.stops = 0
+            return True
+        _fall(T, t_ns, c.bus)
     c.coming = COMES
     return False

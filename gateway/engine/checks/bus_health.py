@@ -124,7 +124,7 @@ FAULTS = (
 CODES = ("U0001", "U0028", "U0037", "U0046", "U0055", "U0064", "U0010", "U0019")
 
 #: Knowledge about the silence of a bus.
-SPOKEN, AWAITED, WHOLE = range(3)
+WHOLE, AWAITED, SPOKEN = range(3)
 
 #: Activity of a bus as a whole (see ``activity``), and the words for it.
 ASLEEP, WAKING, AWAKE, FALLING = range(4)
@@ -219,7 +219,7 @@ class HealthState(Record):
     lost: i8 = means("frames lost in a queue")
     heard_ns: i8 = means("when a frame was last received", "ns")
     talks_ns: i8 = means("when the last silence that was unusual ended", "ns")
-    silence: u1 = means("SPOKEN, AWAITED: messages wait for a frame of anybody, WHOLE: it is silent as a whole")
+    silence: u1 = means("WHOLE: of all, or it was not heard yet, AWAITED: messages wait for a frame of anybody, SPOKEN")
     asleep: u1 = means("whether it may be silent: nobody is awake")
     activity: u1 = means("ASLEEP, WAKING, AWAKE or FALLING")
     begun: u1 = means("whether it was AWAKE before")
@@ -395,13 +395,12 @@ def watch_clock(h: Any, t_ns: int) -> None:
 @kernel
 def await_anybody(h: Any, t_ns: int) -> None:
     """Begin to listen: one that has slept, or was not heard yet, has its time to wake before it is silent."""
-    h.silence = SPOKEN
-    h.until[SILENT] = NEVER
-    if h.activity == ASLEEP:
-        h.silence = AWAITED
-        if h.quiet_ns > 0:
-            h.until[SILENT] = t_ns + max(h.quiet_ns, h.wake_ns)
-            h.deadline_ns = min(h.deadline_ns, h.until[SILENT])
+    if h.silence != WHOLE:
+        h.silence = SPOKEN
+        h.until[SILENT] = NEVER
+    elif h.quiet_ns > 0:
+        h.until[SILENT] = t_ns + max(h.quiet_ns, h.wake_ns)
+        h.deadline_ns = min(h.deadline_ns, h.until[SILENT])
 
 
 @kernel

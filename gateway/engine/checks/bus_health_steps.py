@@ -7,11 +7,12 @@ from typing import Any
 from gateway.bus.conditions import LOSS, RUNNING, STEPPED
 from gateway.bus.frames import ID_MASK
 from gateway.common.times import NEVER
-from gateway.engine.checks.activity import begin_waking
+from gateway.engine.checks.activity import UNUSUAL, begin_waking, set_waking
 from gateway.engine.checks.bus_health import (
     ASLEEP,
     SILENT,
     SPOKEN,
+    WHOLE,
     await_anybody,
     note,
     note_step,
@@ -19,7 +20,7 @@ from gateway.engine.checks.bus_health import (
 )
 from gateway.engine.checks.bus_health import CLOCK_STEPPED as STEP_FAULT
 from gateway.engine.checks.communication_steps import report_timeout, restart_supervision
-from gateway.engine.checks.silence import MOST_PARKS, UNUSUAL
+from gateway.engine.checks.silence import MOST_PARKS
 from gateway.engine.events import CLOCK_STEPPED, NO_BUS
 from gateway.engine.results import announce, report_result, store_evidence
 from gateway.engine.timers import arm
@@ -124,7 +125,7 @@ def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
         silent_ns: how long the bus was silent.
     """
     h = T.health[bus]
-    whole = h.activity == ASLEEP
+    whole = h.silence == WHOLE
     long = silent_ns > UNUSUAL * h.gap_ns
     h.silence = SPOKEN
     h.asleep = 0
@@ -134,6 +135,8 @@ def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
     if whole:
         begin_waking(T, t_ns, bus)
         return
+    if h.activity == ASLEEP:
+        set_waking(T, t_ns, bus)
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
         if c.bus != bus or c.timeout_ns <= 0:

@@ -205,7 +205,7 @@ class CheckPlace(Record):
     row: i4 = means("of its message")
     sync: i4 = means("of SecOC: place of the check of the freshness master's message; -1: it needs none")
     bus: u1 = means("number of the bus")
-    sender: i4 = means("number of its sender on the bus; one that nobody names is alone")
+    sender: i4 = means("number of its sender; below 0: nobody names it, it is alone")
 
 
 class CheckConst(Record):

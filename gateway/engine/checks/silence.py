@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gateway.common.times import NEVER
-from gateway.engine.checks.activity import set_activity
+from gateway.engine.checks.activity import UNUSUAL, set_activity, watch_silence
 from gateway.engine.checks.bus_health import ASLEEP, AWAITED, SILENT, SPOKEN, WHOLE, Params, Silence
 from gateway.engine.checks.communication import TIMEOUT, CheckInstance
 from gateway.engine.gate import said_awake, sleeps
@@ -20,9 +20,6 @@ from gateway.signals.database import Database
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
 
-#: A gap between two frames of a bus is unusual from the shortest timeout / UNUSUAL on: then the next frame decides. It
-#: matters to a message from its own timeout / UNUSUAL on.
-UNUSUAL = 3
 #: A bus is silent as a whole after this time, even with a slower sender [ns].
 _LONGEST_NS = 10_000_000_000
 #: A silence is looked at again and again; after an hour less often [ns].
@@ -90,6 +87,7 @@ def park(T: Any, due: int, c: Any) -> bool:
         h.silence = AWAITED
         h.until[SILENT] = max(h.heard_ns + h.quiet_ns, due + 1)
         h.deadline_ns = min(h.deadline_ns, h.until[SILENT])
+        watch_silence(h)
         arm(T, h.timer, h.deadline_ns)
     return True
 
