@@ -58,6 +58,7 @@ def test_a_pause_of_the_whole_bus_deletes_no_timeout_and_is_told(tmp_path):
     assert not any("wake_ms" in each for each in keys.values()), "all came within their cycle: the recorder paused"
     assert any("1 pauses" in note for note in result.learned.notes)
     config = load_config(tmp_path / "car.toml")
+    assert config.bus[0].health.sleeps
     said = through(config, list(read_recording(log, channels_of(config, ()))))
     assert [fault for _, fault, failed in said.dtcs if failed and "timeout" in fault] == []
 

@@ -7,20 +7,25 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import RUNNING
+from gateway.engine.checks.activity import begin_to_come, waits_to_settle
 from gateway.engine.checks.bus_health import SILENT
 from gateway.engine.checks.communication import (
     ACCEPT,
     AGAINST,
+    COMES,
     COUNTER,
     CRC,
     IN_PART,
     LENGTH,
     MISFITS,
+    MISSING,
     MOST_LOSSES,
+    NOT_YET,
     PROVEN,
     REJECT,
     RULE,
     SAMPLES,
+    STOPPED,
     TIMEOUT,
     VALUE,
     WIDE,
@@ -69,6 +74,9 @@ def take_timeout(T: Any, due: int, c: Any) -> bool:
         c.asleep = 0
         c.deadline_ns = due + c.wake_ns
         c.silent_ns = 0
+        c.coming = NOT_YET
+        return False
+    if waits_to_settle(T, due, c):
         return False
     report_timeout(T, due, c)
     return True
@@ -123,10 +131,11 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
             continue
         c.seen = c.synced = 0
         begin_window(c)
-        deadline_ns = t_ns + (c.first_ns if condition == RUNNING else c.timeout_ns)
+        deadline_ns = t_ns + (c.wake_ns if condition == RUNNING and c.coming == NOT_YET else c.timeout_ns)
         if c.timeout_ns <= 0 or (condition != RUNNING and (c.deadline_ns >= deadline_ns or c.losses >= MOST_LOSSES)):
             continue
         c.losses = 0 if condition == RUNNING else c.losses + 1
+        c.coming = c.coming if c.coming == NOT_YET else COMES
         c.deadline_ns = deadline_ns
         c.silent_ns = c.parked_ns = c.parks = 0
         arm(T, c.timer, c.deadline_ns)
@@ -387,10 +396,27 @@ def is_usual(T: Any, c: Any, words: Any, length: int, status: int) -> bool:
     return bool(c.counted == 0 or counter_step(c, counter_of(words, c.protection)) == c.usual_step)
 
 
+@kernel(inlined=False)
+def come(T: Any, t_ns: int, c: Any) -> None:
+    """Take the first frame of a message after it did not come; those that were missing alone are told before."""
+    if begin_to_come(T, t_ns, c):
+        for k in range(T.checks.shape[0]):
+            o = T.checks[k]
+            if o.bus == c.bus and o.coming == STOPPED:
+                o.coming = MISSING
+                o.silent_ns += max(t_ns - o.overdue_ns, 0)
+                o.deadline_ns = t_ns
+                report_timeout(T, t_ns, o)
+                arm(T, o.timer, o.deadline_ns)
+        c.coming = COMES
+
+
 @kernel
 def note_arrival(T: Any, t_ns: int, c: Any) -> None:
     """Take that a frame of a message has come: its time starts again, and it counts for its rate."""
     if c.timeout_ns > 0:
+        if c.coming != COMES:
+            come(T, t_ns, c)
         deadline_ns, before_ns = t_ns + c.timeout_ns, c.deadline_ns
         c.deadline_ns = deadline_ns
         c.silent_ns = 0

@@ -51,8 +51,9 @@ def derive(
         if bus_asked.of_answers or "health" in bus_asked.keys:
             continue
         known = {can_id & ID_MASK for at, can_id in observation.foreign if at == bus and not of_a_tester(can_id)}
-        keys = {"unknown": "tell", "known": sorted(known)}
-        learned.add(Line(bus_asked.name, HEALTH, HEALTH, keys, "identifiers that never came are told"))
+        keys = {"sleeps": True, "unknown": "tell", "known": sorted(known)}
+        why = "it falls asleep, as any car's; identifiers that never came are told"
+        learned.add(Line(bus_asked.name, HEALTH, HEALTH, keys, why))
     everything = observation
     heard = {key: seen for key, seen in observation.seen.items() if not asked[key[0]].of_answers}
     observation = replace(observation, seen=heard)
