@@ -72,7 +72,7 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> 
     if timeout is not None:
         keys["timeout_ms"] = timeout
         keys |= _wake(seen, timeout, why)
-    if (often := gaps.most(seen.gaps)) is not None:
+    if (often := gaps.most(seen.gaps, seen.samples.repeated())) is not None:
         keys["most"] = often
         why.append(f"{often['frames']:g} gaps in {_ms(seen.gaps.spans_ns[int(often['frames'])])} at least")
     if any(length < message.length for length in seen.lengths):
