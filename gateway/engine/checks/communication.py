@@ -259,7 +259,7 @@ _COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus"
 COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
     ("deadline_ns", "silent_ns", "losses", "parked_ns", "parks", "asleep", "coming", "overdue_ns"): ("timeout_ns",),
     ("last_counter", "unread", "seen", "other_counter", "other_seen", "odd", "twice"): _COUNTER,
-    ("left", "at", "filled", "stamps", "wraps", "crowded", "last_ns", "blamed", "before"): (
+    ("left", "at", "filled", "stamps", "content", "wraps", "crowded", "last_ns", "blamed", "before"): (
         "most_ns", "stride", "slots",
     ),
     ("longest",): ("length",),
@@ -321,6 +321,8 @@ _NEAR += (
     "crowded",
     "wraps",
     "stamps",
+    "one_ns",
+    "repeats",
 )
 
 

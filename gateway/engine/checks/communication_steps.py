@@ -38,6 +38,8 @@ from gateway.engine.checks.senders_steps import (
     clears_sender,
     follow,
     is_doubtful,
+    is_lost_with_others,
+    is_news,
     keep_stamp,
 )
 from gateway.engine.checks.silence import park
@@ -264,10 +266,14 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
         step = follow(T, t_ns, c, received, step)
     # The counters of rejected frames went by unread; those frames were not lost.
     jumped = step < 0 or step > p.max_step + c.unread
-    place = accuse(T, t_ns, c, COUNTER, jumped or step == 0, float(step), float(p.max_step))
-    store_evidence(T, c.fault[COUNTER], place, 0, float(step))
-    store_evidence(T, c.fault[COUNTER], place, 1, float(c.last_counter))
-    store_evidence(T, c.fault[COUNTER], place, 2, float(received))
+    if jumped and step > 0 and is_lost_with_others(T, t_ns, c):
+        T.clock[0].missed += step - 1
+        not_tested(T, t_ns, c.fault[COUNTER])
+    else:
+        place = accuse(T, t_ns, c, COUNTER, jumped or step == 0, float(step), float(p.max_step))
+        store_evidence(T, c.fault[COUNTER], place, 0, float(step))
+        store_evidence(T, c.fault[COUNTER], place, 1, float(c.last_counter))
+        store_evidence(T, c.fault[COUNTER], place, 2, float(received))
     take_counter(c, received)
     if step == 0:
         T.clock[0].repeated += 1
@@ -412,7 +418,7 @@ def come(T: Any, t_ns: int, c: Any) -> None:
 
 
 @kernel
-def note_arrival(T: Any, t_ns: int, c: Any) -> None:
+def note_arrival(T: Any, t_ns: int, c: Any, words: Any) -> None:
     """Take that a frame of a message has come: its time starts again, and it counts for its rate."""
     if c.timeout_ns > 0:
         if c.coming != COMES:
@@ -424,7 +430,7 @@ def note_arrival(T: Any, t_ns: int, c: Any) -> None:
         c.parks = 0
         if deadline_ns < before_ns:  # after a late frame; the noted time is never later than the deadline
             arm(T, c.timer, deadline_ns)
-    if c.stride > 0:
+    if c.stride > 0 and not (c.repeats == 1 and is_news(c, words)):
         c.left -= 1
         if c.left <= 0:
             keep_stamp(T, t_ns, c)
@@ -443,7 +449,7 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         status: of the decoder.
         bad: place of a signal that carries no value, -1: none.
     """
-    note_arrival(T, t_ns, c)
+    note_arrival(T, t_ns, c, words)
     usual = is_usual(T, c, words, length, status)
     if not usual:
         end_run(T, c)
