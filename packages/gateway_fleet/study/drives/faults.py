@@ -32,6 +32,8 @@ CYCLES, LOST = 3.0, 10
 #: Messages of an ECU where no database names senders; frames of a message at least; signals of the same kind that are
 #: wheels.
 OF_ECU, LEAST, WHEELS = 3, 20, 4
+#: Kinds that are told by the bus, or as a security event.
+AWAY, UNKNOWN = "bus away", "unknown identifier"
 #: Units of speed -> how much a km/h is.
 _KMH = {"km/h": 1.0, "kph": 1.0, "kmh": 1.0, "km/hour": 1.0, "m/s": 1 / 3.6, "mph": 1 / 1.609344}
 
@@ -55,6 +57,11 @@ class Fault:
     begin_ns: int
     right: frozenset[str]
     concerned: frozenset[str]
+
+    @property
+    def of_message(self) -> bool:
+        """Whether it is one of the vehicle's messages, and not of the whole bus or of a stranger on it."""
+        return self.kind not in (AWAY, UNKNOWN)
 
 
 @dataclass(frozen=True)
@@ -136,7 +143,7 @@ class Drive:
 
     def values(self, sent: _Sent, signal: str) -> NDArray[np.float64]:
         """Return what a signal has in the drive, where it is."""
-        mine = self.frames[self._changed(sent.bus, sent.name).among(self.frames)]
+        mine = self.frames[self.of(sent)]
         values = ChangedSignal(sent.bus, self._parts.databases[sent.bus], sent.name, signal).values(mine)
         return values[~np.isnan(values)]
 
@@ -156,8 +163,12 @@ class Drive:
     def hit(self, sent: _Sent) -> NDArray[np.bool_]:
         """Return which frames of a message come while a fault is there, shape (frames,)."""
         shares = (self.frames["t_ns"] - self.start_ns) * 1e-9 / self.seconds
-        within = (shares >= BEGIN) & (shares < END)
-        return np.asarray(within & self._changed(sent.bus, sent.name).among(self.frames), np.bool_)
+        within = np.asarray((shares >= BEGIN) & (shares < END), np.bool_)
+        return within & self.of(sent)
+
+    def of(self, sent: _Sent) -> NDArray[np.bool_]:
+        """Return which frames are of a message, shape (frames,)."""
+        return self._changed(sent.bus, sent.name).among(self.frames)
 
     def swapped(self, sent: _Sent, first: str, second: str) -> Frames:
         """Return the drive with two signals of a message swapped; its checksum is right."""
@@ -246,14 +257,14 @@ def _away(drive: Drive) -> Fault | None:
     if not gone.any():
         return None
     mine = [one for one in drive.sent if one.bus == bus]
-    return drive.fault("bus away", drive.names[bus], drive.frames[~gone], {f"bus {drive.names[bus]}"}, mine)
+    return drive.fault(AWAY, drive.names[bus], drive.frames[~gone], {f"bus {drive.names[bus]}"}, mine)
 
 
 def _unknown(drive: Drive) -> Fault | None:
     seen = set((drive.frames["can_id"] & ID_MASK).tolist())
     new = hex(next(k for k in drive.rng.integers(1, 0x6FF, 2000).tolist() if k not in seen))
     asked = Injection("unknown", 0, new, from_s=BEGIN * drive.seconds, to_s=END * drive.seconds)
-    return drive.fault("unknown identifier", new, drive.with_([asked]), set(), [])
+    return drive.fault(UNKNOWN, new, drive.with_([asked]), set(), [])
 
 
 def _value(
@@ -301,7 +312,7 @@ def _wheel(drive: Drive) -> Fault | None:
 def _swap(drive: Drive) -> Fault | None:
     by: dict[tuple[object, ...], list[tuple[_Sent, str]]] = {}
     for sent, signal, _ in drive.quantities():
-        some = by.setdefault((sent, signal.length, signal.scale, signal.is_signed), [])
+        some = by.setdefault((sent, signal.length, signal.scale, signal.offset, signal.is_signed), [])
         some.append((sent, signal.name))
         if len(some) == 2:
             frames = drive.swapped(sent, some[0][1], some[1][1])
@@ -326,10 +337,10 @@ KINDS: dict[str, Callable[[Drive], Fault | None]] = {
     "ECU dead": _ecu("ECU dead", None),
     "ECU reboots": _ecu("ECU reboots", REBOOT_S),
     "dropped": _frames("drop", "dropped"),
-    "bus away": _away,
+    AWAY: _away,
     "second sender": _frames("double", "second sender"),
     "replayed": _frames("replay", "replayed"),
-    "unknown identifier": _unknown,
+    UNKNOWN: _unknown,
     "frozen": _frames("freeze", "frozen"),
     "repeated": _frames("repeat", "repeated"),
     "bit flipped": _frames("flip", "bit flipped"),

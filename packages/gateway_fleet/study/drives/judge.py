@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,18 +27,17 @@ LONGEST_S, SHORTEST_S = 60.0, 6.0
 _UNKNOWN = ("unknown", "wrong_bus")
 
 
-@dataclass(frozen=True)
-class Told:
+class Told(NamedTuple):
     """What was told of a run.
 
     Attributes:
         codes: fault that failed -> when first [ns], of the vehicle's own.
-        strangers: when a frame of an unknown identifier was first told [ns]; None: never.
+        events: likewise what is no code of the vehicle: unknown identifiers, and faults of the bus.
         causes: components that were told as a proven cause -> when first [ns].
     """
 
     codes: dict[str, int]
-    strangers: int | None
+    events: dict[str, int]
     causes: dict[tuple[str, ...], int]
 
 
@@ -158,17 +157,18 @@ def told_of(config: Config, frames: Frames) -> Told:
     """Return what is told of frames."""
     codes: dict[str, int] = {}
     causes: dict[tuple[str, ...], int] = {}
-    strangers: int | None = None
+    others: dict[str, int] = {}
     for event in events_of(config, frames):
         t_ns, kind = int(event.get("t_ns", 0)), event["event"]
-        if kind == "dtc" and event["status"] & Status.TEST_FAILED and is_of_car(event["fault"], config):
-            codes.setdefault(event["fault"], t_ns)
-        elif kind == "security" and event["kind"] in _UNKNOWN and strangers is None:
-            strangers = t_ns
+        if kind == "dtc" and event["status"] & Status.TEST_FAILED:
+            of_car = is_of_car(event["fault"], config)
+            (codes if of_car else others).setdefault(event["fault"], t_ns)
+        elif kind == "security" and event["kind"] in _UNKNOWN:
+            others.setdefault(event["sensor"], t_ns)
         elif kind == "diagnosis":
             for cause in _proven(event["groups"]):
                 causes.setdefault(cause, t_ns)
-    return Told(codes, strangers, causes)
+    return Told(codes, others, causes)
 
 
 def _proven(groups: Iterable[Mapping[str, Any]]) -> Iterable[tuple[str, ...]]:
@@ -177,9 +177,10 @@ def _proven(groups: Iterable[Mapping[str, Any]]) -> Iterable[tuple[str, ...]]:
 
 def _of_fault(fault: Fault, told: Told, healthy: Told, sees: Mapping[str, set[str]]) -> tuple[Row, str]:
     """Return what came of a fault, and what was told of it, for people."""
-    codes = [name for name, t_ns in told.codes.items() if name not in healthy.codes and t_ns >= fault.begin_ns]
-    stranger = told.strangers is not None and healthy.strangers is None
-    causes = [cause for cause, t_ns in told.causes.items() if cause not in healthy.causes and t_ns >= fault.begin_ns]
+    codes, events, causes = (
+        [one for one, t_ns in now.items() if one not in before and t_ns >= fault.begin_ns]
+        for now, before in zip(told, healthy, strict=True)
+    )
     concerned = fault.concerned
 
     def well(name: str) -> bool:
@@ -189,13 +190,12 @@ def _of_fault(fault: Fault, told: Told, healthy: Told, sees: Mapping[str, set[st
     accused = [name for name in codes if all(well(one) for one in sees.get(name, ()))]
     row = Row(
         tried=1,
-        found=bool(codes) or (stranger and fault.kind == "unknown identifier"),
+        found=bool(codes) or (bool(events) and not fault.of_message),
         right=bool(named & fault.right) and not any(well(name) for name in named),
         wrong=any(well(name) for name in named),
         accused=bool(accused),
     )
-    text = "; ".join(
-        [", ".join(codes[:3]) + (f" and {len(codes) - 3} more" if len(codes) > 3 else "") or "silent"]
-        + [f"cause {' and '.join(cause)}" for cause in causes[:2]]
-    )
+    first, more = (codes + events)[:3], len(codes + events) - 3
+    set_ = ", ".join(first) + (f" and {more} more" if more > 0 else "") or "silent"
+    text = "; ".join([set_, *(f"cause {' and '.join(cause)}" for cause in causes[:2])])
     return row, text
