@@ -334,7 +334,7 @@ def _unit(stamps: Sequence[str]) -> int:
     """Return the unit of stamps, as how many digits of it are a nanosecond: 9 for s, 6 for ms, 3 for us, 0 for ns.
 
     One with a point counts seconds; a whole one of 13, 16 or 19 digits is of the wall clock. Of fewer digits it counts
-    microseconds, or milliseconds where a bus could not carry so many frames.
+    microseconds, or milliseconds where a bus could not carry that many frames.
     """
     first = stamps[0] if stamps else ""
     if "." in first:

@@ -1,1 +1,1 @@
-"""What is learned of one drive, judged on other drives of the same vehicle, healthy and with everyday faults."""
+"""A configuration that was learned of one drive, on other drives of the vehicle: healthy, and with everyday faults."""

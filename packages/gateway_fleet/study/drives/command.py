@@ -25,7 +25,7 @@ Done = TypeVar("Done")
 
 @dataclass(frozen=True)
 class Study:
-    """What came of all vehicles.
+    """Results of all vehicles.
 
     Attributes:
         seed: of all randomness.
@@ -56,7 +56,7 @@ class Study:
 
     @property
     def errors(self) -> list[str]:
-        """What could not be learned of or judged, a line each."""
+        """Vehicles and drives that could not be learned of or judged, a line each."""
         bad = [f"{one.vehicle}: {one.error}" for one in self.learned if one.error]
         return bad + [f"{one.drive}: {one.error}" for one in [*self.healthy, *self.faulty] if one.error]
 

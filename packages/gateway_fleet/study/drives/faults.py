@@ -27,7 +27,7 @@ from gateway_fleet.learn.counters import called_counter
 BEGIN, END, REBOOT_S, AWAY_S = 0.3, 0.75, 2.0, 3.0
 #: Offsets: of a speed [km/h]; of others as a share of what the signal spans. Factor; end of a drift, of that span.
 SPEED_KMH, WHEEL_KMH, SHARE, FACTOR, DRIFT = 7.0, 8.0, 0.25, 2.0, 0.4
-#: Jitter in cycles, and one frame of so many is lost.
+#: Jitter in cycles, and one frame of LOST is lost.
 CYCLES, LOST = 3.0, 10
 #: Messages of an ECU where no database names senders; frames of a message at least; signals of the same kind that are
 #: wheels.

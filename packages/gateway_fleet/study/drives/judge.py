@@ -1,4 +1,4 @@
-"""What the gateway tells of a drive, healthy and with faults, beside what is so."""
+"""Codes and causes that the gateway tells of a drive, healthy and with faults, beside the truth."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,7 +28,7 @@ _UNKNOWN = ("unknown", "wrong_bus")
 
 
 class Told(NamedTuple):
-    """What was told of a run.
+    """Codes and causes of a run.
 
     Attributes:
         codes: fault that failed -> when first [ns], of the vehicle's own.
@@ -41,9 +41,12 @@ class Told(NamedTuple):
     causes: dict[tuple[str, ...], int]
 
 
+Name = TypeVar("Name", str, tuple[str, ...])
+
+
 @dataclass
 class Row:
-    """What came of one kind of fault, or of one fault.
+    """Results of one kind of fault, or of one fault.
 
     Attributes:
         tried: faults.
@@ -67,7 +70,7 @@ class Row:
 
 @dataclass
 class Judged:
-    """What came of one drive.
+    """Results of one drive.
 
     Attributes:
         vehicle: of the drive.
@@ -177,10 +180,12 @@ def _proven(groups: Iterable[Mapping[str, Any]]) -> Iterable[tuple[str, ...]]:
 
 def _of_fault(fault: Fault, told: Told, healthy: Told, sees: Mapping[str, set[str]]) -> tuple[Row, str]:
     """Return what came of a fault, and what was told of it, for people."""
-    codes, events, causes = (
-        [one for one, t_ns in now.items() if one not in before and t_ns >= fault.begin_ns]
-        for now, before in zip(told, healthy, strict=True)
-    )
+
+    def new(now: Mapping[Name, int], before: Mapping[Name, int]) -> list[Name]:
+        return [one for one, t_ns in now.items() if one not in before and t_ns >= fault.begin_ns]
+
+    codes, events = new(told.codes, healthy.codes), new(told.events, healthy.events)
+    causes = new(told.causes, healthy.causes)
     concerned = fault.concerned
 
     def well(name: str) -> bool:
