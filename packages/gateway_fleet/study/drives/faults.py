@@ -190,13 +190,17 @@ class Drive:
         """Return a fault of messages, or of signals in them."""
         begin_ns = self.start_ns + round(BEGIN * self.seconds * 1e9)
         named = {f"{self.names[one.bus]}.{one.name}" for one in messages}
-        senders = {sender for one in messages for sender in one.senders}
+        senders = {s for one in messages for s in one.senders or (self._network.unnamed(one.bus).name,)}
         concerned = right | {f"message {name}" for name in named} | senders | {f"signal {name}." for name in named}
         return Fault(kind, about, frames, begin_ns, frozenset(right), frozenset(concerned))
 
     def place(self, sent: _Sent, signal: str = "") -> str:
         """Return the name of a message or signal."""
         return ".".join([self.names[sent.bus], sent.name, *([signal] if signal else [])])
+
+    def unnamed(self, sent: _Sent) -> set[str]:
+        """Return the ECU that stands for all whose sender nobody names."""
+        return {self._network.unnamed(sent.bus).name}
 
     def carriers(self, sent: _Sent) -> set[str]:
         """Return the components that are at fault where a message's frames are: itself, or an ECU with no other."""
@@ -244,7 +248,8 @@ def _ecu(name: str, lasts_s: float | None) -> Callable[[Drive], Fault | None]:
         if not mine or (lasts_s is not None and min(one.cycle_ns for one in mine) > lasts_s * 0.5e9):
             return None
         parts = {f"message {drive.place(one)}" for one in mine}
-        right = set(mine[0].senders) if mine[0].senders and len(mine) > 1 else parts | set(mine[0].senders)
+        ecu = set(mine[0].senders) or drive.unnamed(mine[0])
+        right = ecu if mine[0].senders and len(mine) > 1 else parts | ecu
         return drive.fault(name, ", ".join(drive.place(one) for one in mine), drive.with_(drops), right, mine)
 
     return make
