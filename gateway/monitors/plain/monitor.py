@@ -118,9 +118,8 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
             e.value[j] = s.value[j]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Plain(Monitor[Any]):
-    """A monitor of plain Python; it can be called as the function or class that it is made of.
+class _Written:
+    """A monitor that can be called as the function or class that it is made of.
 
     Attributes:
         written: as its author wrote it.
@@ -136,6 +135,13 @@ class Plain(Monitor[Any]):
     def file(self) -> Path:
         """Where it is written."""
         return self.written.file
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plain(_Written, Monitor[Any]):
+    """A monitor of plain Python, or compiled of it."""
+
+    written: Written
 
     @property
     def gets_numbers(self) -> bool:
@@ -159,23 +165,10 @@ class Plain(Monitor[Any]):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlainFamily(Family[Any]):
-    """A compiled monitor of plain Python; it can be called as the function or class that it is made of.
-
-    Attributes:
-        written: as its author wrote it.
-    """
+class PlainFamily(_Written, Family[Any]):
+    """A compiled monitor, whose records depend on its parameters."""
 
     written: Written
-
-    def __call__(self, *values: Any, **parameters: Any) -> Any:
-        """Call what it is made of."""
-        return self.written.made(*values, **parameters)
-
-    @property
-    def file(self) -> Path:
-        """Where it is written."""
-        return self.written.file
 
 
 def monitor(
