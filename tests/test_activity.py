@@ -4,6 +4,7 @@ import random
 from itertools import pairwise
 
 import networks
+import numpy as np
 import pytest
 from amount import amount
 from networks import causes, run, traffic
@@ -112,6 +113,23 @@ def test_a_dip_while_cranking_accuses_nobody(tmp_path, seed):
     codes, told, events = run(config_of(tmp_path), frames, 20)
     assert (codes, told) == (set(), [])
     assert [one for _, one in activities(events)] in ([], ["falling asleep", "running"])
+
+
+@pytest.mark.evidence("Healthy parts: lost frames")
+@pytest.mark.parametrize("share", [0.05, 0.3])
+def test_frames_that_get_lost_everywhere_are_told_and_accuse_nobody(tmp_path, share):
+    """Lost in turn with good times; an ECU that is reset meanwhile is told."""
+    rng = random.Random(round(100 * share))
+    frames = traffic(NETWORK, rng, 36, lambda b, e, i, t: t % 20 < 8 or rng.random() > share)
+    codes, told, events = run(config_of(tmp_path), frames, 36)
+    assert (codes, told) == (set(), [])
+    lossy = [e for e in events if e["event"] == "lossy"]
+    assert [e["lossy"] for e in lossy] == [True, False, True]
+    assert lossy[0]["t_ns"] * 1e-9 == pytest.approx(10, abs=3)
+    assert lossy[0]["share"] == pytest.approx(share, rel=0.5)
+    stamps = frames["t_ns"] * 1e-9
+    gone = np.isin(frames["can_id"], (0x100, 0x101)) & (stamps > 16) & (stamps < 18)
+    assert "drive.M100.timeout" in run(config_of(tmp_path), frames[~gone], 36)[0]
 
 
 def test_terminal_15_says_that_nothing_falls_asleep(tmp_path):

@@ -161,6 +161,11 @@ class EventPrinter:
         mark = f"bus {event['bus']} {event['activity']}"
         self._lines.print(f"{self._time(event)}  {mark}  it was {event['before']}", mark=mark)
 
+    def _on_lossy(self, event: dict[str, Any]) -> None:
+        mark = f"bus {event['bus']} loses {'frames' if event['lossy'] else 'no more frames'}"
+        text = f"about {100 * event['share']:.2g} % did not come: the bus, the host or the recorder loses them"
+        self._lines.print(f"{self._time(event)}  {mark}  {text if event['lossy'] else ''}".rstrip(), mark=mark)
+
     def _on_source(self, event: dict[str, Any]) -> None:
         of = f"{event['bus']}.{event['message']}: source address 0x{event['source']:02X}"
         silent = event["silent_ms"]

@@ -44,6 +44,9 @@ SOURCE = 11
 #: before.
 ACTIVITY = 12
 
+#: Frames of a bus get lost, or no more: ``value`` is their share, ``threshold`` that from which on it is told.
+LOSSY = 13
+
 #: Slips of a monitor's author that the loop puts right, as bits of ``slips`` of its handler.
 NO_NUMBER, NO_FAULT, TOO_MANY, TOO_SOON = 1, 2, 4, 8
 

@@ -75,6 +75,14 @@ def activity_event(event: Event, bus: str) -> dict[str, Any]:
     return {"event": "activity", "t_ns": event.t_ns, "bus": bus, "activity": now, "before": before}
 
 
+def lossy_event(event: Event, bus: str) -> dict[str, Any]:
+    """Log that frames of a bus get lost before they come here, or no more; return the event that tells it."""
+    lossy = event.value > event.threshold
+    text = "frames of this bus get lost before they come here" if lossy else "frames of this bus get lost no more"
+    _log.warning(text, bus=bus, share=round(event.value, 3))
+    return {"event": "lossy", "t_ns": event.t_ns, "bus": bus, "lossy": lossy, "share": round(event.value, 3)}
+
+
 def dtc_event(change: DtcChange, bus: str) -> dict[str, Any]:
     """Tell a status byte that changed."""
     return {

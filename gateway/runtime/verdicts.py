@@ -12,6 +12,7 @@ from gateway.engine.events import (
     CLOCK_STEPPED,
     CYCLE_BEGAN,
     CYCLE_ENDED,
+    LOSSY,
     MONITOR_OFF,
     NO_BUS,
     QUALIFIED_FAILED,
@@ -42,6 +43,7 @@ from gateway.runtime.told import (
     clock_event,
     cycle_event,
     dtc_event,
+    lossy_event,
     monitor_events,
     short_event,
     source_event,
@@ -128,6 +130,9 @@ class Verdicts:
             return
         if kind == ACTIVITY:
             self._outbox.note(activity_event(event, self._buses[event.bus]))
+            return
+        if kind == LOSSY:
+            self._outbox.note(lossy_event(event, self._buses[event.bus]))
             return
         if kind == SHORT:
             self._outbox.note(short_event(event, self._engine.plan, self._buses[event.bus]))

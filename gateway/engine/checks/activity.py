@@ -16,7 +16,7 @@ from typing import Any
 from gateway.common.times import NEVER
 from gateway.engine.checks.bus_health import ASLEEP, AWAITED, AWAKE, FALLING, WAKING
 from gateway.engine.checks.communication import COMES, MISSING, NOT_YET, STOPPED, TIMEOUT
-from gateway.engine.events import ACTIVITY
+from gateway.engine.events import ACTIVITY, LOSSY
 from gateway.engine.gate import said_awake
 from gateway.engine.results import announce
 from gateway.engine.timers import arm
@@ -24,6 +24,11 @@ from gateway_fdi.jit import kernel
 
 #: How often it is looked whether a bus is awake, and how long none may have begun to come then, at least [ns].
 _LOOK_NS, _LEAST_NS = 500_000_000, 1_000_000_000
+#: Where one frame in the first number does not come, the bus is taken to lose them; in the second, that is told.
+#: Frames, and time [ns], that are weighed.
+_LOSSY, _TOLD, _WEIGHED, _WEIGHED_NS = 50, 25, 100, 2_000_000_000
+#: While frames get lost, a message is missing after this number of times its timeout more.
+_LONGER = 3
 #: A bus sleeps after this time without a frame [ns].
 _ASLEEP_NS = 1_000_000_000
 #: A gap between two frames of a bus is unusual from the shortest timeout / UNUSUAL on: then the next frame decides. It
@@ -130,9 +135,11 @@ def waits_to_settle(T: Any, due: int, c: Any) -> bool:
 @kernel
 def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
     """Return whether it is to be seen first whether others stop, too."""
+    lossy = _is_lossy(h)
     if c.coming == COMES:
-        _note_stop(h, c, due)
         c.coming, c.overdue_ns = STOPPED, due
+        if not lossy:
+            _note_stop(h, c, due)
         if h.activity == AWAKE and h.stops > 1:
             _fall(T, due, c.bus)
     until_ns = h.stopped_ns + h.settle_ns
@@ -140,10 +147,45 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
         _fall(T, due, c.bus)
     if h.activity == FALLING:
         until_ns = h.fell_ns + _AFTER_RUN_NS
+    elif lossy:
+        until_ns = max(until_ns, c.overdue_ns + _LONGER * c.timeout_ns)
     if due >= until_ns:
         return False
     c.deadline_ns = min(until_ns, due + max(h.settle_ns, c.timeout_ns))
     return True
+
+
+@kernel(inlined=False)
+def note_gap(T: Any, t_ns: int, c: Any, gap_ns: int) -> None:
+    """Take a gap of more than one and a half cycles of a message, or of less than a third of one.
+
+    Where too many frames do not come, the bus, the host or the recorder loses them; those that come late, together, are
+    none of these. That is told when it begins and ends.
+    """
+    if c.bus >= T.health.shape[0] - 1:
+        return
+    h = T.health[c.bus]
+    h.gaps = h.gaps + 1 if gap_ns > c.timeout_ns >> 4 else max(h.gaps - 1, 0)
+    frames = h.frames - h.frames_before
+    if t_ns - h.weighed_ns >= _WEIGHED_NS and frames >= _WEIGHED:
+        lossy = h.gaps * (_LOSSY if h.lossy == 1 else _TOLD) > frames
+        if lossy != (h.lossy == 1):
+            announce(T, t_ns, LOSSY, c.bus, c.bus, h.gaps / frames, 1.0 / _LOSSY)
+        h.lossy = 1 if lossy else 0
+        h.frames_before, h.gaps, h.weighed_ns = h.frames, 0, t_ns
+
+
+@kernel
+def _is_lossy(h: Any) -> bool:
+    """Return whether frames of a bus get lost now."""
+    frames = h.frames - h.frames_before
+    return bool(h.gaps * _LOSSY > max(frames, _WEIGHED) or (h.lossy == 1 and frames < _WEIGHED))
+
+
+@kernel
+def is_gone(T: Any, t_ns: int, c: Any) -> bool:
+    """Return whether a message whose time is over is missing, not lost on the way."""
+    return bool(t_ns >= c.overdue_ns + _LONGER * c.timeout_ns or not _is_lossy(T.health[c.bus]))
 
 
 @kernel
@@ -205,7 +247,7 @@ def begin_to_come(T: Any, t_ns: int, c: Any) -> bool:
     h, stopped = T.health[c.bus], c.coming == STOPPED
     if c.coming == NOT_YET:
         h.joined_ns = max(h.joined_ns, t_ns)
-    elif stopped and h.activity == AWAKE and h.stops <= 1:
+    elif stopped and h.activity == AWAKE and h.stops <= 1 and is_gone(T, t_ns, c):
         if not _many_stop(T, t_ns, c.bus):
             h.stops = 0
             return True

@@ -98,6 +98,7 @@ def on_sign_of_life(T: Any, t_ns: int, bus: int) -> None:
     h = T.health[bus]
     silent_ns = t_ns - h.heard_ns
     h.heard_ns = max(h.heard_ns, t_ns)  # a late frame is no news
+    h.frames += 1
     if h.bad != 0:
         unheard = h.bad != 1 << SILENT
         on_frame_received(h)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import RUNNING
-from gateway.engine.checks.activity import begin_to_come, waits_to_settle
+from gateway.engine.checks.activity import begin_to_come, is_gone, note_gap, waits_to_settle
 from gateway.engine.checks.bus_health import SILENT
 from gateway.engine.checks.communication import (
     ACCEPT,
@@ -408,7 +408,7 @@ def come(T: Any, t_ns: int, c: Any) -> None:
     if begin_to_come(T, t_ns, c):
         for k in range(T.checks.shape[0]):
             o = T.checks[k]
-            if o.bus == c.bus and o.coming == STOPPED:
+            if o.bus == c.bus and o.coming == STOPPED and is_gone(T, t_ns, o):
                 o.coming = MISSING
                 o.silent_ns += max(t_ns - o.overdue_ns, 0)
                 o.deadline_ns = t_ns
@@ -421,9 +421,12 @@ def come(T: Any, t_ns: int, c: Any) -> None:
 def note_arrival(T: Any, t_ns: int, c: Any, words: Any) -> None:
     """Take that a frame of a message has come: its time starts again, and it counts for its rate."""
     if c.timeout_ns > 0:
+        deadline_ns, before_ns = t_ns + c.timeout_ns, c.deadline_ns
+        moved_ns = deadline_ns - before_ns
         if c.coming != COMES:
             come(T, t_ns, c)
-        deadline_ns, before_ns = t_ns + c.timeout_ns, c.deadline_ns
+        elif moved_ns > (c.timeout_ns >> 2) + (c.timeout_ns >> 4) or moved_ns < c.timeout_ns >> 4:
+            note_gap(T, t_ns, c, moved_ns)
         c.deadline_ns = deadline_ns
         c.silent_ns = 0
         c.losses = 0
