@@ -180,6 +180,7 @@ def test_nothing_is_claimed_for_random_bytes():
         message = message_of(length, Signal("CHECKSUM", 0, 8), Signal("COUNTER", 8, 4))
         found = protection_found(message, NOWHERE, [payloads(frames)])
         assert found.claim is None, f"seed {seed}: {found.claim}"
+        assert found.nearly is None, f"seed {seed}: {found.nearly}"
         assert found.counter is not None, f"seed {seed}"
         assert found.counter.signal == "COUNTER", f"seed {seed}"
         assert found.unexplained == ("CHECKSUM",), f"seed {seed}"

@@ -220,3 +220,43 @@ def test_mixed_senders_and_lost_frames_are_no_second_sender(tmp_path, capsys, mo
     assert {kind.rpartition(".")[2] for kind in kinds} <= {"timeout"}
     assert not security
     assert "can0.ID_110.counter" in told("skips", skips=0.2)[0]
+
+
+def test_a_fault_in_the_learning_drive_is_told(tmp_path, capsys, monkeypatch):
+    """A checksum wrong in a quarter of the frames, a message gone, one frozen, one sent twice; a healthy drive."""
+    rng = np.random.default_rng(5)
+    moves = rng.integers(0, 256, (2000, 4))
+
+    def summed(can_id, k, wrong):
+        data = [*moves[k % 2000].tolist(), k % 16]
+        return bytes([*data, (sum(data) + 6 + (can_id >> 8) + (can_id & 0xFF) + wrong) & 0xFF])
+
+    def told(name, faulty):
+        rows = []
+        for k in range(2000):
+            t_ns, away = round(k * 10e6), faulty and 500 <= k < 900
+            rows.append((t_ns, 0x101, summed(0x101, k, faulty and k % 4 == 0)))
+            rows += [] if away else [(t_ns + MS, 0x102, summed(0x102, k, 0))]
+            rows.append((t_ns + 2 * MS, 0x103, summed(0x103, 500 if away else k, 0)))
+            rows += [(t_ns + (3 + 5 * n) * MS, 0x104, summed(0x104, k, 0)) for n in range(1 + away)]
+            rows.append((t_ns + 4 * MS, 0x105, summed(0x105, k, 0)))
+        frames = empty(len(rows))
+        for at, (t_ns, can_id, data) in enumerate(sorted(rows)):
+            put(frames, at, 1_000_000_000_000 + t_ns, can_id, data)
+        with open_writer(tmp_path / f"{name}.log") as writer:
+            writer.write(frames)
+        out = tmp_path / f"{name}.toml"
+        said = command(capsys, monkeypatch, "learn", tmp_path / f"{name}.log", "-o", out).out
+        return said, out.with_suffix(".md").read_text()
+
+    said, page = told("faulty", faulty=True)
+    for text in (
+        "can0.ID_101: toyota is right in ",
+        "can0.ID_102: gone for 4.0 s while others came",
+        "can0.ID_103: frozen for 4.0 s",
+        "can0.ID_104: sent twice as often as its cycle for ",
+    ):
+        assert f"FAULT IN WHAT WAS LEARNED FROM? {text}" in said
+        assert text in page
+    assert said.count("FAULT IN") == 4
+    assert "FAULT IN" not in told("healthy", faulty=False)[0]

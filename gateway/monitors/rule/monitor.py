@@ -8,6 +8,7 @@ negative number).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from math import nan
 from typing import Annotated, Any
 
 from gateway.monitors.contract import (
@@ -60,6 +61,7 @@ class State(Record):
     when: Machine = means("machine of when it is tested")
     square: f8 = means("mean square of what the relation was off lately while it held")
     held: i8 = means("results in that mean")
+    told: i8 = means("1: the last sample was tested")
 
 
 class Evidence(Record):
@@ -72,12 +74,16 @@ class Evidence(Record):
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Any]) -> None:
     """Test the relation."""
     result = run(s.holds, c.holds, u.t_ns, u.value, c.tolerance)  # also while it is not tested: it remembers
+    shut = s.holds.unknown == 1
     if c.when.length > 0:
         condition = run(s.when, c.when, u.t_ns, u.value, 0.0)
-        if s.when.unknown == 1 or condition == 0.0:
-            return
-    if s.holds.unknown == 1:
+        shut = shut or s.when.unknown == 1 or condition == 0.0
+    if shut:
+        if s.told == 1:  # else the time of its last result would go on
+            report(out, 0, False, nan, nan)
+        s.told = 0
         return
+    s.told = 1
     if result == 1.0:
         s.held = min(s.held + 1, LATELY)
         s.square += (s.holds.left**2 - s.square) / s.held

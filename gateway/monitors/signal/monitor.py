@@ -50,6 +50,8 @@ GAP = 4.0
 #: A failure counts for this share of ``failed_ms`` without another value; where values come seldom, for this multiple
 #: of the time between two.
 PATIENCE, LATE = 0.5, 1.5
+#: Verdicts of a test of movement; OPEN: it could not have failed yet, or is not to be tested here.
+PASSED, FAILED, OPEN = range(3)
 
 
 @kernel
@@ -96,52 +98,64 @@ def is_none(out: Any, p: One, s: Course, x: float) -> bool:
 
 
 @kernel
-def has_stuck(p: One, s: Course, x: float, other: float, seconds: float) -> bool:
-    """Return whether a signal has not moved where it must."""
+def has_stuck(p: One, s: Course, x: float, other: float, seconds: float, shut: bool) -> int:
+    """Return FAILED for a signal that has not moved where it must, PASSED for one that moved, else OPEN."""
     if s.valid == 0 or isnan(s.anchor) or abs(x - s.anchor) > p.stuck_by:
+        moved = s.valid > 0 and not isnan(s.anchor)
         s.anchor, s.still_s, s.other = x, 0.0, other
-        return False
+        return PASSED if moved and not shut else OPEN
     if p.moving_by > 0.0:
-        return abs(other - s.other) >= p.moving_by
-    if p.during_low > -inf and not p.during_low <= other <= p.during_high:
-        s.still_s = 0.0
-    else:
-        s.still_s += seconds
-    return bool(s.still_s >= p.stuck_s)
+        return FAILED if abs(other - s.other) >= p.moving_by else OPEN
+    s.still_s = 0.0 if shut else s.still_s + seconds
+    return FAILED if s.still_s >= p.stuck_s else OPEN
 
 
 @kernel
-def seldom_moves(p: One, s: Course, x: float, other: float, usual_s: float) -> bool:
-    """Return whether too few of a signal's values differ from the one before; ``moved`` is the share that do.
+def seldom_moves(p: One, s: Course, x: float, usual_s: float, shut: bool) -> int:
+    """Return FAILED if too few of a signal's values differ from the one before; ``moved`` is the share that do.
 
     The share is that of the last ``stuck_s``, each value counting less the older it is; where it need not move, and
-    after no value, it begins again from all.
+    after no value, it begins again from all. OPEN as long as a signal that stands could not have failed yet.
     """
-    if s.valid == 0 or (p.during_low > -inf and not p.during_low <= other <= p.during_high):
-        s.moved = 1.0
-        return False
+    if s.valid == 0 or shut:
+        s.moved = s.least = 1.0
+        return OPEN
     weight = min(max(usual_s, 1e-3) / p.stuck_s, 1.0)
     s.moved += weight * ((1.0 if abs(x - s.before) > p.stuck_by else 0.0) - s.moved)
-    return bool(s.moved < p.stuck_share)
+    s.least -= weight * s.least
+    if s.least >= p.stuck_share:
+        return OPEN
+    return FAILED if s.moved < p.stuck_share else PASSED
 
 
 @kernel
 def watch_movement(out: Any, p: One, s: Course, x: float, other: float, seconds: float, usual_s: float) -> None:
-    """Test whether a signal moves. At the end of its range it may rest, so that it is not tested there."""
+    """Test whether a signal moves, where it must: another signal says so, and it is not at the end of its range.
+
+    Elsewhere nothing is tested: a signal that stands there does not pass.
+    """
     if (p.moving_by > 0.0 or p.during_low > -inf) and isnan(other):
         return  # another signal: until it comes nothing is known
+    shut = p.during_low > -inf and not p.during_low <= other <= p.during_high
     if not p.inside_low < x < p.inside_high:
-        s.anchor, s.still_s, s.moved = nan, 0.0, 1.0
-        if s.failed & (1 << STUCK):
-            untested(out, p, s, STUCK)
+        s.anchor, s.still_s, s.moved, s.least, shut = nan, 0.0, 1.0, 1.0, True
+        verdict = OPEN
     elif p.stuck_share > 0.0:
-        seldom = seldom_moves(p, s, x, other, usual_s)
-        tell(out, p, s, STUCK, seldom, s.moved, p.stuck_share, x)
+        verdict = seldom_moves(p, s, x, usual_s, shut)
     else:
-        stuck = has_stuck(p, s, x, other, seconds)
-        moved = p.moving_by > 0.0
-        still = abs(other - s.other) if moved else s.still_s
-        tell(out, p, s, STUCK, stuck, still, p.moving_by if moved else p.stuck_s, x)
+        verdict = has_stuck(p, s, x, other, seconds, shut)
+    if verdict == OPEN:
+        if shut and s.tested == 1:  # else the time of its last result would go on
+            untested(out, p, s, STUCK)
+            s.tested = 0
+        return
+    s.tested = 1
+    if p.stuck_share > 0.0:
+        tell(out, p, s, STUCK, verdict == FAILED, s.moved, p.stuck_share, x)
+    elif p.moving_by > 0.0:
+        tell(out, p, s, STUCK, verdict == FAILED, abs(other - s.other), p.moving_by, x)
+    else:
+        tell(out, p, s, STUCK, verdict == FAILED, s.still_s, p.stuck_s, x)
 
 
 @kernel
@@ -320,7 +334,7 @@ def _prepare(p: PartParams, s: Any, c: Any) -> None:
         for kind in kinds_of(watched):
             one["fault"][kind] = number
             number += 1
-        course["moved"] = 1.0
+        course["moved"] = course["least"] = 1.0
         course["before"] = course["second"] = course["anchor"] = course["other"] = np.nan
 
 

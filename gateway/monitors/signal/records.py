@@ -71,6 +71,8 @@ class Course(Record):
     still_s: f8 = means("how long it has been there while it should move", "s")
     other: f8 = means("what the other signal was then")
     moved: f8 = means("share of the last values that differ from the one before")
+    least: f8 = means("what that share were if nothing had moved since it began")
+    tested: i8 = means("1: its movement was tested at the last value that said anything")
     variance: f8 = means("mean of the squared scatter")
     usual_s: f8 = means("mean time from one value to the next", "s")
     even: i8 = means("values so far, since the last that was none, or came after a gap")

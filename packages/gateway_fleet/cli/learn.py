@@ -56,6 +56,8 @@ def _say(asked: Asked, result: Result) -> None:
     )
     if found["kept"]:
         print(f"kept: {found['kept']} lines that were changed, taken out or added by hand")
+    for finding in result.learned.findings:
+        print(f"A FAULT IN WHAT WAS LEARNED FROM? {finding}")
     for change in result.changes:
         print(f"widened: {change}")
     for line in result.dropped:

@@ -14,7 +14,7 @@ from gateway.signals.bits import field_of, mask_of
 from gateway.signals.payloads import bits_of
 from gateway.signals.protection.crc import KNOWN
 from gateway.signals.protection.rules import RULES
-from gateway_fleet.learn.claims import Claim, called_checksum, covered, fitting, owned, proven
+from gateway_fleet.learn.claims import RIGHT, Claim, called_checksum, covered, fitting, owned, proven
 from gateway_fleet.learn.counters import CounterFound, signal_of
 from gateway_fleet.learn.crcs import crcs
 from gateway_fleet.learn.judged import Payloads, judged
@@ -32,6 +32,8 @@ MOST_UNNAMED = 8
 LEAST_BYTES = 2
 #: Payloads that two rules must agree on to be one.
 MADE_UP = 256
+#: Share of its frames from which on a rule is the message's, though others are wrong.
+MOSTLY = 0.6
 
 
 def candidates(message: Message, frames: Payloads, counter: CounterFound | None) -> list[Signal]:
@@ -124,6 +126,28 @@ def rivals(message: Message, claim: Claim, counter: CounterFound | None, frames:
         made = Claim(keys, asked, len(frames), int(judged(frames, asked).good.sum()))
         kinds.setdefault(judged(made_up, asked).computed.tobytes(), []).append(made)
     return list(kinds.values())
+
+
+def nearly(message: Message, counter: CounterFound | None, frames: Payloads) -> Claim | None:
+    """Return a carmaker's rule, or a known CRC, that most frames have, but not all; None: there is none.
+
+    Args:
+        message: of the frames.
+        counter: of the message.
+        frames: different ones.
+    """
+    alive = {} if counter is None else {"counter": counter.keys(signal_of(message, counter).length)}
+    for signal in candidates(message, frames, counter):
+        rules = [{"checksum": {"rule": rule, "signal": signal.name}} for rule in RULES]
+        crcs_ = [{"crc": {"signal": signal.name, "algorithm": k}} for k, c in KNOWN.items() if c.width == signal.length]
+        for keys in (*rules, *(rule | alive for rule in rules if alive), *crcs_):
+            asked = fitting(message, keys)
+            if asked is None:
+                continue
+            good = judged(frames, asked).good
+            if MOSTLY <= good.mean() < RIGHT and proven(message, keys, frames[good], hypotheses=1 << 8) is not None:
+                return Claim(keys, asked, len(frames), int(good.sum()))
+    return None
 
 
 Hypotheses = Callable[[Message, Signal, CounterFound | None, Payloads], Iterator[tuple[Keys, int]]]

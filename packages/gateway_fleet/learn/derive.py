@@ -16,6 +16,7 @@ from gateway_fleet.learn import limits
 from gateway_fleet.learn.answers import absent_lines, answer_lines, answer_notes
 from gateway_fleet.learn.belonging import strangers
 from gateway_fleet.learn.document import BusAsked
+from gateway_fleet.learn.findings import findings
 from gateway_fleet.learn.gaps import cycle_ns
 from gateway_fleet.learn.grip import grip_lines
 from gateway_fleet.learn.lines import HEALTH, Learned, Line
@@ -66,6 +67,7 @@ def derive(
         whole = seen.frames >= LEAST_FRAMES
         described[key] = _described(seen, times) if seen.unknown else ""
         found[key] = protection_found(seen.message, file, seen.samples.runs, whole=whole, cycles=times)
+    learned.findings = findings(observation, found, buses)
     makers = [_makers(found, bus) for bus in range(len(asked))]
     for key, seen in observation.seen.items():
         bus, name = key

@@ -15,7 +15,7 @@ from gateway.signals.bits import LONGEST, field_of
 from gateway.signals.payloads import bits_of
 from gateway.signals.protection.auto import automatic
 from gateway_fdi.errors import InputError
-from gateway_fleet.learn.checksums import any_claim, rivals, rule_claim
+from gateway_fleet.learn.checksums import any_claim, nearly, rivals, rule_claim
 from gateway_fleet.learn.claims import Claim, called_checksum, proven
 from gateway_fleet.learn.counters import CounterFound, candidates, likelier, of_raw
 from gateway_fleet.learn.judged import Payloads
@@ -36,6 +36,7 @@ class ProtectionFound:
         frames: different ones that were looked at.
         rules: of the checksum that all of them have, in kinds: two of a kind are the same for this message. Of several
             kinds nobody knows which is the sender's.
+        nearly: a rule that most frames have, where none has all; None: there is none.
     """
 
     counter: CounterFound | None
@@ -43,6 +44,7 @@ class ProtectionFound:
     unexplained: tuple[str, ...]
     frames: int
     rules: Sequence[Sequence[Claim]] = ()
+    nearly: Claim | None = None
 
     def among(self, proven_beside: Set[str]) -> ProtectionFound:
         """Return it without rules that others rival, but for one that is proven of other messages of the bus.
@@ -98,7 +100,8 @@ def protection_found(
     rules: list[list[Claim]] = []
     if claim is not None:
         rules = [[claim]] if claim is said else rivals(message, claim, counter, _all(found_with, proof))
-    return ProtectionFound(counter, claim, left, len(found_with) + len(proof), rules)
+    mostly = nearly(message, counter, _all(found_with, proof)) if claim is None and len(found_with) else None
+    return ProtectionFound(counter, claim, left, len(found_with) + len(proof), rules, mostly)
 
 
 def joined(

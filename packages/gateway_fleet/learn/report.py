@@ -56,6 +56,7 @@ def data(result: Result) -> dict[str, Any]:
             for line in result.learned.lines.values()
         ],
         "notes": result.learned.notes,
+        "findings": result.learned.findings,
         "faults": [
             {
                 "kind": outcome.trial.injection.kind,
@@ -86,6 +87,7 @@ def markdown(asked: Asked, result: Result) -> str:
         f" {found['checksums']} checksums. {found['signals']} signals with limits, {found['relations']} relations.",
         _silence(result),
         f"The logs themselves: {', '.join(result.conditions)}." if result.conditions else "",
+        *_list("Faults that the logs may have: learn from others", result.learned.findings),
         *(f"{line}." for lines in observed(result).values() for line in lines),
         *_faults(result),
         *_lines(result),

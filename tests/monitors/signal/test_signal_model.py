@@ -5,7 +5,7 @@ With a debounce of half a period a test's verdict is there before the next frame
 
 import numpy as np
 import pytest
-from amount import examples
+from amount import amount, examples
 from car import Car, write
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -55,20 +55,18 @@ def compare(made, kind, model, slots):
     assert states(made, kind, slots)[:-1] == held(model)[:-1]
 
 
-def stuck(x, by, seconds, awake=None, known=None):
-    """Model of stuck by time: so long within ``by`` of where it last moved to, while it is to move."""
-    awake = np.ones(len(x), bool) if awake is None else awake
+def stuck(x, by, seconds, known=None):
+    """Model of stuck by time: so long within ``by`` of where it last moved to. A move passes, before it is open."""
     told, anchor, still = [], None, 0.0
     for k, value in enumerate(x):
         if known is not None and not known[k]:
             anchor = None
             told.append(None)
             continue
-        if anchor is None or abs(value - anchor) > by:
-            anchor, still = value, 0.0
-        else:
-            still = still + PERIOD_S if awake[k] else 0.0
-        told.append(still >= seconds)
+        moved = anchor is None or abs(value - anchor) > by
+        verdict = False if moved and anchor is not None else None
+        anchor, still = (value, 0.0) if moved else (anchor, still + PERIOD_S)
+        told.append(True if still >= seconds else verdict)
     return told
 
 
@@ -99,18 +97,22 @@ def test_stuck_while_another_signal_says_so(tmp_path_factory, steps, data):
         # Two periods go by from one frame of the signal to the next.
         model, anchor, still = [], None, 0.0
         for value, moving in zip(x, other, strict=True):
-            if anchor is None or abs(value - anchor) > 0.5:
+            moved = anchor is None or abs(value - anchor) > 0.5
+            verdict = False if moved and anchor is not None and moving >= 1 else None
+            if moved:
                 anchor, still = value, 0.0
             else:
                 still = still + 2 * PERIOD_S if moving >= 1 else 0.0
-            model.append(still >= 0.105)
+            model.append(True if still >= 0.105 else verdict)
     else:
         asked = 'moving = "Body.Moving", moving_by = 4.95'
         model, anchor, then = [], None, 0
         for value, moving in zip(x, other, strict=True):
-            if anchor is None or abs(value - anchor) > 0.5:
+            moved = anchor is None or abs(value - anchor) > 0.5
+            verdict = False if moved and anchor is not None else None
+            if moved:
                 anchor, then = value, moving
-            model.append(abs(moving - then) >= 49.5)
+            model.append(True if abs(moving - then) >= 49.5 else verdict)
     made = car(tmp_path_factory.mktemp("s"), f'signal = "Wheel.Speed", stuck = {{ {asked}, by = 0.005 }}')
     for value, moving in zip(x, other, strict=True):
         made.feed([int(moving).to_bytes(2, "little", signed=True) + bytes(6)], can_id=0x101)
@@ -161,3 +163,47 @@ def test_missing_while_its_message_comes(tmp_path_factory, course):
         last = slot
         model.append(False if page == 2 else True if away >= 4.5 * PERIOD_S else None)
     compare(made, "missing", model, slots)
+
+
+GATED = {
+    "stuck by time": 'stuck = { seconds = 0.055, by = 0.005, during = "Body.Moving", within = [5, 1000] }',
+    "stuck by share": 'stuck = { seconds = 0.05, share = 0.5, during = "Body.Moving", within = [5, 1000] }',
+    "stuck inside": "stuck = { seconds = 0.055, by = 0.005, inside = [-2, 2] }",
+    "relation": "",
+}
+
+
+@pytest.mark.parametrize("kind", GATED)
+@pytest.mark.parametrize("seed", range(amount(10, 2)))
+def test_while_a_gate_is_shut_nothing_passes_fails_or_counts(tmp_path, kind, seed):
+    """What failed stays, what passed does, and time that goes by decides nothing."""
+    rng = np.random.default_rng(seed)
+    times = "failed_ms = 25.0, passed_ms = 25.0"
+    signal = f'type = "signal"\nsignal = [{{ signal = "Wheel.Speed", {GATED[kind]}, {times} }}]'
+    rule = (
+        f'type = "rule"\nrule = [{{ name = "r", holds = "abs(Wheel.Speed) < 2", when = "Body.Moving > 5", {times} }}]'
+    )
+    text = f'[[monitor]]\nname = "w"\n{signal if GATED[kind] else rule}\n'
+    made = Car(write(tmp_path, DBC, text), PERIOD_S * 1e3)
+    told = []
+    for _ in range(90):
+        shut, moves, far = rng.random(3) < (0.5, 0.5, 0.5)
+        made.feed([(0 if shut else 100).to_bytes(2, "little") + bytes(6)], can_id=0x101)
+        if kind == "stuck inside":
+            levels = (300, 310) if shut else (0, 10)
+        else:
+            levels = (300, 310) if far else (0, 10)
+        made.feed([wheel(levels[k % 2 if moves else 0]) for k in range(1)])  # what the gate says now has come
+        before = len(made.events)
+        fdc = _counts(made)
+        made.feed([wheel(levels[k % 2 if moves else 0]) for k in range(int(rng.choice([1, 2, 8, 20])))])
+        after = [e for e in made.events[before:] if e["event"] in ("monitor", "dtc")]
+        told += [bool(e.get("status", 0) & 1) for e in after if e["event"] == "dtc"]
+        if shut:
+            assert [e for e in after if e.get("result") != "not tested"] == [], f"seed {seed}"
+            assert _counts(made) == fdc, f"seed {seed}"
+    assert {True, False} <= set(told), "while it is open both come"
+
+
+def _counts(made):
+    return [made.gateway.engine.fault_detection_counter(k) for k in range(len(made.gateway.engine.faults))]
