@@ -22,6 +22,7 @@ from gateway_plants.filter import author
 from gateway_plants.filter import kernel as steps
 from gateway_plants.filter.monitor import fill, share
 from gateway_plants.filter.params import Params
+from gateway_plants.filter.python import pair
 
 
 @kernel
@@ -130,6 +131,37 @@ def linear():
     kf.H, kf.Q, kf.R = np.array([[1.0, 0]]), np.diag([1e-6, 1e-4]), np.array([[0.01]])
     return kf
 """
+EKF = """
+def make():
+    kf = ExtendedKalmanFilter(2, 1, 1)
+    kf.F, kf.B = np.array([[1, 0.01], [0, 0.99]]), np.array([[0], [0.01]])
+    kf.x, kf.Q, kf.R, kf.P = np.array([[1.0], [0.1]]), np.eye(2) * 1e-3, np.eye(1) * 0.1, np.eye(2) * 0.2
+    def hx(x):
+        return np.array([x[0] ** 2]).reshape(1, 1)
+    def jacobian(x):
+        return np.array([[2 * x[0, 0], 0]])
+    return kf, {"HJacobian": jacobian, "Hx": hx}
+"""
+UKF = """
+def make():
+    def fx(x, dt, u):
+        return np.array([x[0] + dt * x[1], 0.99 * x[1] + dt * u[0]])
+    def hx(x):
+        return np.array([np.sin(x[0])])
+    points = MerweScaledSigmaPoints(2, 0.1, 2.0, 1.0)
+    kf = UnscentedKalmanFilter(2, 1, 0.01, hx, fx, points)
+    kf.Q, kf.R = np.eye(2) * 1e-3, np.eye(1) * 0.1
+    kf.P *= 0.2
+    return kf
+"""
+IMM = """
+def make():
+    def one(q):
+        kf = KalmanFilter(2, 1)
+        kf.F, kf.H, kf.Q, kf.R = np.array([[1, 0.01], [0, 1]]), np.array([[1.0, 0]]), np.eye(2) * q, np.eye(1) * 0.01
+        return kf
+    return IMMEstimator([one(1e-6), one(1e-2)], [0.9, 0.1], np.array([[0.97, 0.03], [0.03, 0.97]]))
+"""
 _names = count()
 
 
@@ -142,11 +174,14 @@ def car(tmp_path, monkeypatch):
     def write(text="make = linear", **keys):
         module = f"filter_{next(_names)}"
         (tmp_path / f"{module}.py").write_text(HEAD + textwrap.dedent(text) + "\n")
-        given = {"z": ["CAR.Speed [m/s]"], "u": ["CAR.Force [kN]"], "period_ms": 10.0, "settle": 0, **keys}
+        given = {
+            "filter": f"{module}:make", "z": ["CAR.Speed [m/s]"], "u": ["CAR.Force [kN]"],
+            "period_ms": 10.0, "settle": 0, **keys,
+        }  # fmt: skip
         path = tmp_path / "gateway.toml"
         path.write_text(
             '[[bus]]\nname = "can"\nuri = "virtual:car"\ndatabase = ["car.dbc"]\n'
-            f'[[monitor]]\nname = "mine"\ntype = "filter"\nfilter = "{module}:make"\n'
+            '[[monitor]]\nname = "mine"\ntype = "filter"\n'
             + "".join(f"{key} = {json.dumps(value)}\n" for key, value in given.items() if value is not None)
         )
         return path
@@ -199,6 +234,33 @@ def test_a_filter_on_the_bus_finds_a_fault(car):
     assert {name for name, _ in found} >= {"mine.nis", "mine.bias_1_Speed"}
     assert all(5_000_000_000 < t_ns < 5_400_000_000 for _, t_ns in found)
     assert stepped(path, drive(bad)) == found
+
+
+@pytest.mark.parametrize(("text", "keys"), [(EKF, {}), (UKF, {}), (IMM, {"u": None, "modes": ["slow", "fast"]})])
+def test_others_are_filterpys_own_steps(text, keys, car):
+    rows = [None if k % 17 == 5 else row for k, row in enumerate(speeds(200))]
+    path = car(text, **keys)
+    engine = prepare(load_config(path), path).engine
+    engine.process(drive(rows), lambda _: None)
+    space: dict[str, Any] = {}
+    exec(HEAD + textwrap.dedent(text), space)  # as in a notebook
+    kf, options = pair(space["make"]())
+    flat = text == UKF
+    for speed, force, _ in (np.round(100 * np.array(row or [np.nan] * 3)) * 0.01 for row in rows):
+        held = force if np.isfinite(force) else None
+        if text == IMM:
+            kf.predict()
+        elif flat:
+            kf.predict(u=np.array([last if held is None else held]))
+        else:
+            kf.predict(np.array([[last if held is None else held]]))
+        last = force if held is not None else last
+        if np.isfinite(speed):
+            kf.update(np.array([speed]) if flat else np.array([[speed]]), **options)
+    s = engine.state_of(engine.place_of("mine"))[0]
+    assert s["x"][:2].tolist() == np.ravel(kf.x).tolist()
+    if text == IMM:
+        assert s["mode"][:2].tolist() == kf.mu.tolist()
 
 
 @kernel

@@ -115,7 +115,28 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plain(Monitor[Any]):
+class OfPython(Monitor[Any]):
+    """A monitor whose kernel is the gateway's own, and calls an author's Python.
+
+    Attributes:
+        place: the author's file.
+    """
+
+    place: Path
+
+    @property
+    def file(self) -> Path:
+        """Where it is written."""
+        return self.place
+
+    @property
+    def digest(self) -> str:
+        """Digest of its author's file."""
+        return sha256(self.file.read_bytes()).hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plain(OfPython):
     """A monitor of plain Python; it can be called as the function or class that it is made of.
 
     Attributes:
@@ -129,11 +150,6 @@ class Plain(Monitor[Any]):
         return self.written.made(*values, **parameters)
 
     @property
-    def file(self) -> Path:
-        """Where it is written."""
-        return self.written.file
-
-    @property
     def outside(self) -> bool:
         """Whether it does not come with the gateway: always, as far as it is its author's."""
         return True
@@ -142,11 +158,6 @@ class Plain(Monitor[Any]):
     def checked_entry(self) -> int:
         """Address of its kernel, which is the gateway's own."""
         return self.entry
-
-    @property
-    def digest(self) -> str:
-        """Digest of its author's file."""
-        return sha256(self.file.read_bytes()).hexdigest()
 
 
 def monitor(
@@ -206,6 +217,7 @@ def monitor(
             prepare=lambda p, s, c: _prepare(written, tuple(dtcs), p, s, c),
             faults=lambda _: found,
             capabilities=(Failure(lambda s: calls.failure(int(s["number"]))),),
+            place=written.file,
             written=written,
         )
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -28,7 +30,7 @@ _REFUSED = {
 
 
 def _function(found: object, place: str) -> Callable[[], Any]:
-    if not callable(found):
+    if not inspect.isfunction(found):
         raise InputError(f"a function that returns a filter, not {type(found).__name__}", value=place)
     return found
 
@@ -49,6 +51,11 @@ def maker(p: Params) -> Callable[[], Any]:
         return _MAKERS[p.filter]
     except InputError as error:
         raise InputError(error.message, file=error.file, line=error.line, key="filter", value=p.filter) from error
+
+
+def file_of(make: Callable[[], Any]) -> Path:
+    """Return the file of the function."""
+    return Path(inspect.getfile(inspect.unwrap(make)))
 
 
 def within_limit(function: Callable[[], Any]) -> Any:

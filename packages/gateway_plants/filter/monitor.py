@@ -24,6 +24,7 @@ from gateway.monitors.contract import (
     Sampled,
 )
 from gateway.monitors.plain import calls
+from gateway.monitors.plain.monitor import OfPython
 from gateway_fdi import run_length, stopping
 from gateway_fdi.errors import InputError
 from gateway_fdi.quantiles import chi2_above
@@ -140,7 +141,7 @@ def _monitor_of(keys: str, make: Callable[[], Any]) -> Monitor[Params]:
     made = author.checked(p, make)
     if not made.modes:
         share(p, len(author.names(p, made)))
-    return Monitor(
+    return OfPython(
         type=TYPE,
         api=API,
         params=Params,
@@ -160,6 +161,7 @@ def _monitor_of(keys: str, make: Callable[[], Any]) -> Monitor[Params]:
             Readout(("nis", "seen", "samples", "begun", "left_out")),
             Sampled(lambda p: p.sampling),
         ),
+        place=author.file_of(make),
     )
 
 
