@@ -246,15 +246,15 @@ def test_others_are_filterpys_own_steps(text, keys, car):
     exec(HEAD + textwrap.dedent(text), space)  # as in a notebook
     kf, options = pair(space["make"]())
     flat = text == UKF
+    held = np.nan
     for speed, force, _ in (np.round(100 * np.array(row or [np.nan] * 3)) * 0.01 for row in rows):
-        held = force if np.isfinite(force) else None
+        held = force if np.isfinite(force) else held
         if text == IMM:
             kf.predict()
         elif flat:
-            kf.predict(u=np.array([last if held is None else held]))
+            kf.predict(u=np.array([held]))
         else:
-            kf.predict(np.array([[last if held is None else held]]))
-        last = force if held is not None else last
+            kf.predict(np.array([[held]]))
         if np.isfinite(speed):
             kf.update(np.array([speed]) if flat else np.array([[speed]]), **options)
     s = engine.state_of(engine.place_of("mine"))[0]

@@ -15,7 +15,7 @@ bias      each innovation in its standard deviations, by the CUSUM on both sides
 fading    the fading mean of NIS, from its mean on
 mode      the probability of each mode
 
-CUSUM and fading mean begin again after an alarm.
+CUSUM and fading mean begin again after an alarm. A test that has passed says so at the end of a window.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class State(Record):
     z: Annotated[f8s, MOST] = means("measurements, NaN: missing")
     u: Annotated[f8s, MOST] = means("inputs")
     y: Annotated[f8s, MOST] = means("innovations, NaN: of a missing one")
-    spread: Annotated[f8s, MOST] = means("standard deviation of each")
+    variance: Annotated[f8s, MOST] = means("variance of each")
     mode: Annotated[f8s, MOST] = means("probability of each mode")
     nis: f8 = means("normalised innovation squared; NaN: nothing was measured")
     seen: i8 = means("measurements in it")
@@ -91,7 +91,8 @@ class State(Record):
     w: Annotated[f8s, MOST, MOST] = means("scratch")
     v: Annotated[f8s, MOST, MOST] = means("scratch")
     factor: Annotated[f8s, MOST, MOST] = means("scratch: Cholesky's factor of S")
-    k: Annotated[f8s, MOST, MOST] = means("scratch: K")
+    k: Annotated[f8s, MOST, MOST] = means("scratch: K'")
+    hp: Annotated[f8s, MOST, MOST] = means("scratch: H P")
     e: Annotated[f8s, MOST] = means("scratch")
 
 
@@ -129,71 +130,87 @@ def predict(s: State, c: Const) -> None:
     n = c.states
     for i in range(n):
         value = 0.0
-        for j in range(n):
-            value += c.f[i, j] * s.x[j]
         for j in range(c.inputs):
             value += c.b[i, j] * s.u[j]
-        s.e[i] = value
         for j in range(n):
-            total = 0.0
-            for k in range(n):
-                total += c.f[i, k] * s.p[k, j]
-            s.w[i, j] = total
+            s.w[j, i] = 0.0
+        for k in range(n):
+            f = c.f[i, k]
+            if f != 0.0:  # most of them are in most filters
+                value += f * s.x[k]
+                for j in range(n):
+                    s.w[j, i] += f * s.p[k, j]
+        s.e[i] = value
     for i in range(n):
         s.x[i] = s.e[i]
         for j in range(i + 1):
-            total = 0.0
-            for k in range(n):
-                total += s.w[i, k] * c.f[j, k]
-            s.p[i, j] = s.p[j, i] = c.alpha * total + c.q[i, j]
+            s.p[i, j] = c.q[i, j]
+        for k in range(n):
+            f = c.alpha * c.f[i, k]
+            if f != 0.0:
+                for j in range(i + 1):
+                    s.p[i, j] += f * s.w[k, j]
+        for j in range(i):
+            s.p[j, i] = s.p[i, j]
 
 
 @kernel
 def _factor(s: State, m: int) -> None:
-    """Make s.factor Cholesky's factor of what its lower half holds."""
+    """Make s.factor Cholesky's factor of what its lower half holds, with one over its diagonal."""
     for a in range(m):
         for b in range(a + 1):
             value = s.factor[a, b]
             for k in range(b):
                 value -= s.factor[a, k] * s.factor[b, k]
             if a > b:
-                s.factor[a, b] = value / s.factor[b, b]
+                s.factor[a, b] = value * s.factor[b, b]
             elif value > 0.0:
-                s.factor[a, a] = sqrt(value)
+                s.factor[a, a] = 1.0 / sqrt(value)
             else:
                 raise ValueError("S = H P H' + R is singular: the filter has diverged, or R is too small")
 
 
 @kernel
-def _gain(s: State, c: Const, m: int) -> None:
-    """Make s.factor the one of S, s.k the gain and s.spread, of the rows s.at."""
+def _project(s: State, c: Const, m: int) -> None:
+    """Make s.hp, s.variance, and s.factor the lower half of S, of the rows s.at."""
     n = c.states
     for a in range(m):
         row = s.at[a]
         for i in range(n):
-            total = 0.0
-            for j in range(n):
-                total += s.p[i, j] * c.h[row, j]
-            s.k[i, a] = total
+            s.hp[a, i] = 0.0
+        for j in range(n):
+            h = c.h[row, j]
+            if h != 0.0:
+                for i in range(n):
+                    s.hp[a, i] += h * s.p[j, i]
         for b in range(a + 1):
             total = c.r[row, s.at[b]]
             for i in range(n):
-                total += c.h[row, i] * s.k[i, b]
+                total += c.h[row, i] * s.hp[b, i]
             s.factor[a, b] = total
-        s.spread[row] = sqrt(max(s.factor[a, a], 0.0))
-    _factor(s, m)
-    for i in range(n):
-        for a in range(m):
-            total = s.k[i, a]
-            for b in range(a):
-                total -= s.factor[a, b] * s.k[i, b]
-            s.k[i, a] = total / s.factor[a, a]
-        for d in range(m):
-            a = m - 1 - d
-            total = s.k[i, a]
-            for b in range(a + 1, m):
-                total -= s.factor[b, a] * s.k[i, b]
-            s.k[i, a] = total / s.factor[a, a]
+        s.variance[row] = s.factor[a, a]
+
+
+@kernel
+def _gain(s: State, n: int, m: int) -> None:
+    """Make s.k, which is K', of s.hp and s.factor."""
+    for a in range(m):
+        for i in range(n):
+            s.k[a, i] = s.hp[a, i]
+        for b in range(a):
+            for i in range(n):
+                s.k[a, i] -= s.factor[a, b] * s.k[b, i]
+        inverse = s.factor[a, a]
+        for i in range(n):
+            s.k[a, i] *= inverse
+    for d in range(m):
+        a = m - 1 - d
+        for b in range(a + 1, m):
+            for i in range(n):
+                s.k[a, i] -= s.factor[b, a] * s.k[b, i]
+        inverse = s.factor[a, a]
+        for i in range(n):
+            s.k[a, i] *= inverse
 
 
 @kernel
@@ -213,48 +230,51 @@ def update(s: State, c: Const) -> None:
     s.seen = m
     if m == 0:
         return
-    _gain(s, c, m)
+    _project(s, c, m)
+    _factor(s, m)
+    _gain(s, n, m)
     s.nis = 0.0
     for a in range(m):
-        total = s.y[s.at[a]]
+        y = s.y[s.at[a]]
+        for i in range(n):
+            s.x[i] += s.k[a, i] * y
         for b in range(a):
-            total -= s.factor[a, b] * s.e[b]
-        s.e[a] = total / s.factor[a, a]
+            y -= s.factor[a, b] * s.e[b]
+        s.e[a] = y * s.factor[a, a]
         s.nis += s.e[a] * s.e[a]
     for i in range(n):
-        for a in range(m):
-            s.x[i] += s.k[i, a] * s.y[s.at[a]]
         for j in range(n):
-            total = 1.0 if i == j else 0.0
-            for a in range(m):
-                total -= s.k[i, a] * c.h[s.at[a], j]
-            s.w[i, j] = total
+            s.w[i, j] = s.p[i, j]
+        for a in range(m):
+            k = s.k[a, i]
+            for j in range(n):
+                s.w[i, j] -= k * s.hp[a, j]
     _joseph(s, c, m)
 
 
 @kernel
 def _joseph(s: State, c: Const, m: int) -> None:
-    """P = W P W' + K R K', W = I - K H."""
+    """P = (I - K H) P (I - K H)' + K R K', as P = W + (K R - W H') K' with W = P - K H P."""
     n = c.states
-    for i in range(n):
+    for a in range(m):
+        row = s.at[a]
+        for i in range(n):
+            s.v[a, i] = 0.0
+        for b in range(m):
+            r = c.r[row, s.at[b]]
+            if r != 0.0:
+                for i in range(n):
+                    s.v[a, i] += r * s.k[b, i]
         for j in range(n):
-            total = 0.0
-            for k in range(n):
-                total += s.w[i, k] * s.p[k, j]
-            s.v[i, j] = total
-    for i in range(n):
-        for a in range(m):
-            total = 0.0
-            for b in range(m):
-                total += s.k[i, b] * c.r[s.at[b], s.at[a]]
-            s.factor[i, a] = total  # S has done its work
+            h = c.h[row, j]
+            if h != 0.0:
+                for i in range(n):
+                    s.v[a, i] -= h * s.w[i, j]
     for i in range(n):
         for j in range(i + 1):
-            total = 0.0
-            for k in range(n):
-                total += s.v[i, k] * s.w[j, k]
+            total = s.w[i, j]
             for a in range(m):
-                total += s.factor[i, a] * s.k[j, a]
+                total += s.v[a, i] * s.k[a, j]
             s.p[i, j] = s.p[j, i] = total
 
 
@@ -269,28 +289,32 @@ def _show(s: State, e: Evidence) -> None:
 
 @kernel
 def judge(s: State, c: Const, out: Out[Evidence, Record]) -> None:
-    """Test what a sample left."""
+    """Test what a sample left; a test that has passed says so once a window."""
     for k in range(1, c.modes):
         _show(s, report(out, k - 1, s.mode[k] > c.mode_limit, s.mode[k], c.mode_limit))
+    s.count += 1
+    ended = s.count >= c.window
     if c.bias >= 0:
         for j in range(c.measured):
             if isfinite(s.y[j]):
-                alarm = stopping.update(s.rules[j], c.cusum, s.y[j] / s.spread[j])
-                _show(s, report(out, c.bias + j, alarm, s.rules[j].level, c.cusum.threshold))
+                alarm = stopping.update(s.rules[j], c.cusum, s.y[j] / sqrt(s.variance[j]))
+                if alarm or ended:
+                    _show(s, report(out, c.bias + j, alarm, s.rules[j].level, c.cusum.threshold))
                 if alarm:
                     stopping.reset(s.rules[j])
     if c.fading >= 0:
         # What is missing counts as its mean: no more false alarms than without it.
         alarm = stopping.update(s.fade, c.fade, s.nis + c.measured - s.seen)
-        _show(s, report(out, c.fading, alarm, s.fade.level, c.fade.threshold))
+        if alarm or ended:
+            _show(s, report(out, c.fading, alarm, s.fade.level, c.fade.threshold))
         if alarm:
             s.fade.up = c.measured
-    if c.nis >= 0:
-        s.total, s.degrees, s.count = s.total + s.nis, s.degrees + s.seen, s.count + 1
-        if s.count >= c.window:
+    s.total, s.degrees = s.total + s.nis, s.degrees + s.seen
+    if ended:
+        if c.nis >= 0:
             limit = c.limit[s.degrees]
             _show(s, report(out, c.nis, s.total > limit, s.total, limit))
-            s.total, s.degrees, s.count = 0.0, 0, 0
+        s.total, s.degrees, s.count = 0.0, 0, 0
 
 
 @kernel

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from gateway.monitors.contract import (
+    Blame,
+    Blames,
     Connection,
     Debounce,
     Failure,
@@ -34,8 +36,10 @@ from gateway_plants.filter.params import Params, PartParams
 from gateway_plants.filter.python import Made, Stepper
 
 TYPE, API = "filter", 2
-#: Passed results that heal a fault: of windows, and of samples.
-HEALED_WINDOWS, HEALED = 2, 100
+#: Passed results that heal a fault: of windows, and of a mode's samples.
+HEALED_WINDOWS, HEALED = 4, 100
+#: Share of another measurement, an input or the model in a bias.
+_ELSE = 0.3
 
 
 def share(p: Params, faults: int) -> float:
@@ -101,9 +105,20 @@ def _faults(made: Made, p: PartParams) -> tuple[Fault, ...]:
             "bias": (f"the innovation of {of.partition('_')[2]} is biased", "CUSUM of the innovation"),
             "mode": (f"the filter finds the mode {of}", "probability of the mode"),
         }[test]
-        debounce = Debounce(1, HEALED_WINDOWS if test == "nis" else HEALED)
+        debounce = Debounce(1, HEALED if test == "mode" else HEALED_WINDOWS)
         found.append(Fault(name, f"{p.given[name]}-00", text, shown, debounce, tested=tested))
     return tuple(found)
+
+
+def _blames(made: Made, p: Params) -> dict[str, list[Blame]]:
+    """Return what each fault blames: the measurement whose innovation is biased first, else all; and the model."""
+    found = {}
+    for name in author.names(p, made):
+        own = int(name.split("_")[1]) if name.startswith("bias_") else 0
+        parts = [Blame(one.name, share=_ELSE if own and k != own else 1.0) for k, one in enumerate(p.measured, start=1)]
+        parts += [Blame(one.name, share=_ELSE) for one in p.given_in]
+        found[name] = [*parts, Blame("model", "model", _ELSE)]
+    return found
 
 
 def _quantities(made: Made, p: Params) -> tuple[Quantity, ...]:
@@ -152,8 +167,9 @@ def _monitor_of(keys: str, make: Callable[[], Any]) -> Monitor[Params]:
         step=kernel.step,
         connect=_connect,
         prepare=lambda p, s, c: fill(p, made, s, c),
-        faults=lambda p: _faults(made, p),  # type: ignore[arg-type] # of its part
+        faults=lambda p: _faults(made, p),
         capabilities=(
+            Blames(lambda p: _blames(made, p)),
             Failure(lambda s: calls.failure(int(s["number"]))),
             Notes(lambda p: _told(p, made)),
             Parts(lambda p, find, give: _parts(made, p, find, give)),

@@ -91,21 +91,23 @@ class Stepper:
 
     def on(self, s: Any) -> Callable[[], None]:
         """Return what steps it with a monitor's state."""
-        p, m, r, n = self._p, len(self._p.z), len(self._p.u), min(self._made.states, MOST)
+        m, r, n = len(self._p.z), len(self._p.u), min(self._made.states, MOST)
+        z_of, u_of, x_of, mode = s.z[:m], s.u[:r], s.x[:n], s.mode[: self._made.modes]
+        y_of, variance = s.y[:m], s.variance[:m]
 
         def step() -> None:
             if s.anew:
                 self.begin()
-            z = np.array(s.z[:m])
-            self.take(z, np.array(s.u[:r]), int(s.lost))
+            z = z_of.copy()
+            self.take(z, u_of.copy(), int(s.lost))
             kf = self.shown
-            s.x[:n] = np.ravel(self.filter.x)[:n]
+            x_of[:] = np.ravel(self.filter.x)[:n]
             if self._made.modes:
-                s.mode[: len(p.modes)] = self.filter.mu
-            s.y[:m], s.nis, s.seen = np.nan, np.nan, 0
+                mode[:] = self.filter.mu
             if np.isfinite(z).all():
-                y, whole = np.ravel(kf.y), np.asarray(kf.S)
-                s.y[:m], s.spread[:m], s.seen = y, np.sqrt(np.diag(whole)), m
-                s.nis = float(y @ np.linalg.solve(whole, y))
+                y = np.ravel(kf.y)
+                y_of[:], variance[:], s.seen, s.nis = y, kf.S.diagonal(), m, float(y @ kf.SI @ y)
+            else:
+                y_of[:], s.seen, s.nis = np.nan, 0, np.nan
 
         return step
