@@ -263,6 +263,61 @@ def test_others_are_filterpys_own_steps(text, keys, car):
         assert s["mode"][:2].tolist() == kf.mu.tolist()
 
 
+def test_a_continuous_model_is_that_of_a_period():
+    def make():
+        kf = KalmanFilter(2, 1, 1)
+        kf.F, kf.B, kf.Q = np.array([[0.0, 1.0], [-4.0, -0.5]]), np.array([[0.0], [2.0]]), np.diag([0.0, 0.3])
+        kf.H[0, 0] = 1.0
+        return kf
+
+    c = records(make, params(1, 1, period_ms=100.0, continuous=True))[1]
+    # By halves: two periods of 50 ms are one of 100 ms.
+    half = records(make, params(1, 1, period_ms=50.0, continuous=True))[1]
+    f, b, q = half.f[:2, :2], half.b[:2, :1], half.q[:2, :2]
+    np.testing.assert_allclose(c.f[:2, :2], f @ f, rtol=1e-12)
+    np.testing.assert_allclose(c.b[:2, :1], f @ b + b, rtol=1e-12)
+    np.testing.assert_allclose(c.q[:2, :2], f @ q @ f.T + q, rtol=1e-10)
+    small = records(make, params(1, 1, period_ms=0.01, continuous=True))[1]
+    np.testing.assert_allclose((small.f[:2, :2] - np.eye(2)) / 1e-5, make().F, atol=1e-3)
+    np.testing.assert_allclose(small.b[:2, :1] / 1e-5, make().B, atol=1e-3)
+    np.testing.assert_allclose(small.q[:2, :2] / 1e-5, make().Q, atol=1e-4)
+
+
+def state_after(path, rows):
+    engine = prepare(load_config(path), path).engine
+    engine.process(drive(rows), lambda _: None)
+    return engine.state_of(engine.place_of("mine"))[0]
+
+
+def test_a_filter_of_a_class_of_ones_own_is_the_compiled_one(car):
+    rows = [None if k % 13 == 7 else row for k, row in enumerate(speeds(300))]
+    own = "class Own(KalmanFilter):\n    pass\ndef make():\n    kf = linear()\n    kf.__class__ = Own\n    return kf"
+    compiled, python = state_after(car(), rows), state_after(car(own), rows)
+    np.testing.assert_allclose(compiled["x"], python["x"], rtol=1e-10)
+    assert compiled["nis"] == pytest.approx(python["nis"], rel=1e-9)
+    assert compiled["number"] == 0 < python["number"]
+
+
+def test_after_a_long_gap_it_begins_again(car):
+    rows = speeds(200)
+    gone = [*rows[:100], *[None] * 30, *rows[130:]]
+    s = state_after(car(missing=20), gone)
+    assert (s["begun"], s["samples"]) == (1, 70)
+    fresh = state_after(car(), [None] * 130 + rows[130:])
+    np.testing.assert_allclose(s["x"], fresh["x"], rtol=1e-12)
+    assert state_after(car(missing=40), gone)["begun"] == 0
+
+
+def test_a_mode_is_a_fault(car):
+    rng = np.random.default_rng(3)
+    still = rng.normal(0.0, 0.1, 600)
+    still[300:] += np.cumsum(np.cumsum(rng.normal(0.0, 0.1, 300)))
+    path = car(IMM, u=None, modes=["slow", "fast"])
+    found = stepped(path, drive([(speed, 0.0, 0.0) for speed in np.clip(still, -300, 300)]))
+    assert {name for name, _ in found} == {"mine.mode_fast"}
+    assert 3_000_000_000 < found[0][1] < 3_300_000_000
+
+
 @kernel
 def alarms(s: steps.State, c: steps.Const, g: f8s, r: f8s, w: f8s, v: f8s, x: f8s, out: Any, found: f8s) -> None:
     """Step a plant that is what its filter says, shape of noise (count, ...), and count the failed results."""
