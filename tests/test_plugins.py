@@ -80,8 +80,9 @@ def test_each_example_s_own_tests_pass(tmp_path, example):
 
 
 @pytest.mark.long
-def test_a_new_monitor_runs_as_it_is(tmp_path):
-    made = run("new-monitor", "coolant", cwd=tmp_path)
+@pytest.mark.parametrize("plain", [[], ["--plain"]])
+def test_a_new_monitor_runs_as_it_is(tmp_path, plain):
+    made = run("new-monitor", "coolant", *plain, cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     folder = tmp_path / "coolant"
     assert {p.name for p in folder.iterdir()} >= {
@@ -89,6 +90,7 @@ def test_a_new_monitor_runs_as_it_is(tmp_path):
     }  # fmt: skip
     for path in folder.iterdir():
         assert "battery_voltage" not in path.read_text(), path
+    assert ("@kernel" in (folder / "coolant.py").read_text()) is not bool(plain)
     made = run("demo", "drained.toml", "--speed", "0", cwd=folder)
     assert made.returncode == 0, made.stdout + made.stderr
     assert "as expected: P0562-16 set" in made.stdout

@@ -7,10 +7,13 @@ recordings too, so that a replay judges the bus as the live run did.
 
 Data of a frame without class: byte 0 the condition, bytes 4 to 7 the number of frames lost (little endian). STEPPED is
 of the wall clock that stamps the frames rather than of a bus: bytes 1 to 7 are its step in microseconds, signed. Its
-own stamp, and those of all frames after it, are of the clock after the step.
+own stamp, and those of all frames after it, are of the clock after the step. OVERTIME is of a monitor whose step took
+too long, at the time of that step: bytes 1 to 7 are a digest of its name.
 """
 
 from __future__ import annotations
+
+from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +29,9 @@ RESTARTED, COUNTERS = 0x100, 0x200
 RX_OVERFLOW, TX_OVERFLOW, RX_WARNING, TX_WARNING = 0x01, 0x02, 0x04, 0x08
 RX_PASSIVE, TX_PASSIVE, ACTIVE = 0x10, 0x20, 0x40
 
-#: Conditions: frames come, none can come, some were lost in a queue; the wall clock was set.
-RUNNING, LOST, LOSS, STEPPED = 1, 2, 3, 4
+#: Conditions: frames come, none can come, some were lost in a queue; the wall clock was set; a monitor's step took too
+#: long.
+RUNNING, LOST, LOSS, STEPPED, OVERTIME = 1, 2, 3, 4, 5
 
 
 def condition_frame(t_ns: int, bus: int, condition: int, lost: int = 0) -> Frames:
@@ -55,6 +59,40 @@ def step_frame(t_ns: int, step_us: int) -> Frames:
     frame = empty(1)
     put(frame, 0, t_ns, ERROR, bytes([STEPPED]) + step_us.to_bytes(7, "little", signed=True))
     return frame
+
+
+def overtime_frame(t_ns: int, name: str) -> Frames:
+    """Return a batch of one frame that tells that a monitor's step took too long.
+
+    Args:
+        t_ns: of the step [ns].
+        name: of the monitor.
+    """
+    frame = empty(1)
+    put(frame, 0, t_ns, ERROR, bytes([OVERTIME]) + name_digest(name))
+    return frame
+
+
+def name_digest(name: str) -> bytes:
+    """Return the 7 bytes that stand for a monitor's name."""
+    return blake2b(name.encode(), digest_size=7).digest()
+
+
+def overtimes(frames: Frames) -> NDArray[np.intp]:
+    """Return the places of frames that tell that a step took too long."""
+    mask = frames["can_id"] == ERROR
+    if mask.any():
+        mask &= frames["data"][:, 0] == OVERTIME
+    return np.flatnonzero(mask)
+
+
+def overtimes_in_place(frames: Frames) -> Frames:
+    """Return frames of a recording with each such frame before the step that it tells of: it was written after it."""
+    late = overtimes(frames)
+    if not len(late):
+        return frames
+    others = np.delete(frames, late)
+    return np.insert(others, np.searchsorted(others["t_ns"], frames["t_ns"][late]), frames[late])
 
 
 def are_steps(frames: Frames) -> NDArray[np.bool_]:

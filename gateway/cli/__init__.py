@@ -491,6 +491,7 @@ def new_monitor(
         str | None,
         typer.Option("--from", metavar="METHOD", help="A method of the arena by its name, or FILE.py:CLASS."),
     ] = None,
+    plain: Annotated[bool, typer.Option("--plain", help="The monitor is one function of plain Python.")] = False,
 ) -> None:
     """Write a folder with a new monitor of your own.
 

@@ -118,7 +118,8 @@ def _tell_daemon(daemon: dict[str, Any] | None) -> None:
     if text := restarts_in_words(daemon["restarts"]):
         print(f"  {text}")
     for bus in daemon["buses"]:
-        print(f"  {bus['bus']} ({bus['uri']}): {bus['state']}, {bus['received']} received, {bus['sent']} sent")
+        state = ", ".join(bus[key] for key in ("state", "activity") if key in bus)  # earlier versions did not tell
+        print(f"  {bus['bus']} ({bus['uri']}): {state}, {bus['received']} received, {bus['sent']} sent")
         if bus["overflow"]:
             print(
                 f"    {bus['overflow']} frames lost before they were read: give it a larger buffer"

@@ -157,6 +157,10 @@ class EventPrinter:
         )
         self._lines.print(f"{self._time(event)}  short frames  {told}", mark="short frames", colour="bold")
 
+    def _on_activity(self, event: dict[str, Any]) -> None:
+        mark = f"bus {event['bus']} {event['activity']}"
+        self._lines.print(f"{self._time(event)}  {mark}  it was {event['before']}", mark=mark)
+
     def _on_source(self, event: dict[str, Any]) -> None:
         of = f"{event['bus']}.{event['message']}: source address 0x{event['source']:02X}"
         silent = event["silent_ms"]

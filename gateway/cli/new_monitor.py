@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import re
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,19 +13,21 @@ from gateway_fdi.errors import InputError
 
 #: The folder that is copied: a monitor that CI runs.
 TEMPLATE = "examples/battery_voltage"
-#: Files of it that are copied.
+#: Files of it that are copied; the same monitor in plain Python, and its name there.
 _KINDS = (".py", ".dbc", ".toml", ".ini", ".md")
+_PLAIN, _NAME = "plain.py", re.compile(r"\bMONITOR\b")
 #: Its names, and their replacements; the first that fits.
 _NAMES = ("battery_voltage", "battery_ecu")
 
 
-def new_monitor(name: str, folder: Path | None, method: str | None = None) -> int:
+def new_monitor(name: str, folder: Path | None, method: str | None = None, *, plain: bool = False) -> int:
     """Write a folder; returns the exit code.
 
     Args:
         name: of the monitor.
         folder: to write; None: the name.
         method: of the arena, that is to be the monitor.
+        plain: whether it is a function of plain Python.
 
     Raises:
         InputError: no name for a module of Python; the folder is there already.
@@ -40,6 +43,8 @@ def new_monitor(name: str, folder: Path | None, method: str | None = None) -> in
         raise InputError("this is there already; nothing was written", value=str(place))
     if find_spec(name) is not None:
         raise InputError("a module of this name is installed already", key="NAME", value=name)
+    if method is not None and plain:
+        raise InputError("a method of the arena is plain Python already", key="--plain")
     if method is not None:
         from gateway.api.scenarios import CALLS  # noqa: PLC0415 - few are made of a method
 
@@ -51,10 +56,11 @@ def new_monitor(name: str, folder: Path | None, method: str | None = None) -> in
     place.mkdir(parents=True, exist_ok=True)
     written = []
     for source in sorted(shipped(TEMPLATE).iterdir()):
-        if source.suffix not in _KINDS:
+        if source.suffix not in _KINDS or source.name == (f"{_NAMES[0]}.py" if plain else _PLAIN):
             continue
-        target = place / _renamed(source.name, name)
-        target.write_text(_renamed(source.read_text(), name))
+        target = place / _renamed(f"{_NAMES[0]}.py" if source.name == _PLAIN else source.name, name)
+        text = _NAME.sub(_NAMES[0], source.read_text()) if plain else source.read_text()
+        target.write_text(_renamed(text, name))
         written.append(target.name)
     add_own(place.glob("*.py"))
     print(f"{place}: {', '.join(written)}")

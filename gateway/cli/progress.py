@@ -72,9 +72,14 @@ class CompileProgress:
 
 
 class LogsDone:
-    """Tells how many of several logs are done, on stderr."""
+    """Tells how many of several logs are done, on stderr.
 
-    def __init__(self) -> None:
+    Args:
+        what: they are, if no logs.
+    """
+
+    def __init__(self, what: str = "logs") -> None:
+        self._what = what
         self._begun_s = self._said_s = time.monotonic()
         self._done = self._frames = 0
         self._terminal = sys.stderr.isatty()
@@ -92,7 +97,7 @@ class LogsDone:
         if left and now_s - self._said_s < (0.2 if self._terminal else PERIOD_S):
             return
         self._said_s = now_s
-        text = f"{self._done} of {self._done + left} logs"
+        text = f"{self._done} of {self._done + left} {self._what}"
         if self._frames:
             text += f", {self._frames / max(now_s - self._begun_s, 1e-9):,.0f} frames/s"
         if self._terminal:

@@ -207,7 +207,8 @@ def _buses(hub: Hub) -> Table:
         rate = "-" if bus["frames_per_s"] is None else f"{bus['frames_per_s']:.0f}"
         errors = ", ".join(f"{name} {count}" for name, count in bus["errors"].items()) or "none"
         lost = str(bus.get("overflow", 0))
-        made.add_row(bus["bus"], f"[{colour}]{bus.get('state', '?')}[/]", load, rate, lost, errors)
+        state = f"[{colour}]{bus.get('state', '?')}[/], {bus.get('activity', '?')}"
+        made.add_row(bus["bus"], state, load, rate, lost, errors)
     return made
 
 

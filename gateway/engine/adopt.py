@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.engine.checks.bus_health import SILENT, SPOKEN, HealthState, watch_clock
+from gateway.engine.checks.bus_health import SILENT, SPOKEN, HealthState, await_anybody, watch_clock
 from gateway.engine.checks.communication import COUNTED_IN
 from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceConst, DebounceState
@@ -186,7 +186,9 @@ def _health(new: Engine, old: Engine, buses: Mapping[int, int]) -> None:
             if new.tables.health[now]["quiet_ns"] != old.tables.health[before]["quiet_ns"]:
                 _hear_again(new, now)
     for added in set(range(len(new.tables.health) - 1)) - set(buses.values()):
-        new.tables.health[added]["heard_ns"] = new.now_ns
+        health = new.tables.health[added]
+        health["heard_ns"] = new.now_ns
+        await_anybody(health, new.now_ns)
     own = new.tables.health[-1]
     _take(own, old.tables.health[-1], HealthState)
     if old.tables.clock[0]["started"] and own["until"].min() == NEVER:  # watched from now on

@@ -16,7 +16,7 @@ from gateway.engine.checks import bus_health, clock_health, communication
 from gateway.engine.checks.bus_health import BusInstance, Health, Silence
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.checks.communication import Check, CheckInstance
-from gateway.engine.checks.silence import silence_of
+from gateway.engine.checks.silence import sender_of, silence_of
 from gateway.engine.checks.strangers import MOST as MOST_STRANGERS
 from gateway.engine.checks.strangers import Stranger, known_table
 from gateway.engine.consistency import assert_consistent
@@ -351,7 +351,10 @@ def _checks(
 ) -> Any:
     """Return the table of message checks; their faults are appended to ``faults``."""
     rows = table(len(checks), Check)
+    numbers: dict[tuple[int, str], int] = {}
     for k, check in enumerate(checks):
+        sender = sender_of(check.params.message, databases[check.bus])
+        rows[k]["sender"] = numbers.setdefault((check.bus, sender), len(numbers)) if sender else -1 - k
         vectors[plan.message(check.bus, check.params.message)]["check"] = k
         wake_ms = buses[check.bus].params.wake_ms if check.bus < len(buses) else 0.0
         faults += communication.fill(

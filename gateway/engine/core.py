@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from gateway.bus.frames import CYCLIC, FRAME, Frames, copied, empty, joined
 from gateway.engine import loop
 from gateway.engine.buckets import Buckets, take
-from gateway.engine.checks.bus_health import COUNTED, GONE, OFF, SILENT, SPOKEN, WHOLE
-from gateway.engine.checks.communication import PROVEN, RULE, SAMPLES
+from gateway.engine.checks.bus_health import ACTIVITIES, COUNTED, GONE, OFF, SILENT, SPOKEN, WHOLE
+from gateway.engine.checks.communication import COMES, NOT_YET, PROVEN, RULE, SAMPLES
 from gateway.engine.checks.runs import tell_all_runs
 from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset_all
 from gateway.engine.events import Events
@@ -357,7 +357,9 @@ class Engine:
         checks, now_ns = self.tables.checks, self.now_ns
         watched = checks["timeout_ns"] > 0
         checks["seen"] = checks["filled"] = checks["synced"] = 0
-        checks["deadline_ns"][watched] = now_ns + checks["timeout_ns"][watched]
+        awaited = checks["coming"] == NOT_YET
+        checks["deadline_ns"][watched] = now_ns + np.where(awaited, checks["wake_ns"], checks["timeout_ns"])[watched]
+        checks["coming"][~awaited] = COMES
         checks["silent_ns"][watched] = checks["parked_ns"][watched] = 0
         self.tables.health["heard_ns"], self.tables.health["silence"] = now_ns, SPOKEN
         self.tables.health["until"][:, SILENT] = NEVER
@@ -450,10 +452,15 @@ class Engine:
         counts = {name: int(count) for name, count in zip(COUNTED, row["counts"], strict=True)}
         return {**counts, "lost": int(row["lost"])}
 
+    def activity(self, bus: int) -> str:
+        """Return what a bus does as a whole, one of ACTIVITIES."""
+        return ACTIVITIES[int(self.tables.health[bus]["activity"])]
+
     def bus_lives(self, bus: int) -> bool:
         """Return whether a bus is neither off nor lost, nor silent as a whole, as one that sleeps."""
         row = self.tables.health[bus]
-        return not int(row["bad"]) & (1 << OFF | 1 << GONE) and int(row["silence"]) != WHOLE
+        silent = int(row["silence"]) == WHOLE and int(row["quiet_ns"]) > 0
+        return not int(row["bad"]) & (1 << OFF | 1 << GONE) and not silent
 
     def live_value(self, monitor: str, name: str) -> float:
         """Return a number of a monitor's readout now, NaN if there is none; of one in several parts the first's."""

@@ -40,6 +40,10 @@ SHORT = 10
 #: is the row of the message, ``threshold`` its silence, or 0 [ms].
 SOURCE = 11
 
+#: A bus does something else as a whole: ``value`` is what, a place of ``bus_health.ACTIVITIES``, ``threshold`` what
+#: before.
+ACTIVITY = 12
+
 #: Slips of a monitor's author that the loop puts right, as bits of ``slips`` of its handler.
 NO_NUMBER, NO_FAULT, TOO_MANY, TOO_SOON = 1, 2, 4, 8
 

@@ -135,6 +135,16 @@ def sleeps(T: Any, d: Any) -> bool:
 
 
 @kernel
+def said_awake(T: Any, d: Any) -> bool:
+    """Return whether signals say that the vehicle is awake, for a fault whose test asks for that."""
+    for k in range(d.first_condition, d.first_condition + d.conditions):
+        c = T.conditions[k]
+        if c.counts == AWAKE and c.low <= T.mailbox[c.slot] <= c.high:
+            return True
+    return False
+
+
+@kernel
 def closed(T: Any, t_ns: int, d: Any) -> bool:
     """Return whether the gate of a fault is closed.
 

@@ -21,10 +21,12 @@ import numpy as np
 
 from gateway.bus.conditions import LOSS
 from gateway.bus.frames import ERROR, MORE, REMOTE, WOVEN
+from gateway.engine.checks.activity import look_at_activity
 from gateway.engine.checks.bus_health import (
     SILENT,
     UNKNOWN,
     WHOLE,
+    await_anybody,
     heal_later,
     on_timer,
     tells_loss,
@@ -36,7 +38,7 @@ from gateway.engine.checks.bus_health_steps import (
     report_bus_results,
     skip_settled_windows,
 )
-from gateway.engine.checks.communication import ACCEPT, IN_PART
+from gateway.engine.checks.communication import ACCEPT, IN_PART, NOT_YET
 from gateway.engine.checks.communication_steps import (
     check_message,
     restart_supervision,
@@ -283,7 +285,9 @@ def run_timers(T: Any, t_ns: int) -> None:
         else:
             h = T.health[index]
             on_timer(h, due)
-            if h.silence == WHOLE and h.until[SILENT] == NEVER:
+            if h.look_ns <= due:
+                look_at_activity(T, due, index)
+            if h.silence == WHOLE and h.until[SILENT] == NEVER and h.quiet_ns > 0:
                 judge_silence(T, due, index)
             report_bus_results(T, due, h)
             skip_settled_windows(T, t_ns, h)
@@ -488,13 +492,17 @@ def advance(T: Any, t_ns: int) -> None:
         for k in range(T.health.shape[0]):
             h = T.health[k]
             h.heard_ns = t_ns
+            if k < T.health.shape[0] - 1:
+                await_anybody(h, t_ns)
+                arm(T, h.timer, h.deadline_ns)
             if h.fault[UNKNOWN] >= 0:
                 heal_later(h, UNKNOWN, t_ns)
                 arm(T, h.timer, h.deadline_ns)
         for k in range(T.checks.shape[0]):
             c = T.checks[k]
             if c.timeout_ns > 0:
-                c.deadline_ns = t_ns + c.first_ns
+                c.deadline_ns = t_ns + c.wake_ns
+                c.coming = NOT_YET
                 arm(T, c.timer, c.deadline_ns)
         own = T.health[T.health.shape[0] - 1]
         watch_clock(own, t_ns)

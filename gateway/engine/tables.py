@@ -173,6 +173,7 @@ class ClockState(Record):
     invalid_values: i8 = means("frames with a value that is none")
     crc_failed: i8 = means("frames whose checksum is wrong")
     repeated: i8 = means("frames whose alive counter stands still")
+    missed: i8 = means("frames that alive counters miss while those of other messages are missing, too")
     wrong_sequence: i8 = means("frames of E2E out of sequence, not used")
     doubtful: i8 = means("frames not used because another sender is among them")
     window_rejected: i8 = means("right frames of E2E not used, too few of the last ones were right")

@@ -80,6 +80,9 @@ class Fed(Protocol):
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed."""
 
+    def take_overtimes(self) -> Frames:
+        """Return frames for recordings, of monitors whose step took too long."""
+
     @property
     def foreseen(self) -> Foretelling | None:
         """Tables of which a pump makes DTC frames; None: there are none."""
@@ -298,6 +301,7 @@ class Live:
             for link, mine in self._by_link(left.told):
                 self._show(link, mine)
             self._send(self._gateway.tell(left.told))
+            self._take_overtimes_down()
         links = list(zip(self._links, left.received, strict=True)) if left.received else []
         if left.raw:
             took = zip(links, left.raw, strict=True)
@@ -391,6 +395,13 @@ class Live:
         frames = self._take_down(frames)
         self._note(frames)
         self._send(self._gateway.feed(frames))
+        self._take_overtimes_down()
+
+    def _take_overtimes_down(self) -> None:
+        """Have recordings say which monitors' steps took too long: a replay has them off from there on."""
+        if self._taps and len(late := self._gateway.take_overtimes()):
+            for tap in self._taps:
+                tap.write(late)
 
     def _note(self, frames: Frames) -> None:
         """Tell when a bus went or came back."""

@@ -57,6 +57,10 @@ class Nobody:
         """Want all frames: there is no engine that a pump could feed."""
         return Quiet()
 
+    def take_overtimes(self) -> Frames:
+        """Return none: it steps no monitor."""
+        return empty(0)
+
     def took(self, frames: Frames) -> None:
         """Be asked for nothing: no pump feeds it."""
 

@@ -377,7 +377,8 @@ class StatusSocket:
             load = self._traffic.loads[k]
             counted = {name: int(load[name]) for name in load.dtype.names}
             errors = {name: count for name, count in engine.error_counters(k).items() if count}
-            told.append({"bus": bus.name, **states.get(bus.name, {}), "traffic": counted, "errors": errors})
+            state = {**states.get(bus.name, {}), "activity": engine.activity(k)}
+            told.append({"bus": bus.name, **state, "traffic": counted, "errors": errors})
         t_ns, counters = engine.wall_ns(engine.now_ns), engine.counters()
         monitoring = monitoring_of(self._gateway)
         self._send(

@@ -229,9 +229,11 @@ class Failure:
 
     Attributes:
         of: state -> why its last step failed, with file and line; "": it did not.
+        late: state -> whether it took too long.
     """
 
     of: Callable[[Any], str]
+    late: Callable[[Any], bool]
 
 
 #: Share of a part in a fault that says no more than that one of several parts is wrong: others mostly say which.

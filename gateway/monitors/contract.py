@@ -55,7 +55,7 @@ from gateway.monitors.capabilities import (
 from gateway.monitors.sampling import MOST_MESSAGES
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import GatewayError, InputError
-from gateway_fdi.jit import Closure, Record, entry_point, f8, f8s, i4, i8, kernel, means, record
+from gateway_fdi.jit import Closure, Record, entry_point, f8, f8s, failure_of, i4, i8, kernel, means, record
 
 #: Those of capabilities.py: authors import all from here.
 __all__ = [
@@ -432,6 +432,16 @@ class Monitor(Generic[P]):
         own = SampledInputs if issubclass(self.inputs, SampledInputs) else Inputs
         return own.dtype.itemsize // 8
 
+    def failure(self, state: Any, why: int) -> str:
+        """Return how a step failed, in words.
+
+        Args:
+            state: record of it.
+            why: as :func:`gateway_fdi.jit.call_entry` told it; not 0.
+        """
+        own = self.capability(Failure)
+        return (own.of(state) if own is not None else "") or failure_of(why)
+
     @property
     def readout(self) -> tuple[str, ...]:
         """Fields of the state that people are shown."""
@@ -467,6 +477,11 @@ class Monitor(Generic[P]):
         """Where its kernel stands."""
         function = getattr(self.step, "py_func", self.step)
         return Path(function.__code__.co_filename)
+
+    @property
+    def gets_numbers(self) -> bool:
+        """Whether its inputs are always there: it is tried with no others."""
+        return False
 
     @property
     def outside(self) -> bool:
@@ -507,11 +522,12 @@ class Monitor(Generic[P]):
             return entry_point(self.step, self.records, checked=checked)
         except GatewayError as error:
             text = " ".join(str(error).split())
-            lines = [int(line) for file, line in _PLACES.findall(text) if file == str(self.file)]
+            own = self.file.resolve()
+            lines = [int(line) for file, line in _PLACES.findall(text) if Path(file).resolve() == own]
             raise InputError(
                 f"its kernel cannot be compiled: {text}",
                 file=self.file,
-                line=lines[-1] if lines else None,
+                line=lines[0] if lines else None,
                 key=f'monitor type "{self.type}"',
             ) from error
 

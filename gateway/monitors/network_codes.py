@@ -7,6 +7,7 @@ the next that is free. Codes that the configuration gives itself, or that a moni
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
@@ -16,6 +17,9 @@ from gateway_fdi.errors import InputError
 _FIRST, _CODES = 0x1000, 0x2000
 #: U0100 to U02FF are of lost communication, U0400 to U05FF of invalid data received (SAE J2012-DA).
 _LOST, _INVALID, _SLOTS = 0x0100, 0x0400, 0x200
+
+#: A code of the network; one that is none is refused where its fault is.
+_NETWORK = re.compile("U[0-3][0-9A-Fa-f]{3}")
 
 
 class Pair(NamedTuple):
@@ -60,7 +64,7 @@ class NetworkCodes:
     """
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
-        self._taken = {int(code[1:5], 16) for code in taken if code[0] == "U"}
+        self._taken = {int(code[1:5], 16) for code in taken if _NETWORK.match(code)}
         self.given: dict[str, tuple[str, ...]] = {}
 
     def give(self, bus: str, names: Iterable[str]) -> dict[str, str]:

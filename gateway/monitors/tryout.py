@@ -24,7 +24,7 @@ from gateway.monitors.contract import (
     MonitorParams,
 )
 from gateway_fdi.errors import InputError
-from gateway_fdi.jit import failure_of, run_entry
+from gateway_fdi.jit import run_entry
 
 #: Steps with inputs of one kind, and time between two of them [ns].
 STEPS, PERIOD_NS = 200, 10_000_000
@@ -33,13 +33,15 @@ PATIENCE_S = 30.0
 _EXTREMES = (0.0, -0.0, 5e-324, 1e308, -1e308, np.inf, -np.inf, 2.0**31, -(2.0**31), 2.0**63, 1e16)
 
 
-def _kinds(count: int, rng: np.random.Generator) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """Yield kinds of inputs, each of shape (STEPS, count)."""
+def _kinds(count: int, rng: np.random.Generator, *, numbers: bool) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """Yield kinds of inputs, each of shape (STEPS, count); ``numbers``: none is missing or beyond what signals are."""
     shape = (STEPS, count)
     yield "zero", np.zeros(shape)
     yield "ordinary", 10.0 + np.sin(np.arange(STEPS) / 10.0)[:, None] * np.ones(shape)
-    yield "missing (NaN)", np.full(shape, np.nan)
     yield "random", rng.normal(size=shape) * 10.0 ** rng.uniform(-3.0, 6.0, shape)
+    if numbers:
+        return
+    yield "missing (NaN)", np.full(shape, np.nan)
     some = rng.normal(size=shape) * 100.0
     some[rng.random(shape) < 0.3] = np.nan
     yield "partly missing", some
@@ -67,7 +69,7 @@ def try_out(monitor: Monitor[Any], params: MonitorParams, seed: int = 1) -> list
         rng = np.random.default_rng(seed)
         count = monitor.inputs.dtype.itemsize // 8 - 2
         try:
-            for kind, values in _kinds(count, rng):
+            for kind, values in _kinds(count, rng, numbers=monitor.gets_numbers):
                 doing[0] = kind
                 found.extend(dict.fromkeys(_steps(monitor, params, address, len(faults), kind, values)))
         except Exception as error:  # prepare() may fail the second time only
@@ -115,7 +117,7 @@ def _steps(
         why = run_entry(address, made)
         if why:
             shown = ", ".join(f"{value:g}" for value in row[:8])
-            yield f"with {kind} inputs ({shown}) its step {k + 1} fails: {failure_of(why)}"
+            yield f"with {kind} inputs ({shown}) its step {k + 1} fails: {monitor.failure(made[0][0], why)}"
             return
         if not 0 <= int(out["n"]) <= MAX_RESULTS or int(out["overflow"]) < 0:
             yield f"with {kind} inputs {COUNTS_ITSELF}"

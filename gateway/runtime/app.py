@@ -218,7 +218,8 @@ class Gateway(Passage):
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Store each bus's state in the fault memory so that other processes can read it."""
-        self.memory.note_buses(states)
+        activity = {bus.name: self.engine.activity(k) for k, bus in enumerate(self.config.bus)}
+        self.memory.note_buses([{**state, "activity": activity[state["bus"]]} for state in states])
 
     @property
     def databases(self) -> Sequence[Database]:

@@ -367,8 +367,9 @@ def _listed(group: Group) -> list[Diagnosis]:
 
 def _delays(engine: Engine, checks: Sequence[CheckInstance]) -> dict[str, float]:
     """Return how long tests take whose faults do not say it, by their ids [s]."""
+    settle_ns = engine.tables.health["settle_ns"]
     delays = {
-        f"{check.name}.timeout": _TIMEOUTS * check.params.timeout_ms * 1e-3
+        f"{check.name}.timeout": _TIMEOUTS * check.params.timeout_ms * 1e-3 + float(settle_ns[check.bus]) * 1e-9
         for check in checks
         if check.params.timeout_ms is not None
     }

@@ -27,12 +27,12 @@ from gateway_fdi.errors import InputError, nearest
 #: Of a frame: it does not come; the one before comes again; each is as the first; one bit is wrong.
 FRAME_KINDS = ("drop", "repeat", "freeze", "flip")
 #: Of a signal: it stays; something is added; it is multiplied; it has one value; something is added and taken off in
-#: turn.
-SIGNAL_KINDS = ("stuck", "offset", "scale", "value", "jump")
+#: turn; so much more is added each second.
+SIGNAL_KINDS = ("stuck", "offset", "scale", "value", "jump", "drift")
 #: Of another sender beside the message's own (see gateway.runtime.added).
 ADDED_KINDS = (*BESIDE, ALONE)
 #: Of these, those that want a number; and kinds of another sender that may have one.
-_NUMBERED, _MAY = ("offset", "scale", "value", "jump", "forge"), ("replay", ALONE)
+_NUMBERED, _MAY = ("offset", "scale", "value", "jump", "drift", "forge"), ("replay", ALONE)
 
 _NUMBER = r"[0-9]+(?:\.[0-9]+)?"
 _TEXT = re.compile(
@@ -53,7 +53,8 @@ class Injection:
         bus: index of the bus.
         message: its name; of ``unknown`` the identifier, as 0x3A1.
         signal: its name, None for a fault of the frame.
-        value: added, or the signal's own; signal's unit. Of a replay how old it is [s], of ``unknown`` a second.
+        value: added, or the signal's own; signal's unit, of a drift in each second. Of a replay how old it is [s], of
+            ``unknown`` a second.
         from_s, to_s: when, from the log's first frame on [s]; to_s None: to its end.
     """
 
@@ -172,7 +173,7 @@ class Injector:
         self.bus, self.count = asked.bus, 0
         self._added = Added(rng)
         self._signal = self._change = self._message = None
-        self._held, self._turn = np.nan, 1.0
+        self._held, self._turn, self._from_ns = np.nan, 1.0, 0
         if asked.kind == ALONE:
             return
         mine = [check for check in checks if (check.bus, check.params.message) == (asked.bus, asked.message)]
@@ -189,7 +190,7 @@ class Injector:
             return frames
         if self._start_ns is None:
             self._start_ns = int(frames["t_ns"][0])
-        from_ns = self._start_ns + round(self._asked.from_s * 1e9)
+        from_ns = self._from_ns = self._start_ns + round(self._asked.from_s * 1e9)
         to_ns = NEVER if self._asked.to_s is None else self._start_ns + round(self._asked.to_s * 1e9)
         if self._message is None:
             can_id = int(self._asked.message, 0)
@@ -230,15 +231,20 @@ class Injector:
         carries = ~np.isnan(now)  # else the frame does not carry the signal
         words = np.ascontiguousarray(mine["data"]).view("<u8").reshape(len(mine), 8)
         where = hit & carries
-        self._signal.put_all(words, self._faulty(now, where, carries), where)
+        since_s = (mine["t_ns"] - self._from_ns) * 1e-9
+        self._signal.put_all(words, self._faulty(now, where, carries, since_s), where)
         self._message.renew_all(words, mine["length"].astype(np.int64), where)
         mine["data"] = words.view(np.uint8).reshape(len(mine), -1)
         frames[places] = mine
 
     def _faulty(
-        self, now: NDArray[np.float64], where: NDArray[np.bool_], carries: NDArray[np.bool_]
+        self,
+        now: NDArray[np.float64],
+        where: NDArray[np.bool_],
+        carries: NDArray[np.bool_],
+        since_s: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return what the fault makes of values, where it is to."""
+        """Return what the fault makes of values, where it is to; ``since_s``: times since it began."""
         kind, value = self._asked.kind, self._asked.value
         if kind == "stuck":
             held = np.empty(len(now))
@@ -253,6 +259,8 @@ class Injector:
             return now * value
         if kind in ("offset", "forge"):
             return now + value
+        if kind == "drift":
+            return now + value * since_s
         turns = np.cumsum(where)  # the first one down, then in turn
         signs = self._turn * np.where(turns % 2 == 1, -1.0, 1.0)
         if turns[-1] % 2 == 1:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
+from gateway.bus.conditions import overtimes
 from gateway.bus.frames import FRAME, Frames, empty, joined
 from gateway.runtime.connected import Connected
 from gateway.runtime.quiet import AT_ONCE, EVERYTHING, JOURNAL, NOBODY, Quiet
@@ -36,6 +38,8 @@ class Passage(Connected):
         if self._closed or type(frames) is not np.ndarray or frames.dtype is not FRAME or frames.ndim != 1:
             self._refuse_unless_open()
             refuse_unless_frames(frames)
+        if self._off.in_python and len(late := overtimes(frames)):
+            return self._feed_around(frames, late)
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
         frames = self.asking.hear(frames)
@@ -48,6 +52,23 @@ class Passage(Connected):
                 made = self.servers.on_frame(k, last, self.engine.now_ns)
                 sent += [*self._outbox.take_early(), made]
         return joined(sent)
+
+    def _feed_around(self, frames: Frames, late: NDArray[np.intp]) -> Frames:
+        """Take a batch of a recording in which steps took too long; returns the frames to send."""
+        sent: list[Frames] = []
+        start = 0
+        for at in late.tolist():
+            if at > start:
+                sent.append(self.feed(frames[start:at]))
+            self._outbox.note(*self._off.stop(frames[at]))
+            start = at + 1
+        if start < len(frames):
+            sent.append(self.feed(frames[start:]))
+        return joined([_NO_FRAMES, *sent])
+
+    def take_overtimes(self) -> Frames:
+        """Return frames for recordings, of monitors whose step took too long since the last call."""
+        return self._off.take_overtimes()
 
     def quiet(self) -> Quiet:
         """Return what a pump must know to feed the engine in place of :meth:`feed`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
+from gateway.bus.conditions import overtimes_in_place
 from gateway.bus.frames import Frames
 from gateway.bus.timeline import LogTime
 
@@ -87,7 +88,7 @@ def replay(
     cycle = Cycle(gateway)
     for stamped in batches:
         for k in range(0, len(stamped), FED):
-            cycle.take(stamped[k : k + FED])
+            cycle.take(overtimes_in_place(stamped[k : k + FED]))
         if progress is not None and len(stamped):
             progress(stamped)
     cycle.end(complete=whole())

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from gateway.bus.conditions import name_digest, overtime_frame
+from gateway.bus.frames import Frames, empty, joined
 from gateway.engine.checks.memory_health import OWNER
 from gateway.engine.checks.monitor_health import SWITCHED_OFF
 from gateway.engine.core import Engine, Sink
@@ -18,12 +20,12 @@ from gateway.engine.instances import MonitorInstance
 from gateway.faults.hung import Hung
 from gateway.monitors.contract import COUNTS_ITSELF, MAX_RESULTS, WAKES_ITSELF, Failure
 from gateway_fdi.common.log import get_logger
-from gateway_fdi.jit import failure_of
 
 log = get_logger(__name__)
 
-#: Why a monitor is off whose step did not return, as the handlers have it; no status of a kernel.
-HUNG = 4095
+#: Why a monitor is off whose step did not return, or took too long in the run that was recorded, as the handlers have
+#: it; no status of a kernel.
+HUNG, LATE = 4095, 4094
 
 _REASONS = {MISCOUNTED: COUNTS_ITSELF}
 #: Slips that the loop puts right -> what is said of them, once a monitor.
@@ -48,6 +50,8 @@ class SwitchedOff:
         self._place = ids.get(f"{OWNER}.{SWITCHED_OFF.name}")
         self._reported = -1  # how many were off at the last report; -1: none since the last clear
         self._named = np.zeros(len(engine.monitors), np.uint8)  # slips that have been told
+        self.in_python = any(one.monitor.capability(Failure) is not None for one in engine.monitors)
+        self._overtimes: list[Frames] = []
 
     def again(self) -> None:
         """Report again: the reports have been cleared."""
@@ -71,9 +75,32 @@ class SwitchedOff:
         """Log that a monitor was switched off, and return the event of the JSON contract that tells it."""
         place = event.fault
         why = int(self._engine.tables.handlers[place]["off"])
-        own = self._engine.monitors[place].monitor.capability(Failure)
-        reason = (own and own.of(self._engine.state_of(place)[0])) or _REASONS.get(why) or failure_of(why)
+        failure = self._engine.monitors[place].monitor.failure
+        state = self._engine.state_of(place)[0]
+        reason = _REASONS.get(why) or failure(state, why)
+        python = self._engine.monitors[place].monitor.capability(Failure)
+        if python is not None and python.late(state):
+            self._overtimes.append(overtime_frame(event.t_ns, self._engine.monitors[place].name))
         return self._told(place, event.t_ns, f"its step failed: {reason}", bus)
+
+    def take_overtimes(self) -> Frames:
+        """Return frames for recordings, of monitors whose step took too long since the last call."""
+        found, self._overtimes = joined([empty(0), *self._overtimes]), []
+        return found
+
+    def stop(self, frame: np.void) -> list[dict[str, Any]]:
+        """Step a monitor no more whose step took too long in a recorded run; returns the events that tell it.
+
+        Args:
+            frame: of the recording; one of a monitor that is not there says nothing.
+        """
+        digest, told = bytes(frame["data"][1:8]), []
+        for k, instance in enumerate(self._engine.monitors):
+            if name_digest(instance.name) == digest and not self._engine.tables.handlers[k]["off"]:
+                self._engine.switch_off(k, LATE)
+                reason = "its step took too long in the run that was recorded"
+                told.append(self._told(k, self._engine.wall_ns(int(frame["t_ns"])), reason))
+        return told
 
     def _told(self, place: int, t_ns: int, reason: str, bus: str = "") -> dict[str, Any]:
         instance = self._engine.monitors[place]

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gateway.bus.frames import ID_MASK
+from gateway.engine.checks.bus_health import ACTIVITIES
 from gateway.engine.events import Event
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
@@ -65,6 +66,13 @@ def source_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
         text = "another source address sends this message, too: its values are tested where its exact name is used"
         _log.info(text, bus=bus, message=name, source=address, exact=f"{name}_0x{can_id:X}")
     return {"event": "source", "t_ns": event.t_ns, **told}
+
+
+def activity_event(event: Event, bus: str) -> dict[str, Any]:
+    """Log that a bus does something else as a whole: it sleeps, wakes, runs or falls asleep; return what tells it."""
+    now, before = ACTIVITIES[int(event.value)], ACTIVITIES[int(event.threshold)]
+    _log.info(f"bus is {now}", bus=bus, before=before)
+    return {"event": "activity", "t_ns": event.t_ns, "bus": bus, "activity": now, "before": before}
 
 
 def dtc_event(change: DtcChange, bus: str) -> dict[str, Any]:

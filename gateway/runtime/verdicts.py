@@ -8,6 +8,7 @@ import numpy as np
 
 from gateway.config.model import Config
 from gateway.engine.events import (
+    ACTIVITY,
     CLOCK_STEPPED,
     CYCLE_BEGAN,
     CYCLE_ENDED,
@@ -36,7 +37,15 @@ from gateway.runtime.doubts import Doubts
 from gateway.runtime.outbox import Outbox
 from gateway.runtime.strangers import Strangers
 from gateway.runtime.switched_off import SwitchedOff
-from gateway.runtime.told import clock_event, cycle_event, dtc_event, monitor_events, short_event, source_event
+from gateway.runtime.told import (
+    activity_event,
+    clock_event,
+    cycle_event,
+    dtc_event,
+    monitor_events,
+    short_event,
+    source_event,
+)
 
 _TEST_FAILED = int(Status.TEST_FAILED)
 
@@ -116,6 +125,9 @@ class Verdicts:
             return
         if kind == MONITOR_OFF:
             self._outbox.note(self._off.on_event(event, self._buses[event.bus]))
+            return
+        if kind == ACTIVITY:
+            self._outbox.note(activity_event(event, self._buses[event.bus]))
             return
         if kind == SHORT:
             self._outbox.note(short_event(event, self._engine.plan, self._buses[event.bus]))

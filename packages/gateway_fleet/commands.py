@@ -194,6 +194,34 @@ def evaluate_senders(
     raise typer.Exit(work(cars=cars, attacks=attacks, hours=hours, files=tuple(files or ()), seed=seed, json=json))
 
 
+def evaluate_drives(
+    folder: Annotated[
+        Path, typer.Argument(help="A folder a vehicle in it: logs of healthy drives, with databases if there are any.")
+    ],
+    faults: Annotated[
+        int, typer.Option(min=0, help="Faults of each kind that are put into a vehicle's other drives; 0: none.")
+    ] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all randomness.")] = 2026,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, help="Workers on this machine; 0: none, use this process.  [default: one per core]"),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder that keeps what is learned.  [default: kept nowhere]")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Learn of one drive of each vehicle, and judge its other drives.
+
+    Tells the false codes and causes of the healthy drives, and what comes of everyday faults that are put into them. Of
+    each vehicle the largest log is learned of; a single log is halved. Exit code 2: a vehicle or drive could not be
+    judged; all others were.
+    """
+    from gateway_fleet.study.drives.command import drives as work
+
+    raise typer.Exit(work(folder, faults=faults, seed=seed, workers=workers, out=out, json=json))
+
+
 def evaluate_road(
     folder: Annotated[Path, typer.Argument(help="Folder of the ROAD dataset, with ambient and attacks in it.")],
     json: Json = False,

@@ -8,6 +8,7 @@ PLUGIN = Plugin(
         "learn": "gateway_fleet.commands:learn",
         "calibrate": "gateway_fleet.commands:calibrate",
         "evaluate senders": "gateway_fleet.commands:evaluate_senders",
+        "evaluate drives": "gateway_fleet.commands:evaluate_drives",
         "evaluate road": "gateway_fleet.commands:evaluate_road",
         "evaluate learn": "gateway_fleet.commands:evaluate_learn",
         "evaluate cause": "gateway_fleet.commands:evaluate_cause",

@@ -183,6 +183,14 @@ def test_csv_by_the_names_of_its_columns(name, tmp_path):
     assert (len(frames), [one.line for one in reader.problems]) == (3, [4])
 
 
+@pytest.mark.parametrize(("step", "unit_ns"), [(1, 10**6), (2, 10**6), (14, 10**6), (16, 1000), (230, 1000)])
+def test_whole_stamps_of_csv_count_what_a_bus_can_carry(step, unit_ns, tmp_path):
+    rows = "".join(f"1\t0\tRX\t{48659509 + k * step}\t0x120\t1\t0x08\n" for k in range(5000))
+    frames, _ = read(tmp_path / "a.log", "ParserFlags\tCh\tT/R\tTime\tCAN ID\tLen\tData\n" + rows)
+    assert len(frames) == 5000
+    assert set(np.diff(frames["t_ns"]).tolist()) == {step * unit_ns}
+
+
 def test_a_csv_of_something_else_is_refused(tmp_path):
     with pytest.raises(InputError, match="no CSV of frames that we know"):
         read(tmp_path / "a.csv", "ID,Data Bytes\n0000021A,FE 36\n")

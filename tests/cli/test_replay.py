@@ -90,12 +90,12 @@ def test_a_log_without_a_configured_bus_is_no_good_log(replay, tmp_path):
 
 def test_a_log_of_another_vehicle_is_not_judged(replay, tmp_path):
     """Silent messages of ours would be its DTCs, and its identifiers strangers."""
-    (tmp_path / "a.log").write_text(lines("can0").replace("100#", "555#"))
+    (tmp_path / "a.log").write_text((lines("can0") + lines("can0", begin=20.0)).replace("100#", "555#"))
     ended = replay("a.log", "--fail-on-dtc", "--json", config="one.toml")
     assert ended.code == 2
     assert "a.log: of another vehicle: the databases of the configuration know none of its identifiers" in ended.err
     assert [event for event in ended.events if event["event"] == "dtc"] == []
-    assert (ended.event("log")["state"], ended.event("log")["frames"]) == ("foreign", 60)
+    assert (ended.event("log")["state"], ended.event("log")["frames"]) == ("foreign", 120)
     assert replay("a.log", "--fail-on-dtc", "--allow-empty", config="one.toml").code == 1, "it is asked for"
     (tmp_path / "a.log").write_text("(1.0) can0 20000040#0000000000000000\n" * 3)
     assert replay("a.log", "--json", config="one.toml").event("log")["state"] == "whole", "the bus was off"

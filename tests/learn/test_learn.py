@@ -380,3 +380,29 @@ def test_a_log_of_another_car_is_told(tmp_path):
     )
     result = learn(asked(tmp_path / "car.toml", mine, databases=(tmp_path / "car.dbc",), hold_out=0.0), quiet)
     assert not any("DOES NOT LOOK" in note for note in result.learned.notes)
+
+
+def test_a_checksum_that_its_frames_cannot_tell_is_its_neighbours_or_none(tmp_path, capsys, monkeypatch):
+    """Of two buses one has a message that proves the maker's rule; on the other it is told that none is claimed."""
+    (tmp_path / "idle.dbc").write_text(
+        'VERSION ""\nBS_:\nBU_: A\nBO_ 644 Brake: 6 A\n SG_ CHECKSUM : 0|8@1+ (1,0) [0|255] "" A\n'
+        ' SG_ COUNTER : 12|4@1+ (1,0) [0|15] "" A\nBO_ 700 Engine: 8 A\n SG_ CHECKSUM : 0|8@1+ (1,0) [0|255] "" A\n'
+    )
+    rng = np.random.default_rng(3)
+    with can.Logger(tmp_path / "idle.log") as log:
+        for k in range(500):
+            for channel in ("can0", "can1"):
+                moves = rng.integers(0, 256, 7).tolist() if channel == "can1" else []
+                for can_id, rest in ((644, [k % 16 << 4, 0, 0, 0, 0]), (700, moves)):
+                    data = bytes([int(np.bitwise_xor.reduce(rest)), *rest]) if rest else bytes(8)
+                    log(can.Message(0.02 * k, can_id, is_extended_id=False, data=data, channel=channel))
+    buses = [part for bus in ("can0", "can1") for part in ("--bus", f"{bus}={tmp_path / 'idle.dbc'}")]
+    arguments = [str(tmp_path / "idle.log"), *buses, "-o", str(tmp_path / "idle.toml")]
+    ended = command(capsys, monkeypatch, "learn", *arguments)
+    assert ended.code == 0
+    alone, beside = tomllib.loads((tmp_path / "idle.toml").read_text())["bus"]
+    assert "checksum" not in next(line for line in alone["check"] if line["message"] == "Brake")
+    rules = {line["message"]: line["checksum"]["rule"] for line in beside["check"]}
+    assert rules == {"Brake": "volkswagen_pq", "Engine": "volkswagen_pq"}
+    assert "can0.Brake: no checksum: its 16 different frames fit hyundai_6b, " in ended.out
+    assert "can1.Brake" not in ended.out

@@ -352,3 +352,42 @@ def test_each_byte_of_a_frame_that_no_signal_describes_may_be_the_checksum():
     found = protection_found(described, NOWHERE, [payloads([bytes([sum(f) & 0xFF]) + f for f in frames])])
     assert found.claim is not None
     assert found.claim.keys["checksum"]["signal"] == "byte 0"
+
+
+def exclusive_or(counts, rest):
+    """Return frames of six bytes, the first the exclusive or of the others, the second counts; ``rest``: the others."""
+    made = [bytes([c << 4, *other]) for c, other in zip(counts, rest, strict=True)]
+    return payloads([bytes([int(np.bitwise_xor.reduce(list(one))), *one]) for one in made])
+
+
+def test_a_rule_is_claimed_only_where_its_rivals_are_excluded():
+    """An idling car: only the counter moves, and a sum is an exclusive or. Braking tells them apart."""
+    message = Message(0x284, "Brake", 6, [Signal("CHECKSUM", 0, 8), Signal("COUNTER", 12, 4)], strict=False)
+    count, rng = np.arange(400) % 16, np.random.default_rng(1)
+    braking = exclusive_or(count, rng.integers(0, 256, (400, 4)))
+    found = protection_found(message, NOWHERE, [exclusive_or(count, np.zeros((400, 4), int))])
+    names = {claim.maker for kind in found.rules for claim in kind}
+    assert {"volkswagen_pq", "hyundai_6b"} < names
+    assert found.among(set()).claim is None
+    assert found.among({"toyota"}).claim is None
+    assert found.among({"volkswagen_pq", "hyundai_6b"}).claim is None, "both makers' messages are beside it"
+    beside = found.among({"volkswagen_pq"})
+    assert judged(braking, beside.claim.protection).good.all()
+    assert beside.among(set()) is beside, "decided"
+    whole = protection_found(message, NOWHERE, [braking])
+    assert [kind[0].maker for kind in whole.rules] == ["volkswagen_pq"]
+    assert whole.among(set()).claim is whole.claim
+
+
+def test_a_sum_with_a_constant_is_claimed_where_bytes_moved_as_a_whole():
+    """A steering wheel in the middle: the low half of a byte and a counter say nothing of how bytes go in."""
+    message = Message(0x85, "M", 6, [Signal("Wheel", 7, 16, "big_endian"), Signal("Cs", 24, 8)], strict=False)
+
+    def frames(wheel):
+        made = ([0x7D, w & 0xFF, w >> 8, 0, (k & 15) << 4, 0xFF] for k, w in enumerate(wheel))
+        return payloads([bytes([*f[:3], (130 - sum(f[:3]) - (f[4] >> 4)) & 0xFF, *f[4:]]) for f in made])
+
+    assert protection_found(message, NOWHERE, [frames(3 + np.arange(2000) // 40 % 5)]).claim is None
+    summed = [bytes([*f[:3], (130 - sum(f[:3]) - sum(f[4:])) & 0xFF, *f[4:]]) for f in
+              np.random.default_rng(2).integers(0, 256, (600, 6)).tolist()]  # fmt: skip
+    assert protection_found(message, NOWHERE, [payloads(summed)]).claim.keys["checksum"]["plus"] == 130

@@ -5,8 +5,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from command import command
 from learning import asked, drive, quiet
 
+from gateway.bus.frames import empty, put
+from gateway.bus.logs import open_writer
 from gateway.bus.ring import read_recording
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
@@ -58,6 +61,7 @@ def test_a_pause_of_the_whole_bus_deletes_no_timeout_and_is_told(tmp_path):
     assert not any("wake_ms" in each for each in keys.values()), "all came within their cycle: the recorder paused"
     assert any("1 pauses" in note for note in result.learned.notes)
     config = load_config(tmp_path / "car.toml")
+    assert config.bus[0].health.sleeps
     said = through(config, list(read_recording(log, channels_of(config, ()))))
     assert [fault for _, fault, failed in said.dtcs if failed and "timeout" in fault] == []
 
@@ -138,8 +142,9 @@ def crowded(stamps, limit):
     return bool(((stamps[row:] - stamps[:-row]) < limit["ms"] * MS).any())
 
 
+@pytest.mark.parametrize("repeated", [0.0, 1.0])
 @pytest.mark.parametrize("period", [0.01, 0.024, 0.1, 0.5, 1.0])
-def test_the_rate_of_a_cyclic_message_is_limited_with_room_for_queues_and_none_for_a_second_sender(period):
+def test_the_rate_of_a_cyclic_message_is_limited_with_room_for_queues_and_none_for_a_second_sender(period, repeated):
     seed = 4711
     rng = np.random.default_rng(seed)
     sent = np.arange(round(max(120.0, 60 * period) / period)) * period
@@ -148,17 +153,19 @@ def test_the_rate_of_a_cyclic_message_is_limited_with_room_for_queues_and_none_f
     gaps = Gaps()
     for part in np.array_split(stamps, 7):
         gaps.add(part)
-    limit = most(gaps)
+    limit = most(gaps, repeated)
     assert limit is not None
+    assert limit["cycle_ms"] == pytest.approx(1000.0 * period, rel=0.02)
+    assert limit.get("repeats", False) == (period > 0.125 and repeated == 1.0), "slow ones may be sent at a change"
     assert not crowded(stamps, limit), f"seed {seed}"
     host = stamps + rng.integers(0, 200 * MS, len(stamps))  # a host that is up to 0.2 s late
     assert not crowded(np.sort(host), limit), f"seed {seed}"
     both = np.sort(np.concatenate([stamps, stamps + round(0.3e9 * period)]))
     assert crowded(both, limit), f"seed {seed}"
     kept = Gaps.of(gaps.data())
-    assert most(kept) == limit
+    assert most(kept, repeated) == limit
     kept.join(gaps)
-    assert most(kept)["frames"] == limit["frames"]
+    assert most(kept, repeated)["frames"] == limit["frames"]
 
 
 def test_no_rate_is_limited_where_nothing_says_it():
@@ -166,10 +173,50 @@ def test_no_rate_is_limited_where_nothing_says_it():
     rng = np.random.default_rng(4712)
     gaps = Gaps()
     gaps.add(np.cumsum(rng.exponential(0.05e9, 2000)).astype(np.int64))
-    assert most(gaps) is None
+    assert most(gaps, 1.0) is None
     few = Gaps()
-    few.add(np.arange(12) * 1000 * MS)
-    assert most(few) is not None, "six rows of two"
+    few.add(np.arange(24) * 1000 * MS)
+    assert most(few, 1.0) is not None, "six rows of four"
+    assert most(few, 0.0) is None, "one of sixteen"
     data = few.data()
     del data["spans_ns"], data["counted"]
-    assert most(Gaps.of(data)) is None
+    assert most(Gaps.of(data), 1.0) is None
+
+
+def mixed(path, seconds, rng, *, buttons=(), twice=(), lost=0.0, skips=0.0):
+    """Write a log: three counters, and a message each second, which comes at once where its content changes, too."""
+    rows = [
+        (round((0.003 * k + 0.01 * cycle * n) * 1e9), can_id, bytes([n % modulus, 0, n % 7]))
+        for k, (can_id, cycle, modulus) in enumerate(((0x100, 1, 4), (0x110, 2, 16), (0x120, 2, 256)))
+        for n in range(int(seconds * 100 / cycle))
+    ]
+    events = sorted([*(k + 0.05 for k in range(int(seconds))), *buttons, *twice])
+    pressed = [sum(t <= now for t in buttons) for now in events]
+    rows += [(round(now * 1e9), 0x439, bytes([n, 0])) for now, n in zip(events, pressed, strict=True)]
+    kept = [row for row in sorted(rows) if rng.random() >= (skips if row[1] == 0x110 else 0.0) + lost]
+    frames = empty(len(kept))
+    for at, (t_ns, can_id, data) in enumerate(kept):
+        put(frames, at, 1_000_000_000_000 + t_ns, can_id, data)
+    with open_writer(path) as writer:
+        writer.write(frames)
+    return path
+
+
+def test_mixed_senders_and_lost_frames_are_no_second_sender(tmp_path, capsys, monkeypatch):
+    """Learned of a quiet drive: buttons, and a bus that loses each third frame; a sender that skips is told."""
+    rng, out = np.random.default_rng(11), tmp_path / "car.toml"
+    quiet = mixed(tmp_path / "quiet.log", 40.0, rng)
+    assert command(capsys, monkeypatch, "learn", quiet, "-o", out).code == 0
+
+    def told(name, **how):
+        log = mixed(tmp_path / f"{name}.log", 40.0, rng, **how)
+        ended = command(capsys, monkeypatch, "replay", log, "-c", out, "--json")
+        kinds = {event["fault"] for event in ended.events if event["event"] in ("dtc", "security") and "fault" in event}
+        return kinds, any(event["event"] == "security" for event in ended.events)
+
+    assert told("buttons", buttons=[4.2, 4.9, 7.4, 9.1, 9.6, 9.7, 9.8]) == (set(), False)
+    assert told("twice", twice=[k + 0.6 for k in range(10, 20)]) == ({"can0.ID_439.early"}, True)
+    kinds, security = told("lost", lost=0.3)
+    assert {kind.rpartition(".")[2] for kind in kinds} <= {"timeout"}
+    assert not security
+    assert "can0.ID_110.counter" in told("skips", skips=0.2)[0]

@@ -108,16 +108,16 @@ def health_after(out, rows):
 def test_an_update_knows_what_came_and_keeps_a_person_s_health(own, tmp_path):
     out, seldom = tmp_path / "car.toml", MESSAGES[1][2]
     first, _ = health_after(out, [MESSAGES[0], (0x2AA, 7.0, seldom, 0.0)])
-    assert first == {"unknown": "tell", "known": [0x2AA]}
+    assert first == {"sleeps": True, "unknown": "tell", "known": [0x2AA]}
     if own:
         out.write_text(out.read_text().replace('unknown = "tell"', 'unknown = "fault"'))
     now, changes = health_after(out, [MESSAGES[0], (0x2AB, 7.0, seldom, 0.0)])
     told = [change for change in changes if "0x2AB" in change]
     if own:
-        assert now == {"unknown": "fault", "known": [0x2AA]}
+        assert now == {"sleeps": True, "unknown": "fault", "known": [0x2AA]}
         assert told == ["can0: 0x2AB came, and `health`, a person's, does not know it"]
         return
-    assert now == {"unknown": "tell", "known": [0x2AA, 0x2AB]}
+    assert now == {"sleeps": True, "unknown": "tell", "known": [0x2AA, 0x2AB]}
     text = out.read_text()
     out.write_text("".join(line for line in text.splitlines(True) if not line.startswith("health")))
     assert health_after(out, [MESSAGES[0]])[0] is None, "taken out by hand: it stays out"

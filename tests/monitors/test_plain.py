@@ -10,10 +10,13 @@ import pytest
 from gateway.bus.frames import empty, put
 from gateway.common import trust
 from gateway.config.load import load_config
+from gateway.config.model import MonitorConfig
 from gateway.engine.events import QUALIFIED_FAILED
 from gateway.monitors.plain import Result, calls, monitor
+from gateway.monitors.plain.written import OWN_KEYS
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
+from gateway.runtime.replay import replay
 from gateway_fdi.errors import GatewayError, InputError
 
 DBC = """VERSION ""
@@ -246,6 +249,124 @@ def test_an_endless_loop_is_ended_and_the_others_go_on(loop, car, monkeypatch):
     assert not calls._limit.end()
 
 
+def test_a_replay_has_a_monitor_off_where_its_step_took_too_long(car, monkeypatch):
+    monkeypatch.setattr(calls, "LIMIT_S", 0.2)
+    text = """
+        import builtins
+        @monitor(signals=["ECM.Speed", "ECM.Coolant"], fault="P0217-00")
+        def Mine(rpm, coolant):
+            while rpm > 3000 and builtins.plain_is_slow:
+                pass
+            return coolant > 100
+    """
+    path, rows = car(text), [(900, 80)] * 20 + [(3500, 120)] + [(900, 120)] * 20
+    frames = drive(rows)
+
+    def verdicts(frames, *, slow):
+        monkeypatch.setattr("builtins.plain_is_slow", slow, raising=False)
+        gateway = Gateway(load_config(path), file=path)
+        events = []
+        gateway.listen(events.append)
+        replay(gateway, [frames])
+        late = gateway.take_overtimes()
+        gateway.close()
+        return [(e["event"], e["t_ns"], e.get("fault")) for e in events if e["event"] in ("dtc", "monitor_off")], late
+
+    live, late = verdicts(frames, slow=True)
+    assert ("monitor_off", 210_000_000, None) in live
+    assert not any(fault == "mine.fault" for _, _, fault in live)
+    assert len(late) == 1
+    recorded = np.concatenate([frames, late])  # it stands behind the batch
+    again, none = verdicts(recorded, slow=False)
+    assert again == live
+    assert not len(none)
+    without, _ = verdicts(frames, slow=False)
+    assert any(fault == "mine.fault" for _, _, fault in without), "else it would find the fault"
+
+
+#: Sources that can be compiled, as they are -> a drive.
+COMPILED = {
+    "function": """
+        @monitor(signals=["ECM.Coolant"], fault="P0217-00", compiled=COMPILED)
+        def Mine(coolant, high: float = 110.0, back: float = 100.0):
+            if coolant > high or coolant < back:
+                return Result(coolant > high, coolant, high)
+        """,
+    "class": """
+        import math
+        import numpy as np
+
+        @monitor(signals=["ECM.Speed", "ECM.Coolant"], fault="P0116-00", compiled=COMPILED)
+        class Mine:
+            def __init__(self, most: float = 2.0, count: int = 7):
+                self.most, self.last, self.past, self.seen = most, math.nan, np.zeros(count), 0
+
+            def update(self, rpm, coolant, dt_s):
+                before, self.last = self.last, coolant
+                self.past[self.seen % 7] = abs(coolant - before)
+                self.seen += 1
+                if rpm < 100 or self.seen < 9:
+                    return None
+                return float(self.past.sum() * dt_s / 0.01 / 7 / self.most)
+        """,
+    "yes or no": """
+        @monitor(signals=["ECM.Speed", "ECM.Coolant"], fault="P0116-00", compiled=COMPILED)
+        def Mine(rpm, coolant, t_s, *, hot: int = 90):
+            return coolant > hot and (rpm < 500 or t_s > 3.0)
+        """,
+}
+
+
+def results(path, frames):
+    """Return each result of the monitor: passed or failed, value, limit, evidence."""
+    gateway = Gateway(load_config(path), file=path)
+    found = []
+    gateway.listen(lambda event: found.append(event) if event["event"] == "dtc" else None)
+    gateway.start(0)
+    gateway.feed(frames)
+    buckets = gateway.engine.take_buckets()
+    (place,) = [k for k, one in enumerate(gateway.catalogue) if one.id == "mine.fault"]
+    gateway.close()
+    row = buckets[place]
+    return [int(row["count"]), int(row["failed"]), float(row["low"]), float(row["high"]), float(row["worst"])], found
+
+
+@pytest.mark.parametrize("name", COMPILED)
+def test_the_same_source_compiled_says_the_same(name, car):
+    rng = np.random.default_rng(seed := 72)
+    print("seed", seed)
+    rows = np.column_stack([rng.integers(0, 1500, 500), 100 + 25 * np.sin(np.arange(500) / 9) + rng.normal(0, 2, 500)])
+    frames, text = drive(rows.round().tolist()), COMPILED[name]
+    plain = results(car(text.replace("COMPILED", "False")), frames)
+    compiled = results(car(text.replace("COMPILED", "True")), frames)
+    assert plain[0] == compiled[0]
+    assert plain[0][0] > plain[0][1] > 0, "some of each"
+    assert [(e["t_ns"], e["status"]) for e in plain[1]] == [(e["t_ns"], e["status"]) for e in compiled[1]]
+
+
+HEAD = "@monitor(signals=['ECM.Coolant'], fault='P0128-00', compiled=True)\n"
+CLASS = "class Mine:\n    def __init__(self):\n        self.{}\n    def update(self, x):\n        return x > 3\n"
+UNCOMPILED = [
+    ("def Mine(x):\n    y = x > 3\n    return y\n", 6, "say what this returns"),
+    ("def Mine(x):\n    if x > 3:\n        return x > 5\n    return x / 3\n", 7, "ratio and bool"),
+    ("def Mine(x):\n    pass\n", 3, "it returns nothing"),
+    ("def Mine(x):\n    z = open('/dev/null')\n    return x > 3\n", 5, "'open'"),
+    (CLASS.format("past = []"), 7, "'past' is []"),
+    (CLASS.format("last = None"), 7, "math.nan"),
+    (CLASS.format("max = 1.0"), 7, "another name"),
+    ("def Mine(x, text: str = 'a'):\n    return x > 3\n", 3, "'text' is 'a'"),
+]
+
+
+@pytest.mark.parametrize(("text", "line", "told"), UNCOMPILED)
+def test_what_cannot_be_compiled_is_told_with_its_line(text, line, told, car):
+    path = car(HEAD + text)
+    with pytest.raises(GatewayError) as error:
+        prepare(load_config(path), path).engine.warm()
+    assert told in str(error.value)
+    assert f".py:{line}" in str(error.value)
+
+
 SLIPS = [
     ("@monitor(signals=['ECM.Colant'], fault='P0128-00')\ndef Mine(x):\n    return x > 1\n", "did you mean Coolant"),
     ("@monitor(signals=['ECM.Coolant [K]'], fault='P0128-00')\ndef Mine(x):\n    return x > 1\n", "degC"),
@@ -272,6 +393,54 @@ SLIPS = [
         "ZeroDivisionError",
     ),
 ]  # fmt: skip
+
+
+FUNCTION = "def Mine(x):\n    return x > 1\n"
+#: Arguments of the decorator over FUNCTION, or over another one -> what is said.
+SLIPS += [
+    (f"@monitor({arguments})\n{below}", told)
+    for arguments, below, told in [
+        ("signals='ECM.Coolant', fault='P0128-00'", FUNCTION, "signals is a list"),
+        ("signals=None, fault='P0128-00'", FUNCTION, "signals is a list"),
+        ("signals=['ECM.Coolant'], fault=3", FUNCTION, "fault is a DTC"),
+        ("signals=['ECM.Coolant'], fault=['P0128-00']", FUNCTION, "fault is a DTC"),
+        ("signals=['ECM.Coolant'], fault={'a': 5}", FUNCTION, "fault is a DTC"),
+        ("signals=['ECM.Coolant'], fault={'a b!': 'P0128-00'}", FUNCTION, "a b!"),
+        ("signals=['ECM.Coolant'], fault=''", FUNCTION, "DTC"),
+        ("signals=['ECM.Coolant'], fault='P0128-00', debounce=5", FUNCTION, "debounce is a Debounce"),
+        ("signals=['ECM.Coolant'], fault='P0128-00', debounce=Debounce(0, 1)", FUNCTION, "failed_after"),
+        ("signals=['ECM.Coolant'], fault='P0128-00', debounce=Debounce(99999, 1)", FUNCTION, "failed_after"),
+        ("signals=['ECN.Coolant'], fault='P0128-00'", FUNCTION, "did you mean ECM"),
+        ("signals=['ECM.Coolant [degc]'], fault='P0128-00'", FUNCTION, "degC"),
+        ("signals=['ECM.Coolant', 'ECM.Coolant'], fault='P0128-00'", FUNCTION, "2 signals"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, type: str = 'a'):\n    return x > 1\n", "'type'"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, bus: int = 1):\n    return x > 1\n", "'bus'"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, a: Nope = 1):\n    return x > 1\n", "Nope"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, a: 5 = 1):\n    return x > 1\n", "a"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(x, _a: int = 1):\n    return x > 1\n", "'_a'"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine():\n    return True\n", "1 signals"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "def Mine(t_s):\n    return True\n", "1 signals"),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "class Mine:\n    update = 3\n", "needs a function update"),
+        (
+            "signals=['ECM.Coolant'], fault='P0128-00'",
+            "class Mine:\n    def update(self, x, limit: float = 1.0):\n        return True\n",
+            "update has the argument 'limit'",
+        ),
+        (
+            "signals=['ECM.Coolant'], fault='P0128-00'",
+            "class Mine:\n    def update(self):\n        return True\n",
+            "1 signals",
+        ),
+        ("signals=['ECM.Coolant'], fault='P0128-00'", "Mine = 3\n", "SyntaxError"),
+        ("signals=['ECM.Coolant'] * 65, fault='P0128-00'", FUNCTION, "65 signals"),
+        ("signals=['ECM.Coolant'], fault={f'f{k}': 'P0128-00' for k in range(17)}", FUNCTION, "17 faults"),
+        ("signals=['ECM.Coolant'], fault={'a': 'P0128-00', 'b': 'P0128-01'}, compiled=True", FUNCTION, "one fault"),
+    ]
+]
+
+
+def test_the_keys_of_a_table_are_no_parameters():
+    assert set(OWN_KEYS) == set(MonitorConfig.model_fields)
 
 
 @pytest.mark.parametrize(("text", "told"), SLIPS)

@@ -9,8 +9,8 @@ from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 
 
-def config_of(folder, network, timeout=2.5, power=""):
-    """Return a configuration that watches all messages; timeouts in cycles."""
+def config_of(folder, network, timeout=2.5, power="", health=""):
+    """Return a configuration that watches all messages; timeouts in cycles, ``health`` of each bus."""
     text = [power]
     for bus, ecus in network.items():
         lines = ['VERSION ""', "NS_ :", "BS_:", f"BU_: {' '.join(ecus)}"]
@@ -20,7 +20,8 @@ def config_of(folder, network, timeout=2.5, power=""):
                 lines += [f"BO_ {can_id} M{can_id:X}: 8 {ecu}", f' SG_ Value : 0|8@1+ (1,0) [0|255] "" {ecu}']
                 checks.append(f'[[bus.check]]\nmessage = "M{can_id:X}"\ntimeout_ms = {timeout * cycle}\n')
         (folder / f"{bus}.dbc").write_text("\n".join(lines) + "\n")
-        text += [f'[[bus]]\nname = "{bus}"\nuri = "virtual:{bus}"\ndatabase = ["{bus}.dbc"]\ncodes = "own"\n', *checks]
+        text += [f'[[bus]]\nname = "{bus}"\nuri = "virtual:{bus}"\ndatabase = ["{bus}.dbc"]\ncodes = "own"\n']
+        text += [health, *checks]
     path = folder / "network.toml"
     path.write_text("\n".join(text))
     return load_config(path)
@@ -46,7 +47,7 @@ def traffic(network, rng, end_s, is_there, value=lambda can_id, t_s: 1):
     return frames
 
 
-def run(config, frames, end_s, step_s=None, changes=()):
+def run(config, frames, end_s, step_s=None, changes=(), start_s=0.0):
     """Return the DTCs that were set, all diagnoses, and all events; time passes in steps as it does live.
 
     Args:
@@ -55,11 +56,12 @@ def run(config, frames, end_s, step_s=None, changes=()):
         end_s: time passes until then [s].
         step_s: steps of time; None: one.
         changes: (time [s], configuration) of each reload.
+        start_s: when the gateway starts; before the first frame.
     """
     gateway = Gateway(config)
     events = []
     gateway.listen(events.append)
-    gateway.start(0)
+    gateway.start(round(start_s * 1e9))
     at, changes = 0, list(changes)
     stops = [end_s] if step_s is None else [k * step_s for k in range(1, round(end_s / step_s) + 1)]
     for until_s in sorted({*stops, *(t for t, _ in changes)}):

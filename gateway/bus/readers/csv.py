@@ -17,6 +17,7 @@ Its stamps are float seconds; those of a recorder that counts microseconds are r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,9 @@ ROLES = (
 )
 #: Columns of a line at most.
 _MOST = 96
+#: No bus carries a frame in less than this on average, not even several together [us]: a classic one has 47 bits at
+#: least, so 47 us at 1 Mbit/s.
+_LEAST_GAP_US = 15
 
 
 @kernel
@@ -305,25 +309,39 @@ def scan_columns(
     return at, lines, k, DONE
 
 
-def _mapped(line: bytes, next_one: bytes = b"") -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+def _mapped(line: bytes, more: Sequence[bytes] = ()) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
     """Return the places of a header's columns, and how they are written; None: it is no header of frames.
 
     Args:
         line: the header.
-        next_one: the line after it: a stamp with a point counts seconds; a whole one by its digits, few: microseconds.
+        more: lines after it, whose stamps tell their unit (:func:`_unit`).
     """
     separator = max(",;\t", key=line.decode("latin-1").count)
     names = ["".join(filter(str.isalnum, name)).lower() for name in line.decode("latin-1").split(separator)]
     place = [next((names.index(name) for name in known if name in names), -1) for known in ROLES]
     if min(place[:3]) < 0:
         return None
-    fields = next_one.decode("latin-1").split(separator)
-    stamp = fields[place[TIME]].strip(' "') if place[TIME] < len(fields) else ""
-    unit = 9 if "." in stamp else {13: 6, 16: 3, 19: 0}.get(len(stamp), 3)
+    rows = [one.decode("latin-1").split(separator) for one in more]
+    fields = rows[0] if rows else []
+    unit = _unit([row[place[TIME]].strip(' "') for row in rows if place[TIME] < len(row)])
     bus = names[place[BUS]] if place[BUS] >= 0 else ""
     first = 1 if bus == "buschannel" or (bus == "channel" and fields[place[BUS] :][:1] != ["0"]) else 0
     apart = names[place[DATA]] not in ("data", "databytes")
     return np.array(place, np.int64), np.array([ord(separator), unit, apart, first], np.int64)
+
+
+def _unit(stamps: Sequence[str]) -> int:
+    """Return the unit of stamps, as how many digits of it are a nanosecond: 9 for s, 6 for ms, 3 for us, 0 for ns.
+
+    One with a point counts seconds; a whole one of 13, 16 or 19 digits is of the wall clock. Of fewer digits it counts
+    microseconds, or milliseconds where a bus could not carry that many frames.
+    """
+    first = stamps[0] if stamps else ""
+    if "." in first:
+        return 9
+    whole = [int(one) for one in stamps if one.isdecimal()]
+    crowded = len(whole) > 1 and 0 < max(whole) - min(whole) < _LEAST_GAP_US * (len(whole) - 1)
+    return {13: 6, 16: 3, 19: 0}.get(len(first), 6 if crowded else 3)
 
 
 class Csv(Lines):
@@ -350,12 +368,12 @@ class Csv(Lines):
         Raises:
             InputError: it is none that we know.
         """
-        lines = first[:LINE].splitlines()[:20]
-        for k, line in enumerate(lines):
+        lines = first[:LINE].splitlines()
+        for k, line in enumerate(lines[:20]):
             self._header = k + 1
             if line.startswith(_PYTHON_CAN):
                 return
-            if mapped := _mapped(line, lines[k + 1] if k + 1 < len(lines) else b""):
+            if mapped := _mapped(line, lines[k + 1 : -1] or lines[k + 1 :]):
                 self._map = mapped
                 return
         self._header = 0

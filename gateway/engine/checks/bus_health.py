@@ -124,7 +124,11 @@ FAULTS = (
 CODES = ("U0001", "U0028", "U0037", "U0046", "U0055", "U0064", "U0010", "U0019")
 
 #: Knowledge about the silence of a bus.
-SPOKEN, AWAITED, WHOLE = range(3)
+WHOLE, AWAITED, SPOKEN = range(3)
+
+#: Activity of a bus as a whole (see ``activity``), and the words for it.
+ASLEEP, WAKING, AWAKE, FALLING = range(4)
+ACTIVITIES = ("asleep", "waking", "running", "falling asleep")
 
 #: Counters of error frames, by class.
 COUNTED = {
@@ -168,6 +172,16 @@ class Params(MonitorParams):
         le=3.6e6,
         description="after such a silence each message has this time to come [ms]; its timeout at least",
     )
+    sleeps: bool = Field(
+        False,
+        description="it falls asleep, as in a car that is parked: senders stop one after the other, then it is silent",
+    )
+    settle_ms: float = Field(
+        3000.0,
+        ge=0,
+        le=3.6e6,
+        description="where it sleeps: a sender that stops is judged after this time [ms], in which no other stops",
+    )
     unknown: Literal["none", "tell", "fault"] = Field(
         "none",
         description="identifiers that neither a database, a server, a tester nor an ECU that is asked has: told as a"
@@ -189,6 +203,7 @@ class HealthPlace(Record):
     quiet_ns: i8 = means("it is silent as a whole after so long without a frame; 0: not judged", "ns")
     gap_ns: i8 = means("a gap between two frames is unusual from here on", "ns")
     wake_ns: i8 = means("time to be heard after it was asleep", "ns")
+    settle_ns: i8 = means("a sender that stops is judged after it; 0: at once, it does not sleep", "ns")
 
 
 class HealthState(Record):
@@ -204,8 +219,22 @@ class HealthState(Record):
     lost: i8 = means("frames lost in a queue")
     heard_ns: i8 = means("when a frame was last received", "ns")
     talks_ns: i8 = means("when the last silence that was unusual ended", "ns")
-    silence: u1 = means("SPOKEN, AWAITED: messages wait for a frame of anybody, WHOLE: it is silent as a whole")
+    thin: f8 = means("share of the last windows of its messages that held fewer frames than their senders send")
+    jumper: i4 = means("row of the message whose alive counter jumped last")
+    jumped_ns: i8 = means("when it did; 0: none did", "ns")
+    others_ns: i8 = means("when that of another message did last; 0: none did", "ns")
+    silence: u1 = means("WHOLE: of all, or it was not heard yet, AWAITED: messages wait for a frame of anybody, SPOKEN")
     asleep: u1 = means("whether it may be silent: nobody is awake")
+    activity: u1 = means("ASLEEP, WAKING, AWAKE or FALLING")
+    begun: u1 = means("whether it was AWAKE before")
+    joined_ns: i8 = means("when a message last began to come after the bus was asleep", "ns")
+    look_ns: i8 = means("when it is looked whether it is awake", "ns")
+    stops: i4 = means("at how many times senders stopped, one after the other; 0: none did")
+    stop_sender: i4 = means("the one that stopped last")
+    stop_from_ns: i8 = means("that was after this time", "ns")
+    stop_until_ns: i8 = means("and before this one", "ns")
+    stopped_ns: i8 = means("the last frame of what was the first to be overdue then", "ns")
+    fell_ns: i8 = means("since when it is FALLING", "ns")
     counts: Annotated[i8s, len(COUNTED)] = means("conditions so far, by COUNTED")
     value: f8 = means("value of the verdicts")
     limit: f8 = means("limit of the verdicts")
@@ -368,6 +397,17 @@ def watch_clock(h: Any, t_ns: int) -> None:
 
 
 @kernel
+def await_anybody(h: Any, t_ns: int) -> None:
+    """Begin to listen: one that has slept, or was not heard yet, has its time to wake before it is silent."""
+    if h.silence != WHOLE:
+        h.silence = SPOKEN
+        h.until[SILENT] = NEVER
+    elif h.quiet_ns > 0:
+        h.until[SILENT] = t_ns + max(h.quiet_ns, h.wake_ns)
+        h.deadline_ns = min(h.deadline_ns, h.until[SILENT])
+
+
+@kernel
 def on_frame_received(h: Any) -> None:
     """Take a frame that was received while the bus was said to be off or lost."""
     h.failed = 0
@@ -388,6 +428,8 @@ def on_timer(h: Any, t_ns: int) -> None:
             h.until[k] = t_ns + h.window_ns if k == CLOCK_STEPPED else NEVER
             h.passed |= 1 << k
         h.deadline_ns = min(h.deadline_ns, h.until[k])
+    if h.look_ns > t_ns:
+        h.deadline_ns = min(h.deadline_ns, h.look_ns)
 
 
 class Silence(NamedTuple):
@@ -419,7 +461,7 @@ def fill(row: Any, bus: BusInstance, index: int, code: str, first_fault: int, si
     p = bus.params
     row["most"], row["window_ns"] = p.errors, round(p.window_ms * 1e6)
     row["deadline_ns"] = NEVER
-    row["until"] = NEVER
+    row["until"] = row["look_ns"] = NEVER
     row["fault"] = -1
     if not p.watched:
         return []
@@ -429,5 +471,6 @@ def fill(row: Any, bus: BusInstance, index: int, code: str, first_fault: int, si
         row["bad"] = 1 << SILENT  # the first frame disproves it
     row["quiet_ns"], row["gap_ns"] = silence
     row["wake_ns"] = round(p.wake_ms * 1e6)
+    row["settle_ns"] = round(p.settle_ms * 1e6) if p.sleeps else 0
     row["fault"][kinds] = first_fault + np.arange(len(kinds))
     return [FaultSlot(f"{bus.name}.{faults_of(code)[kind].name}", faults_of(code)[kind], index) for kind in kinds]

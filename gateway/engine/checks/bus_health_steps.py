@@ -7,10 +7,20 @@ from typing import Any
 from gateway.bus.conditions import LOSS, RUNNING, STEPPED
 from gateway.bus.frames import ID_MASK
 from gateway.common.times import NEVER
+from gateway.engine.checks.activity import UNUSUAL, begin_waking, set_waking
+from gateway.engine.checks.bus_health import (
+    ASLEEP,
+    SILENT,
+    SPOKEN,
+    WHOLE,
+    await_anybody,
+    note,
+    note_step,
+    on_frame_received,
+)
 from gateway.engine.checks.bus_health import CLOCK_STEPPED as STEP_FAULT
-from gateway.engine.checks.bus_health import SILENT, SPOKEN, WHOLE, note, note_step, on_frame_received
 from gateway.engine.checks.communication_steps import report_timeout, restart_supervision
-from gateway.engine.checks.silence import MOST_PARKS, UNUSUAL
+from gateway.engine.checks.silence import MOST_PARKS
 from gateway.engine.events import CLOCK_STEPPED, NO_BUS
 from gateway.engine.results import announce, report_result, store_evidence
 from gateway.engine.timers import arm
@@ -72,8 +82,8 @@ def on_error_frame(T: Any, t_ns: int, bus: int, can_id: int, word: int) -> None:
     h = T.health[bus]
     condition = note(h, t_ns, can_id, word)
     if condition == RUNNING:
-        h.heard_ns, h.silence = t_ns, SPOKEN
-        h.until[SILENT] = NEVER
+        h.heard_ns = t_ns
+        await_anybody(h, t_ns)
     if condition in (LOSS, RUNNING):
         restart_supervision(T, t_ns, bus, condition)
     report_bus_results(T, t_ns, h)
@@ -94,7 +104,7 @@ def on_sign_of_life(T: Any, t_ns: int, bus: int) -> None:
         if unheard:
             restart_supervision(T, t_ns, bus, RUNNING)
         report_bus_results(T, t_ns, h)
-    if h.quiet_ns > 0 and (h.silence != SPOKEN or silent_ns > h.gap_ns):
+    if h.silence != SPOKEN or (h.quiet_ns > 0 and silent_ns > h.gap_ns):
         end_silence(T, t_ns, bus, silent_ns)
 
 
@@ -122,6 +132,11 @@ def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
     h.until[SILENT] = NEVER
     if long:
         h.talks_ns = t_ns
+    if whole:
+        begin_waking(T, t_ns, bus)
+        return
+    if h.activity == ASLEEP:
+        set_waking(T, t_ns, bus)
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
         if c.bus != bus or c.timeout_ns <= 0:
@@ -129,10 +144,7 @@ def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
         parked_ns, c.parked_ns = c.parked_ns, 0
         due_ns = parked_ns if parked_ns > 0 else c.deadline_ns
         missed = long and due_ns - t_ns <= c.timeout_ns * 3 // 5
-        if whole:
-            c.seen, c.silent_ns, c.parks, c.asleep = 0, 0, 0, 0
-            c.deadline_ns = t_ns + c.wake_ns
-        elif parked_ns > 0 and c.parks >= MOST_PARKS:
+        if parked_ns > 0 and c.parks >= MOST_PARKS:
             c.silent_ns += t_ns - parked_ns
             c.deadline_ns = t_ns
             report_timeout(T, t_ns, c)

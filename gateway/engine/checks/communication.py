@@ -37,6 +37,10 @@ if TYPE_CHECKING:
 
 TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE, EARLY, SECOND = range(8)
 
+#: How a message comes: it does; it has not yet since its bus woke; its time is over, and others may stop, too (see
+#: ``activity``); it is missing.
+COMES, NOT_YET, STOPPED, MISSING = range(4)
+
 #: Verdict on a frame: its data may be used.
 ACCEPT = 0
 #: Verdict on a frame: its data must not be used.
@@ -160,8 +164,8 @@ class Params(MonitorParams, ProtectionParams):
         None,
         ge=0,
         le=3.6e6,
-        description="time that it has to come after the bus was silent, or asleep, and since the gateway listens [ms];"
-        " default: that of the bus, and the timeout",
+        description="time that it has to come after the bus was silent, or asleep, and at a start [ms], its timeout at"
+        " least; default: that of the bus",
     )
     most: Most | None = Field(
         None, description="how often it may come: `early`, and where its counter runs twice `second_sender`"
@@ -201,6 +205,7 @@ class CheckPlace(Record):
     row: i4 = means("of its message")
     sync: i4 = means("of SecOC: place of the check of the freshness master's message; -1: it needs none")
     bus: u1 = means("number of the bus")
+    sender: i4 = means("number of its sender; below 0: nobody names it, it is alone")
 
 
 class CheckConst(Record):
@@ -208,7 +213,6 @@ class CheckConst(Record):
 
     timeout_ns: i8 = means(unit="ns")
     wake_ns: i8 = means("time to come after the bus was silent as a whole", "ns")
-    first_ns: i8 = means("time to come since there is something to hear", "ns")
     length: i4 = means("least length", "byte")
     need: i4 = means("length from which on a frame has its checksum and alive counter", "byte")
     only_length: i4 = means("the one length that it may have; 0: any", "byte")
@@ -227,6 +231,8 @@ class CheckState(Record):
     parked_ns: i8 = means("when its time was over while nobody was heard; 0: it was not", "ns")
     parks: i4 = means("how often that was so since it came")
     asleep: u1 = means("whether its time was over while all slept")
+    coming: u1 = means("COMES, NOT_YET, STOPPED or MISSING")
+    overdue_ns: i8 = means("when its time was over, where it STOPPED", "ns")
     last_counter: i8 = means("alive counter of the last frame")
     passed: i8 = means("frames whose checksum was right since the rule was proven")
     weighed: u8 = means("hash of the last right payload before the rule was proven")
@@ -251,9 +257,9 @@ _COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus"
 
 #: Each state of a check, and the constants it is counted in: a reload keeps it where these are as they were.
 COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
-    ("deadline_ns", "silent_ns", "losses", "parked_ns", "parks", "asleep"): ("timeout_ns",),
+    ("deadline_ns", "silent_ns", "losses", "parked_ns", "parks", "asleep", "coming", "overdue_ns"): ("timeout_ns",),
     ("last_counter", "unread", "seen", "other_counter", "other_seen", "odd", "twice"): _COUNTER,
-    ("left", "at", "filled", "stamps", "wraps", "crowded", "last_ns", "blamed", "before"): (
+    ("left", "at", "filled", "stamps", "content", "wraps", "crowded", "last_ns", "blamed", "before"): (
         "most_ns", "stride", "slots",
     ),
     ("longest",): ("length",),
@@ -296,6 +302,7 @@ _NEAR: tuple[str, ...] = (
 _NEAR += (
     "silent_ns",
     "losses",
+    "coming",
     "parks",
     "last_counter",
     "gate_changes",
@@ -314,6 +321,8 @@ _NEAR += (
     "crowded",
     "wraps",
     "stamps",
+    "one_ns",
+    "repeats",
 )
 
 
@@ -433,7 +442,6 @@ def fill(
     senders.fill(row, p.most)
     row["timeout_ns"] = round((p.timeout_ms or 0) * 1e6)
     row["wake_ns"] = round(max(p.timeout_ms or 0, wake_ms if p.wake_ms is None else p.wake_ms) * 1e6)
-    row["first_ns"] = round(max(p.timeout_ms or 0, p.wake_ms or 0) * 1e6)
     row["cycle_ns"] = round((p.cycle_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
     row["rule"] = protection.digest(asked, message.frame_id)

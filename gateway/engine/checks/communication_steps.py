@@ -7,20 +7,25 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.conditions import RUNNING
+from gateway.engine.checks.activity import begin_to_come, waits_to_settle
 from gateway.engine.checks.bus_health import SILENT
 from gateway.engine.checks.communication import (
     ACCEPT,
     AGAINST,
+    COMES,
     COUNTER,
     CRC,
     IN_PART,
     LENGTH,
     MISFITS,
+    MISSING,
     MOST_LOSSES,
+    NOT_YET,
     PROVEN,
     REJECT,
     RULE,
     SAMPLES,
+    STOPPED,
     TIMEOUT,
     VALUE,
     WIDE,
@@ -33,6 +38,8 @@ from gateway.engine.checks.senders_steps import (
     clears_sender,
     follow,
     is_doubtful,
+    is_lost_with_others,
+    is_news,
     keep_stamp,
 )
 from gateway.engine.checks.silence import park
@@ -69,6 +76,9 @@ def take_timeout(T: Any, due: int, c: Any) -> bool:
         c.asleep = 0
         c.deadline_ns = due + c.wake_ns
         c.silent_ns = 0
+        c.coming = NOT_YET
+        return False
+    if waits_to_settle(T, due, c):
         return False
     report_timeout(T, due, c)
     return True
@@ -123,10 +133,11 @@ def restart_supervision(T: Any, t_ns: int, bus: int, condition: int) -> None:
             continue
         c.seen = c.synced = 0
         begin_window(c)
-        deadline_ns = t_ns + (c.first_ns if condition == RUNNING else c.timeout_ns)
+        deadline_ns = t_ns + (c.wake_ns if condition == RUNNING and c.coming == NOT_YET else c.timeout_ns)
         if c.timeout_ns <= 0 or (condition != RUNNING and (c.deadline_ns >= deadline_ns or c.losses >= MOST_LOSSES)):
             continue
         c.losses = 0 if condition == RUNNING else c.losses + 1
+        c.coming = c.coming if c.coming == NOT_YET else COMES
         c.deadline_ns = deadline_ns
         c.silent_ns = c.parked_ns = c.parks = 0
         arm(T, c.timer, c.deadline_ns)
@@ -255,10 +266,14 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
         step = follow(T, t_ns, c, received, step)
     # The counters of rejected frames went by unread; those frames were not lost.
     jumped = step < 0 or step > p.max_step + c.unread
-    place = accuse(T, t_ns, c, COUNTER, jumped or step == 0, float(step), float(p.max_step))
-    store_evidence(T, c.fault[COUNTER], place, 0, float(step))
-    store_evidence(T, c.fault[COUNTER], place, 1, float(c.last_counter))
-    store_evidence(T, c.fault[COUNTER], place, 2, float(received))
+    if jumped and step > 0 and is_lost_with_others(T, t_ns, c):
+        T.clock[0].missed += step - 1
+        not_tested(T, t_ns, c.fault[COUNTER])
+    else:
+        place = accuse(T, t_ns, c, COUNTER, jumped or step == 0, float(step), float(p.max_step))
+        store_evidence(T, c.fault[COUNTER], place, 0, float(step))
+        store_evidence(T, c.fault[COUNTER], place, 1, float(c.last_counter))
+        store_evidence(T, c.fault[COUNTER], place, 2, float(received))
     take_counter(c, received)
     if step == 0:
         T.clock[0].repeated += 1
@@ -387,10 +402,27 @@ def is_usual(T: Any, c: Any, words: Any, length: int, status: int) -> bool:
     return bool(c.counted == 0 or counter_step(c, counter_of(words, c.protection)) == c.usual_step)
 
 
+@kernel(inlined=False)
+def come(T: Any, t_ns: int, c: Any) -> None:
+    """Take the first frame of a message after it did not come; those that were missing alone are told before."""
+    if begin_to_come(T, t_ns, c):
+        for k in range(T.checks.shape[0]):
+            o = T.checks[k]
+            if o.bus == c.bus and o.coming == STOPPED:
+                o.coming = MISSING
+                o.silent_ns += max(t_ns - o.overdue_ns, 0)
+                o.deadline_ns = t_ns
+                report_timeout(T, t_ns, o)
+                arm(T, o.timer, o.deadline_ns)
+        c.coming = COMES
+
+
 @kernel
-def note_arrival(T: Any, t_ns: int, c: Any) -> None:
+def note_arrival(T: Any, t_ns: int, c: Any, words: Any) -> None:
     """Take that a frame of a message has come: its time starts again, and it counts for its rate."""
     if c.timeout_ns > 0:
+        if c.coming != COMES:
+            come(T, t_ns, c)
         deadline_ns, before_ns = t_ns + c.timeout_ns, c.deadline_ns
         c.deadline_ns = deadline_ns
         c.silent_ns = 0
@@ -398,7 +430,7 @@ def note_arrival(T: Any, t_ns: int, c: Any) -> None:
         c.parks = 0
         if deadline_ns < before_ns:  # after a late frame; the noted time is never later than the deadline
             arm(T, c.timer, deadline_ns)
-    if c.stride > 0:
+    if c.stride > 0 and not (c.repeats == 1 and is_news(c, words)):
         c.left -= 1
         if c.left <= 0:
             keep_stamp(T, t_ns, c)
@@ -417,7 +449,7 @@ def check_message(T: Any, t_ns: int, c: Any, words: Any, length: int, status: in
         status: of the decoder.
         bad: place of a signal that carries no value, -1: none.
     """
-    note_arrival(T, t_ns, c)
+    note_arrival(T, t_ns, c, words)
     usual = is_usual(T, c, words, length, status)
     if not usual:
         end_run(T, c)

@@ -1,8 +1,9 @@
 """Senders of a message: its rate, and whether its alive counter runs once.
 
 A limit on a single gap would accuse healthy senders: frames queue, and two come at once. A limit on the frames of a
-window does not. Of two senders of one identifier nobody knows whose values are true. Then no values are used, and no
-other check of the message accuses its sender.
+window does not. Slow messages are often sent each cycle, and at once where their content changes: of these only frames
+that repeat the content before are counted. Of two senders of one identifier nobody knows whose values are true. Then no
+values are used, and no other check of the message accuses its sender.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pydantic import Field
 
 from gateway.monitors.contract import Debounce, Fault
 from gateway_fdi.common.tomlfile import StrictModel
-from gateway_fdi.jit import Record, i4, i8, i8s, means, u1
+from gateway_fdi.jit import Record, i4, i8, i8s, means, u1, u8s
 
 #: Most stamps that are kept of a window.
 KEPT = 8
@@ -34,7 +35,7 @@ SECOND_FAULT = Fault(
     ("counter of one", "counter of the other"),
     Debounce(failed_after=1, passed_after=3),
     remedy="find the second sender: unplug what was added to the bus, ECU after ECU",
-    tested="changes between two counts",
+    tested="evidence of a second count [bit]",
 )
 
 
@@ -43,6 +44,16 @@ class Most(StrictModel):
 
     frames: int = Field(ge=1, le=100_000, description="frames that may come in any such window; more are a fault")
     ms: float = Field(gt=0, le=3.6e6, description="the window [ms]")
+    cycle_ms: float | None = Field(
+        None,
+        gt=0,
+        le=3.6e6,
+        description="cycle of the sender [ms]: while fewer frames come than one sends, nothing speaks of a second one",
+    )
+    repeats: bool = Field(
+        False,
+        description="count only frames that repeat the content before: a sender may send at once when it changes",
+    )
 
 
 class SenderConst(Record):
@@ -51,6 +62,8 @@ class SenderConst(Record):
     most_ns: i8 = means("window", "ns")
     stride: i4 = means("one stamp is kept of so many frames; 0: the rate is not watched")
     slots: i4 = means("stamps that are kept, at most KEPT")
+    one_ns: i8 = means("time of as many frames of one sender; 0: not known", "ns")
+    repeats: u1 = means("1: only frames that repeat the content before are counted")
     apart_ns: i8 = means("mean gap at the limit; of the two gaps around a second sender's frame one is shorter", "ns")
 
 
@@ -64,12 +77,13 @@ class SenderState(Record):
     at: i4 = means("place of the oldest stamp")
     filled: i4 = means("stamps that are kept so far")
     stamps: Annotated[i8s, KEPT] = means("the stamps", "ns")
+    content: Annotated[u8s, 8] = means("payload of the last frame, where repeats are counted")
     wraps: i4 = means("windows that passed")
     crowded: u1 = means("1: the last window had too many frames")
     other_counter: i8 = means("last value of the other count: the last frame did not continue it")
     other_seen: u1 = means("1: there is another count")
     odd: i4 = means("frames for which the other count is still remembered")
-    twice: i4 = means("evidence of two counts; TWO are enough")
+    twice: i4 = means("evidence of two counts; TWO is enough", "bit")
 
 
 def fill(row: Any, most: Most | None) -> None:
@@ -81,3 +95,5 @@ def fill(row: Any, most: Most | None) -> None:
     row["stride"], row["slots"], row["left"] = stride, slots, 1
     row["apart_ns"] = round(most.ms * 1e6 / most.frames)
     row["most_ns"] = round(most.ms * 1e6 * stride * slots / most.frames)
+    row["one_ns"] = round((most.cycle_ms or 0) * 1e6 * stride * slots)
+    row["repeats"] = most.repeats

@@ -9,11 +9,18 @@ from gateway.engine.debounce import is_settled
 from gateway.engine.results import not_tested, report_result, store_evidence
 from gateway_fdi.jit import kernel
 
-#: Evidence of a frame that continues the other count; one that continues its own takes 1 back. A frame after a loss
-#: continues the other count by chance, once in the counter's modulus.
+#: Most evidence of a frame that continues the other count [bit]; one that continues its own takes 1 back. A frame after
+#: a loss continues the other count by chance, once in the counter's modulus: the bits of that it says.
 CHANGE = 8
-#: Evidence of two senders: four changes between the counts. From half of it on values are doubtful.
+#: Evidence of two senders [bit]. From half of it on values are doubtful.
 TWO = 4 * CHANGE
+#: Frames of a window are fewer than one sender's where it is longer by this part of it (the cycle is not known better).
+PART = 50
+#: Share of the windows on a bus that hold too few frames, from which on it, or its recorder, loses them; how many
+#: windows it is taken of. A lone sender that skips makes its own thin, a late host one before a crowded one.
+MOST_THIN, WINDOWS = 0.55, 32.0
+#: Counters of two messages that jump within this time have one reason: frames of the bus are missing [ns].
+TOGETHER_NS = 1_000_000_000
 #: Frames for which the other count is remembered.
 REMEMBERED = 64
 
@@ -60,6 +67,48 @@ def begin_window(c: Any) -> None:
 
 
 @kernel
+def is_news(c: Any, words: Any) -> bool:
+    """Return whether a frame has another content than the one before: then it may come at any time."""
+    news = False
+    for k in range(8):
+        news |= words[k] != c.content[k]
+        c.content[k] = words[k]
+    return bool(news)
+
+
+@kernel
+def is_thin(t_ns: int, c: Any) -> bool:
+    """Return whether fewer frames come than one sender sends, or it is not seen yet."""
+    if c.one_ns == 0 or c.crowded == 1:
+        return False
+    return bool(c.filled < c.slots or t_ns - c.stamps[c.at] > c.one_ns + c.one_ns // PART)
+
+
+@kernel
+def note_window(T: Any, c: Any, span_ns: int) -> None:
+    """Count whether a window of a message holds fewer frames than its sender sends."""
+    if c.one_ns > 0 and c.bus < T.health.shape[0] - 1:
+        h = T.health[c.bus]
+        thin = 1.0 if span_ns > c.one_ns + c.one_ns // PART else 0.0
+        h.thin += (thin - h.thin) / WINDOWS
+
+
+@kernel
+def is_lost_with_others(T: Any, t_ns: int, c: Any) -> bool:
+    """Note that a counter jumped; returns whether frames of other messages of the bus are missing, too.
+
+    Then they were lost on the bus, or by who recorded it, and its sender is not accused.
+    """
+    if c.bus >= T.health.shape[0] - 1:
+        return False
+    h = T.health[c.bus]
+    if h.jumper != c.row:
+        h.others_ns, h.jumper = h.jumped_ns, c.row
+    h.jumped_ns = t_ns
+    return bool(h.thin > MOST_THIN or (h.others_ns > 0 and t_ns - h.others_ns < TOGETHER_NS))
+
+
+@kernel
 def keep_stamp(T: Any, t_ns: int, c: Any) -> None:
     """Keep a stamp, and judge the window that ends with it.
 
@@ -81,6 +130,7 @@ def keep_stamp(T: Any, t_ns: int, c: Any) -> None:
         judge_rate(T, t_ns, c, span_ns)
     elif at == 0:
         c.wraps += 1
+        note_window(T, c, span_ns)
         d = T.debounces[c.fault[EARLY]]
         if c.crowded == 1 or c.wraps & 7 == 0 or T.clock[0].held == 1 or d.gated == 1 or not is_settled(d):
             judge_rate(T, t_ns, c, span_ns)
@@ -100,7 +150,7 @@ def judge_rate(T: Any, t_ns: int, c: Any, span_ns: int) -> None:
     store_evidence(T, c.fault[EARLY], place, 0, float(most + 1))
     store_evidence(T, c.fault[EARLY], place, 1, span_ns * 1e-6)
     if c.fault[SECOND] >= 0 and c.twice == 0:
-        report_result(T, t_ns, c.fault[SECOND], False, 0.0, TWO / CHANGE)
+        report_result(T, t_ns, c.fault[SECOND], False, 0.0, float(TWO))
 
 
 @kernel
@@ -109,6 +159,15 @@ def goes_on(c: Any, before: int, received: int) -> int:
     p = c.protection
     step = (received - before) % p.modulus
     return int(step) if step <= p.max_step + c.unread else 0
+
+
+@kernel
+def weight(c: Any) -> int:
+    """Return what it says that a frame continues the other count [bit]."""
+    left, said = c.protection.modulus // (c.protection.max_step + c.unread), 0
+    while left > 1 and said < CHANGE:
+        left, said = left >> 1, said + 1
+    return said
 
 
 @kernel
@@ -124,13 +183,16 @@ def follow(T: Any, t_ns: int, c: Any, received: int, step: int) -> int:
     """
     if step < 0 or c.seen == 0:
         return step
+    if is_thin(t_ns, c):
+        c.other_seen, c.odd, c.twice = 0, 0, 0
+        return step
     own = goes_on(c, c.last_counter, received)
     other = goes_on(c, c.other_counter, received) if c.other_seen == 1 and c.odd > 0 else 0
     if other > 0 and (own == 0 or other < own):
         c.other_counter, c.odd = c.last_counter, REMEMBERED
-        c.twice = min(c.twice + CHANGE, TWO)
+        c.twice = min(c.twice + weight(c), TWO)
         if c.twice == TWO:
-            place = report_result(T, t_ns, c.fault[SECOND], True, TWO / CHANGE, TWO / CHANGE)
+            place = report_result(T, t_ns, c.fault[SECOND], True, float(TWO), float(TWO))
             store_evidence(T, c.fault[SECOND], place, 0, float(received))
             store_evidence(T, c.fault[SECOND], place, 1, float(c.other_counter))
         return other

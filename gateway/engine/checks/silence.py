@@ -10,24 +10,24 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gateway.common.times import NEVER
-from gateway.engine.checks.bus_health import AWAITED, SILENT, SPOKEN, WHOLE, Params, Silence
+from gateway.engine.checks.activity import UNUSUAL, set_activity, watch_silence
+from gateway.engine.checks.bus_health import ASLEEP, AWAITED, SILENT, SPOKEN, WHOLE, Params, Silence
 from gateway.engine.checks.communication import TIMEOUT, CheckInstance
-from gateway.engine.gate import sleeps
+from gateway.engine.gate import said_awake, sleeps
 from gateway.engine.results import not_tested
 from gateway.engine.timers import arm
 from gateway.signals.database import Database
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
 
-#: A gap between two frames of a bus is unusual from the shortest timeout / UNUSUAL on: then the next frame decides. It
-#: matters to a message from its own timeout / UNUSUAL on.
-UNUSUAL = 3
 #: A bus is silent as a whole after this time, even with a slower sender [ns].
 _LONGEST_NS = 10_000_000_000
 #: A silence is looked at again and again; after an hour less often [ns].
 _HOUR_NS, _AGAIN_NS = 3_600_000_000_000, 60_000_000_000
 #: A message is missing if it missed this number of silences that were not of the whole bus.
 MOST_PARKS = 3
+#: Senders of databases that do not know the sender.
+NOBODY = ("XXX", "Vector__XXX")
 
 
 def silence_of(bus: int, params: Params, checks: Sequence[CheckInstance], databases: Mapping[int, Database]) -> Silence:
@@ -60,7 +60,7 @@ def sender_of(message: str, database: Database) -> str:
         senders = database.message(message).senders
     except InputError:  # told where the check is filled
         senders = []
-    return next((str(name) for name in senders if name != "Vector__XXX"), "")
+    return next((str(name) for name in senders if name not in NOBODY), "")
 
 
 @kernel
@@ -87,6 +87,7 @@ def park(T: Any, due: int, c: Any) -> bool:
         h.silence = AWAITED
         h.until[SILENT] = max(h.heard_ns + h.quiet_ns, due + 1)
         h.deadline_ns = min(h.deadline_ns, h.until[SILENT])
+        watch_silence(h)
         arm(T, h.timer, h.deadline_ns)
     return True
 
@@ -110,11 +111,21 @@ def others_sleep(T: Any, t_ns: int, bus: int) -> bool:
     return others > 0 and spoken == 0
 
 
+@kernel
+def is_alone(T: Any, bus: int) -> bool:
+    """Return whether there is no other bus that can say that all is awake."""
+    for k in range(T.health.shape[0] - 1):
+        if k != bus and T.health[k].quiet_ns > 0:
+            return False
+    return True
+
+
 @kernel(inlined=False)
 def judge_silence(T: Any, t_ns: int, bus: int) -> None:
     """Judge a bus that was silent for long enough; its verdict is in ``failed``.
 
-    Nothing is said of one that may sleep: no other bus is heard, or ``[power]`` says so. It is looked at again.
+    Nothing is said of one that may sleep: no other bus is heard, or ``[power]`` says so; nor, unless that says that the
+    vehicle is awake, of one that ``sleeps`` and is the only one, or fell asleep. It is looked at again.
 
     Args:
         T: the tables.
@@ -127,6 +138,7 @@ def judge_silence(T: Any, t_ns: int, bus: int) -> None:
         if c.bus == bus and c.parked_ns > 0:
             not_tested(T, t_ns, c.fault[TIMEOUT])
     silent_ns, fault = t_ns - h.heard_ns, h.fault[SILENT]
+    set_activity(T, t_ns, bus, ASLEEP)
     h.until[SILENT] = t_ns + max(h.quiet_ns, _AGAIN_NS if silent_ns > _HOUR_NS else 0)
     if sleeps(T, T.debounces[fault]):
         h.asleep = 1
@@ -136,6 +148,8 @@ def judge_silence(T: Any, t_ns: int, bus: int) -> None:
     elif h.asleep == 1 and h.wake_ns > 0:  # it wakes
         h.asleep = 0
         h.until[SILENT] = t_ns + h.wake_ns
+    elif h.settle_ns > 0 and not said_awake(T, T.debounces[fault]) and (h.stops > 1 or is_alone(T, bus)):
+        not_tested(T, t_ns, fault)
     else:
         h.failed |= 1 << SILENT
         h.bad |= 1 << SILENT

@@ -10,9 +10,10 @@ from gateway.engine.depends.parts import Network, Seen, component
 #: Check -> probability that it fails if the message, its sender, its bus is at fault. A message is missing or wrong, in
 #: one of several ways: what one check sees the others do not, so that their passes clear little. An ECU that fails
 #: mostly dies, and all of its messages stop; or a part of them, which its dead half sends. While a bus is cut off
-#: nothing is tested but its silence; a frame that it damages is dropped by each controller, before any check.
+#: nothing is tested but its silence; a frame that it damages is dropped by each controller, before any check. So a
+#: message is missing only while others are heard: then the bus is well.
 _POWERS = {
-    "timeout": (0.6, 0.95, 0.3),
+    "timeout": (0.6, 0.95, 0.0),
     "counter": (0.3, 0.1, 0.02),
     "crc": (0.3, 0.1, 0.02),
     "mac": (0.3, 0.1, 0.02),
@@ -22,6 +23,8 @@ _POWERS = {
     "early": (0.1, 0.02, 0.001),
     "second_sender": (0.01, 0.01, 0.001),
 }
+#: Likewise that a message is missing, if the ECU is dead that sends some of those whose sender nobody names.
+_UNNAMED = 0.05
 #: Fault of a bus -> probability that it fails if the bus is at fault.
 _HEALTH = {"bus_off": 0.5, "bus_passive": 0.5, "bus_errors": 0.5, "bus_lost": 0.9, "bus_silent": 0.99}
 
@@ -39,7 +42,10 @@ def of_check(check: CheckInstance, fault: str, network: Network) -> Iterator[See
     yield Seen(message, of_message, "the message itself")
     for sender in network.senders(check.bus, name):
         yield Seen(sender, of_sender, f"sends {name}")
-    yield Seen(network.bus(check.bus), of_bus, f"carries {name}")
+    if fault == "timeout" and not network.senders(check.bus, name):
+        yield Seen(network.unnamed(check.bus), _UNNAMED, f"may send {name}")
+    if of_bus:
+        yield Seen(network.bus(check.bus), of_bus, f"carries {name}")
 
 
 def of_bus(bus: int, fault: str, network: Network) -> Iterator[Seen]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from gateway.engine.checks.silence import NOBODY
+from gateway.j1939.frame import NULL
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef
 from gateway_fdi.diagnosis.system import Component
@@ -20,8 +22,6 @@ CONNECTED = 0.3
 OF_MESSAGE, OF_SENDER = 0.02, 0.02
 #: Of a second sender of the message: values of both come in turn, until it is told.
 OF_SECOND = 0.3
-#: Senders of databases that do not know the sender.
-_NOBODY = ("XXX", "Vector__XXX")
 
 
 class Seen(NamedTuple):
@@ -73,7 +73,19 @@ class Network:
             found = self.databases[bus].message(message).senders
         except InputError:  # of a monitor's own message, from another database
             return []
-        return [component("ecu", self.names[bus], name) for name in found if name not in _NOBODY]
+        named = [component("ecu", self.names[bus], name) for name in found if name not in NOBODY]
+        return named or self._by_address(bus, message)
+
+    def _by_address(self, bus: int, message: str) -> list[Component]:
+        """Return the ECU that has the source address of a J1939 message."""
+        found = self.databases[bus].message(message)
+        address = found.frame_id & 0xFF
+        known = found.protocol == "j1939" and address < NULL
+        return [component("ecu", self.names[bus], f"0x{address:02X}")] if known else []
+
+    def unnamed(self, bus: int) -> Component:
+        """Return an ECU that no database names."""
+        return component("ecu", self.names[bus], "unnamed")
 
     def second_sender(self, bus: int, message: str) -> Component:
         """Return what sends a message beside its own sender."""

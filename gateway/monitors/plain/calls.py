@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from gateway.monitors.capabilities import Failure
 from gateway_fdi.jit import python_entry
 
 #: How long a step may take [s], and how often that is looked at.
@@ -28,6 +29,7 @@ _steps: dict[int, Callable[[], None]] = {}
 _numbers = itertools.count(1)
 #: Why the last step of each that failed did so.
 _failures: dict[int, str] = {}
+_late: set[int] = set()
 
 
 class TooLongError(BaseException):
@@ -112,6 +114,7 @@ def enter(step: Callable[[], None], state: Any) -> int:
     if isinstance(owner, np.ndarray):
         weakref.finalize(owner, _steps.pop, number, None)
         weakref.finalize(owner, _failures.pop, number, None)
+        weakref.finalize(owner, _late.discard, number)
     return number
 
 
@@ -139,12 +142,18 @@ def call(number: int, *_: int) -> None:
         failed = TooLongError()  # it kept the interrupt to itself, or came back just then
     if failed is not None:
         _failures[number] = _told(failed)
+        if isinstance(failed, TooLongError):
+            _late.add(number)
         raise RuntimeError(_failures[number]) from None
 
 
 def failure(number: int) -> str:
     """Return why a step failed, "": none did."""
     return _failures.get(number, "")
+
+
+#: Capability of a monitor whose state has the number of :func:`enter` in its field ``number``.
+FAILURE = Failure(lambda s: failure(int(s["number"])), lambda s: int(s["number"]) in _late)
 
 
 def _told(error: BaseException) -> str:

@@ -15,16 +15,18 @@ from __future__ import annotations
 
 import math
 import numbers
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from gateway.monitors import contract
+from gateway.monitors.capabilities import Capability
 from gateway.monitors.contract import (
     API,
     EVIDENCE,
@@ -34,7 +36,7 @@ from gateway.monitors.contract import (
     TIMER,
     Debounce,
     Evidence,
-    Failure,
+    Family,
     Fault,
     Monitor,
     MonitorParams,
@@ -43,12 +45,14 @@ from gateway.monitors.contract import (
     report,
 )
 from gateway.monitors.plain import calls
+from gateway.monitors.plain.compiled import Compiled
 from gateway.monitors.plain.written import TIMES, Written, read
 from gateway_fdi.errors import InputError, nearest
-from gateway_fdi.jit import Record, call_entry, f8s, i8, kernel, means
+from gateway_fdi.jit import COMPILED, Record, call_entry, f8s, i8, kernel, means
 
 #: Room for inputs, and for faults.
 MOST_INPUTS, MOST_FAULTS = 64, 16
+_NAME = re.compile(r"[A-Za-z0-9_-]+")
 #: Limit of a verdict that is a yes or no: 1 is a failure.
 _HALF = 0.5
 
@@ -150,14 +154,39 @@ class Plain(OfPython):
         return self.written.made(*values, **parameters)
 
     @property
+    def gets_numbers(self) -> bool:
+        """Whether its inputs are always there: unless its author said otherwise of one."""
+        return not any(one.optional or one.may_be_nan or one.spare for one in self.written.inputs.values())
+
+    @property
     def outside(self) -> bool:
         """Whether it does not come with the gateway: always, as far as it is its author's."""
         return True
 
     @cached_property
     def checked_entry(self) -> int:
-        """Address of its kernel, which is the gateway's own."""
-        return self.entry
+        """Address of its kernel; that which calls Python is the gateway's own, and needs no check."""
+        return self.entry if self.step is step else self._entry(checked=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlainFamily(Family[Any]):
+    """A compiled monitor of plain Python; it can be called as the function or class that it is made of.
+
+    Attributes:
+        written: as its author wrote it.
+    """
+
+    written: Written
+
+    def __call__(self, *values: Any, **parameters: Any) -> Any:
+        """Call what it is made of."""
+        return self.written.made(*values, **parameters)
+
+    @property
+    def file(self) -> Path:
+        """Where it is written."""
+        return self.written.file
 
 
 def monitor(
@@ -166,7 +195,8 @@ def monitor(
     fault: str | Mapping[str, str],
     debounce: Debounce | None = None,
     tested: str = "",
-) -> Callable[[Any], Plain]:
+    compiled: bool = False,
+) -> Callable[[Any], Plain | PlainFamily]:
     """Return what makes a monitor of a function, or of a class with ``update``.
 
     Arguments that signals stand for are inputs; ``t_s`` and ``dt_s`` are the time of the event and since the step
@@ -179,49 +209,105 @@ def monitor(
         fault: DTC of its fault, as ``"P0128-00"``; or of several: name -> DTC.
         debounce: of each fault; default: each result counts.
         tested: what is tested, with its unit, for people: ``"coolant [degC]"``.
+        compiled: whether it is compiled, as :mod:`gateway.monitors.plain.compiled` can; it has one fault then.
 
     Raises:
-        InputError: what stands below is no such function or class, or signals and arguments do not go together.
+        InputError: what stands below is no such function or class, signals and arguments do not go together, or it
+            cannot be compiled.
     """
-    dtcs = {"fault": fault} if isinstance(fault, str) else dict(fault)
 
-    def decorate(made: Any) -> Plain:
+    def decorate(made: Any) -> Plain | PlainFamily:
         written = read(made, signals)
-        key = f"@monitor {written.name}"
+
+        def refuse(text: str) -> NoReturn:
+            raise InputError(text, file=written.file, line=written.line, key=f"@monitor {written.name}")
+
+        dtcs = {"fault": fault} if isinstance(fault, str) else fault
+        if not isinstance(dtcs, Mapping) or not all(isinstance(one, str) for one in [*dtcs, *dtcs.values()]):
+            refuse(f'fault is a DTC, as "P0128-00", or a dictionary of names and DTCs, not {fault!r}')
+        if (wrong := next((name for name in dtcs if not _NAME.fullmatch(name)), None)) is not None:
+            refuse(f"a fault's name has letters, digits, _ and -: not {wrong!r}")
+        if not isinstance(debounce, Debounce | None):
+            refuse(f"debounce is a Debounce(failed_after=5, passed_after=5), not {debounce!r}")
         for what, count, most in (("signals", len(written.inputs), MOST_INPUTS), ("faults", len(dtcs), MOST_FAULTS)):
             if not 1 <= count <= most:
-                raise InputError(f"{count} {what}: 1 to {most}", file=written.file, line=written.line, key=key)
+                refuse(f"{count} {what}: 1 to {most}")
+        if compiled and len(dtcs) > 1:
+            refuse("compiled=True takes one fault: results by name are a dictionary")
+        found = _Made(written, dtcs, debounce or Debounce(), tested)
+        return found.family(Compiled(written)) if compiled and COMPILED else found.plain()
+
+    return decorate
+
+
+@dataclass(frozen=True)
+class _Made:
+    """Makes monitors of what an author wrote."""
+
+    written: Written
+    dtcs: Mapping[str, str]
+    debounce: Debounce
+    tested: str
+
+    def plain(self) -> Plain:
+        """Return one that calls Python."""
+        written, names = self.written, tuple(self.dtcs)
+        return self._monitor(
+            State, Const, step, lambda p, s, c: _prepare(written, names, p, s, c), capabilities=(calls.FAILURE,)
+        )
+
+    def family(self, compiled: Compiled) -> PlainFamily:
+        """Return one that is compiled: its records depend on the parameters."""
+        written = self.written
+
+        @lru_cache(maxsize=32)
+        def of(text: str) -> Plain:
+            state, const, fill = compiled.records(written.params.model_validate_json(text))
+            return self._monitor(state, const, compiled.source(), lambda _, s, c: fill(s, c))
+
+        def made(params: MonitorParams, _: Path) -> Plain:
+            return of(params.model_dump_json())
+
+        return PlainFamily(type=written.name, api=API, params=written.params, made=made, written=written)
+
+    def _monitor(
+        self,
+        state: type[Record],
+        const: type[Record],
+        kernel_: Callable[..., None],
+        prepare: Callable[[Any, Any, Any], None],
+        capabilities: tuple[Capability, ...] = (),
+    ) -> Plain:
+        written = self.written
         shown = tuple(_label(name, signal) for name, signal in written.inputs.items())[:EVIDENCE]
         found = tuple(
             Fault(
                 name,
                 dtc,
-                written.text if len(dtcs) == 1 else f"{written.text}: {name.replace('_', ' ')}",
+                written.text if len(self.dtcs) == 1 else f"{written.text}: {name.replace('_', ' ')}",
                 shown,
-                debounce or Debounce(),
-                tested=tested,
+                self.debounce,
+                tested=self.tested,
             )
-            for name, dtc in dtcs.items()
+            for name, dtc in self.dtcs.items()
         )
         room = [*written.inputs.values(), *[None] * (MOST_INPUTS - len(written.inputs))]
         return Plain(
             type=written.name,
             api=API,
             params=written.params,
-            state=State,
-            const=Const,
+            state=state,
+            const=const,
             inputs=Inputs,
             evidence=Evidence,
-            step=step,
+            step=kernel_,
             connect=lambda _: {"value": room},
-            prepare=lambda p, s, c: _prepare(written, tuple(dtcs), p, s, c),
+            prepare=prepare,
             faults=lambda _: found,
-            capabilities=(Failure(lambda s: calls.failure(int(s["number"]))),),
+            capabilities=capabilities,
             place=written.file,
             written=written,
         )
-
-    return decorate
 
 
 def _label(name: str, signal: Signal) -> str:

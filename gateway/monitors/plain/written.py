@@ -14,6 +14,8 @@ from pydantic import create_model
 from gateway.monitors.contract import MonitorParams, Signal
 from gateway_fdi.errors import InputError, nearest
 
+#: Keys of a table ``[[monitor]]`` that are the gateway's own.
+OWN_KEYS = ("name", "type", "bus", "priority", "send", "signals", "trusted")
 #: Arguments that the gateway fills itself: time of the event, and time since the step before (0 in the first) [s].
 TIMES = ("t_s", "dt_s")
 _SIGNAL = re.compile(r"(?P<name>[^\s\[]+)(?:\s*\[(?P<unit>[^\]]*)\])?")
@@ -46,9 +48,9 @@ class Written:
     @property
     def text(self) -> str:
         """Its first sentence for people; without one, its name."""
-        told = inspect.getdoc(self.made) if "__doc__" in vars(self.made) and self.made.__doc__ else ""
-        own = not told or str(told).startswith(f"{self.name}(")  # a dataclass' own text
-        return self.name.replace("_", " ") if own else str(told).partition("\n")[0].rstrip(".")
+        told = inspect.cleandoc(self.made.__doc__ or "")
+        own = not told or told.startswith(f"{self.name}(")  # a dataclass' own text
+        return self.name.replace("_", " ") if own else told.partition("\n")[0].rstrip(".")
 
     def instance(self, params: MonitorParams) -> Callable[..., Any]:
         """Return a function that takes a step's arguments, with these parameters."""
@@ -82,6 +84,8 @@ def read(made: Any, signals: Sequence[str | Signal] | Mapping[str, str | Signal]
     def refuse(text: str) -> NoReturn:
         raise InputError(text, file=file, line=line, key=f"@monitor {made.__name__}")
 
+    if not isinstance(signals, Mapping | list | tuple):
+        refuse(f"signals is a list of them, or a dictionary by argument, not {signals!r}")
     if inspect.isclass(code):
         refuse("a class needs a function update(self, ...): it is called with each sample")
     taken = list(inspect.signature(code).parameters.values())[1 if inspect.isclass(made) else 0 :]
@@ -120,12 +124,18 @@ def signal(text: object, refuse: Callable[[str], NoReturn]) -> Signal:
 
 
 def _params(made: Any, rest: Sequence[inspect.Parameter], refuse: Callable[[str], NoReturn]) -> type[MonitorParams]:
-    hints = get_type_hints(made.__init__ if inspect.isclass(made) else made, include_extras=True)
+    try:
+        hints = get_type_hints(made.__init__ if inspect.isclass(made) else made, include_extras=True)
+    except NameError as error:
+        refuse(f"a type is not known: {error}")
     fields: dict[str, Any] = {}
     for one in rest:
         if one.name not in hints:
             refuse(f"the parameter {one.name!r} needs a type: {one.name}: float = 1.0")
-        if one.name.startswith("_") or hasattr(MonitorParams, one.name):
+        if one.name.startswith("_") or one.name in OWN_KEYS or hasattr(MonitorParams, one.name):
             refuse(f"a parameter cannot be called {one.name!r}")
         fields[one.name] = (hints[one.name], ... if one.default is one.empty else one.default)
-    return create_model(f"{made.__name__}_params", __base__=MonitorParams, **fields)
+    try:
+        return create_model(f"{made.__name__}_params", __base__=MonitorParams, **fields)
+    except Exception as error:  # pydantic has several of its own
+        return refuse(f"the parameters {', '.join(fields)}: {' '.join(str(error).split())}")

@@ -18,6 +18,7 @@ export function showBuses(buses) {
       bus.frames_per_s === null ? null : fact("", `${number(bus.frames_per_s, 4)} frames/s`),
       ...[["received", "received"], ["sent", "sent"], ["frames lost", "overflow"], ["times lost", "losses"]]
         .filter(([, key]) => key in bus).map(([name, key]) => fact(name, String(bus[key]))),
+      bus.activity ? fact("", bus.activity) : null,
       fact("errors", errors.join(", ") || "none"),
     ];
     if (bus.filtered) facts.push(make("span", {}, "load of the frames that are listened to"));
@@ -95,6 +96,7 @@ export function textOf(event) {
     case "cycle": return `operation cycle ${event.cycle} ${event.state} (${event.number})`;
     case "intervention": return `${event.protocol === "local" ? "this machine" : `tester ${event.protocol}`}: ${event.action}${event.outcome === "done" ? "" : ", refused"}`;
     case "bus": return `bus ${event.bus} ${event.state}${event.reason ? `: ${event.reason}` : ""}`;
+    case "activity": return `bus ${event.bus} ${event.activity}`;
     case "clock": return `the clock was set by ${number(event.step_s)} s`;
     case "memory": return `fault memory ${event.state} ${event.reason}`;
     case "restart": return `restart ${event.count}, ${event.in_a_row} in a row: ${event.reason}`;

@@ -17,7 +17,6 @@ from gateway.monitors import contract
 from gateway.monitors.contract import (
     Connection,
     Debounce,
-    Failure,
     Family,
     Fault,
     Monitor,
@@ -187,7 +186,7 @@ def _monitor_of(_: str, folder: Path, kept: Kept | None) -> Monitor[Params]:
         prepare=lambda p, s, c: _prepare(kept, folder / p.fitted, p, s, c),  # type: ignore[arg-type] # of its part
         faults=_faults,  # type: ignore[arg-type]
         capabilities=(
-            Failure(lambda s: calls.failure(int(s["number"]))),
+            calls.FAILURE,
             Notes(lambda _: () if kept is None else (kept.told,)),
             Parts(_parts),
             Quantities(lambda p: (Quantity("score", limit=limit(p)),), lambda s: (float(s["score"]),)),

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
@@ -42,9 +43,9 @@ def load() -> None:
         _pending.pop()()
 
 
-def to_stderr() -> None:
-    """Send log lines to stderr: readable on a terminal, JSON elsewhere."""
-    _pending[:] = [_configure]
+def to_stderr(level: int = logging.INFO) -> None:
+    """Send log lines to stderr, from a level of :mod:`logging` on: readable on a terminal, JSON elsewhere."""
+    _pending[:] = [partial(_configure, level)]
 
 
 def reset() -> None:
@@ -55,7 +56,7 @@ def reset() -> None:
     structlog.reset_defaults()
 
 
-def _configure() -> None:
+def _configure(level: int) -> None:
     import structlog  # noqa: PLC0415 - slow to load
 
     terminal = sys.stderr.isatty()
@@ -67,7 +68,7 @@ def _configure() -> None:
             structlog.processors.format_exc_info,
             structlog.dev.ConsoleRenderer() if terminal else structlog.processors.JSONRenderer(),
         ],
-        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
+        wrapper_class=structlog.make_filtering_bound_logger(level),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
         cache_logger_on_first_use=True,
     )

@@ -9,6 +9,7 @@ for a kernel allocates nothing.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -296,14 +297,19 @@ def _linked(library: Any, module: Any) -> Any:
     return whole
 
 
+_COLOUR = re.compile(r"\x1b\[\d+m")
+
+
 def _reason(error: BaseException) -> str:
-    """Return what numba says, without its advice."""
-    text = str(error).strip() or type(error).__name__
-    lines = [line.rstrip() for line in text.splitlines() if line.strip()]
-    lines = [line for line in lines if not line.startswith("Failed in nopython mode pipeline")]
+    """Return what numba says, and its places, without colours and advice."""
+    text = _COLOUR.sub("", str(error)).strip() or type(error).__name__
     if isinstance(error, KeyError):
         return f"no field {text}"
-    return "\n  ".join(lines[:12])
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    lines = [line for line in lines if not line.startswith("Failed in nopython mode pipeline")]
+    places = [line for line in lines if line.startswith('File "')]
+    told = lines[: lines.index(places[0])] if places else lines
+    return "\n  ".join([*told[:8], *places[:4]])
 
 
 @global_compiler_lock

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from gateway.signals.bits import field_of, mask_of
 from gateway.signals.payloads import bits_of
 from gateway.signals.protection.crc import KNOWN
 from gateway.signals.protection.rules import RULES
-from gateway_fleet.learn.claims import Claim, called_checksum, fitting, proven
+from gateway_fleet.learn.claims import Claim, called_checksum, covered, fitting, owned, proven
 from gateway_fleet.learn.counters import CounterFound, signal_of
 from gateway_fleet.learn.crcs import crcs
 from gateway_fleet.learn.judged import Payloads, judged
@@ -26,8 +27,11 @@ FIRST_LOOK = 12
 LEAST_BITS, LEAST_BITS_UNNAMED, MOST_BITS = 4, 8, 64
 #: Fields of a message that are not called checksums, and looked at as if they were.
 MOST_UNNAMED = 8
-#: A field that is not called a checksum is taken for one if this number of bytes beside it change, one may count.
+#: A field that is not called a checksum is taken for one if this number of bytes beside it change, one may count. So
+#: many must change in both halves before a constant is learned beside them: else it is not seen how they go in.
 LEAST_BYTES = 2
+#: Payloads that two rules must agree on to be one.
+MADE_UP = 256
 
 
 def candidates(message: Message, frames: Payloads, counter: CounterFound | None) -> list[Signal]:
@@ -84,6 +88,42 @@ def rule_claim(message: Message, counter: CounterFound | None, found_with: Paylo
 def any_claim(message: Message, counter: CounterFound | None, found_with: Payloads, proof: Payloads) -> Claim | None:
     """Return a known CRC, a sum, an exclusive or, or a CRC with any polynomial; arguments of :func:`rule_claim`."""
     return _first(message, counter, found_with, proof, _unnamed)
+
+
+def rivals(message: Message, claim: Claim, counter: CounterFound | None, frames: Payloads) -> list[list[Claim]]:
+    """Return the rules that frames have, each with those that are the same for this message; the claim's come first.
+
+    Two rules that say the same of all frames seen may differ on those to come: where only a counter moves a sum is an
+    exclusive or.
+
+    Args:
+        message: of the frames.
+        claim: rule that was found; of an E2E profile, whose header says more, no rivals are looked for.
+        counter: of the message.
+        frames: all.
+    """
+    name = (claim.keys.get("checksum") or claim.keys.get("crc") or {}).get("signal")
+    signal = next((each for each in (*message.signals, *_undescribed(message)) if each.name == name), None)
+    if signal is None:
+        return [[claim]]
+    rng = np.random.default_rng(0)
+    random = rng.integers(0, 256, (MADE_UP, 8 * frames.words.shape[1]), np.uint8)
+    random[:, message.length :] = 0
+    keep = owned(claim.protection.field)
+    if counter is not None:  # its values were all seen
+        keep = keep | owned(field_of(signal_of(message, counter)))
+    seen = frames[rng.integers(0, len(frames), MADE_UP)]
+    made_up = Payloads(seen.words & keep | random.view(np.uint64) & ~keep, seen.lengths)
+    kinds = {judged(made_up, claim.protection).computed.tobytes(): [claim]}
+    for keys in chain(
+        _rules(message, signal, counter, frames),
+        (keys for keys, _ in _unnamed(message, signal, counter, frames)),
+    ):
+        asked = fitting(message, keys)
+        assert asked is not None
+        made = Claim(keys, asked, len(frames), int(judged(frames, asked).good.sum()))
+        kinds.setdefault(judged(made_up, asked).computed.tobytes(), []).append(made)
+    return list(kinds.values())
 
 
 Hypotheses = Callable[[Message, Signal, CounterFound | None, Payloads], Iterator[tuple[Keys, int]]]
@@ -181,6 +221,15 @@ def _sums(message: Message, signal: Signal, frames: Payloads) -> Iterator[Keys]:
                     one, other = int(first.received[0]), int(first.computed[0])
                     plus = one ^ other if rule == "xor" else (one - other) & limit
                     made = {"checksum": keys | ({"plus": plus} if plus else {})}
-                    if _fits(message, made, frames):
+                    if _fits(message, made, frames) and (not plus or _shown(message, made, frames)):
                         found.append((plus, made))
     yield from (made for _, made in sorted(found, key=lambda one: one[0] != 0))
+
+
+def _shown(message: Message, keys: Keys, frames: Payloads) -> bool:
+    """Return whether frames show how bytes go in: enough of them change in both halves."""
+    asked = fitting(message, keys)
+    assert asked is not None
+    mask = covered(frames, asked, message.length)
+    changed = Payloads(np.bitwise_or.reduce((frames.words ^ frames.words[0]) & mask, axis=0)[None], frames.lengths)
+    return int(((changed.bytes & 0xF > 0) & (changed.bytes >> 4 > 0)).sum()) >= LEAST_BYTES

@@ -15,6 +15,7 @@ from gateway.signals.bits import mask_of
 from gateway.signals.payloads import bits_of
 from gateway.signals.protection.params import CHECKSUMS, ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
+from gateway.signals.protection.rules import RULES
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.evidence import LEAST_EVIDENCE
 from gateway_fleet.learn.judged import Payloads, judged
@@ -42,6 +43,12 @@ class Claim:
     frames: int
     matched: int
     note: str = ""
+
+    @property
+    def maker(self) -> str:
+        """Name of the carmaker's rule that it is; "": it is none."""
+        rule = str(self.keys.get("checksum", {}).get("rule", ""))
+        return rule if rule in RULES else ""
 
 
 def called_checksum(name: str) -> bool:
@@ -76,13 +83,12 @@ def covered(payloads: Payloads, asked: Protection, length: int) -> NDArray[np.ui
         plain = judged(payloads[k : k + 1], asked).computed[0]
         moved = judged(Payloads(payloads.words[k] ^ turned, lengths), asked).computed != plain
         mask |= np.bitwise_or.reduce(turned[moved], axis=0, initial=np.uint64(0))
-    own: NDArray[np.uint64] = owned_by_checksum(asked)
-    return mask & ~own
+    return mask & ~owned(asked.field)
 
 
 def distinct_pairs(payloads: Payloads, asked: Protection, mask: NDArray[np.uint64]) -> NDArray[np.intp]:
     """Return one frame for each pair of what is covered and its checksum: frames that repeat a pair say nothing new."""
-    both = payloads.words & (mask | owned_by_checksum(asked))
+    both = payloads.words & (mask | owned(asked.field))
     _, places = np.unique(both, axis=0, return_index=True)
     return np.sort(places)
 
@@ -121,9 +127,9 @@ def _copies(pairs: Payloads, mask: NDArray[np.uint64], width: int) -> bool:
     return bool(width * (len(pairs) - most) < LEAST_EVIDENCE)
 
 
-def owned_by_checksum(asked: Protection) -> Any:
-    """Return the bits of a payload that are the checksum's, uint64, shape (8,)."""
-    return np.frombuffer(mask_of(asked.field).to_bytes(64, "little"), "<u8")
+def owned(field: Any) -> NDArray[np.uint64]:
+    """Return the bits of a payload that are a field's, uint64, shape (8,)."""
+    return np.frombuffer(mask_of(field).to_bytes(64, "little"), "<u8")
 
 
 def proven(
@@ -155,7 +161,7 @@ def proven(
         return None
     if not called and "e2e" not in keys:  # a profile says itself what it covers
         changing = np.bitwise_or.reduce(proof.words ^ proof.words[0], axis=0)
-        if (changing & ~(mask | owned_by_checksum(asked))).any() or _copies(pairs, mask, int(asked.field["length"])):
+        if (changing & ~(mask | owned(asked.field))).any() or _copies(pairs, mask, int(asked.field["length"])):
             return None
     good = judged(proof, asked).good
     if good.mean() < RIGHT or judged(pairs, asked).good.mean() < RIGHT:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -51,21 +51,29 @@ def derive(
         if bus_asked.of_answers or "health" in bus_asked.keys:
             continue
         known = {can_id & ID_MASK for at, can_id in observation.foreign if at == bus and not of_a_tester(can_id)}
-        keys = {"unknown": "tell", "known": sorted(known)}
-        learned.add(Line(bus_asked.name, HEALTH, HEALTH, keys, "identifiers that never came are told"))
+        keys = {"sleeps": True, "unknown": "tell", "known": sorted(known)}
+        why = "it falls asleep, as any car's; identifiers that never came are told"
+        learned.add(Line(bus_asked.name, HEALTH, HEALTH, keys, why))
     everything = observation
     heard = {key: seen for key, seen in observation.seen.items() if not asked[key[0]].of_answers}
     observation = replace(observation, seen=heard)
+    described: dict[tuple[int, str], str] = {}
     for key, seen in observation.seen.items():
         bus, name = key
         file = Path() if seen.unknown else databases[bus].file_of(name)
-        several = senders(seen)
         cycle = cycle_ns(seen.gaps)
         times = [(stamps - stamps[0]) / cycle for stamps in seen.samples.stamps] if cycle > 0.0 else None
         whole = seen.frames >= LEAST_FRAMES
-        note = _described(seen, times) if seen.unknown else ""
+        described[key] = _described(seen, times) if seen.unknown else ""
         found[key] = protection_found(seen.message, file, seen.samples.runs, whole=whole, cycles=times)
-        line = limits.check_line(buses[bus], seen, found[key], note)
+    makers = [_makers(found, bus) for bus in range(len(asked))]
+    for key, seen in observation.seen.items():
+        bus, name = key
+        found[key] = found[key].among(makers[bus])
+        several = senders(seen)
+        line = limits.check_line(buses[bus], seen, found[key], described[key])
+        if found[key].claim is None and found[key].rules:
+            learned.notes.append(f"{buses[bus]}.{name}: {limits.rivals_text(found[key])}")
         if several and "counter" not in line.keys and found[key].counter is None:
             learned.notes.append(f"{buses[bus]}.{name}: its gaps look as if two senders sent it")
         if not seen.unknown or set(line.keys) - {"message", "length"} or line.keys.get("length") is not False:
@@ -85,6 +93,12 @@ def derive(
         absent_lines(learned, bus_asked)
     learned.notes += answer_notes(everything, asked)
     return learned
+
+
+def _makers(found: Mapping[tuple[int, str], ProtectionFound], bus: int) -> set[str]:
+    """Return the carmakers' rules that messages of a bus have, and no other rule beside."""
+    alone = [each.rules[0] for (at, _), each in found.items() if at == bus and len(each.rules) == 1]
+    return {claim.maker for kind in alone for claim in kind} - {""}
 
 
 def _described(seen: Seen, cycles: Sequence[NDArray[np.float64]] | None) -> str:

@@ -252,24 +252,40 @@ def _rounded(value: float) -> float:
 #: Shortest time of the row of gaps that is limited [ns]; share of it that such a row must take at least, and number of
 #: rows that it takes to say so.
 WINDOW_NS, LEAST_SHARE, LEAST_ROWS = 1_000_000_000, 0.75, 5
+#: A message with a longer cycle is slow [ns]: it may be sent at a change, too, and its row has this number of gaps at
+#: least, so that one frame more, as senders send when they wake, breaks no limit.
+SLOW_NS, LEAST_ROW = WINDOW_NS // 8, 4
+#: Where fewer frames than this share repeat the one before, repeats say nothing; then a row has more gaps at least, and
+#: takes this share of its time.
+REPEATED, LONG_ROW, SHORT_SHARE = 1.0 / 3.0, 16, 0.6
 
 
-def most(gaps: Gaps) -> dict[str, float] | None:
+def most(gaps: Gaps, repeated: float) -> dict[str, float | bool] | None:
     """Return how often a cyclic message may come, as ``most`` of its check; None where nothing says it.
 
     A second sender halves the time of a row of gaps, queues shorten it by their length, so that a limit of three
     quarters of a second stands a host that is a quarter of a second late. Of n rows that follow one law the next
     is shorter than the shortest with probability 1/(n + 1): the fewer there are, the more is added to what was missing.
+    Of a slow message only frames that repeat the content before are counted, as nobody knows whether it is sent at a
+    change, too; of one whose content always changes all are, with room for half as many again.
+
+    Args:
+        gaps: of the message.
+        repeated: share of its frames that repeat the content before.
     """
     if sending(gaps) != CYCLIC:
         return None
     cycle = gaps.quantile_ns(0.5)
+    slow, rolls = cycle > SLOW_NS, repeated < REPEATED
+    least, share = (LONG_ROW, SHORT_SHARE) if slow and rolls else (LEAST_ROW, LEAST_SHARE)
     for row, span_ns in gaps.spans_ns.items():
         whole, count = row * cycle, gaps.counted // row
-        if whole < WINDOW_NS or span_ns == 0 or count < LEAST_ROWS:
+        if whole < WINDOW_NS or row < least or span_ns == 0 or count < LEAST_ROWS:
             continue
-        if whole - _longer(count) * max(whole - span_ns, 0.0) >= LEAST_SHARE * whole:
-            return {"frames": row, "ms": float(f"{LEAST_SHARE * whole * 1e-6:.3g}")}
+        if whole - _longer(count) * max(whole - span_ns, 0.0) >= share * whole:
+            ms, cycle_ms = (float(f"{ns * 1e-6:.3g}") for ns in (share * whole, cycle))
+            again = {"repeats": True} if slow and not rolls else {}
+            return {"frames": row, "ms": ms, "cycle_ms": cycle_ms, **again}
     return None
 
 

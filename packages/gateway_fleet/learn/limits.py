@@ -72,7 +72,7 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> 
     if timeout is not None:
         keys["timeout_ms"] = timeout
         keys |= _wake(seen, timeout, why)
-    if (often := gaps.most(seen.gaps)) is not None:
+    if (often := gaps.most(seen.gaps, seen.samples.repeated())) is not None:
         keys["most"] = often
         why.append(f"{often['frames']:g} gaps in {_ms(seen.gaps.spans_ns[int(often['frames'])])} at least")
     if any(length < message.length for length in seen.lengths):
@@ -90,6 +90,8 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> 
         name = found.claim.protection.name
         why.append(f"{name} right in {found.claim.matched} of {found.claim.frames}")
         why += [found.claim.note] if found.claim.note else []
+    elif found.rules:
+        why.append(rivals_text(found))
     if found.counter is not None:
         keys["counter"] = found.counter.keys(signal_of(message, found.counter).length)
         why.append(f"counts in {found.counter.ones} of {found.counter.steps} steps")
@@ -98,6 +100,12 @@ def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> 
     for name in found.unexplained:
         why.append(f"{name}: no rule proven in {found.frames} different frames")
     return Line(bus, CHECK, message.name, keys, "; ".join(why))
+
+
+def rivals_text(found: ProtectionFound) -> str:
+    """Return that no checksum is claimed, as its frames fit several rules."""
+    names = dict.fromkeys(kind[0].protection.name for kind in found.rules)
+    return f"no checksum: its {found.frames} different frames fit {', '.join(names)}"
 
 
 def _wake(seen: Seen, timeout: float, why: list[str]) -> dict[str, Any]:
@@ -133,8 +141,8 @@ def signal_lines(
         speeds: signals that say how fast the car is.
     """
     own = {found.counter.signal} if found.counter is not None else set()
-    if found.claim is not None:
-        own |= {str(part.get("signal")) for part in found.claim.keys.values()}
+    if (claim := found.claim or next((kind[0] for kind in found.rules), None)) is not None:
+        own |= {str(part.get("signal")) for part in claim.keys.values()}
     lines = []
     counted = found.counter is not None or (found.claim is not None and "e2e" in found.claim.keys)
     checksum = None if counted or found.claim is None else next(iter(own), None)

@@ -42,7 +42,8 @@ class Line:
             return f'"{self.name}".caused_by = {inline(self.keys["caused_by"])}'
         if self.table == HEALTH:
             known = ", ".join(f"0x{can_id:X}" for can_id in self.keys["known"])
-            return f'health = {{unknown = "{self.keys["unknown"]}", known = [{known}]}}  # {self.why}'
+            more = "".join(f"{key} = {inline(value)}, " for key, value in self.keys.items() if key != "known")
+            return f"health = {{{more}known = [{known}]}}  # {self.why}"
         return f"    {inline(self.keys)},  # {self.why}"
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence, Set
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from gateway.signals.bits import LONGEST, field_of
 from gateway.signals.payloads import bits_of
 from gateway.signals.protection.auto import automatic
 from gateway_fdi.errors import InputError
-from gateway_fleet.learn.checksums import any_claim, rule_claim
+from gateway_fleet.learn.checksums import any_claim, rivals, rule_claim
 from gateway_fleet.learn.claims import Claim, called_checksum, proven
 from gateway_fleet.learn.counters import CounterFound, candidates, likelier, of_raw
 from gateway_fleet.learn.judged import Payloads
@@ -34,12 +34,26 @@ class ProtectionFound:
         claim: checksum or E2E profile; None: none was found.
         unexplained: signals that are called as checksums are, and whose rule was not found.
         frames: different ones that were looked at.
+        rules: of the checksum that all of them have, in kinds: two of a kind are the same for this message. Of several
+            kinds nobody knows which is the sender's.
     """
 
     counter: CounterFound | None
     claim: Claim | None
     unexplained: tuple[str, ...]
     frames: int
+    rules: Sequence[Sequence[Claim]] = ()
+
+    def among(self, proven_beside: Set[str]) -> ProtectionFound:
+        """Return it without rules that others rival, but for one that is proven of other messages of the bus.
+
+        Args:
+            proven_beside: names of carmakers' rules.
+        """
+        if len(self.rules) < 2:
+            return self
+        backed = [one for kind in self.rules if (one := next((c for c in kind if c.maker in proven_beside), None))]
+        return replace(self, claim=backed[0], rules=[backed]) if len(backed) == 1 else replace(self, claim=None)
 
 
 def protection_found(
@@ -67,10 +81,11 @@ def protection_found(
     if not whole:
         return ProtectionFound(counter, None, named, len(frames))
     found_with, proof = _split(frames)
-    claim = None
+    claim = said = None
     if len(found_with):
+        said = _as_the_database_says(message, file, _all(found_with, proof))
         claim = (
-            _as_the_database_says(message, file, _all(found_with, proof))
+            said
             # A maker's rule has no constant of its own that frames could have been taken for: all of them prove it.
             or rule_claim(message, counter, found_with, _all(found_with, proof))
             or e2e_claim(message, found_with, proof)
@@ -80,7 +95,10 @@ def protection_found(
         counter = None
     taken = set() if claim is None else {str(part.get("signal")) for part in claim.keys.values()}
     left = () if claim is not None and "e2e" in claim.keys else tuple(name for name in named if name not in taken)
-    return ProtectionFound(counter, claim, left, len(found_with) + len(proof))
+    rules: list[list[Claim]] = []
+    if claim is not None:
+        rules = [[claim]] if claim is said else rivals(message, claim, counter, _all(found_with, proof))
+    return ProtectionFound(counter, claim, left, len(found_with) + len(proof), rules)
 
 
 def joined(

@@ -36,6 +36,11 @@ class Samples:
         """The runs, each in order."""
         return [Payloads(words, lengths) for words, lengths, _ in self._runs]
 
+    def repeated(self) -> float:
+        """Return the share of frames that repeat the content of the one before."""
+        again = [(words[1:] == words[:-1]).all(axis=1) for words, _, _ in self._runs]
+        return float(np.concatenate(again).mean()) if sum(map(len, again)) else 0.0
+
     @property
     def stamps(self) -> list[NDArray[np.int64]]:
         """Stamps of the runs' frames [ns]."""

@@ -14,7 +14,6 @@ from gateway.monitors.contract import (
     Blames,
     Connection,
     Debounce,
-    Failure,
     Family,
     Fault,
     Monitor,
@@ -170,7 +169,7 @@ def _monitor_of(keys: str, make: Callable[[], Any]) -> Monitor[Params]:
         faults=lambda p: _faults(made, p),
         capabilities=(
             Blames(lambda p: _blames(made, p)),
-            Failure(lambda s: calls.failure(int(s["number"]))),
+            *(() if made.matrices else (calls.FAILURE,)),
             Notes(lambda p: _told(p, made)),
             Parts(lambda p, find, give: _parts(made, p, find, give)),
             Quantities(lambda p: _quantities(made, p), lambda s: _values(made, p, s)),

@@ -1,0 +1,214 @@
+"""Activity of a bus as a whole: it is asleep, waking, running or falling asleep; and what timeouts wait for meanwhile.
+
+A bus wakes with the first frame after it was silent as a whole, and at a start: each message has its time to come, and
+only then may be missing. It runs when all have come, or had their time.
+
+A bus that may sleep (``[bus.health] sleeps``) falls asleep as a car does that is parked: senders stop one after the
+other, some run on for a while, then it is silent. So one that stops there is judged when the bus has *settled*: no
+other has stopped for a while. Senders that stop at one time, and are few, are at fault then. Those that stop at several
+times, or are many, have been switched off. All is judged at once where ``[power]`` says that the vehicle is awake.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gateway.common.times import NEVER
+from gateway.engine.checks.bus_health import ASLEEP, AWAITED, AWAKE, FALLING, WAKING
+from gateway.engine.checks.communication import COMES, MISSING, NOT_YET, STOPPED, TIMEOUT
+from gateway.engine.events import ACTIVITY
+from gateway.engine.gate import said_awake
+from gateway.engine.results import announce
+from gateway.engine.timers import arm
+from gateway_fdi.jit import kernel
+
+#: How often it is looked whether a bus is awake, and how long none may have begun to come then, at least [ns].
+_LOOK_NS, _LEAST_NS = 500_000_000, 1_000_000_000
+#: A bus sleeps after this time without a frame [ns].
+_ASLEEP_NS = 1_000_000_000
+#: A gap between two frames of a bus is unusual from the shortest timeout / UNUSUAL on: then the next frame decides. It
+#: matters to a message from its own timeout / UNUSUAL on.
+UNUSUAL = 3
+#: Senders that stop at one time are switched off, not at fault, from this number on, a message whose sender nobody
+#: names being half of one; and from this share of the messages of the bus on (its numerator and denominator).
+_MANY, _PART, _OF = 3, 2, 5
+#: A bus that falls asleep is silent after this time, or those that have stopped are at fault [ns].
+_AFTER_RUN_NS = 300_000_000_000
+
+
+@kernel
+def set_activity(T: Any, t_ns: int, bus: int, activity: int) -> None:
+    """Note what a bus does, tell it unless it is its first time, and look again while that may change."""
+    h = T.health[bus]
+    before = h.activity
+    h.activity = activity
+    if before != activity and h.begun == 1:
+        announce(T, t_ns, ACTIVITY, bus, bus, float(activity), float(before))
+    if activity == AWAKE:
+        h.begun = 1
+        h.stops = 0
+    h.look_ns = t_ns + _LOOK_NS if activity in (WAKING, FALLING) else NEVER
+    h.deadline_ns = min(h.deadline_ns, h.look_ns)
+
+
+@kernel
+def look_at_activity(T: Any, t_ns: int, bus: int) -> None:
+    """Look whether a bus that wakes or falls asleep is awake: all messages come, or for a while none has begun to.
+
+    One on which nobody is heard is asleep; that changes nothing for its messages before it is silent as a whole.
+    """
+    h = T.health[bus]
+    if h.silence == AWAITED and h.activity != ASLEEP:
+        h.look_ns = NEVER
+        watch_silence(h)
+        if h.look_ns <= t_ns:
+            set_activity(T, t_ns, bus, ASLEEP)
+        return
+    settled = h.activity == WAKING and t_ns - h.joined_ns >= max(h.settle_ns, _LEAST_NS)
+    for k in range(T.checks.shape[0]):
+        c = T.checks[k]
+        if c.bus == bus and c.timeout_ns > 0 and c.coming in (NOT_YET, STOPPED) and not settled:
+            set_activity(T, t_ns, bus, h.activity)
+            return
+    set_activity(T, t_ns, bus, AWAKE)
+
+
+@kernel
+def begin_waking(T: Any, t_ns: int, bus: int) -> None:
+    """Take the first frame of a bus that was asleep: none of its messages has come yet."""
+    h = T.health[bus]
+    h.stops = 0
+    for k in range(T.checks.shape[0]):
+        c = T.checks[k]
+        if c.bus == bus and c.timeout_ns > 0:
+            c.coming = NOT_YET
+            c.seen, c.silent_ns, c.parked_ns, c.parks, c.asleep = 0, 0, 0, 0, 0
+            c.deadline_ns = t_ns + c.wake_ns
+            arm(T, c.timer, c.deadline_ns)
+    set_waking(T, t_ns, bus)
+
+
+@kernel
+def set_waking(T: Any, t_ns: int, bus: int) -> None:
+    """Note that a bus is heard again."""
+    h = T.health[bus]
+    h.joined_ns = t_ns
+    set_activity(T, t_ns, bus, WAKING)
+    arm(T, h.timer, h.deadline_ns)
+
+
+@kernel
+def watch_silence(h: Any) -> None:
+    """Look at a bus on which messages wait for a frame of anybody: it sleeps, after a while without one."""
+    h.look_ns = min(h.look_ns, h.heard_ns + max(_ASLEEP_NS, UNUSUAL * h.gap_ns))
+    h.deadline_ns = min(h.deadline_ns, h.look_ns)
+
+
+@kernel(inlined=False)
+def waits_to_settle(T: Any, due: int, c: Any) -> bool:
+    """Return whether a message whose time is over is not judged yet; its next deadline is set then.
+
+    Args:
+        T: the tables.
+        due: when its time was over [ns].
+        c: its record of Check.
+    """
+    if c.bus >= T.health.shape[0] - 1:
+        return False
+    h = T.health[c.bus]
+    waits = False
+    if h.settle_ns > 0 and c.coming in (COMES, STOPPED) and not said_awake(T, T.debounces[c.fault[TIMEOUT]]):
+        waits = _settles(T, due, h, c)
+    if not waits and c.coming == STOPPED:
+        c.silent_ns += due - c.overdue_ns
+        c.deadline_ns = due
+    if not waits:
+        c.coming = MISSING
+    return waits
+
+
+@kernel
+def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
+    """Return whether it is to be seen first whether others stop, too."""
+    if c.coming == COMES:
+        _note_stop(h, c, due)
+        c.coming, c.overdue_ns = STOPPED, due
+        if h.activity == AWAKE and h.stops > 1:
+            _fall(T, due, c.bus)
+    until_ns = h.stopped_ns + h.settle_ns
+    if h.activity == AWAKE and due >= until_ns and _many_stop(T, due, c.bus):
+        _fall(T, due, c.bus)
+    if h.activity == FALLING:
+        until_ns = h.fell_ns + _AFTER_RUN_NS
+    if due >= until_ns:
+        return False
+    c.deadline_ns = min(until_ns, due + max(h.settle_ns, c.timeout_ns))
+    return True
+
+
+@kernel
+def _fall(T: Any, t_ns: int, bus: int) -> None:
+    h = T.health[bus]
+    h.fell_ns = t_ns
+    set_activity(T, t_ns, bus, FALLING)
+    arm(T, h.timer, h.deadline_ns)
+
+
+@kernel
+def _note_stop(h: Any, c: Any, due: int) -> None:
+    """Note when a message stopped: after its last frame, and before its time was over.
+
+    An ECU that dies stops all of its messages at one time, which lies between these of each of them.
+    """
+    last_ns = due - c.timeout_ns
+    if h.stops > 0 and last_ns > h.stopped_ns + h.settle_ns:
+        h.stops = 0
+    from_ns, until_ns = max(h.stop_from_ns, last_ns), min(h.stop_until_ns, due)
+    if h.stops > 0 and from_ns < until_ns:
+        h.stop_from_ns, h.stop_until_ns = from_ns, until_ns
+    elif h.stops == 0 or c.sender != h.stop_sender:
+        h.stops += 1
+        h.stop_from_ns, h.stop_until_ns, h.stop_sender = last_ns, due, c.sender
+        h.stopped_ns = last_ns
+
+
+@kernel
+def _many_stop(T: Any, due: int, bus: int) -> bool:
+    """Return whether the senders that have stopped are more than those that are at fault at one time."""
+    h = T.health[bus]
+    stopped = on = halves = 0
+    for k in range(T.checks.shape[0]):
+        c = T.checks[k]
+        if c.bus != bus or c.timeout_ns <= 0:
+            continue
+        if c.coming == STOPPED:
+            stopped += 1
+            halves += 1 if c.sender < 0 else 2 * _is_first(T, k)
+        elif c.coming == COMES and c.timeout_ns <= due - h.stop_until_ns:
+            on += 1
+    return bool(halves >= 2 * _MANY and stopped * _OF >= (stopped + on) * _PART)
+
+
+@kernel
+def _is_first(T: Any, k: int) -> bool:
+    """Return whether a message is the first of those of its sender that have stopped."""
+    c = T.checks[k]
+    for j in range(k):
+        if T.checks[j].sender == c.sender and T.checks[j].coming == STOPPED:
+            return False
+    return True
+
+
+@kernel
+def begin_to_come(T: Any, t_ns: int, c: Any) -> bool:
+    """Take that a message comes again; returns whether it, and others that have stopped, were missing alone."""
+    h, stopped = T.health[c.bus], c.coming == STOPPED
+    if c.coming == NOT_YET:
+        h.joined_ns = max(h.joined_ns, t_ns)
+    elif stopped and h.activity == AWAKE and h.stops <= 1:
+        if not _many_stop(T, t_ns, c.bus):
+            h.stops = 0
+            return True
+        _fall(T, t_ns, c.bus)
+    c.coming = COMES
+    return False

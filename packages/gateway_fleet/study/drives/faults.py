@@ -1,0 +1,356 @@
+"""Everyday faults put into a drive of a vehicle, and the components that are right to be named for each.
+
+A fault is put in whether or not anything watches for it: its size is that of the workshop, not that of a limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from cantools.database.can.signal import Signal
+from numpy.typing import NDArray
+
+from gateway.bus.frames import ID_MASK, Frames
+from gateway.config.model import Config
+from gateway.engine.depends.parts import Network
+from gateway.runtime.assemble import Parts
+from gateway.runtime.injection import Injection, Injector
+from gateway.signals.changing import ChangedMessage, ChangedSignal
+from gateway.signals.protection.params import protection_for
+from gateway.signals.protection.protection import Protection
+from gateway_fleet.learn.claims import called_checksum
+from gateway_fleet.learn.counters import called_counter
+
+#: When a fault begins and ends, in shares of the drive; an ECU reboots, and a bus is away [s].
+BEGIN, END, REBOOT_S, AWAY_S = 0.3, 0.75, 2.0, 3.0
+#: Offsets: of a speed [km/h]; of others as a share of what the signal spans. Factor; end of a drift, of that span.
+SPEED_KMH, WHEEL_KMH, SHARE, FACTOR, DRIFT = 7.0, 8.0, 0.25, 2.0, 0.4
+#: Jitter in cycles, and one frame of LOST is lost.
+CYCLES, LOST = 3.0, 10
+#: Messages of an ECU where no database names senders; frames of a message at least; signals of the same kind that are
+#: wheels.
+OF_ECU, LEAST, WHEELS = 3, 20, 4
+#: Kinds that are told by the bus, or as a security event.
+AWAY, UNKNOWN = "bus away", "unknown identifier"
+#: Units of speed -> how much a km/h is.
+_KMH = {"km/h": 1.0, "kph": 1.0, "kmh": 1.0, "km/hour": 1.0, "m/s": 1 / 3.6, "mph": 1 / 1.609344}
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault in a drive.
+
+    Attributes:
+        kind: one of KINDS.
+        about: what it is put into, for people.
+        frames: the drive with it.
+        begin_ns: when it begins.
+        right: components of which one is to be named.
+        concerned: components, and messages with a dot behind them, that may be named beside it.
+    """
+
+    kind: str
+    about: str
+    frames: Frames
+    begin_ns: int
+    right: frozenset[str]
+    concerned: frozenset[str]
+
+    @property
+    def of_message(self) -> bool:
+        """Whether it is one of the vehicle's messages, and not of the whole bus or of a stranger on it."""
+        return self.kind not in (AWAY, UNKNOWN)
+
+
+@dataclass(frozen=True)
+class _Sent:
+    """A message as a drive has it: bus, name, middle gap between two frames [ns], its frames, ECUs that send it."""
+
+    bus: int
+    name: str
+    cycle_ns: int
+    count: int
+    senders: tuple[str, ...]
+
+
+class Drive:
+    """A healthy drive that faults are put into.
+
+    Args:
+        config: that was learned.
+        parts: of it.
+        frames: of the drive, in order of time.
+        rng: source of all randomness.
+    """
+
+    def __init__(self, config: Config, parts: Parts, frames: Frames, rng: np.random.Generator) -> None:
+        self.frames, self.rng, self._parts = frames, rng, parts
+        self.names = [bus.name for bus in config.bus]
+        self._pgn = [k for k, bus in enumerate(config.bus) if bus.match == "pgn"]
+        self._network = Network(self.names, dict(enumerate(parts.databases)))
+        self.start_ns, end_ns = int(frames["t_ns"][0]), int(frames["t_ns"][-1])
+        self.seconds = (end_ns - self.start_ns) * 1e-9
+        self.sent = list(self._messages())
+
+    def _messages(self) -> Iterator[_Sent]:
+        for bus, database in enumerate(self._parts.databases):
+            for message in database:
+                mine = self.frames["t_ns"][self._changed(bus, message.name).among(self.frames)]
+                if len(mine) >= LEAST:
+                    senders = tuple(one.name for one in self._network.senders(bus, message.name))
+                    yield _Sent(bus, message.name, int(np.median(np.diff(mine))), len(mine), senders)
+
+    def _changed(self, bus: int, name: str) -> ChangedMessage:
+        database = self._parts.databases[bus]
+        mine = [check for check in self._parts.checks if (check.bus, check.params.message) == (bus, name)]
+        protection = protection_for(database.message(name), mine[0].params) if mine else Protection()
+        return ChangedMessage(bus, database, name, protection, self._pgn)
+
+    def any_message(self) -> _Sent | None:
+        """Return a message by chance; None: the drive has none."""
+        return self.sent[int(self.rng.integers(len(self.sent)))] if self.sent else None
+
+    def any_ecu(self) -> list[_Sent]:
+        """Return the messages of an ECU by chance, where no sender is named some messages."""
+        ecus = sorted({sender for one in self.sent for sender in one.senders})
+        if ecus:
+            ecu = ecus[int(self.rng.integers(len(ecus)))]
+            return [one for one in self.sent if one.senders == (ecu,)]
+        places = self.rng.permutation(len(self.sent))[:OF_ECU]
+        return [self.sent[k] for k in places]
+
+    def quantities(self) -> Iterator[tuple[_Sent, Signal, NDArray[np.float64]]]:
+        """Yield signals that move and are no code, counter or checksum, in an order by chance, with their values."""
+        for sent, signal in self._signals():
+            named = called_checksum(signal.name) or called_counter(signal.name) or signal.is_multiplexer
+            if not named and not signal.choices and signal.length > 1:
+                values = self.values(sent, signal.name)
+                if len(values) >= LEAST and np.ptp(values) > 0.0:
+                    yield sent, signal, values
+
+    def texts(self) -> Iterator[tuple[_Sent, Signal]]:
+        """Yield signals whose values have texts, and that could say one without, in an order by chance."""
+        for sent, signal in self._signals():
+            if signal.choices and not signal.is_multiplexer and len(signal.choices) < 1 << signal.length:
+                yield sent, signal
+
+    def _signals(self) -> Iterator[tuple[_Sent, Signal]]:
+        some = [(one, s) for one in self.sent for s in self._parts.databases[one.bus].message(one.name).signals]
+        for k in self.rng.permutation(len(some)).tolist():
+            yield some[k]
+
+    def values(self, sent: _Sent, signal: str) -> NDArray[np.float64]:
+        """Return what a signal has in the drive, where it is."""
+        mine = self.frames[self.of(sent)]
+        values = ChangedSignal(sent.bus, self._parts.databases[sent.bus], sent.name, signal).values(mine)
+        return values[~np.isnan(values)]
+
+    def injected(self, kind: str, sent: _Sent, signal: str | None = None, value: float = 0.0) -> Injection:
+        """Return a fault of a message or signal, from BEGIN to END."""
+        first, last = BEGIN * self.seconds, END * self.seconds
+        return Injection(kind, sent.bus, sent.name, signal, value, first, last)
+
+    def with_(self, injections: list[Injection]) -> Frames:
+        """Return the drive with faults put in."""
+        frames = self.frames
+        for asked in injections:
+            how = (self._parts.databases, self._parts.checks, self.rng, self.start_ns, self._pgn)
+            frames = Injector(asked, *how).apply(frames)
+        return frames
+
+    def hit(self, sent: _Sent) -> NDArray[np.bool_]:
+        """Return which frames of a message come while a fault is there, shape (frames,)."""
+        shares = (self.frames["t_ns"] - self.start_ns) * 1e-9 / self.seconds
+        within = np.asarray((shares >= BEGIN) & (shares < END), np.bool_)
+        return within & self.of(sent)
+
+    def of(self, sent: _Sent) -> NDArray[np.bool_]:
+        """Return which frames are of a message, shape (frames,)."""
+        return self._changed(sent.bus, sent.name).among(self.frames)
+
+    def swapped(self, sent: _Sent, first: str, second: str) -> Frames:
+        """Return the drive with two signals of a message swapped; its checksum is right."""
+        frames, message = self.frames.copy(), self._changed(sent.bus, sent.name)
+        places = np.flatnonzero(self.hit(sent))
+        mine = frames[places]
+        words = np.ascontiguousarray(mine["data"]).view("<u8").reshape(len(mine), 8)
+        both = [ChangedSignal(sent.bus, self._parts.databases[sent.bus], sent.name, name) for name in (first, second)]
+        values = [one.values(mine) for one in both]
+        where = ~np.isnan(values[0]) & ~np.isnan(values[1])
+        both[0].put_all(words, values[1], where)
+        both[1].put_all(words, values[0], where)
+        message.renew_all(words, mine["length"].astype(np.int64), where)
+        mine["data"] = words.view(np.uint8).reshape(len(mine), -1)
+        frames[places] = mine
+        return frames
+
+    def fault(self, kind: str, about: str, frames: Frames, right: set[str], messages: list[_Sent]) -> Fault:
+        """Return a fault of messages, or of signals in them."""
+        begin_ns = self.start_ns + round(BEGIN * self.seconds * 1e9)
+        named = {f"{self.names[one.bus]}.{one.name}" for one in messages}
+        senders = {sender for one in messages for sender in one.senders}
+        concerned = right | {f"message {name}" for name in named} | senders | {f"signal {name}." for name in named}
+        return Fault(kind, about, frames, begin_ns, frozenset(right), frozenset(concerned))
+
+    def place(self, sent: _Sent, signal: str = "") -> str:
+        """Return the name of a message or signal."""
+        return ".".join([self.names[sent.bus], sent.name, *([signal] if signal else [])])
+
+    def carriers(self, sent: _Sent) -> set[str]:
+        """Return the components that are at fault where a message's frames are: itself, or an ECU with no other."""
+        alone = {s for s in sent.senders if sum(s in one.senders for one in self.sent) == 1}
+        return {f"message {self.place(sent)}"} | alone
+
+
+def _frames(kind: str, name: str) -> Callable[[Drive], Fault | None]:
+    """Return a fault of a message's frames, as an injection has it."""
+
+    def make(drive: Drive) -> Fault | None:
+        if (sent := drive.any_message()) is None:
+            return None
+        frames = drive.with_([drive.injected(kind, sent)])
+        beside = kind in ("double", "replay")
+        right = {f"second sender {drive.place(sent)}"} if beside else drive.carriers(sent)
+        return drive.fault(name, drive.place(sent), frames, right, [sent])
+
+    return make
+
+
+def _lost(drive: Drive) -> Fault | None:
+    if (sent := drive.any_message()) is None:
+        return None
+    hit = np.flatnonzero(drive.hit(sent))
+    frames = np.delete(drive.frames, hit[int(drive.rng.integers(LOST)) :: LOST])
+    return drive.fault("one of ten lost", drive.place(sent), frames, drive.carriers(sent), [sent])
+
+
+def _jitter(drive: Drive) -> Fault | None:
+    if (sent := drive.any_message()) is None:
+        return None
+    frames, hit = drive.frames.copy(), drive.hit(sent)
+    frames["t_ns"][hit] += drive.rng.integers(0, max(1, round(CYCLES * sent.cycle_ns)), int(hit.sum()))
+    frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+    return drive.fault("jitter", drive.place(sent), frames, drive.carriers(sent), [sent])
+
+
+def _ecu(name: str, lasts_s: float | None) -> Callable[[Drive], Fault | None]:
+    def make(drive: Drive) -> Fault | None:
+        mine = drive.any_ecu()
+        drops = [drive.injected("drop", one) for one in mine]
+        if lasts_s is not None:
+            drops = [replace(one, to_s=one.from_s + lasts_s) for one in drops]
+        if not mine or (lasts_s is not None and min(one.cycle_ns for one in mine) > lasts_s * 0.5e9):
+            return None
+        parts = {f"message {drive.place(one)}" for one in mine}
+        right = set(mine[0].senders) if mine[0].senders and len(mine) > 1 else parts | set(mine[0].senders)
+        return drive.fault(name, ", ".join(drive.place(one) for one in mine), drive.with_(drops), right, mine)
+
+    return make
+
+
+def _away(drive: Drive) -> Fault | None:
+    bus = int(drive.rng.integers(len(drive.names)))
+    since_s = (drive.frames["t_ns"] - drive.start_ns) * 1e-9 - BEGIN * drive.seconds
+    gone = (drive.frames["bus"] == bus) & (since_s >= 0.0) & (since_s < AWAY_S)
+    if not gone.any():
+        return None
+    mine = [one for one in drive.sent if one.bus == bus]
+    return drive.fault(AWAY, drive.names[bus], drive.frames[~gone], {f"bus {drive.names[bus]}"}, mine)
+
+
+def _unknown(drive: Drive) -> Fault | None:
+    seen = set((drive.frames["can_id"] & ID_MASK).tolist())
+    new = hex(next(k for k in drive.rng.integers(1, 0x6FF, 2000).tolist() if k not in seen))
+    asked = Injection("unknown", 0, new, from_s=BEGIN * drive.seconds, to_s=END * drive.seconds)
+    return drive.fault(UNKNOWN, new, drive.with_([asked]), set(), [])
+
+
+def _value(
+    name: str, kind: str, size: Callable[[Signal, NDArray[np.float64], float], float]
+) -> Callable[..., Fault | None]:
+    """Return a fault of a signal's value; ``size`` is told the signal, its values, and how long the fault lasts [s]."""
+
+    def make(drive: Drive) -> Fault | None:
+        for sent, signal, values in drive.quantities():
+            value = size(signal, values, (END - BEGIN) * drive.seconds)
+            frames = drive.with_([drive.injected(kind, sent, signal.name, value)])
+            if np.array_equal(frames, drive.frames):
+                continue  # its bits cannot say it
+            told = f"{drive.place(sent, signal.name)} {value:+.4g}" if value else drive.place(sent, signal.name)
+            return drive.fault(name, told, frames, {f"signal {drive.place(sent, signal.name)}"}, [sent])
+        return None
+
+    return make
+
+
+def _offset(signal: Signal, values: NDArray[np.float64], _seconds: float) -> float:
+    return SPEED_KMH * _KMH[str(signal.unit).lower()] if _is_speed(signal) else SHARE * float(np.ptp(values))
+
+
+def _is_speed(signal: Signal) -> bool:
+    return str(signal.unit).lower() in _KMH
+
+
+def _wheel(drive: Drive) -> Fault | None:
+    alike: dict[tuple[object, ...], list[tuple[_Sent, Signal]]] = {}
+    for sent, signal, _ in drive.quantities():
+        key = sent.bus, signal.unit, signal.length, signal.scale, "wheel" in f"{sent.name}{signal.name}".lower()
+        if _is_speed(signal):
+            alike.setdefault(key, []).append((sent, signal))
+    for some in alike.values():
+        if len(some) >= WHEELS:
+            sent, signal = some[0]
+            value = WHEEL_KMH * _KMH[str(signal.unit).lower()]
+            frames = drive.with_([drive.injected("offset", sent, signal.name, value)])
+            name = drive.place(sent, signal.name)
+            return drive.fault("wheel off", f"{name} {value:+.4g}", frames, {f"signal {name}"}, [sent])
+    return None
+
+
+def _swap(drive: Drive) -> Fault | None:
+    by: dict[tuple[object, ...], list[tuple[_Sent, str]]] = {}
+    for sent, signal, _ in drive.quantities():
+        some = by.setdefault((sent, signal.length, signal.scale, signal.offset, signal.is_signed), [])
+        some.append((sent, signal.name))
+        if len(some) == 2:
+            frames = drive.swapped(sent, some[0][1], some[1][1])
+            if not np.array_equal(frames, drive.frames):
+                places = [drive.place(sent, name) for _, name in some]
+                return drive.fault("swapped", " and ".join(places), frames, {f"signal {p}" for p in places}, [sent])
+    return None
+
+
+def _text(drive: Drive) -> Fault | None:
+    for sent, signal in drive.texts():
+        raw = next(k for k in range(1 << signal.length) if k not in (signal.choices or {}))
+        value = float(raw * signal.scale + signal.offset)
+        frames = drive.with_([drive.injected("value", sent, signal.name, value)])
+        name = drive.place(sent, signal.name)
+        return drive.fault("undefined text", f"{name} = {raw}", frames, {f"signal {name}"}, [sent])
+    return None
+
+
+#: Kind of a fault -> what makes one in a drive; None: this drive has no place for it.
+KINDS: dict[str, Callable[[Drive], Fault | None]] = {
+    "ECU dead": _ecu("ECU dead", None),
+    "ECU reboots": _ecu("ECU reboots", REBOOT_S),
+    "dropped": _frames("drop", "dropped"),
+    AWAY: _away,
+    "second sender": _frames("double", "second sender"),
+    "replayed": _frames("replay", "replayed"),
+    UNKNOWN: _unknown,
+    "frozen": _frames("freeze", "frozen"),
+    "repeated": _frames("repeat", "repeated"),
+    "bit flipped": _frames("flip", "bit flipped"),
+    "one of ten lost": _lost,
+    "jitter": _jitter,
+    "stuck": _value("stuck", "stuck", lambda _signal, _values, _seconds: 0.0),
+    "offset": _value("offset", "offset", _offset),
+    "scale": _value("scale", "scale", lambda _signal, _values, _seconds: FACTOR),
+    "drift": _value("drift", "drift", lambda _signal, values, seconds: DRIFT * float(np.ptp(values)) / seconds),
+    "wheel off": _wheel,
+    "swapped": _swap,
+    "undefined text": _text,
+}

@@ -1,0 +1,206 @@
+"""Codes and causes that the gateway tells of a drive, healthy and with faults, beside the truth."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from gateway.bus.frames import Frames
+from gateway.config.load import load_config
+from gateway.config.model import Config
+from gateway.faults.status import Status
+from gateway.runtime.assemble import prepare
+from gateway_fdi.common import log
+from gateway_fdi.errors import GatewayError
+from gateway_fleet.study.cause.drive import events_of
+from gateway_fleet.study.drives.faults import KINDS, Drive, Fault
+from gateway_fleet.study.drives.vehicles import Learned, drive_of, is_of_car
+
+#: Longest part of a drive that a fault is put into [s], and the shortest.
+LONGEST_S, SHORTEST_S = 60.0, 6.0
+#: Events of a frame that nobody of the car sends.
+_UNKNOWN = ("unknown", "wrong_bus")
+
+
+class Told(NamedTuple):
+    """Codes and causes of a run.
+
+    Attributes:
+        codes: fault that failed -> when first [ns], of the vehicle's own.
+        events: likewise what is no code of the vehicle: unknown identifiers, and faults of the bus.
+        causes: components that were told as a proven cause -> when first [ns].
+    """
+
+    codes: dict[str, int]
+    events: dict[str, int]
+    causes: dict[tuple[str, ...], int]
+
+
+Name = TypeVar("Name", str, tuple[str, ...])
+
+
+@dataclass
+class Row:
+    """Results of one kind of fault, or of one fault.
+
+    Attributes:
+        tried: faults.
+        found: of these, those that a code, or a security event, told.
+        right: a component that is at fault was told as the cause, and none that is well.
+        wrong: a component that is well was told as the cause.
+        accused: a code was set that sees nothing of what is at fault.
+    """
+
+    tried: int = 0
+    found: int = 0
+    right: int = 0
+    wrong: int = 0
+    accused: int = 0
+
+    def add(self, other: Row) -> None:
+        """Add another's counts."""
+        for name, count in vars(other).items():
+            setattr(self, name, getattr(self, name) + count)
+
+
+@dataclass
+class Judged:
+    """Results of one drive.
+
+    Attributes:
+        vehicle: of the drive.
+        drive: file.
+        seconds: of it.
+        codes: false ones, of the healthy drive.
+        causes: false ones, likewise.
+        faults: kind -> what came of its faults.
+        lines: of faults that were silent, or blamed what is well: kind, what, what was told.
+        error: why it could not be judged; "": it was.
+    """
+
+    vehicle: str
+    drive: Path
+    seconds: float = 0.0
+    codes: list[str] = field(default_factory=list)
+    causes: list[str] = field(default_factory=list)
+    faults: dict[str, Row] = field(default_factory=dict)
+    lines: list[tuple[str, str, str]] = field(default_factory=list)
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A drive to be judged.
+
+    Attributes:
+        learned: its vehicle.
+        drive: file.
+        seed: of faults, one of each kind; None: the drive is judged as it is.
+    """
+
+    learned: Learned
+    drive: Path
+    seed: int | None = None
+
+
+class Judging:
+    """The work of a run (:class:`gateway.common.pool.Work`)."""
+
+    def do(self, task: Task) -> list[Judged]:
+        """Judge a drive; a drive that cannot be read says why."""
+        log.to_stderr(logging.ERROR)  # what a gateway says of each event is counted here
+        judged = Judged(task.learned.vehicle, task.drive)
+        try:
+            _judge(task, judged)
+        except GatewayError as error:
+            judged.error = " ".join(str(error).split())
+        return [judged]
+
+    def failed(self, task: Task, text: str) -> list[Judged]:
+        """Refuse a drive."""
+        return [Judged(task.learned.vehicle, task.drive, error=text)]
+
+    def killed(self, task: Task) -> tuple[list[Judged], Task | None]:
+        """Refuse a drive that ended its worker."""
+        return self.failed(task, "its worker died of it, alone"), None
+
+
+def _judge(task: Task, judged: Judged) -> None:
+    assert task.learned.config is not None
+    config = load_config(task.learned.config)
+    frames = drive_of(task.drive, config)
+    if not len(frames):
+        judged.error = "no frame on a bus of the vehicle"
+        return
+    stamps = frames["t_ns"]
+    judged.seconds = float(stamps[-1] - stamps[0]) * 1e-9
+    if task.seed is None:
+        whole = told_of(config, frames)
+        judged.codes = sorted(whole.codes)
+        judged.causes = sorted(" and ".join(cause) for cause in whole.causes)
+        return
+    part = frames[: int(np.searchsorted(stamps, stamps[0] + round(LONGEST_S * 1e9)))]
+    parts, healthy = prepare(config, task.learned.config), told_of(config, part)
+    sees = {fault: {one.component.name for one in some} for fault, some in parts.depends.items()}
+    for number, (kind, make) in enumerate(KINDS.items()):
+        fault = make(Drive(config, parts, part, np.random.default_rng([task.seed, number])))
+        if fault is not None:
+            row, text = _of_fault(fault, told_of(config, fault.frames), healthy, sees)
+            judged.faults.setdefault(kind, Row()).add(row)
+            if not row.right or row.wrong or row.accused:
+                judged.lines.append((kind, fault.about, text))
+
+
+def told_of(config: Config, frames: Frames) -> Told:
+    """Return what is told of frames."""
+    codes: dict[str, int] = {}
+    causes: dict[tuple[str, ...], int] = {}
+    others: dict[str, int] = {}
+    for event in events_of(config, frames):
+        t_ns, kind = int(event.get("t_ns", 0)), event["event"]
+        if kind == "dtc" and event["status"] & Status.TEST_FAILED:
+            of_car = is_of_car(event["fault"], config)
+            (codes if of_car else others).setdefault(event["fault"], t_ns)
+        elif kind == "security" and event["kind"] in _UNKNOWN:
+            others.setdefault(event["sensor"], t_ns)
+        elif kind == "diagnosis":
+            for cause in _proven(event["groups"]):
+                causes.setdefault(cause, t_ns)
+    return Told(codes, others, causes)
+
+
+def _proven(groups: Iterable[Mapping[str, Any]]) -> Iterable[tuple[str, ...]]:
+    return (tuple(sorted(group["cause"])) for group in groups if group["cause"])
+
+
+def _of_fault(fault: Fault, told: Told, healthy: Told, sees: Mapping[str, set[str]]) -> tuple[Row, str]:
+    """Return what came of a fault, and what was told of it, for people."""
+
+    def new(now: Mapping[Name, int], before: Mapping[Name, int]) -> list[Name]:
+        return [one for one, t_ns in now.items() if one not in before and t_ns >= fault.begin_ns]
+
+    codes, events = new(told.codes, healthy.codes), new(told.events, healthy.events)
+    causes = new(told.causes, healthy.causes)
+    concerned = fault.concerned
+
+    def well(name: str) -> bool:
+        return name not in concerned and not any(name.startswith(one) for one in concerned if one.endswith("."))
+
+    named = {name for cause in causes for name in cause}
+    accused = [name for name in codes if all(well(one) for one in sees.get(name, ()))]
+    row = Row(
+        tried=1,
+        found=bool(codes) or (bool(events) and not fault.of_message),
+        right=bool(named & fault.right) and not any(well(name) for name in named),
+        wrong=any(well(name) for name in named),
+        accused=bool(accused),
+    )
+    first, more = (codes + events)[:3], len(codes + events) - 3
+    set_ = ", ".join(first) + (f" and {more} more" if more > 0 else "") or "silent"
+    text = "; ".join([set_, *(f"cause {' and '.join(cause)}" for cause in causes[:2])])
+    return row, text
