@@ -17,7 +17,7 @@ NOTEBOOKS = sorted((ROOT / "examples/notebooks").glob("*.ipynb"))
 
 def test_they_are_kept_without_outputs_and_listed():
     page = (ROOT / "docs/api.md").read_text()
-    assert len(NOTEBOOKS) == 7
+    assert len(NOTEBOOKS) == 8
     for path in NOTEBOOKS:
         assert f"`{path.name}`" in page
         for cell in json.loads(path.read_text())["cells"]:

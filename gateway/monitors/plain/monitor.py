@@ -118,6 +118,27 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
             e.value[j] = s.value[j]
 
 
+@dataclass(frozen=True, kw_only=True)
+class OfPython(Monitor[Any]):
+    """A monitor whose kernel is the gateway's own, and calls an author's Python.
+
+    Attributes:
+        place: the author's file.
+    """
+
+    place: Path
+
+    @property
+    def file(self) -> Path:
+        """Where it is written."""
+        return self.place
+
+    @property
+    def digest(self) -> str:
+        """Digest of its author's file."""
+        return sha256(self.file.read_bytes()).hexdigest()
+
+
 class _Written:
     """A monitor that can be called as the function or class that it is made of.
 
@@ -138,7 +159,7 @@ class _Written:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plain(_Written, Monitor[Any]):
+class Plain(_Written, OfPython):
     """A monitor of plain Python, or compiled of it."""
 
     written: Written
@@ -157,11 +178,6 @@ class Plain(_Written, Monitor[Any]):
     def checked_entry(self) -> int:
         """Address of its kernel; that which calls Python is the gateway's own, and needs no check."""
         return self.entry if self.step is step else self._entry(checked=True)
-
-    @property
-    def digest(self) -> str:
-        """Digest of its author's file."""
-        return sha256(self.file.read_bytes()).hexdigest()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,6 +303,7 @@ class _Made:
             prepare=prepare,
             faults=lambda _: found,
             capabilities=capabilities,
+            place=written.file,
             written=written,
         )
 

@@ -105,15 +105,21 @@ def read(made: Any, signals: Sequence[str | Signal] | Mapping[str, str | Signal]
         rest = list(inspect.signature(made).parameters.values())
     inputs = {}
     for name, given in zip(names, signals.values() if isinstance(signals, Mapping) else signals, strict=True):
-        inputs[name] = given if isinstance(given, Signal) else _signal(given, refuse)
+        inputs[name] = given if isinstance(given, Signal) else signal(given, refuse)
     arguments = tuple(one.name for one in taken if one.name in names or one.name in TIMES)
     return Written(made, inputs, arguments, _params(made, rest, refuse), file, line or 1)
 
 
-def _signal(text: object, refuse: Callable[[str], NoReturn]) -> Signal:
+def signal(text: object, refuse: Callable[[str], NoReturn]) -> Signal:
+    """Return the signal that ``"Message.Signal [unit]"`` names; it triggers.
+
+    Args:
+        text: as it is written.
+        refuse: raises an error that says what else was expected.
+    """
     found = _SIGNAL.fullmatch(text) if isinstance(text, str) else None
     if found is None or "." not in found["name"]:
-        refuse(f'signals: "Message.Signal" or "Message.Signal [unit]", not {text!r}')
+        refuse(f'"Message.Signal" or "Message.Signal [unit]", not {text!r}')
     return Signal(found["name"], unit=found["unit"], triggers=True)
 
 

@@ -11,6 +11,7 @@ from gateway.monitors.contract import FAILED
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
 from gateway_bench.vecu.scenario import load_scenario
+from gateway_fdi import run_length
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
 from gateway_fdi.jit import COMPILED, zeros
@@ -264,10 +265,10 @@ def test_one_observer_detects_at_the_rate_it_promises(rule):
 
 
 def test_levels_of_rules():
-    assert linear_observer.level_for("direct", 1e6) == pytest.approx(4.891638, abs=1e-5)
+    assert run_length.direct(1e6) == pytest.approx(4.891638, abs=1e-5)
     # Montgomery's table: k = 0.5, h = 4: 168 samples between two-sided alarms; h = 5: 465.
-    assert linear_observer.level_for("cusum", 168) == pytest.approx(4.0, abs=0.05)
-    assert linear_observer.level_for("cusum", 465) == pytest.approx(5.0, abs=0.05)
+    assert run_length.cusum(168, 0.5) == pytest.approx(4.0, abs=0.05)
+    assert run_length.cusum(465, 0.5) == pytest.approx(5.0, abs=0.05)
 
 
 def test_own_levels_and_poles_are_taken():

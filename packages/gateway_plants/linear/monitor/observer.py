@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from cmath import exp
 from functools import cached_property
-from math import expm1, nan, sqrt
+from math import nan, sqrt
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -40,9 +40,9 @@ from gateway.monitors.contract import (
     Sampled,
     report,
 )
-from gateway_fdi import stopping
+from gateway_fdi import run_length, stopping
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, labels, means
-from gateway_fdi.quantiles import chi2_above, normal_above
+from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.gains import Gain, from_noise, from_poles, settling
 from gateway_plants.linear.model_set import decision
 from gateway_plants.linear.model_set.design import COMMAND_SIZE
@@ -152,26 +152,8 @@ class Params(UncertainPlantParams):
         """Level of the rule, in standard deviations."""
         if self.level is not None:
             return self.level
-        return level_for(self.rule, self.mtfa_s / (self.sample_ms * 1e-3) * len(self.output))
-
-
-def level_for(rule: str, samples: float) -> float:
-    """Return the level of a rule for so many samples between false alarms, for a white symptom of variance 1.
-
-    A direct threshold: P(|e| >= h) = 1 / samples. CUSUM on both sides with drift nu: Siegmund's approximation,
-    (exp(2 nu b) - 1 - 2 nu b) / (2 nu^2) with b = h + 1.166 is twice the samples.
-    """
-    if rule == "direct":
-        return float(normal_above(min(0.5 / samples, 0.4)))
-    from scipy.optimize import brentq  # noqa: PLC0415 - slow to load
-
-    drift = 0.5 * SHIFT
-
-    def short(level: float) -> float:
-        b = 2.0 * drift * (level + 1.166)
-        return (expm1(b) - b) / (2.0 * drift**2) - 2.0 * samples
-
-    return float(brentq(short, 1e-6, 200.0))
+        samples = self.mtfa_s / (self.sample_ms * 1e-3) * len(self.output)
+        return run_length.direct(samples) if self.rule == "direct" else run_length.cusum(samples, 0.5 * SHIFT)
 
 
 def _faults(p: Params) -> tuple[Fault, ...]:
