@@ -13,6 +13,7 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.config.load import load_config
 from gateway.config.model import Config
+from gateway.engine.checks.bus_health import ACTIVITIES, ASLEEP
 from gateway.faults.status import Status
 from gateway.runtime.assemble import prepare
 from gateway_fdi.common import log
@@ -32,7 +33,7 @@ class Told(NamedTuple):
 
     Attributes:
         codes: fault that failed -> when first [ns], of the vehicle's own.
-        events: likewise what is no code of the vehicle: unknown identifiers, and faults of the bus.
+        events: likewise what is no code of the vehicle: unknown identifiers, a bus that is silent or at fault.
         causes: components that were told as a proven cause -> when first [ns].
     """
 
@@ -168,6 +169,8 @@ def told_of(config: Config, frames: Frames) -> Told:
             (codes if of_car else others).setdefault(event["fault"], t_ns)
         elif kind == "security" and event["kind"] in _UNKNOWN:
             others.setdefault(event["sensor"], t_ns)
+        elif kind == "activity" and event["activity"] == ACTIVITIES[ASLEEP]:
+            others.setdefault(f"{event['bus']} asleep", t_ns)
         elif kind == "diagnosis":
             for cause in _proven(event["groups"]):
                 causes.setdefault(cause, t_ns)
