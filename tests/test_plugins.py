@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from amount import FULL
 from nested_pytest import PYTEST
 
 from gateway_fdi.common.resources import shipped
@@ -18,6 +19,13 @@ from gateway_fdi.common.resources import shipped
 EXAMPLES = sorted(
     path.parent for path in shipped("examples").glob("*/gateway.toml") if len(list(path.parent.glob("*.toml"))) == 2
 )
+#: Those with tests of their own; of one it is half a minute.
+TESTED = [
+    pytest.param(path.parent.name, marks=pytest.mark.skipif(not FULL, reason="half a minute: GATEWAY_TESTS=full"))
+    if path.parent.name == "steering_gear"
+    else path.parent.name
+    for path in sorted(shipped("examples").glob("*/test_*.py"))
+]
 GATEWAY = [str(Path(sys.executable).parent / "gateway")]
 COMMAND = [sys.executable, "-c", "import sys; from gateway.cli import main; sys.argv[0]='gateway'; sys.exit(main())"]
 
@@ -68,7 +76,7 @@ def test_each_example_is_checked_and_demonstrated_in_a_folder_of_its_own(tmp_pat
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("example", [path.name for path in EXAMPLES])
+@pytest.mark.parametrize("example", TESTED)
 def test_each_example_s_own_tests_pass(tmp_path, example):
     folder = copy(example, tmp_path)
     made = subprocess.run(
