@@ -13,7 +13,6 @@ from gateway.cli.check import check
 from gateway.cli.new_monitor import new_monitor
 from gateway.config.load import load_config
 from gateway.faults.hung import hung_beside
-from gateway.monitors.contract import digest_of
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.resources import shipped
 
@@ -126,7 +125,7 @@ def test_who_did_not_return_stays_off_until_its_kernel_changes(tmp_path, gateway
     path = monitor(tmp_path, "slip_hung")
     gateway = gateway_of(path)
     (battery,) = [m for m in gateway.engine.monitors if m.name == "battery"]
-    hung_beside(tmp_path / "faults.sqlite").add("battery", digest_of(battery.monitor), "its step did not return")
+    hung_beside(tmp_path / "faults.sqlite").add("battery", battery.monitor.digest, "its step did not return")
     again = gateway_of(path)
     feed(again, *[10.5] * 6)
     (event,) = off(again)

@@ -211,9 +211,9 @@ def evaluate_drives(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Learn of one drive of each vehicle, and judge its other drives.
+    """Judge what is learned of vehicles, on their other drives.
 
-    Tells the false codes and causes of the healthy drives, and what comes of everyday faults that are put into them. Of
+    Of each vehicle one drive is learned of. It tells the false codes and causes of the healthy drives, and what comes of everyday faults that are put into them. Of
     each vehicle the largest log is learned of; a single log is halved. Exit code 2: a vehicle or drive could not be
     judged; all others were.
     """

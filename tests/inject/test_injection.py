@@ -92,6 +92,7 @@ def test_a_fault_of_a_signal_changes_it_alone_and_leaves_the_protection_right(ca
                 "scale": was[signal] * value,
                 "value": value,
                 "jump": was[signal] + turn * value,
+                "drift": was[signal] + (t - 0.5) * value,
             }[kind]
             low, high = (-50, 769.1) if signal == "Speed" else (-4096, 4095.5)
             assert now[signal] == pytest.approx(min(max(wanted, low), high), abs=0.26), f"seed {seed}"
