@@ -213,8 +213,8 @@ def evaluate_drives(
 ) -> None:
     """Judge what is learned of vehicles, on their other drives.
 
-    Of each vehicle one drive is learned of. It tells the false codes and causes of the healthy drives, and what comes of everyday faults that are put into them. Of
-    each vehicle the largest log is learned of; a single log is halved. Exit code 2: a vehicle or drive could not be
+    It tells the false codes and causes of the healthy drives, and what comes of everyday faults that are put into them.
+    Of each vehicle the largest log is learned of; a single log is halved. Exit code 2: a vehicle or drive could not be
     judged; all others were.
     """
     from gateway_fleet.study.drives.command import drives as work
