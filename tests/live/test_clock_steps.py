@@ -327,3 +327,33 @@ def test_clocks_that_go_in_ticks_make_no_steps():
     clock._wall_ns = lambda: wall() + 100_000_000
     clock.now()
     assert clock.count == 1
+
+
+PLAIN = """
+from gateway.monitors.plain import Result, monitor
+
+@monitor(signals=["Beat.Value"], fault="P0128-00")
+class Mine:
+    def __init__(self, most: int = 20):
+        self.most, self.seen = most, 0
+
+    def update(self, count, dt_s):
+        self.seen += 1
+        return Result(self.seen % 40 > self.most, self.seen + dt_s, self.most)
+"""
+
+
+def test_a_monitor_of_plain_python_says_the_same_live_and_in_the_replay_of_the_recording(tmp_path, monkeypatch):
+    monkeypatch.setenv("GATEWAY_TRUST", "all")
+    (tmp_path / "plain_beat.py").write_text(PLAIN)
+    path = config_of(tmp_path, '[[monitor]]\nname = "mine"\ntype = "plain_beat:Mine"\nmost = 25\n')
+    world = World()
+    bench = Bench(world)
+    daemon = world.daemon(path, tmp_path / "f.sqlite")
+    world.play(daemon, world.wait(3.0, bench.traffic()))
+    daemon.close()
+    live = [e for e in world.told("dtc") if e["fault"] == "mine.fault"]
+    ring = read_recording(tmp_path / "ring", channels_of(load_config(path)))
+    events, _ = replayed(path, ring)
+    assert [e for e in events if e.get("fault") == "mine.fault"] == live
+    assert len(live) >= 4, "it fails and heals, again and again"
