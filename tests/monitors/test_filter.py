@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from scipy.stats import poisson
+from stepping import failures
 
 from gateway.bus.frames import empty, put
 from gateway.common import trust
 from gateway.config.load import load_config
-from gateway.engine.events import QUALIFIED_FAILED
 from gateway.monitors.contract import results_of
 from gateway.runtime.assemble import prepare
 from gateway_fdi.jit import f8s, kernel, zeros
@@ -201,21 +201,6 @@ def drive(rows, period_ns=10_000_000):
     return frames
 
 
-def stepped(path, frames, batch=64):
-    """Return the faults of the monitor that failed, and when [ns]."""
-    engine = prepare(load_config(path), path).engine
-    found = []
-
-    def hear(events):
-        found.extend(
-            (engine.faults[int(e["fault"])].id, int(e["t_ns"])) for e in events[events["kind"] == QUALIFIED_FAILED]
-        )
-
-    for at in range(0, len(frames), batch):
-        engine.process(frames[at : at + batch], hear)
-    return [one for one in found if one[0].startswith("mine.")]
-
-
 def speeds(count, seed=1):
     """Return rows of a car whose speed grows by its jerk, with noise, as they are after the bus."""
     rng = np.random.default_rng(seed)
@@ -228,12 +213,12 @@ def speeds(count, seed=1):
 def test_a_filter_on_the_bus_finds_a_fault(car):
     rows = speeds(1000)
     path = car()
-    assert stepped(path, drive(rows)) == []
+    assert failures(path, drive(rows)) == []
     bad = rows[:500] + [(speed + 0.5, force, way) for speed, force, way in rows[500:]]
-    found = stepped(path, drive(bad), batch=1)
+    found = failures(path, drive(bad), batch=1)
     assert {name for name, _ in found} >= {"mine.nis", "mine.bias_1_Speed"}
     assert all(5_000_000_000 < t_ns < 5_400_000_000 for _, t_ns in found)
-    assert stepped(path, drive(bad)) == found
+    assert failures(path, drive(bad)) == found
 
 
 @pytest.mark.parametrize(("text", "keys"), [(EKF, {}), (UKF, {}), (IMM, {"u": None, "modes": ["slow", "fast"]})])
@@ -313,7 +298,7 @@ def test_a_mode_is_a_fault(car):
     still = rng.normal(0.0, 0.1, 600)
     still[300:] += np.cumsum(np.cumsum(rng.normal(0.0, 0.1, 300)))
     path = car(IMM, u=None, modes=["slow", "fast"])
-    found = stepped(path, drive([(speed, 0.0, 0.0) for speed in np.clip(still, -300, 300)]))
+    found = failures(path, drive([(speed, 0.0, 0.0) for speed in np.clip(still, -300, 300)]))
     assert {name for name, _ in found} == {"mine.mode_fast"}
     assert 3_000_000_000 < found[0][1] < 3_300_000_000
 

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stepping import failures
 
 from gateway.bus.frames import empty, put
 from gateway.common import trust
 from gateway.config.load import load_config
 from gateway.config.model import MonitorConfig
-from gateway.engine.events import QUALIFIED_FAILED
 from gateway.monitors.plain import Result, calls, monitor
 from gateway.monitors.plain.written import OWN_KEYS
 from gateway.runtime.app import Gateway
@@ -65,21 +65,6 @@ def drive(rows, every_ns=10_000_000):
             put(frames, place, t_ns + 1, 257, bytes([120, 0, 0, 0, 0, 0, 0, 0]), bus=0)
             place += 1
     return frames
-
-
-def failures(path, frames, batch=64):
-    """Return the names of the faults of the monitor that failed, with their times [ns]."""
-    engine = prepare(load_config(path), path).engine
-    found = []
-
-    def hear(events):
-        found.extend(
-            (engine.faults[int(e["fault"])].id, int(e["t_ns"])) for e in events[events["kind"] == QUALIFIED_FAILED]
-        )
-
-    for at in range(0, len(frames), batch):
-        engine.process(frames[at : at + batch], hear)
-    return [one for one in found if one[0].startswith("mine.")]
 
 
 #: Monitors of strangers, at most 15 lines each -> a drive, the fault, and the sample at which it fails.

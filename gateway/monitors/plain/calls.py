@@ -128,7 +128,7 @@ def call(number: int, *_: int) -> None:
     """Step what stands behind a monitor.
 
     Raises:
-        RuntimeError: it failed; :func:`failure` says how.
+        RuntimeError: it failed; :data:`FAILURE` says how.
     """
     failed: BaseException | None = None
     try:
@@ -147,13 +147,8 @@ def call(number: int, *_: int) -> None:
         raise RuntimeError(_failures[number]) from None
 
 
-def failure(number: int) -> str:
-    """Return why a step failed, "": none did."""
-    return _failures.get(number, "")
-
-
 #: Capability of a monitor whose state has the number of :func:`enter` in its field ``number``.
-FAILURE = Failure(lambda s: failure(int(s["number"])), lambda s: int(s["number"]) in _late)
+FAILURE = Failure(lambda s: _failures.get(int(s["number"]), ""), lambda s: int(s["number"]) in _late)
 
 
 def _told(error: BaseException) -> str:
