@@ -172,6 +172,12 @@ def test_its_evidence_names_inputs_and_units(car):
     gateway.close()
 
 
+@pytest.mark.parametrize(("ratio", "status"), [(0.99, 0), (1.0, 0), (1.01, 1)])
+def test_a_ratio_above_one_is_a_failure(ratio, status, car):
+    path = car(f"@monitor(signals=['ECM.Coolant'], fault='P0128-00')\ndef Mine(x):\n    return {ratio}\n")
+    assert len(failures(path, drive([(900, 80)] * 5))) == status
+
+
 def test_a_function_stays_a_function():
     @monitor(signals=["A.B"], fault="P0128-00")
     def mine(value, limit: float = 3.0):
@@ -217,13 +223,14 @@ def run(path):
     return events
 
 
-@pytest.mark.parametrize(
-    "loop",
-    [
-        "while True:\n        pass",
-        "while True:\n        try:\n            len([])\n        except Exception:\n            pass",
-    ],
-)
+LOOPS = [
+    "while True:\n        pass",
+    "while True:\n        try:\n            len([])\n        except Exception:\n            pass",
+    "try:\n        while True:\n            pass\n    except BaseException:\n        return True",
+]
+
+
+@pytest.mark.parametrize("loop", LOOPS)
 def test_an_endless_loop_is_ended_and_the_others_go_on(loop, car, monkeypatch):
     monkeypatch.setattr(calls, "LIMIT_S", 0.2)
     path = car(f"@monitor(signals=['ECM.Coolant'], fault='P0128-00')\ndef Mine(coolant):\n    {loop}\n")
