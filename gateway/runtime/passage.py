@@ -38,7 +38,7 @@ class Passage(Connected):
         if self._closed or type(frames) is not np.ndarray or frames.dtype is not FRAME or frames.ndim != 1:
             self._refuse_unless_open()
             refuse_unless_frames(frames)
-        if self._off.in_python and len(late := overtimes(frames)):
+        if self._off.marked and len(late := overtimes(frames)):
             return self._feed_around(frames, late)
         if self._recorder is not None:
             self._recorder.on_frames(frames, self.engine.offset_ns)
@@ -129,6 +129,7 @@ class Passage(Connected):
 
     def without_own(self, frames: Frames) -> Frames:
         """Return a recording's frames without those that our monitors had sent: they send them again."""
+        self._off.marked |= self._off.in_python and bool(len(overtimes(frames)))  # live frames have no such marks
         return self._reception.without_own(frames)
 
     def advance(self, t_ns: int) -> Frames:

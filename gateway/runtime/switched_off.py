@@ -51,6 +51,7 @@ class SwitchedOff:
         self._reported = -1  # how many were off at the last report; -1: none since the last clear
         self._named = np.zeros(len(engine.monitors), np.uint8)  # slips that have been told
         self.in_python = any(one.monitor.capability(Failure) is not None for one in engine.monitors)
+        self.marked = False  # whether a recording tells of steps that took too long
         self._overtimes: list[Frames] = []
 
     def again(self) -> None:
