@@ -238,7 +238,7 @@ def test_an_endless_loop_is_ended_and_the_others_go_on(loop, car, monkeypatch):
     (off,) = [event for event in events if event["event"] == "monitor_off"]
     assert "takes longer than 0.2 s" in off["reason"]
     np.zeros(10).sum()  # nothing is interrupted later
-    assert not calls._limit.end()
+    assert not calls._this.watched.settle()
 
 
 def test_a_replay_has_a_monitor_off_where_its_step_took_too_long(car, monkeypatch):

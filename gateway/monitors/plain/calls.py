@@ -36,42 +36,47 @@ class TooLongError(BaseException):
     """A step took too long: no ``except Exception`` of its author keeps it."""
 
 
-class _Limit(threading.local):
-    """Interrupts a thread when a step on it takes too long; each thread has its own."""
-
-    def __init__(self) -> None:
-        self._watched = _Watched(threading.get_ident())
-        _watch().append(self._watched)
-
-    def begin(self) -> None:
-        """A step begins on this thread."""
-        self._watched.until_s = time.monotonic() + LIMIT_S
-
-    def end(self) -> bool:
-        """It has ended: nothing interrupts this thread any more; returns whether it took too long."""
-        self._watched.until_s = math.inf
-        if not self._watched.raised:
-            return False
-        with _lock:
-            _interrupt(self._watched.thread, None)  # one that has not been raised yet
-            self._watched.raised = False
-        return True
-
-
 class _Watched:
     """A thread that steps.
+
+    No lock: an interrupt between taking and holding one would leave it taken for ever.
 
     Attributes:
         thread: its identifier.
         until_s: time of :func:`time.monotonic` at which its step has taken too long; inf: it steps nothing.
-        raised: whether it was interrupted.
+        looked_at: the thread of limits looks at it just now.
+        interrupted: whether its step was interrupted.
     """
 
-    def __init__(self, thread: int) -> None:
-        self.thread, self.until_s, self.raised = thread, math.inf, False
+    def __init__(self) -> None:
+        self.thread, self.until_s = threading.get_ident(), math.inf
+        self.looked_at = self.interrupted = False
+        _watch().append(self)
+
+    def look(self) -> None:
+        """Interrupt its step if that has taken too long (the thread of limits)."""
+        self.looked_at = True
+        if time.monotonic() > self.until_s:
+            self.interrupted = True
+            _interrupt(self.thread, TooLongError)
+        self.looked_at = False
+
+    def settle(self) -> bool:
+        """Take back an interrupt that has not come yet, after its step; returns whether there was one."""
+        while self.looked_at:
+            time.sleep(0.0)
+        if not self.interrupted:
+            return False
+        _interrupt(self.thread, None)
+        self.interrupted = False
+        return True
 
 
-_lock = threading.Lock()
+class _Thread(threading.local):
+    """Each thread has its own."""
+
+    def __init__(self) -> None:
+        self.watched = _Watched()
 
 
 @cache
@@ -83,10 +88,7 @@ def _watch() -> list[_Watched]:
         while True:
             time.sleep(LOOKED_S)
             for one in watched:
-                with _lock:
-                    if time.monotonic() > one.until_s:
-                        one.raised = True
-                        _interrupt(one.thread, TooLongError)
+                one.look()
 
     threading.Thread(target=work, name="limit of steps", daemon=True).start()
     return watched
@@ -97,7 +99,7 @@ def _interrupt(thread: int, kind: type[BaseException] | None) -> None:
     ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), given)
 
 
-_limit = _Limit()
+_this = _Thread()
 
 
 def enter(step: Callable[[], None], state: Any) -> int:
@@ -131,13 +133,19 @@ def call(number: int, *_: int) -> None:
         RuntimeError: it failed; :data:`FAILURE` says how.
     """
     failed: BaseException | None = None
+    watched, late = _this.watched, False
     try:
-        _limit.begin()
+        watched.until_s = time.monotonic() + LIMIT_S
         _steps[number]()
     except (TooLongError, SystemExit, Exception) as error:
         failed = error
     finally:
-        late = _limit.end()
+        watched.until_s = math.inf  # CPython interrupts at calls and loops only: not between the step and this line
+    for _attempt in range(3):  # an interrupt that is on its way comes in here
+        try:
+            late |= watched.settle()
+        except TooLongError:
+            late = True
     if late and not isinstance(failed, TooLongError):
         failed = TooLongError()  # it kept the interrupt to itself, or came back just then
     if failed is not None:
