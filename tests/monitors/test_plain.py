@@ -241,6 +241,20 @@ def test_an_endless_loop_is_ended_and_the_others_go_on(loop, car, monkeypatch):
     assert not calls._this.watched.settle()
 
 
+@pytest.mark.parametrize(("lasts_s", "off"), [(3.0, 0), (0.1, 1)])
+def test_a_step_that_only_waits_is_ended_by_the_clock_and_later(lasts_s, off, car, monkeypatch):
+    """So a busy machine, where a step waits for a processor, ends none."""
+    monkeypatch.setattr(calls, "LIMIT_S", 0.1)
+    monkeypatch.setattr(calls, "LASTS_S", lasts_s)
+    monkeypatch.setattr(calls, "LOOKED_S", 0.01)
+    path = car(
+        "import time\nwaits = [0.4]\n"
+        "@monitor(signals=['ECM.Coolant'], fault='P0128-00')\n"
+        "def Mine(coolant):\n    time.sleep(waits.pop() if waits else 0)\n"
+    )
+    assert sum(event["event"] == "monitor_off" for event in run(path)) == off
+
+
 def test_a_replay_has_a_monitor_off_where_its_step_took_too_long(car, monkeypatch):
     monkeypatch.setattr(calls, "LIMIT_S", 0.2)
     text = """

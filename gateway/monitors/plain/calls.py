@@ -1,6 +1,6 @@
 """Python behind monitors: a kernel calls it by its number, and it has a limit of time.
 
-A step takes Python's lock. One that does not come back within :data:`LIMIT_S` is interrupted, and the monitor is
+A step takes Python's lock. One that takes a processor for :data:`LIMIT_S` is interrupted, and the monitor is
 switched off; one that loops in C is not reached so: that is the watchdog's (:mod:`gateway.live.watchdog`).
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import itertools
-import math
 import threading
 import time
 import traceback
@@ -19,14 +18,17 @@ from typing import Any
 
 import numpy as np
 
+from gateway.host.process import thread_clock
 from gateway.monitors.capabilities import Failure
 from gateway_fdi.jit import python_entry
 
-#: How long a step may take [s], and how often that is looked at.
-LIMIT_S, LOOKED_S = 1.0, 0.1
+#: How long a step may take of a processor, and by the clock, where other processes are at work too [s].
+LIMIT_S, LASTS_S = 1.0, 3.0
+#: How often that is looked at [s].
+LOOKED_S = 0.1
 
 _steps: dict[int, Callable[[], None]] = {}
-_numbers = itertools.count(1)
+_numbers, _stepped = itertools.count(1), itertools.count(1)
 #: Why the last step of each that failed did so.
 _failures: dict[int, str] = {}
 _late: set[int] = set()
@@ -42,23 +44,29 @@ class _Watched:
     No lock: an interrupt between taking and holding one would leave it taken for ever.
 
     Attributes:
-        thread: its identifier.
-        until_s: time of :func:`time.monotonic` at which its step has taken too long; inf: it steps nothing.
+        step: number of the step that it is in; 0: in none.
         looked_at: the thread of limits looks at it just now.
         interrupted: whether its step was interrupted.
     """
 
     def __init__(self) -> None:
-        self.thread, self.until_s = threading.get_ident(), math.inf
+        self.step = 0
         self.looked_at = self.interrupted = False
+        self._thread, self._processor_s = threading.get_ident(), thread_clock()
+        self._seen, self._since_s = 0, (0.0, 0.0)
         _watch().append(self)
 
     def look(self) -> None:
-        """Interrupt its step if that has taken too long (the thread of limits)."""
+        """Interrupt its step if that has taken too long since it was seen first (the thread of limits)."""
         self.looked_at = True
-        if time.monotonic() > self.until_s:
-            self.interrupted = True
-            _interrupt(self.thread, TooLongError)
+        step = self.step
+        if step:
+            processor_s, clock_s = self._processor_s(), time.monotonic()
+            if step != self._seen:
+                self._seen, self._since_s = step, (processor_s, clock_s)
+            elif processor_s - self._since_s[0] > LIMIT_S or clock_s - self._since_s[1] > LASTS_S:
+                self.interrupted = True
+                _interrupt(self._thread, TooLongError)
         self.looked_at = False
 
     def settle(self) -> bool:
@@ -67,7 +75,7 @@ class _Watched:
             time.sleep(0.0)
         if not self.interrupted:
             return False
-        _interrupt(self.thread, None)
+        _interrupt(self._thread, None)
         self.interrupted = False
         return True
 
@@ -135,12 +143,12 @@ def call(number: int, *_: int) -> None:
     failed: BaseException | None = None
     watched, late = _this.watched, False
     try:
-        watched.until_s = time.monotonic() + LIMIT_S
+        watched.step = next(_stepped)
         _steps[number]()
     except (TooLongError, SystemExit, Exception) as error:
         failed = error
     finally:
-        watched.until_s = math.inf  # CPython interrupts at calls and loops only: not between the step and this line
+        watched.step = 0  # CPython interrupts at calls and loops only: not between the step and this line
     for _attempt in range(3):  # an interrupt that is on its way comes in here
         try:
             late |= watched.settle()
