@@ -57,7 +57,7 @@ DEALT = {f"{k + 1} of {_HANDS}": _FILES[k::_HANDS] for k in range(_HANDS)}
 WAYS = {f"plain, {part}": (files, PLAIN) for part, files in DEALT.items()}
 WAYS |= {f"checked, {part}": (files, CHECKED) for part, files in PARTS.items()}
 
-# Whether something hangs is seen by the limit of each test inside.
+# Whether something hangs, or takes too long as plain Python, is seen by the limit of each test inside.
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
 
 
@@ -67,7 +67,7 @@ def test_as_plain_python_and_with_every_index_checked(part):
     files, setting = WAYS[part]
     rest = [*(f"--ignore={path}" for path in WITHOUT_KERNELS), *files]
     ended = subprocess.run(
-        [*PYTEST, "-p", "no:xdist", "-W", "error::RuntimeWarning", "--durations=15", *rest],
+        [*PYTEST, "-p", "no:xdist", "-W", "error::RuntimeWarning", "--durations=15", "--timeout=600", *rest],
         cwd=TESTS,
         env={**os.environ, "GATEWAY_TESTS": "small", **setting},
         capture_output=True,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from amount import amount
 from filterpy.kalman import KalmanFilter
 from scipy.stats import poisson
 from stepping import failures
@@ -100,7 +101,7 @@ def both(seed, count):
     return x, x_peer, nis, nis_peer, s, kf
 
 
-@pytest.mark.parametrize("seed", range(200))
+@pytest.mark.parametrize("seed", range(amount(200, 200, 20)))
 def test_a_linear_filter_is_filterpys(seed):
     x, x_peer, nis, nis_peer, s, kf = both(seed, 12)
     np.testing.assert_allclose(x, x_peer, rtol=1e-10, atol=1e-11 * np.abs(x_peer).max())
@@ -210,6 +211,7 @@ def speeds(count, seed=1):
     return [tuple(np.round(row, 2)) for row in np.column_stack([speed + 0.1 * rng.normal(size=count), force, speed])]
 
 
+@pytest.mark.costly
 def test_a_filter_on_the_bus_finds_a_fault(car):
     rows = speeds(1000)
     path = car()
@@ -351,6 +353,7 @@ def false_alarms(steps_, per_hour, lost, chunk=100_000, **more):
     return found, share(p, 4) * steps_
 
 
+@pytest.mark.costly
 def test_as_many_false_alarms_as_were_asked_for():
     found, expected = false_alarms(400_000, 1440.0, 0.0, window=8)
     low, high = poisson.ppf([1e-3, 1 - 1e-3], expected)

@@ -17,6 +17,7 @@ from gateway.monitors.plain.written import OWN_KEYS
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.replay import replay
+from gateway_fdi import jit
 from gateway_fdi.errors import GatewayError, InputError
 
 DBC = """VERSION ""
@@ -364,6 +365,7 @@ UNCOMPILED = [
 ]
 
 
+@pytest.mark.skipif(not jit.COMPILED, reason="its types are known when it is compiled")
 @pytest.mark.parametrize(("text", "line", "told"), UNCOMPILED)
 def test_what_cannot_be_compiled_is_told_with_its_line(text, line, told, car):
     path = car(HEAD + text)
