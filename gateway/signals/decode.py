@@ -201,9 +201,13 @@ def decode(
     """
     m = messages[row]
     first = int(m.first)
+    short = length < m.length
     status = OK
     for j in range(m.count):
         s = signals[np.uint64(first + j)]
+        if short and needed_by(s) > length:
+            present[j] = 0
+            continue
         if s.plain == 1:
             present[j] = 1
             values[j] = plain_value(words, s)
@@ -222,30 +226,7 @@ def decode(
             values[s.into] = values[j]
         if s.known > 0 and not among(int(values[j]), mux_ids, s.first_known, s.known):
             status = UNKNOWN_MUX
-    if length < m.length:
-        cut_off(length, m, signals, values, present)
-        status = TOO_SHORT
-    return status
-
-
-@kernel(inlined=False)
-def cut_off(length: int, m: Any, signals: Any, values: Any, present: Any) -> None:
-    """Take out the signals that are not in a frame which is shorter than its message.
-
-    Args:
-        length: of the payload [byte].
-        m: record of MESSAGE.
-        signals: shape (signals,) of SIGNAL.
-        values: of the message's signals, as all bits of it were there.
-        present: whether these are in the frame.
-    """
-    for j in range(m.count):
-        s = signals[np.uint64(m.first + j)]
-        if needed_by(s) > length or (s.parent >= 0 and (s.ids == 0 or present[s.parent] == 0)):
-            present[j] = 0
-        elif s.into >= 0 and present[j] == 1:
-            present[s.into] = 1
-            values[s.into] = values[j]
+    return TOO_SHORT if short else status
 
 
 @kernel

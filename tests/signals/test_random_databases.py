@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from amount import examples
+from cantools.database.can import Message, Signal
 from cantools.database.errors import DecodeError
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -90,6 +91,21 @@ def test_each_signal_is_there_by_itself(message, data):
     assert set(there) == set(expected)
     for name, number in there.items():
         assert any(same(number, one) for one in expected[name]), (name, number, expected[name])
+
+
+def test_a_multiplexer_beyond_the_end_selects_nothing():
+    """Two multiplexers of one name: what they select is there by the one that the frame has."""
+    head = [Signal("a", 0, 1, "little_endian", is_multiplexer=True), Signal("a", 8, 1, is_multiplexer=True)]
+    chosen = [Signal(f"s{k}", 1, 3, "little_endian", multiplexer_ids=[k], multiplexer_signal="a") for k in (0, 1)]
+    message = Message(0x123, "M", 1, [*head, *chosen], strict=False)
+    database = Database([(message, None)])
+    plan = compile_plan([(0, database)])
+    for byte in (2, 3):
+        frames = empty(1)
+        put(frames, 0, 0, message.frame_id, bytes([byte]), flags=FD)
+        found = decode_columns(frames, plan, 0)
+        there = {name for name in database.signals("M") if found.there[plan.position(0, "M", name), 0]}
+        assert there == set(said(message, bytes([byte]))) == {"a", f"s{byte % 2}"}
 
 
 @settings(max_examples=examples(100), deadline=None)

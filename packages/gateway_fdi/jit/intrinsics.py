@@ -45,7 +45,7 @@ class Intrinsic:
         return self._type
 
 
-#: Kernels of plain Python by their number, which stands for the address when kernels are not compiled.
+#: Kernels of plain Python; their place, counted from 1, stands for the address when kernels are not compiled.
 PYTHON_ENTRIES: list[tuple[Callable[..., None], tuple[np.dtype[np.void] | None, ...]]] = []
 
 
@@ -59,7 +59,7 @@ def _call_entry(address: int, a: int, b: int, c: int, d: int) -> int:
     Returns:
         0, or what went wrong: for :func:`gateway_fdi.jit.failures.failure_of`.
     """
-    step, dtypes = PYTHON_ENTRIES[int(address)]
+    step, dtypes = PYTHON_ENTRIES[int(address) - 1]
     given = zip((a, b, c, d), dtypes, strict=True)
     records = (at if dtype is None else record_at(int(at), dtype) for at, dtype in given)
     try:

@@ -439,7 +439,7 @@ def entry_point(step: Callable[..., None], records: tuple[np.dtype[np.void], ...
     """
     if not COMPILED:
         PYTHON_ENTRIES.append((step, records))
-        return len(PYTHON_ENTRIES) - 1
+        return len(PYTHON_ENTRIES)
     if not isinstance(step, Kernel):
         raise KernelError(f"{getattr(step, '__qualname__', step)} is no kernel: it needs @kernel before its def")
     if checked:
@@ -462,7 +462,7 @@ def python_entry(function: Callable[..., None], records: tuple[np.dtype[np.void]
     """
     if not COMPILED:
         PYTHON_ENTRIES.append((function, records))
-        return len(PYTHON_ENTRIES) - 1
+        return len(PYTHON_ENTRIES)
 
     def called(cells: Any, _: Any) -> int:
         try:
