@@ -69,15 +69,19 @@ class _Watched:
                 _interrupt(self._thread, TooLongError)
         self.looked_at = False
 
-    def settle(self) -> bool:
-        """Take back an interrupt that has not come yet, after its step; returns whether there was one."""
+    def settle(self) -> None:
+        """Put an end to the interrupts of a step that is over.
+
+        Raises:
+            TooLongError: it was interrupted. Called again, it raises nothing more.
+        """
         while self.looked_at:
             time.sleep(0.0)
-        if not self.interrupted:
-            return False
-        _interrupt(self._thread, None)
-        self.interrupted = False
-        return True
+        if self.interrupted:
+            self.interrupted = False
+            # One that is only taken back leaves CPython 3.11 looking for it for ever, where a trace function hangs:
+            # so another takes its place, and comes in here.
+            _interrupt(self._thread, TooLongError)
 
 
 class _Thread(threading.local):
@@ -102,9 +106,8 @@ def _watch() -> list[_Watched]:
     return watched
 
 
-def _interrupt(thread: int, kind: type[BaseException] | None) -> None:
-    given = ctypes.py_object(kind) if kind is not None else None
-    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), given)
+def _interrupt(thread: int, kind: type[BaseException]) -> None:
+    ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), ctypes.py_object(kind))
 
 
 _this = _Thread()
@@ -149,9 +152,9 @@ def call(number: int, *_: int) -> None:
         failed = error
     finally:
         watched.step = 0  # CPython interrupts at calls and loops only: not between the step and this line
-    for _attempt in range(3):  # an interrupt that is on its way comes in here
+    for _attempt in range(4):  # each interrupt that is on its way comes in here
         try:
-            late |= watched.settle()
+            watched.settle()
         except TooLongError:
             late = True
     if late and not isinstance(failed, TooLongError):
