@@ -62,19 +62,19 @@ def _enough(count: int, false_alarm: float, key: str) -> None:
         raise InputError(f"{false_alarm:g} false alarms take {least} healthy records at least", key=key, value=count)
 
 
-def _plants(names: Sequence[str] | None, data: Path | None) -> list[Plant]:
+def _plants(names: Sequence[str], data: Path | None) -> list[Plant]:
     """Return the plants: those named, recordings; by default all that are installed."""
-    if names is None and data is None and not is_there():
+    if not names and data is None and not is_there():
         say(f"{TENNESSEE} is left out: pip install tep-studio")
         names = [name for name in NAMES if name != TENNESSEE]
-    wanted = names if names is not None or data is not None else NAMES
-    return [*(plant(name) for name in wanted or ()), *([] if data is None else [Engine(data)])]
+    wanted = names if names or data is not None else NAMES
+    return [*(plant(name) for name in wanted), *([] if data is None else [Engine(data)])]
 
 
 def arena(
     *,
-    plants: Sequence[str] | None,
-    methods: Sequence[str] | None,
+    plants: Sequence[str],
+    methods: Sequence[str],
     runs: int,
     healthy: int,
     train: int,

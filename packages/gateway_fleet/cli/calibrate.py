@@ -244,7 +244,8 @@ def calibrate_logs(
     mtfa: float,
     margin: float,
     floor: float,
-    into: Path | None,
+    write: bool = False,
+    write_to: Path | None = None,
     parts: Path | None,
     scheduler: str | None,
     workers: int | None,
@@ -259,14 +260,15 @@ def calibrate_logs(
         mtfa: target of the mean time between false alarms [s], for stopping rules.
         margin: largest healthy T over its threshold, for CUSUM tests.
         floor: least threshold of these [nu].
-        into: configuration that gets the thresholds; None: none.
+        write: whether the configuration gets the thresholds.
+        write_to: its copy that gets them instead.
         parts: folder of what each log said, None: all is done here, each time again.
         scheduler: address of Dask's scheduler.
         workers: of this machine.
         maps: channels of the logs taken as buses.
         json: the output is for programs.
     """
-    targets = Targets(mtfa, margin, floor)
+    targets, into = Targets(mtfa, margin, floor), write_to or (config_path if write else None)
     if parts is None:
         for key, value in (("--scheduler", scheduler), ("--workers", workers)):
             if value is not None:
