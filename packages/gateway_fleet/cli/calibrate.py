@@ -197,24 +197,10 @@ def _learn_of_fleet(
 
     if fleet.scheduler is not None and fleet.workers is not None:
         raise InputError("a scheduler has workers of its own", key="--workers", value=fleet.workers)
-    config = load_afresh(file, told=True)
-    if not anything(config):
+    if not anything(load_afresh(file, told=True)):
         raise refuse("thresholds", file)
-    found = healthy.learn(
-        file,
-        find(logs),
-        fleet.out,
-        Workers(fleet.scheduler, default_workers() if fleet.workers is None else fleet.workers),
-        margin=targets.margin,
-        floor=targets.floor,
-        maps=tuple(maps),
-        told=_Told(silent=silent),
-    )
-    proposals = stopping.calibrate(config, found.levels, targets.mtfa_s) if found.levels else []
-    return Found(
-        found.levels, proposals, found.tests, found.plants, found.sensors,
-        found.data, found.logs, found.left_out, found.read,
-    )  # fmt: skip
+    workers = Workers(fleet.scheduler, default_workers() if fleet.workers is None else fleet.workers)
+    return healthy.learn(file, find(logs), fleet.out, workers, targets, tuple(maps), _Told(silent=silent))
 
 
 def _show(targets: Targets, learned: Found, console: Console) -> None:
