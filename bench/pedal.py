@@ -14,8 +14,9 @@ from filterpy.kalman import KalmanFilter
 
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
+from gateway_bench.vecu import contract
 from gateway_fdi.common.resources import shipped
-from gateway_plants.pedal.ecu.ecu import pedal_frames
+from gateway_plants.pedal.ecu.ecu import ECU
 from gateway_plants.pedal.ecu.params import PedalParams
 from gateway_plants.pedal.study.cases import NOISY, Case, Run, make
 from gateway_plants.pedal.study.follow import VOTERS, follow
@@ -67,7 +68,7 @@ def voter_us(voter, run):
 def engine_us(samples):
     """The whole way of a sample: decode, counter, CRC, monitor with its tests, voted frame [us]."""
     params = PedalParams(stroke="driving")
-    frames, _ = pedal_frames(params, (), 16.0, bus=0, rng=np.random.default_rng(1))
+    frames, _ = ECU.frames(params, (), contract.Run(16.0, 0, np.random.default_rng(1)))
     repeats = max(samples // len(frames), 1)
     many = np.tile(frames, repeats)
     many["t_ns"] += np.repeat(np.arange(repeats) * 16_000_000_000, len(frames))

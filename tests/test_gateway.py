@@ -43,7 +43,7 @@ def build(name, seed=None):
 
 
 def live(name, seed=None, log=None):
-    """Run a scenario over the virtual bus; returns its events and findings."""
+    """Run a scenario in this process; returns its events and findings."""
     scenario, config, player = build(name, seed)
     gateway = Gateway(config)
     events = []

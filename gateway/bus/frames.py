@@ -12,8 +12,6 @@ frame's own clock in integer nanoseconds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -191,28 +189,13 @@ def put_message(frames: Frames, index: int, message: can.Message, *, bus: int = 
     put(frames, index, nanoseconds(message.timestamp), can_id, body, bus=bus, flags=flags)
 
 
-@cache
-def _message_type() -> type[can.Message]:
-    import can  # noqa: PLC0415 - slow to load
-
-    class Message(can.Message):
-        """A message whose copy is made in a tenth of the time: python-can's virtual bus makes one a receiver."""
-
-        __slots__ = ()
-
-        def __deepcopy__(self, memo: dict[int, Any] | None) -> can.Message:
-            made = copy(self)
-            made.data = bytearray(self.data)
-            return made
-
-    return Message
-
-
 def to_message(frame: np.void, channel: Any = None) -> can.Message:
     """Return one frame as a python-can message; ``timestamp`` is float seconds there."""
+    import can  # noqa: PLC0415 - slow to load
+
     can_id = int(frame["can_id"])
     flags = int(frame["flags"])
-    return _message_type()(
+    return can.Message(
         timestamp=int(frame["t_ns"]) / 1e9,
         arbitration_id=can_id & ID_MASK,
         is_extended_id=bool(can_id & EXTENDED),

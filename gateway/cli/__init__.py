@@ -85,6 +85,7 @@ def _main(
 
 
 @app.command()
+@does("gateway.cli.run:run", config="config_path", page="serve")
 def run(
     config: ConfigArgument = None,
     bus: Annotated[
@@ -103,22 +104,6 @@ def run(
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
     """Monitor live buses until SIGINT or SIGTERM."""
-    from gateway.cli.run import run as work
-
-    raise typer.Exit(
-        work(
-            config,
-            bus=bus,
-            memory=memory,
-            record=record,
-            duration=duration,
-            status=status,
-            page=port if page else None,
-            realtime=realtime,
-            json=json,
-            fail_on_dtc=fail_on_dtc,
-        )
-    )
 
 
 @app.command()
@@ -218,6 +203,7 @@ def mqtt(
 
 
 @app.command()
+@does("gateway.cli.reporter:report")
 def report(
     fault: Annotated[str | None, typer.Argument(help="Id of the fault, e.g. battery.hot.")] = None,
     result: Annotated[
@@ -240,12 +226,6 @@ def report(
 
     Exit code 1: it is refused at present, and may be taken later.
     """
-    from gateway.cli.reporter import print_header
-    from gateway.cli.reporter import report as work
-
-    if header:
-        raise typer.Exit(print_header())
-    raise typer.Exit(work(fault, result, data or (), socket=socket, config=config, json=json))
 
 
 @app.command()

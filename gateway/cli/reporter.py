@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gateway.cli.present import find_config, print_json, say
-from gateway.report import UNANSWERED, UNDELIVERED, Answer, Reporter, header
+from gateway.report import UNANSWERED, UNDELIVERED, Answer, Reporter
+from gateway.report import header as header_path
 from gateway.report.words import RESULTS
 from gateway_fdi.errors import InputError, nearest
 
@@ -16,14 +17,15 @@ PATIENCE_S = 5.0
 NOT_NOW = {"rate", "monitoring_off", "not_enabled"}
 
 
-def print_header() -> int:
-    """Print the path of the header for C; returns the exit code."""
-    print(header())
-    return 0
-
-
 def report(
-    fault: str | None, result: str | None, data: Sequence[str], *, socket: Path | None, config: Path | None, json: bool
+    fault: str | None,
+    result: str | None,
+    data: Sequence[str],
+    *,
+    socket: Path | None,
+    config: Path | None,
+    header: bool = False,
+    json: bool,
 ) -> int:
     """Report one test result; returns the exit code: 0 taken, 1 refused at present, 2 refused for a mistake.
 
@@ -33,11 +35,15 @@ def report(
         data: texts ``name=number``.
         socket: of the gateway; None: as configured.
         config: configuration that has it; None: gateway.toml here.
+        header: print the path of the header for C instead.
         json: print the answer as JSON.
 
     Raises:
         InputError: a result that there is none, a number that is none, no gateway, a mistake that it has found.
     """
+    if header:
+        print(header_path())
+        return 0
     if fault is None or result is None:
         raise InputError("gateway report FAULT RESULT, e.g. gateway report battery.hot failed")
     if result not in RESULTS:

@@ -91,21 +91,22 @@ def run(
     record: Path | None,
     duration: float | None,
     status: Path | None = None,
-    page: int | None = None,
+    serve: bool = False,
+    port: int = 0,
     realtime: bool = False,
     json: bool,
     fail_on_dtc: bool,
 ) -> int:
     """Monitor until told to stop; returns the exit code.
 
-    ``page`` is the port of a page to be served beside, ``realtime`` whether the loop comes before other programs.
+    ``serve``: a page is served beside it, at ``port``; ``realtime``: the loop comes before other programs.
     """
     ending = Ending(starting=0)
     path = find_config(config_path)
     printer = EventPrinter(as_json=json, start_ns=time.time_ns())
     with ExitStack() as stack:
         taps = []
-        if page is not None:
+        if serve:
             need("serve", "pages", key="--serve")
             from gateway.cli.serve import PageProcess, socket_of  # noqa: PLC0415 - few want it
 
@@ -130,8 +131,8 @@ def run(
             return daemon.gateway.catalogue.get(fault)  # of the gateway that runs: a reload makes another
 
         printer.definition = definition
-        if page is not None and status is not None:
-            stack.callback(PageProcess(status, page).close)
+        if serve and status is not None:
+            stack.callback(PageProcess(status, port).close)
         if hasattr(signal, "SIGHUP"):
             signal.signal(signal.SIGHUP, daemon.reloader.request)
         say(daemon.describe())

@@ -76,11 +76,8 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: there is none at this path.
     """
-    store = open_reader(path)
-    try:
+    with closing(open_reader(path)) as store:
         return entries_in(store, store.load(), stored=not is_unsaved(path))
-    finally:
-        store.close()
 
 
 def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list[dict[str, Any]]:
@@ -127,8 +124,7 @@ def daemon_state(path: Path) -> dict[str, Any]:
         InputError: there is no fault memory at this path.
     """
     running = is_kept(path)
-    store = open_reader(path)
-    try:
+    with closing(open_reader(path)) as store:
         return {
             "memory": str(path),
             "running": running,
@@ -136,8 +132,6 @@ def daemon_state(path: Path) -> dict[str, Any]:
             "buses": store.buses(),
             "restarts": restarts_in(store),
         }
-    finally:
-        store.close()
 
 
 def restarts_in(store: Store) -> dict[str, Any]:
@@ -162,11 +156,8 @@ def overflowed(path: Path) -> bool:
     Raises:
         InputError: there is no fault memory at this path.
     """
-    store = open_reader(path)
-    try:
+    with closing(open_reader(path)) as store:
         return bool(store.facts().get(OVERFLOW, 0))
-    finally:
-        store.close()
 
 
 def intervention_as_dict(each: Intervention) -> dict[str, Any]:
@@ -194,11 +185,8 @@ def interventions(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: there is no fault memory at this path.
     """
-    store = open_reader(path)
-    try:
+    with closing(open_reader(path)) as store:
         return [intervention_as_dict(each) for each in store.interventions()]
-    finally:
-        store.close()
 
 
 def ecu_dtc_as_dict(each: EcuDtc) -> dict[str, Any]:
@@ -212,11 +200,8 @@ def ecu_dtcs(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: there is no fault memory at this path.
     """
-    store = open_reader(path)
-    try:
+    with closing(open_reader(path)) as store:
         return [ecu_dtc_as_dict(each) for each in store.ecu_dtcs()]
-    finally:
-        store.close()
 
 
 def verify(path: Path) -> dict[str, Any]:
@@ -229,13 +214,10 @@ def verify(path: Path) -> dict[str, Any]:
         raise InputError("there is no fault memory here", file=path)
     known = last_links(path)
     try:
-        store = Store(path, write=False)
-        try:
+        with closing(Store(path, write=False)) as store:
             store.refuse_damaged()
             verdict = store.verify(known)
             store.load()
-        finally:
-            store.close()
     except OutdatedError:
         raise
     except InputError as error:
@@ -258,8 +240,7 @@ def near_misses(path: Path) -> list[dict[str, Any]]:
     Raises:
         InputError: there is no fault memory at this path.
     """
-    store = open_reader(path)
-    try:
+    with closing(open_reader(path)) as store:
         return [
             {
                 "fault": record.id,
@@ -270,8 +251,6 @@ def near_misses(path: Path) -> list[dict[str, Any]]:
             for record in store.load()
             if record.near_misses or record.peak_fdc > 0
         ]
-    finally:
-        store.close()
 
 
 def recordings(path: Path, dtc: str) -> list[Recording]:
@@ -281,11 +260,8 @@ def recordings(path: Path, dtc: str) -> list[Recording]:
         InputError: it is not a DTC, or there is no entry of it.
     """
     fault = str(show(path, dtc)["fault"])
-    store = open_reader(path)
-    try:
+    with closing(open_reader(path)) as store:
         return store.recordings(fault)
-    finally:
-        store.close()
 
 
 def show(path: Path, dtc: str) -> dict[str, Any]:
@@ -327,7 +303,7 @@ def clear(path: Path, dtc: str | None = None, *, force: bool = False, why: str =
         store = Store(path)
     except InUseError:
         return _ask_writer(path, AskedClear(group, f"{user_in_words()}, command line", force, why), patience_s)
-    try:
+    with closing(store):
         memory = FaultMemory(Catalogue(()), store)
         count = sum(group in (ALL_DTCS, entry.dtc.value) for entry in memory.entries())
         memory.clear(group)
@@ -336,8 +312,6 @@ def clear(path: Path, dtc: str | None = None, *, force: bool = False, why: str =
         memory.note_intervention(Intervention(time.time_ns(), "local", "", 0, "clear", request, role=by))
         memory.commit(final=True)
         return count
-    finally:
-        store.close()
 
 
 def _one(text: str) -> int:
@@ -349,8 +323,7 @@ def _one(text: str) -> int:
 
 
 def _ask_writer(path: Path, asked: AskedClear, patience_s: float) -> int:
-    store = Store(path, write=False)
-    try:
+    with closing(Store(path, write=False)) as store:
         request = store.request("clear", str(asked))
         limit = time.monotonic() + patience_s
         try:
@@ -358,8 +331,6 @@ def _ask_writer(path: Path, asked: AskedClear, patience_s: float) -> int:
                 time.sleep(0.02)
         finally:  # also at Ctrl-C: a request without a waiting process is not done later
             answer = store.withdraw(request)
-    finally:
-        store.close()
     if answer is None:
         raise GatewayError(f"{path}: the gateway that keeps this memory does not answer")
     if answer < 0:

@@ -9,6 +9,7 @@ from gateway.cli.commands import does
 from gateway.cli.options import LOG_HELP, Json
 
 
+@does("gateway_arena.study:arena", plant="plants", method="methods")
 def evaluate_arena(
     plant: Annotated[
         list[str] | None,
@@ -51,13 +52,6 @@ def evaluate_arena(
     Each method learns from the same records, and its threshold is set by
     the same healthy ones; a method of your own is one file.
     """
-    from gateway_arena.study import arena as work
-
-    code = work(
-        plants=plant, methods=method, runs=runs, healthy=healthy, train=train, off=off, size=size,
-        false_alarm=false_alarm, seed=seed, data=data, plot=plot, json=json,
-    )  # fmt: skip
-    raise typer.Exit(code)
 
 
 @does("gateway_arena.monitor.fit:fit", fault="faults")

@@ -8,10 +8,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 from gateway.cli.present import print_json, say, wide_console
+from gateway.cli.study import tabulate
 from gateway_arena.contract import Plant
 from gateway_arena.methods import METHODS, method
 from gateway_arena.plants import NAMES, plant
@@ -28,21 +28,25 @@ def _number(value: float, digits: int = 2) -> str:
 
 
 def _table(rows: Sequence[Row], title: str) -> Table:
-    table = Table(title=title)
-    table.add_column("plant")
-    table.add_column("method")
-    for name in (
-        "runs", "detected\n[%]", "early", "delay\n[s]", "delay\n[samples]", "P of the\ntrue fault", "wrong\nname",
-        "false\nalarms", "ROC\narea", "CPU\n[us/sample]",
-    ):  # fmt: skip
-        table.add_column(escape(name), justify="right")
-    for row in (row for row in rows if not row.refused):
-        table.add_row(
-            row.plant, row.method, str(row.runs), f"{100 * row.detected / row.runs:.0f}", str(row.early),
-            _number(row.delay_s), _number(row.delay, 0), _number(row.true), "-" if math.isnan(row.true) else
-            str(row.wrong), f"{row.false}/{row.healthy}", _number(row.auc, 3), _number(row.us, 1),
-        )  # fmt: skip
-    return table
+    return tabulate(
+        title,
+        (row for row in rows if not row.refused),
+        {
+            "plant": lambda row: row.plant,
+            "method": lambda row: row.method,
+            "runs": lambda row: row.runs,
+            "detected\n[%]": lambda row: f"{100 * row.detected / row.runs:.0f}",
+            "early": lambda row: row.early,
+            "delay\n[s]": lambda row: _number(row.delay_s),
+            "delay\n[samples]": lambda row: _number(row.delay, 0),
+            "P of the\ntrue fault": lambda row: _number(row.true),
+            "wrong\nname": lambda row: "-" if math.isnan(row.true) else row.wrong,
+            "false\nalarms": lambda row: f"{row.false}/{row.healthy}",
+            "ROC\narea": lambda row: _number(row.auc, 3),
+            "CPU\n[us/sample]": lambda row: _number(row.us, 1),
+        },
+        texts=2,
+    )
 
 
 def _plain(row: Row) -> dict[str, object]:
@@ -58,19 +62,19 @@ def _enough(count: int, false_alarm: float, key: str) -> None:
         raise InputError(f"{false_alarm:g} false alarms take {least} healthy records at least", key=key, value=count)
 
 
-def _plants(names: Sequence[str] | None, data: Path | None) -> list[Plant]:
+def _plants(names: Sequence[str], data: Path | None) -> list[Plant]:
     """Return the plants: those named, recordings; by default all that are installed."""
-    if names is None and data is None and not is_there():
+    if not names and data is None and not is_there():
         say(f"{TENNESSEE} is left out: pip install tep-studio")
         names = [name for name in NAMES if name != TENNESSEE]
-    wanted = names if names is not None or data is not None else NAMES
-    return [*(plant(name) for name in wanted or ()), *([] if data is None else [Engine(data)])]
+    wanted = names if names or data is not None else NAMES
+    return [*(plant(name) for name in wanted), *([] if data is None else [Engine(data)])]
 
 
 def arena(
     *,
-    plants: Sequence[str] | None,
-    methods: Sequence[str] | None,
+    plants: Sequence[str],
+    methods: Sequence[str],
     runs: int,
     healthy: int,
     train: int,

@@ -9,6 +9,7 @@ from gateway.cli.commands import does
 from gateway.cli.options import HtmlOption, JsonEvents, PortOption, ScenarioArgument, Seed
 
 
+@does("gateway_bench.cli.simulate:demo", scenario="scenario_name", page="serve")
 def demo(
     scenario: ScenarioArgument = Path("crank_missed_tooth"),
     speed: Annotated[
@@ -26,10 +27,6 @@ def demo(
 
     Virtual ECUs and a gateway run in this process; no bus and no configuration is needed.
     """
-    from gateway_bench.cli.simulate import demo as work
-
-    shown = port if page else None
-    raise typer.Exit(work(scenario, speed=speed, seed=seed, page=shown, open_page=open_page, json=json))
 
 
 @does("gateway_bench.cli.simulate:simulate", scenario="scenario_name")

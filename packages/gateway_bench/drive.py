@@ -1,4 +1,4 @@
-"""A scenario and a gateway in one process, over python-can's virtual bus: demo, CI, tests.
+"""A scenario and a gateway in one process: demo, CI, tests.
 
 Simulated time: frames carry the scenario's clock, and each step's frames have all arrived before the next
 step begins, so a run is the same every time and goes as fast as the machine allows.
@@ -6,19 +6,21 @@ step begins, so a run is the same every time and goes as fast as the machine all
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
 from gateway.bus.frames import Frames
 from gateway.config.model import Config
 from gateway.runtime.app import Gateway
-from gateway.servers.dtc_frame import DtcReport
+from gateway.servers.dtc_frame import DtcReport, read_dtc_frame
 from gateway_bench.vecu.expectations import Judge
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario
-from gateway_bench.wires import Wires
+from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 
 
@@ -51,6 +53,20 @@ def judgeable(scenario: Scenario, config: Config, *, file: Path) -> None:
         raise InputError(text, file=file, key="config", value=str(scenario.config))
 
 
+def arriving(frames: Frames) -> Frames:
+    """Return a step's frames as a gateway gets them: in order of time, those of one time bus by bus."""
+    return frames[np.lexsort((frames["bus"], frames["t_ns"]))]
+
+
+def reports_among(frames: Frames, gateway: Gateway) -> Iterator[DtcReport]:
+    """Yield the DTC frames of a gateway as a tester decodes them."""
+    database = shipped("dbc/gateway.dbc")
+    for frame in frames[frames["can_id"] == gateway.dtc_frame_id]:
+        report = read_dtc_frame(frame, database)
+        if report is not None:
+            yield report
+
+
 def _judged(judge: Judge, event: dict[str, Any]) -> None:
     """Judge the event of a DTC."""
     if event["event"] == "dtc":
@@ -81,7 +97,6 @@ def drive(
         fed: is fed instead of the gateway, and feeds it.
     """
     driven: Driven = gateway if fed is None else fed
-    wires = Wires(gateway)
     if judge is not None and gateway.config.output.dtc_frame is None:
         gateway.listen(partial(_judged, judge))
     try:
@@ -90,14 +105,14 @@ def drive(
         for until, frames in player.batches():
             if stop():
                 break
-            batch = wires.carry(frames)
+            batch = arriving(frames)
             if on_frames is not None:
                 on_frames(batch)
             # Clients ask by the clock of the frames' stamps, which here is the scenario's.
             given = [driven.feed(batch)] if len(batch) else []  # of a slow plant most steps have no frame
             for sent in (*given, driven.advance(until), gateway.asking.poll(until)):
                 player.hear(sent)
-                for report in wires.reports(sent):
+                for report in reports_among(sent, gateway):
                     if judge is not None and report.dtc is not None:
                         judge.report(report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence)
                     if on_report is not None:
@@ -107,4 +122,3 @@ def drive(
         driven.stop(until)
     finally:
         player.close()
-        wires.close()

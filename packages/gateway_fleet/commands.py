@@ -37,6 +37,7 @@ def learn(
     """Learn a configuration from a database and healthy logs."""
 
 
+@does("gateway_fleet.cli.calibrate:calibrate_logs", config="config_path", into="write")
 def calibrate(
     config: Annotated[Path, typer.Argument(help="Configuration file.")],
     logs: Annotated[
@@ -78,23 +79,6 @@ def calibrate(
     It calibrates stopping rules, CUSUM tests, models of plants and redundant sensors. With --parts, a log that is
     damaged or ends its worker is left out and reported; without --parts, it is an error.
     """
-    from gateway_fleet.cli.calibrate import calibrate_logs as work
-
-    raise typer.Exit(
-        work(
-            config,
-            logs,
-            mtfa=mtfa,
-            margin=margin,
-            floor=floor,
-            into=write_to or (config if into else None),
-            parts=parts,
-            scheduler=scheduler,
-            workers=workers,
-            maps=maps or (),
-            json=json,
-        )
-    )
 
 
 @does("gateway_fleet.cli.fleet:fleet_run")
@@ -153,6 +137,7 @@ def fleet_diff(
     """
 
 
+@does("gateway_fleet.study.learn.command:learn")
 def evaluate_learn(
     cars: Annotated[int, typer.Option(min=1, help="Number of virtual cars.")] = 3,
     seconds: Annotated[float, typer.Option(min=30, help="Length of the drive that is learned of [s].")] = 300.0,
@@ -166,12 +151,9 @@ def evaluate_learn(
 
     Cars have 40 messages; claims are compared with the truth, and healthy drives give codes or none.
     """
-    from gateway_fleet.study.learn.command import learn as work
-
-    names = tuple(ways.split(","))
-    raise typer.Exit(work(cars=cars, seconds=seconds, hours=hours, ways=names, seed=seed, database=database, json=json))
 
 
+@does("gateway_fleet.study.senders.command:senders")
 def evaluate_senders(
     files: Annotated[
         list[Path] | None,
@@ -189,11 +171,9 @@ def evaluate_senders(
     json: Json = False,
 ) -> None:
     """Judge what is seen of other senders, by injected frames."""
-    from gateway_fleet.study.senders.command import senders as work
-
-    raise typer.Exit(work(cars=cars, attacks=attacks, hours=hours, files=tuple(files or ()), seed=seed, json=json))
 
 
+@does("gateway_fleet.study.drives.command:drives")
 def evaluate_drives(
     folder: Annotated[
         Path, typer.Argument(help="A folder a vehicle in it: logs of healthy drives, with databases if there are any.")
@@ -217,19 +197,14 @@ def evaluate_drives(
     Of each vehicle the largest log is learned of; a single log is halved. Exit code 2: a vehicle or drive could not be
     judged; all others were.
     """
-    from gateway_fleet.study.drives.command import drives as work
-
-    raise typer.Exit(work(folder, faults=faults, seed=seed, workers=workers, out=out, json=json))
 
 
+@does("gateway_fleet.study.senders.road:road")
 def evaluate_road(
     folder: Annotated[Path, typer.Argument(help="Folder of the ROAD dataset, with ambient and attacks in it.")],
     json: Json = False,
 ) -> None:
     """Judge what is seen of the ROAD dataset's attacks."""
-    from gateway_fleet.study.senders.road import road as work
-
-    raise typer.Exit(work(folder, json=json))
 
 
 def evaluate_cause(

@@ -166,15 +166,15 @@ def test_a_signal_while_it_compiles_ends_it_at_once(tmp_path, arguments, module,
 
 def test_a_simulation_that_is_stopped_is_not_judged(gateway, monkeypatch):
     """SIGTERM during the run ends it there, and a check that saw half of it is no pass."""
-    from gateway_bench.wires import Wires
+    from gateway_bench import drive
 
-    carry = Wires.carry
+    arriving = drive.arriving
 
-    def carry_and_stop(self, frames):
+    def arriving_and_stop(frames):
         os.kill(os.getpid(), signal.SIGTERM)
-        return carry(self, frames)
+        return arriving(frames)
 
-    monkeypatch.setattr(Wires, "carry", carry_and_stop)
+    monkeypatch.setattr(drive, "arriving", arriving_and_stop)
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         ended = gateway("simulate", "crank_healthy", "--bus", "inside", "--check", "--json")

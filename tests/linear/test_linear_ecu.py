@@ -6,10 +6,11 @@ import pytest
 from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
+from gateway_bench.vecu.contract import Run
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
-from gateway_plants.linear.ecu.ecu import linear_frames
+from gateway_plants.linear.ecu.ecu import ECU
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams
 from gateway_plants.linear.ecu.plant import simulate
 from gateway_plants.linear.study import example
@@ -64,7 +65,7 @@ def test_each_sensor_fault_does_what_it_says():
 def test_frames_carry_what_was_simulated():
     scenario = load_scenario(shipped("scenarios/linear_belt_faults.toml"))
     (ecu,) = scenario.ecu
-    frames, truth = linear_frames(ecu, scenario.fault, 2.0, bus=0, rng=RNG(4))
+    frames, truth = ECU.frames(ecu, scenario.fault, Run(2.0, 0, RNG(4)))
     y, u = simulate(ecu, (), 2.0, RNG(4))
     database = cantools.database.load_file(shipped("dbc/linear.dbc"))
     assert len(frames) == 400
@@ -87,9 +88,9 @@ def test_a_message_of_other_signals_is_refused():
         InputError,
         match="this message has 2 signals besides Crc and FrameCnt .Rudder, Aileron., the plant has 1",
     ):
-        linear_frames(wrong, (), 1.0, bus=0, rng=RNG(0))
+        ECU.frames(wrong, (), Run(1.0, 0, RNG(0)))
     with pytest.raises(InputError, match="no message 'Nothing'"):
-        linear_frames(ecu.model_copy(update={"sensors": "Nothing"}), (), 1.0, bus=0, rng=RNG(0))
+        ECU.frames(ecu.model_copy(update={"sensors": "Nothing"}), (), Run(1.0, 0, RNG(0)))
 
 
 @pytest.mark.parametrize(

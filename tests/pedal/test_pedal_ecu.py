@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import payload
+from gateway_bench.vecu.contract import Run
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_bench.vecu.sensor_faults import digitised
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputErrors
 from gateway_plants.pedal.ecu import strokes
-from gateway_plants.pedal.ecu.ecu import pedal_frames
+from gateway_plants.pedal.ecu.ecu import ECU
 from gateway_plants.pedal.ecu.params import PedalParams, SensorFault
 
 DATABASE = cantools.database.load_file(shipped("dbc/pedal.dbc"))
@@ -20,7 +21,7 @@ DATABASE = cantools.database.load_file(shipped("dbc/pedal.dbc"))
 def readings(*faults, seconds=2.0, seed=1, **params):
     """Return (decoded channels, shape (n, 2) [V], truth)."""
     chosen = PedalParams(**params)
-    frames, truth = pedal_frames(chosen, faults, seconds, bus=0, rng=np.random.default_rng(seed))
+    frames, truth = ECU.frames(chosen, faults, Run(seconds, 0, np.random.default_rng(seed)))
     message = DATABASE.get_message_by_name(chosen.message)
     rows = [message.decode(payload(frame)) for frame in frames]
     return np.array([[row[s.signal] for s in chosen.sensors] for row in rows]), truth, frames

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from gateway.config.load import load_config
 from gateway.signals.database import load_database
-from gateway_bench.vecu.contract import Truth
+from gateway_bench.vecu.contract import Run, Truth
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
@@ -20,7 +20,7 @@ from gateway_fdi.jit import COMPILED
 from gateway_plants.steering.ecu.column import Column, pinion, sampled
 from gateway_plants.steering.ecu.controller import CONTROL
 from gateway_plants.steering.ecu.course import driving, sweep, times
-from gateway_plants.steering.ecu.ecu import steering_frames
+from gateway_plants.steering.ecu.ecu import ECU
 from gateway_plants.steering.ecu.faults import KINDS, SteeringFault, bursts, disturb, falsify
 from gateway_plants.steering.ecu.params import SteeringParams
 from gateway_plants.steering.ecu.plant import Plant, drive, undisturbed
@@ -33,7 +33,7 @@ SILENT = Plant(angle_noise=0.0, angle_bits=0, current_noise=0.0, current_bits=0,
 def frames_of(duration=1.0, seed=1, faults=(), **options):
     params = SteeringParams(type="steering", **options)
     rng = np.random.default_rng(seed)
-    return steering_frames(params, faults, duration, bus=0, rng=rng)
+    return ECU.frames(params, faults, Run(duration, 0, rng))
 
 
 def turning(speed, load, seconds=1.0, plant=SILENT):

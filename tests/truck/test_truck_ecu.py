@@ -7,11 +7,13 @@ import pytest
 from amount import amount, examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from protecting import protect
 
 from gateway.bus.frames import payload
 from gateway.signals import framed as encode
+from gateway_bench.vecu.contract import Run
+from gateway_bench.vecu.databases import message_of
 from gateway_bench.vecu.player import Player
-from gateway_bench.vecu.protection import message_of, protect
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputErrors
@@ -20,7 +22,7 @@ from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.generator.loading import residual_generator
 from gateway_plants.truck.ecu.cycles import speeds
 from gateway_plants.truck.ecu.drive import drive
-from gateway_plants.truck.ecu.ecu import DATABASE, MESSAGES, frames_of, truck_frames
+from gateway_plants.truck.ecu.ecu import DATABASE, ECU, MESSAGES, frames_of
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams
 
 compiled = pytest.mark.skipif(not COMPILED, reason="millions of steps of the plant")
@@ -229,12 +231,8 @@ def test_what_a_signal_cannot_carry_is_clipped():
 def test_noise_is_that_of_the_sensors():
     params = TRUCK.model_copy(update={"start_s": 0.0})
     seconds = amount(15.0, 15.0, 2.0)
-    frames, truth = truck_frames(
-        params,
-        (TruckFault(kind="battery_short", from_s=1.0),),
-        seconds,
-        bus=0,
-        rng=np.random.default_rng(5),
+    frames, truth = ECU.frames(
+        params, (TruckFault(kind="battery_short", from_s=1.0),), Run(seconds, 0, np.random.default_rng(5))
     )
     assert [t.kind for t in truth] == ["battery_short"]
     message = message_of(DATABASE, "HEV_SENS_MECH")

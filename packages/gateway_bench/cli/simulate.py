@@ -56,16 +56,17 @@ def demo(
     *,
     speed: float,
     seed: int | None,
-    page: int | None = None,
+    serve: bool = False,
+    port: int = 0,
     open_page: bool = True,
     json: bool,
 ) -> int:
-    """Show the whole chain in one process, on a page at port ``page`` too; returns the exit code."""
-    if page is None:
+    """Show the whole chain in one process, on a page at ``port`` too (``serve``); returns the exit code."""
+    if not serve:
         return _demo(scenario_name, speed=speed, seed=seed, json=json)
     from gateway_bench.cli.demo_page import DemoPage  # noqa: PLC0415 - few want it
 
-    with DemoPage(page, Ending(), open_page=open_page) as shown:
+    with DemoPage(port, Ending(), open_page=open_page) as shown:
         return _demo(scenario_name, speed=speed or 1.0, seed=seed, json=json, shown=shown)
 
 

@@ -11,14 +11,12 @@ from gateway.bus.logs import open_writer
 from gateway.common.extras import installed
 from gateway.config.model import Config
 from gateway.runtime.app import Gateway
-from gateway.servers.dtc_frame import read_dtc_frame
-from gateway_bench.drive import drive
+from gateway_bench.drive import drive, reports_among
 from gateway_bench.playing import player_of
 from gateway_bench.pytest_plugin.bench import Bench
 from gateway_bench.vecu.contract import Truth
 from gateway_bench.vecu.expectations import Finding, Judge
 from gateway_bench.vecu.scenario import Scenario
-from gateway_fdi.common.resources import shipped
 
 
 @dataclass(frozen=True)
@@ -60,13 +58,11 @@ def on_buses(scenario: Scenario, config: Config, seed: int | None, buses: Sequen
     """
     judge, frames = Judge(scenario), list[Frames]()
     bench = Bench(scenario.config, buses=buses)
-    reports = shipped("dbc/gateway.dbc")
 
     def hear(batch: Frames) -> None:
         frames.append(batch.copy())
-        for frame in batch[batch["can_id"] == bench.gateway.dtc_frame_id]:
-            report = read_dtc_frame(frame, reports)
-            if report is not None and report.dtc is not None:
+        for report in reports_among(batch, bench.gateway):
+            if report.dtc is not None:
                 judge.report(report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence)
 
     bench.on_frames(hear)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeAlias, TypeVar
@@ -77,6 +77,20 @@ class Truth:
     kind: str
     count: int
     tooth: int = -1
+
+
+def injected(times: Iterable[tuple[str, float, float | None]], duration_s: float, period_s: float) -> list[Truth]:
+    """Return what lasting faults do within a run, counted in samples.
+
+    Args:
+        times: kind of each fault, when it begins, and when it ends [s]; None: with the run.
+        duration_s: length of the run [s].
+        period_s: between two samples [s].
+    """
+    ends = [(kind, begin, duration_s if to_s is None else min(to_s, duration_s)) for kind, begin, to_s in times]
+    return [
+        Truth(round(begin * 1e9), kind, round((end - begin) / period_s)) for kind, begin, end in ends if begin < end
+    ]
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,15 @@
-"""Databases of a bus for its virtual ECUs: each is read once, and again when its file has changed."""
+"""Databases of virtual ECUs: of their bus, read again when a file has changed, and those that are shipped."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
+from cantools.database.can import Message
+
 from gateway.signals.database import Database, load_database
+from gateway_fdi.common.resources import shipped
 
 
 @lru_cache(maxsize=16)
@@ -25,3 +28,9 @@ def database_of(files: Sequence[Path]) -> Database:
     except OSError:
         return load_database(files)  # says what is wrong
     return _read(tuple(files), changed)
+
+
+@cache
+def message_of(file: str, name: str) -> Message:
+    """Return a message of a shipped database."""
+    return load_database([shipped(file)]).message(name)

@@ -20,6 +20,7 @@ from gateway.calibration.earlier import load_afresh
 from gateway.calibration.logs import refuse
 from gateway.calibration.whole import Found, Targets, anything, as_dict, calibrate, keep
 from gateway.cli.present import print_json, say, wide_console
+from gateway.cli.study import headed, tabulate
 from gateway.common.extras import need
 from gateway_fdi.errors import InputError
 from gateway_fdi.stopping import assured
@@ -73,51 +74,49 @@ def _cusum_claim(found: cusum.Found, margin: float, floor: float) -> list[str]:
 
 
 def _table(proposals: list[stopping.Proposal]) -> Table:
-    table = Table()
-    for name in ("monitor", "symptom"):
-        table.add_column(name)
-    for name in ("now", "alarms", "largest level", "proposed", "alarms", "assured MTFA [s]"):
-        table.add_column(name, justify="right")
-    for p in proposals:
-        table.add_row(
-            p.monitor,
-            p.symptom,
-            f"{p.now:.4g}",
-            str(p.alarms_now),
-            f"{p.largest:.4g}",
-            f"{p.threshold:.4g}" + (" *" if p.beyond > 1.0 else ""),
-            str(p.alarms),
-            f"{p.assured_s:.0f}",
-        )
-    return table
+    return tabulate(
+        "",
+        proposals,
+        {
+            "monitor": lambda p: p.monitor,
+            "symptom": lambda p: p.symptom,
+            "now": lambda p: f"{p.now:.4g}",
+            "alarms now": lambda p: p.alarms_now,
+            "largest level": lambda p: f"{p.largest:.4g}",
+            "proposed": lambda p: f"{p.threshold:.4g}" + (" *" if p.beyond > 1.0 else ""),
+            "alarms": lambda p: p.alarms,
+            "assured MTFA [s]": lambda p: f"{p.assured_s:.0f}",
+        },
+        texts=2,
+    )
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
 
 
 def _cusum_table(rows: tuple[cusum.Quantity, ...]) -> Table:
-    table = Table(title="CUSUM tests; T and J in units of nu")
-    for name in ("monitor", "quantity"):
-        table.add_column(name)
-    for name in ("samples", "nu now", "nu", "J now", "largest T", "J", "T / J"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        table.add_row(
-            row.monitor,
-            row.name,
-            str(row.samples),
-            "-" if row.nu_now is None else f"{row.nu_now:.4g}",
-            "-" if row.nu is None else f"{row.nu:.4g}",
-            "-" if row.now is None else f"{row.now:.4g}",
-            f"{row.largest:.3g}",
-            f"{row.threshold:.4g}",
-            f"{row.margin:.2f}",
-        )
-    return table
+    return tabulate(
+        "CUSUM tests; T and J in units of nu",
+        rows,
+        {
+            "monitor": lambda row: row.monitor,
+            "quantity": lambda row: row.name,
+            "samples": lambda row: row.samples,
+            "nu now": lambda row: _number(row.nu_now),
+            "nu": lambda row: _number(row.nu),
+            "J now": lambda row: _number(row.now),
+            "largest T": lambda row: f"{row.largest:.3g}",
+            "J": lambda row: f"{row.threshold:.4g}",
+            "T / J": lambda row: f"{row.margin:.2f}",
+        },
+        texts=2,
+    )
 
 
 def _plant_table(plant: plants.Plant) -> Table:
     """Return what logs say of a plant."""
-    table = Table(title=f"plant of {plant.monitor}")
-    for name in ("entry", "told", "found", "standard deviation"):
-        table.add_column(name, justify="left" if name == "entry" else "right")
+    table = headed(f"plant of {plant.monitor}", ["entry"], ["told", "found", "standard deviation"])
     for name, told, found, sure in plant.rows:
         table.add_row(name, f"{told:.5g}", f"{found:.5g}", f"{sure:.2g}" if sure else "")
     return table
@@ -125,9 +124,7 @@ def _plant_table(plant: plants.Plant) -> Table:
 
 def _sensor_table(measured: sensors.Sensors) -> Table:
     """Return what logs say of a monitor's sensors."""
-    table = Table(title=f"sensors of {measured.monitor}")
-    for name in ("key", "told", "found", "standard deviation"):
-        table.add_column(name, justify="left" if name == "key" else "right")
+    table = headed(f"sensors of {measured.monitor}", ["key"], ["told", "found", "standard deviation"])
     for name, *numbers in measured.rows:
         table.add_row(escape(name), *("" if isnan(number) else f"{number:.4g}" for number in numbers))
     return table
@@ -200,24 +197,10 @@ def _learn_of_fleet(
 
     if fleet.scheduler is not None and fleet.workers is not None:
         raise InputError("a scheduler has workers of its own", key="--workers", value=fleet.workers)
-    config = load_afresh(file, told=True)
-    if not anything(config):
+    if not anything(load_afresh(file, told=True)):
         raise refuse("thresholds", file)
-    found = healthy.learn(
-        file,
-        find(logs),
-        fleet.out,
-        Workers(fleet.scheduler, default_workers() if fleet.workers is None else fleet.workers),
-        margin=targets.margin,
-        floor=targets.floor,
-        maps=tuple(maps),
-        told=_Told(silent=silent),
-    )
-    proposals = stopping.calibrate(config, found.levels, targets.mtfa_s) if found.levels else []
-    return Found(
-        found.levels, proposals, found.tests, found.plants, found.sensors,
-        found.data, found.logs, found.left_out, found.read,
-    )  # fmt: skip
+    workers = Workers(fleet.scheduler, default_workers() if fleet.workers is None else fleet.workers)
+    return healthy.learn(file, find(logs), fleet.out, workers, targets, tuple(maps), _Told(silent=silent))
 
 
 def _show(targets: Targets, learned: Found, console: Console) -> None:
@@ -247,7 +230,8 @@ def calibrate_logs(
     mtfa: float,
     margin: float,
     floor: float,
-    into: Path | None,
+    write: bool = False,
+    write_to: Path | None = None,
     parts: Path | None,
     scheduler: str | None,
     workers: int | None,
@@ -262,14 +246,15 @@ def calibrate_logs(
         mtfa: target of the mean time between false alarms [s], for stopping rules.
         margin: largest healthy T over its threshold, for CUSUM tests.
         floor: least threshold of these [nu].
-        into: configuration that gets the thresholds; None: none.
+        write: whether the configuration gets the thresholds.
+        write_to: its copy that gets them instead.
         parts: folder of what each log said, None: all is done here, each time again.
         scheduler: address of Dask's scheduler.
         workers: of this machine.
         maps: channels of the logs taken as buses.
         json: the output is for programs.
     """
-    targets = Targets(mtfa, margin, floor)
+    targets, into = Targets(mtfa, margin, floor), write_to or (config_path if write else None)
     if parts is None:
         for key, value in (("--scheduler", scheduler), ("--workers", workers)):
             if value is not None:

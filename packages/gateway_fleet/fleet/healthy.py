@@ -22,6 +22,7 @@ from gateway.calibration import cusum, plants, sensors, stopping
 from gateway.calibration.earlier import load_afresh
 from gateway.calibration.logs import Chosen, NothingToLearnError, Progress, Reading, of_kind
 from gateway.calibration.part import Part, load, save
+from gateway.calibration.whole import Found, Targets
 from gateway.common.pool import Pool, Workers
 from gateway.config.model import Config
 from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
@@ -80,28 +81,6 @@ class Answer:
     state: str = "whole"
     text: str = ""
     frames: int = 0
-
-
-@dataclass
-class Learnt:
-    """Findings of a fleet's logs.
-
-    Attributes:
-        logs: recordings that it is learnt from.
-        data: names of their contents.
-        read: logs that were read now.
-        levels, tests, plants, sensors: of each kind; None, or none: the configuration has no such monitor.
-        left_out: rows of the logs that nothing was learnt from, as in the table ``errors``.
-    """
-
-    logs: int = 0
-    data: str = ""
-    read: int = 0
-    levels: stopping.Levels | None = None
-    tests: cusum.Found | None = None
-    plants: list[plants.Plant] = field(default_factory=list)
-    sensors: list[sensors.Sensors] = field(default_factory=list)
-    left_out: list[Row] = field(default_factory=list)
 
 
 def _chosen(config: Config, kind: Any, monitor: str) -> Chosen[Any]:
@@ -289,12 +268,10 @@ def learn(
     recordings: Sequence[Recording],
     out: Path,
     workers: Workers,
-    *,
-    margin: float,
-    floor: float,
+    targets: Targets,
     maps: tuple[str, ...] = (),
     told: Told = lambda answer, left: None,
-) -> Learnt:
+) -> Found:
     """Learn thresholds, models and sensors from a fleet's healthy logs.
 
     Args:
@@ -302,8 +279,7 @@ def learn(
         recordings: the logs, in the order in which plants are refined by them.
         out: folder of the parts.
         workers: read the logs.
-        margin: largest healthy T over its threshold, for CUSUM tests.
-        floor: least threshold of these [nu].
+        targets: that thresholds are to hold.
         maps: channels of the logs taken as buses.
         told: takes each answer.
 
@@ -315,31 +291,36 @@ def learn(
     Gateway(config, None, file=path).close()  # an error of the configuration is no log's fault
     setup = Setup(path, digest_of(config, maps), maps, carried=False, out=out.absolute())
     (setup.out / "errors").mkdir(parents=True, exist_ok=True)
-    found = Learnt()
     with ExitStack() as stack:
         survey = _Survey(setup, recordings, Pool(_Asking(), workers, stack), told)
         parts = dict(_parts(config, survey))
-        found.left_out = _left_out(survey)
-        write_table(setup.out / "errors" / "errors.parquet", "errors", found.left_out)
+        left_out = _left_out(survey)
+        write_table(setup.out / "errors" / "errors.parquet", "errors", left_out)
         if not survey.good:
-            first = found.left_out[0]
+            first = left_out[0]
             raise InputError(f"of no log anything is to be learnt; {first['kind']}: {first['text']}", file=path)
     # A log that failed in a later question has no say in the earlier ones.
     kept = {one.path for one in survey.good}
     sifted = {key: {log: part for log, part in one.items() if log in kept} for key, one in parts.items()}
-    found.logs, found.read = len(kept), len(survey.read)
-    found.data = hashlib.sha256(" ".join(survey.log(one) for one in survey.good).encode()).hexdigest()[:12]
+    levels = tests = None
     if of_kind(config, Calibration):
-        found.levels = stopping.merged(config, sifted[LEVELS, ""])
+        levels = stopping.merged(config, sifted[LEVELS, ""])
     if of_kind(config, CusumCalibration):
-        typical = cusum.typical_of(config, sifted[SUMS, ""])
-        found.tests = cusum.merged(config, sifted[SUMS, ""], typical, sifted[PEAKS, ""], margin=margin, floor=floor)
-    for plant in of_kind(config, Refinement):
-        if (refined := plants.merged(plant, sifted[PLANT, plant.name])) is not None:
-            found.plants.append(refined)
-    for sensor in of_kind(config, SensorCalibration):
-        found.sensors.append(sensors.merged(sensor, sifted[SENSORS, sensor.name], file=path))
-    return found
+        sums, peaks = sifted[SUMS, ""], sifted[PEAKS, ""]
+        typical = cusum.typical_of(config, sums)
+        tests = cusum.merged(config, sums, typical, peaks, margin=targets.margin, floor=targets.floor)
+    refined = (plants.merged(plant, sifted[PLANT, plant.name]) for plant in of_kind(config, Refinement))
+    return Found(
+        levels,
+        stopping.calibrate(config, levels, targets.mtfa_s) if levels else [],
+        tests,
+        [plant for plant in refined if plant is not None],
+        [sensors.merged(one, sifted[SENSORS, one.name], file=path) for one in of_kind(config, SensorCalibration)],
+        hashlib.sha256(" ".join(survey.log(one) for one in survey.good).encode()).hexdigest()[:12],
+        len(kept),
+        left_out,
+        len(survey.read),
+    )
 
 
 def _parts(config: Config, survey: _Survey) -> Iterator[tuple[tuple[str, str], dict[Path, Part]]]:

@@ -10,12 +10,13 @@ from gateway.config.monitor_types import monitor_of
 from gateway.monitors.contract import FAILED
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
+from gateway_bench.vecu.contract import Run
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi import run_length
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
 from gateway_fdi.jit import COMPILED, zeros
-from gateway_plants.linear.ecu.ecu import linear_frames
+from gateway_plants.linear.ecu.ecu import ECU
 from gateway_plants.linear.ecu.params import LinearFault
 from gateway_plants.linear.ecu.plant import simulate
 from gateway_plants.linear.monitor import observer as linear_observer
@@ -209,7 +210,7 @@ def test_evidence_has_the_size():
 @compiled
 def test_frames_lost_on_the_bus_cause_no_false_fault():
     (ecu,) = load_scenario(shipped("scenarios/linear_aircraft_healthy.toml")).ecu
-    frames, _ = linear_frames(ecu, (), 100.0, bus=0, rng=np.random.default_rng(5))
+    frames, _ = ECU.frames(ecu, (), Run(100.0, 0, np.random.default_rng(5)))
     rng = np.random.default_rng(6)
     print("seed 6")
     gateway = Gateway(load_config(shipped("configs/linear_aircraft.toml")))
@@ -227,7 +228,7 @@ def test_a_sender_that_stands_still_causes_no_fault(ms):
     scenario = load_scenario(shipped("scenarios/linear_belt_faults.toml"))
     (ecu,) = scenario.ecu
     for seed in range(3):
-        frames, _ = linear_frames(ecu, (), 7.9, bus=0, rng=np.random.default_rng(seed))
+        frames, _ = ECU.frames(ecu, (), Run(7.9, 0, np.random.default_rng(seed)))
         frames["t_ns"][np.random.default_rng(seed).integers(300, 1000) :] += ms * 1_000_000
         gateway = Gateway(load_config(scenario.config))
         events = []

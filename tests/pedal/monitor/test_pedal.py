@@ -13,9 +13,10 @@ from gateway.engine.build import build_engine
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.engine.instances import MonitorInstance
 from gateway.signals.database import load_database
+from gateway_bench.vecu.contract import Run
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import COMPILED, zeros
-from gateway_plants.pedal.ecu.ecu import pedal_frames
+from gateway_plants.pedal.ecu.ecu import ECU
 from gateway_plants.pedal.ecu.params import PedalParams, SensorFault, SensorParams
 from gateway_plants.pedal.monitor import PAIR, TRIPLE
 from gateway_plants.pedal.monitor.faults import faults
@@ -42,7 +43,7 @@ def engine_of(preset="brake", send=False, **params):
 def drive(*faults, preset="brake", seconds=LENGTH, seed=3, stroke="driving", **options):
     print("seed", seed)
     params = PedalParams(message=MESSAGES[preset], stroke=stroke, **options)
-    frames, truth = pedal_frames(params, faults, seconds, bus=0, rng=np.random.default_rng(seed))
+    frames, truth = ECU.frames(params, faults, Run(seconds, 0, np.random.default_rng(seed)))
     assert len(truth) == len(faults)
     return frames
 

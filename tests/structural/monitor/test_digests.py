@@ -98,7 +98,7 @@ def test_calibrate_writes_them_and_begins_anew_where_they_do_not_fit(tmp_path, c
     writer.write(motor_data.frames_of(motor_data.drive(20, seed=3)))
     writer.close()
     code = calibrate_logs(
-        path, [str(log)], mtfa=3600.0, margin=0.5, floor=25.0, into=path,
+        path, [str(log)], mtfa=3600.0, margin=0.5, floor=25.0, write=True,
         parts=None, scheduler=None, workers=None, json=True,
     )  # fmt: skip
     assert code == 0

@@ -9,7 +9,7 @@ from gateway.bus.frames import empty
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.signals import framed as encode
-from gateway_bench.vecu.protection import message_of
+from gateway_bench.vecu.databases import message_of
 from gateway_fdi.common.resources import shipped
 from gateway_plants.truck.ecu.ecu import DATABASE, MESSAGES
 from gateway_plants.truck.monitor.messages import MESSAGES as INPUTS

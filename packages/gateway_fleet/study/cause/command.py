@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
+from gateway.cli.study import headed
 from gateway_fleet.study.cause.cars import learned
 from gateway_fleet.study.cause.matrix import Job, Row, done, folder_of, healthy, pairs, singles
 
@@ -53,9 +54,8 @@ def draw(figures: Path, work: Path) -> int:
 
 def _table(kind: str, rows: Sequence[Row]) -> Table:
     title = f"{kind}: {len(rows)} runs, {sum(row.seconds for row in rows) / 3600:.1f} h"
-    table = Table(title=title)
-    for name in ("plant", "runs", "seen", "first", "in three", "alone", "told", "healthy named", "before"):
-        table.add_column(name, justify="left" if name == "plant" else "right")
+    numbers = ("runs", "seen", "first", "in three", "alone", "told", "healthy named", "before")
+    table = headed(title, ["plant"], numbers)
     by_plant: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         by_plant[row.plant].append(row)

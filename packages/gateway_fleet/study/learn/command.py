@@ -23,18 +23,17 @@ WAYS = {
 OTHER = Way(lost=0.0, pauses=0, sleeps=1, late=3, batch_s=0.004)
 
 
-def learn(
-    *, cars: int, seconds: float, hours: float, ways: tuple[str, ...], seed: int, database: bool, json: bool
-) -> int:
+def learn(*, cars: int, seconds: float, hours: float, ways: str, seed: int, database: bool, json: bool) -> int:
     """Learn of virtual cars, judge the claims, replay other healthy drives; returns the exit code."""
+    names = ways.split(",")
     rows: list[dict[str, Any]] = []
     for car in range(cars):
         net = network(seed + car)
-        for name in ways:
+        for name in names:
             with tempfile.TemporaryDirectory() as folder:
                 out, claims = judged(Path(folder), net, seed + 1000 * car, seconds, WAYS[name], database=database)
                 done = 0
-                while claims.hours < hours / (cars * len(ways)):
+                while claims.hours < hours / (cars * len(names)):
                     done += 1
                     claims.codes += healthy(out, net, seed + 1000 * car + done, 3600.0, OTHER)
                     claims.hours += 1.0

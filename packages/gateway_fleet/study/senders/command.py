@@ -15,6 +15,7 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.bus.logs import open_writer
 from gateway.bus.ring import read_recording
+from gateway_fdi.errors import InputError
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.learn import Asked, learn, write
 from gateway_fleet.learn.trial import Seeing
@@ -29,11 +30,13 @@ LEARNED, OTHER = Way(lost=0.01, batch_s=0.004), Way(sleeps=1, late=3, batch_s=0.
 HEALTHY = (Way(sleeps=1, batch_s=0.004), Way(sleeps=1, batch_s=0.1))
 
 
-def senders(*, cars: int, attacks: int, hours: float, files: tuple[Path, ...], seed: int, json: bool) -> int:
+def senders(*, cars: int, attacks: int, hours: float, files: Sequence[Path], seed: int, json: bool) -> int:
     """Attack virtual cars and logs, then replay healthy drives; returns the exit code."""
     found = {kind: Found() for kind in KINDS}
     databases = [path for path in files if path.suffix == ".dbc"]
     logs = [path for path in files if path not in databases]
+    if not cars and not logs:
+        raise InputError("no virtual car and no log: nothing is attacked", key="--cars", value=cars)
     each = -(-attacks // (cars + bool(logs)))
     codes: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as work:

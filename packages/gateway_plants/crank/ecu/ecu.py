@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from gateway.bus.frames import Frames
+from gateway.signals.framed import merged
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
 from gateway_plants.crank.ecu.faults import added_pulses, missed_pulses
 from gateway_plants.crank.ecu.kinematics import cam_edges, tooth_times
@@ -14,23 +15,8 @@ from gateway_plants.crank.ecu.params import CrankParams, PulseFault
 from gateway_plants.crank.ecu.tooth_frames import cam_frames, tooth_frames
 
 
-def crank_frames(
-    params: CrankParams,
-    faults: Iterable[PulseFault],
-    duration_s: float,
-    *,
-    bus: int,
-    rng: np.random.Generator,
-) -> tuple[Frames, list[Truth]]:
-    """Return all frames of a run, stamped from time 0, and what was injected.
-
-    Args:
-        params: the engine.
-        faults: of its sensor.
-        duration_s: length of the run [s].
-        bus: index of its bus.
-        rng: source of all randomness.
-    """
+def _frames(params: CrankParams, faults: Sequence[PulseFault], run: Run) -> tuple[Frames, list[Truth]]:
+    duration_s, bus, rng = run.duration_s, run.bus, run.rng
     pulses = params.wheel.pulses
     healthy = tooth_times(
         params.wheel,
@@ -58,13 +44,8 @@ def crank_frames(
     frames = tooth_frames(times, params.format, bus=bus, span_ns=on_off)
     if params.cam:
         edges, levels = cam_edges(params.cam, params.speed, duration_s)
-        frames = np.concatenate([frames, cam_frames(times, edges, levels, bus=bus)])
-        frames = frames[np.argsort(frames["t_ns"], kind="stable")]
+        frames = merged(frames, cam_frames(times, edges, levels, bus=bus))
     return frames, truth
-
-
-def _frames(params: CrankParams, faults: Sequence[PulseFault], run: Run) -> tuple[Frames, list[Truth]]:
-    return crank_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
 
 
 ECU = VirtualEcu(

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import FD, Frames, empty, put
+from gateway.bus.frames import Frames, empty
+from gateway.signals.framed import frames_of, merged
 from gateway.signals.tooth_codec import encode_intervals
-from gateway_bench.vecu.protection import message_of, protect
+from gateway_bench.vecu.databases import message_of
 
 Format = Literal["classic", "fd"]
+DATABASE = "dbc/crank.dbc"
 
 #: A frame that is not full leaves so long after its first interval began [ns].
 FLUSH_NS = 20_000_000
@@ -101,51 +103,44 @@ def _classic(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay:
     codes = np.zeros(max(len(times_ns) - 1, 0), np.int64)
     if len(codes):
         encode_intervals(times_ns / 1e3, codes)
-    teeth, base = message_of("dbc/crank.dbc", "CTW_PT4"), message_of("dbc/crank.dbc", "CTW_BASE")
-    rows: list[tuple[int, int, bytes]] = []
-    bases = 0
+    inside = np.zeros((len(groups), 4), np.int64)
     for number, group in enumerate(groups):
-        inside = list(map(int, codes[group.first : group.last]))
-        values = {f"Pt{k}": code for k, code in enumerate(inside + [0] * (4 - len(inside)))}
-        stamp = group.t_ns + delay
-        rows.append((stamp, teeth.frame_id, protect(teeth, {"FrameCnt": number % 256, **values})))
-        if group.last // BASE_EVERY > bases:
-            values = {
-                "FrameCnt": bases % 16,
-                "TeethCnt": number % 16,
-                "PulseCnt": group.last % 65536,
-                "BaseTime": int(times_ns[group.last]) // 1000 % 2**32,
-            }
-            rows.append((stamp + delay, base.frame_id, protect(base, values)))
-            bases = group.last // BASE_EVERY
-    frames = empty(len(rows))
-    for k, (stamp, can_id, payload) in enumerate(rows):
-        put(frames, k, stamp, can_id, payload, bus=bus)
-    return frames[np.argsort(frames["t_ns"], kind="stable")]
+        inside[number, : group.last - group.first] = codes[group.first : group.last]
+    stamps = np.array([group.t_ns + delay for group in groups], np.int64)
+    values = {"FrameCnt": np.arange(len(groups)) % 256, **{f"Pt{k}": inside[:, k] for k in range(4)}}
+    teeth = frames_of(message_of(DATABASE, "CTW_PT4"), values, stamps, bus=bus)
+    # A CTW_BASE follows the first frame behind each BASE_EVERY pulses.
+    last = np.array([group.last for group in groups], np.int64)
+    after = np.flatnonzero(np.diff(last // BASE_EVERY, prepend=0) > 0)
+    values = {
+        "FrameCnt": np.arange(len(after)) % 16,
+        "TeethCnt": after % 16,
+        "PulseCnt": last[after] % 65536,
+        "BaseTime": times_ns[last[after]] // 1000 % 2**32,
+    }
+    base = frames_of(message_of(DATABASE, "CTW_BASE"), values, stamps[after] + delay, bus=bus)
+    return merged(teeth, base)
 
 
 def _fd(times_ns: NDArray[np.int64], groups: list[_Group], bus: int, delay: int) -> Frames:
-    message = message_of("dbc/crank.dbc", "CTW_FD27")
-    frames = empty(len(groups))
     half_us = times_ns // 500
+    inside = np.zeros((len(groups), 27))
+    shifts = np.zeros(len(groups), np.int64)
     for number, group in enumerate(groups):
         span = np.diff(half_us[group.first : group.last + 1])
-        shift = min(max(0, int(span.max(initial=0)).bit_length() - 16), MOST_SHIFT)
+        shift = shifts[number] = min(max(0, int(span.max(initial=0)).bit_length() - 16), MOST_SHIFT)
         # Differences to what the receiver decodes, so that rounding does not add up.
         ends = np.rint(np.cumsum(span) / (1 << shift)).astype(np.int64)
-        codes = np.minimum(np.diff(ends, prepend=0), 0xFFFF)
-        values: dict[str, Any] = {f"Pt{k}": 0.0 for k in range(27)}
-        values.update({f"Pt{k}": int(code) * 0.5 for k, code in enumerate(codes)})
-        values |= {
-            "FrameCnt": number % 256,
-            "PulseCnt": group.first % 65536,
-            "BaseTime": int(half_us[group.first]) % 2**32 * 0.5 if len(half_us) else 0.0,
-            "NValid": len(codes),
-            "Shift": shift,
-        }
-        put(frames, number, group.t_ns + delay, message.frame_id, protect(message, values), bus=bus)
-        frames[number]["flags"] = FD
-    return frames
+        inside[number, : len(ends)] = np.minimum(np.diff(ends, prepend=0), 0xFFFF) * 0.5
+    first, last, stamps = (np.array([getattr(g, name) for g in groups], np.int64) for name in ("first", "last", "t_ns"))
+    values = {f"Pt{k}": inside[:, k] for k in range(27)} | {
+        "FrameCnt": np.arange(len(groups)) % 256,
+        "PulseCnt": first % 65536,
+        "BaseTime": half_us[first] % 2**32 * 0.5 if len(half_us) else np.zeros(len(groups)),
+        "NValid": last - first,
+        "Shift": shifts,
+    }
+    return frames_of(message_of(DATABASE, "CTW_FD27"), values, stamps + delay, bus=bus)
 
 
 def cam_frames(
@@ -163,17 +158,13 @@ def cam_frames(
         levels: shape (m,), level after each.
         bus: index of the bus.
     """
-    message = message_of("dbc/crank.dbc", "CTW_CAM")
     places = np.searchsorted(times_ns, edges_ns, side="right") - 1
-    frames = empty(int((places >= 0).sum()))
-    rows = zip(places, edges_ns, levels, strict=True)
-    for k, (place, edge_ns, level) in enumerate(row for row in rows if row[0] >= 0):
-        values = {
-            "FrameCnt": k % 16,
-            "Level": int(level),
-            "PulseCnt": int(place) % 65536,
-            "Delay": int(edge_ns - times_ns[place]) // 1000,
-        }
-        stamp = int(edge_ns) + WIRE_NS["classic"]
-        put(frames, k, stamp, message.frame_id, protect(message, values), bus=bus)
-    return frames
+    known = places >= 0
+    places, edges_ns = places[known], edges_ns[known]
+    values = {
+        "FrameCnt": np.arange(len(places)) % 16,
+        "Level": levels[known],
+        "PulseCnt": places % 65536,
+        "Delay": (edges_ns - times_ns[places]) // 1000,
+    }
+    return frames_of(message_of(DATABASE, "CTW_CAM"), values, edges_ns + WIRE_NS["classic"], bus=bus)

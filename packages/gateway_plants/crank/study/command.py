@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from math import isnan
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.present import print_json, wide_console
+from gateway.cli.study import headed, show
 from gateway_plants.crank.study import noise
 from gateway_plants.crank.study import outside as beyond
 from gateway_plants.crank.study import pairs as wrong
@@ -34,9 +33,7 @@ def _share(value: float) -> str:
 def _scores(scores: list[Score]) -> list[Table]:
     tables = []
     for group in dict.fromkeys(score.group for score in scores):
-        table = Table(title=f"Faults: {group}")
-        for name in ("wheel", "fault", "runs"):
-            table.add_column(name, justify="left" if name == "fault" else "right")
+        table = headed(f"Faults: {group}", ["wheel", "fault"], ["runs"])
         for name in ("detected", "named", "labelled", "delay", "at once"):
             table.add_column(f"adaptive\n{name}", justify="right", style="bold")
         table.add_column("paper\nnamed", justify="right")
@@ -59,10 +56,9 @@ def _scores(scores: list[Score]) -> list[Table]:
 
 
 def _alarm_table(rows: list[Alarms]) -> Table:
-    table = Table(title="Healthy engine: false alarms per million pulses (wrong labels in brackets)")
     methods = list(dict.fromkeys(row.method for row in rows))
-    for name in ("case", "wheel", "jitter", "pulses", *methods):
-        table.add_column(name, justify="left" if name == "case" else "right")
+    title = "Healthy engine: false alarms per million pulses (wrong labels in brackets)"
+    table = headed(title, ["case"], ["wheel", "jitter", "pulses", *methods])
     for key in dict.fromkeys((row.case, row.wheel, row.jitter) for row in rows):
         mine = {row.method: row for row in rows if (row.case, row.wheel, row.jitter) == key}
         shown = [f"{mine[m].per_million:.1f} ({mine[m].wrong})" for m in methods]
@@ -73,11 +69,8 @@ def _alarm_table(rows: list[Alarms]) -> Table:
 
 def _outside_table(rows: list[beyond.Outcome]) -> Table:
     """Return the cases outside the regular sweep: runs with a report, and with a wrong tooth that was proven."""
-    table = Table(
-        title="Outside the regular sweep: runs with a report / with a wrong proven tooth / % of pulses unproven"
-    )
-    for name in ("group", "case", "runs", *beyond.METHODS, "adaptive reported"):
-        table.add_column(name, justify="right" if name == "runs" else "left")
+    title = "Outside the regular sweep: runs with a report / with a wrong proven tooth / % of pulses unproven"
+    table = headed(title, ["group", "case", "runs", *beyond.METHODS, "adaptive reported"])
     sums = list(beyond.summed(rows))
     for group, case in dict.fromkeys((row.group, row.case) for row in sums):
         mine = {row.method: row for row in sums if (row.group, row.case) == (group, case)}
@@ -89,9 +82,8 @@ def _outside_table(rows: list[beyond.Outcome]) -> Table:
 
 def _noise_table(rows: list[noise.Outcome]) -> Table:
     """Return the bursts, ringing and chatter: what a method made of them over all wheels and speeds."""
-    table = Table(title="Noise: runs with a wrong proven tooth / proven after two turns / untold / cranking")
-    for name in ("kind", "runs", *noise.METHODS):
-        table.add_column(name, justify="right" if name == "runs" else "left")
+    title = "Noise: runs with a wrong proven tooth / proven after two turns / untold / cranking"
+    table = headed(title, ["kind", "runs", *noise.METHODS])
     for kind in noise.KINDS:
         shown = []
         for method in noise.METHODS:
@@ -107,12 +99,11 @@ def _pair_tables(rows: list[wrong.Outcome]) -> list[Table]:
     if not rows:
         return []
     named, runs = sum(row.named for row in rows), sum(row.runs for row in rows)
-    matrix = Table(
-        title=f"Configured wheel (row), real wheel (column): {named} of {runs} runs named alone within {wrong.WITHIN}"
+    title = (
+        f"Configured wheel (row), real wheel (column): {named} of {runs} runs named alone within {wrong.WITHIN}"
         " turns\n=: all runs named; D: named, and a defect of the configured wheel would give the same pulses"
     )
-    for name in ("", *wrong.WHEELS):
-        matrix.add_column(name)
+    matrix = headed(title, ["", *wrong.WHEELS])
     for told in wrong.WHEELS:
         cells = []
         for real in wrong.WHEELS:
@@ -121,9 +112,10 @@ def _pair_tables(rows: list[wrong.Outcome]) -> list[Table]:
             same = mine and wrong.common(Wheel.parse(told), Wheel.parse(real))
             cells.append(str(-missed) if missed else "D" if same else "=" if mine else "")
         matrix.add_row(told, *cells)
-    details = Table(title="Wheels that a defect makes alike, runs not named alone, and runs with a place proven")
-    for name in ("configured", "real", "rpm", "named", "latest turn", "proven", "told instead", "the same pulses as"):
-        details.add_column(name)
+    details = headed(
+        "Wheels that a defect makes alike, runs not named alone, and runs with a place proven",
+        ["configured", "real", "rpm", "named", "latest turn", "proven", "told instead", "the same pulses as"],
+    )
     for row in rows:
         same = wrong.common(Wheel.parse(row.told), Wheel.parse(row.real))
         if same or row.named < row.runs or row.proven:
@@ -152,39 +144,20 @@ def crank(*, runs: int, pulses: int, outside: int, pairs: int, seed: int, json: 
         from gateway_plants.crank.study.figures import draw  # noqa: PLC0415 - slow to load
 
         files = draw(plot, seed)
-    if json:
-        print_json(
-            {
-                "seed": seed,
-                "faults": [as_dict(score) for score in scores],
-                "healthy": [as_dict(row) for row in alarms],
-                "outside": [asdict(row) for row in rows],
-                "noise": [asdict(row) for row in disturbed],
-                "pairs": [asdict(row) for row in matrix],
-                "files": [str(file) for file in files],
-            }
-        )
-        return 0
-    console = wide_console()
-    for table in _scores(scores):
-        console.print(table)
-    if alarms:
-        console.print(_alarm_table(alarms))
-    if rows:
-        console.print(_outside_table(rows))
-    if disturbed:
-        console.print(_noise_table(disturbed))
-    for table in _pair_tables(matrix):
-        console.print(table)
-    if scores or alarms:
-        _explain(console, seed)
-    for file in files:
-        console.print(f"drawn: {file}")
-    return 0
+    document = {
+        "seed": seed, "faults": [as_dict(score) for score in scores], "healthy": [as_dict(row) for row in alarms],
+        "outside": rows, "noise": disturbed, "pairs": matrix,
+    }  # fmt: skip
+    tables = _scores(scores)
+    tables += [_alarm_table(alarms)] if alarms else []
+    tables += [_outside_table(rows)] if rows else []
+    tables += [_noise_table(disturbed)] if disturbed else []
+    notes = [_explained(seed)] if scores or alarms else []
+    return show(document, [*tables, *_pair_tables(matrix)], notes, files=files, json=json)
 
 
-def _explain(console: Console, seed: int) -> None:
-    console.print(
+def _explained(seed: int) -> str:
+    return (
         f"seed {seed}. adaptive, paper: methods of crank_sync; ratio: as FOME and rusEFI find the gap;"
         " threshold: as Speeduino does, filter 50 %.\n"
         "detected, named (direction and count), labelled (every tooth right from 4 pulses after the"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gateway.bus.frames import Frames, empty
 from gateway.signals import framed as encode
 from gateway.signals.database import Database, load_database
-from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
+from gateway_bench.vecu.contract import Run, Truth, VirtualEcu, injected
 from gateway_fdi.common.resources import all_shipped, shipped
 from gateway_fdi.errors import InputError, nearest, under
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams
@@ -54,34 +54,12 @@ def _signals(message: Message, count: int) -> list[Signal]:
     return found
 
 
-def linear_frames(
-    params: LinearParams,
-    faults: Iterable[LinearFault],
-    duration_s: float,
-    *,
-    bus: int,
-    rng: np.random.Generator,
-    databases: Sequence[Path] = (),
-) -> tuple[Frames, list[Truth]]:
-    """Return all frames of a run, stamped from time 0, and what was injected.
-
-    Args:
-        params: the plant.
-        faults: of its actuators and sensors.
-        duration_s: length of the run [s].
-        bus: index of its bus.
-        rng: source of all randomness.
-        databases: of its bus, for parameters that name none.
-
-    Raises:
-        InputError: the database has no such message, or it has not one signal for each output or input.
-    """
-    faults = tuple(faults)
-    database = _database(params, databases)
-    outputs, commands = simulate(params, faults, duration_s, rng)
+def _frames(params: LinearParams, faults: Sequence[LinearFault], run: Run) -> tuple[Frames, list[Truth]]:
+    database = _database(params, run.databases)
+    outputs, commands = simulate(params, tuple(faults), run.duration_s, run.rng)
     period = params.sample_ms * 1e6
     frames = empty(2 * len(outputs))
-    late = np.clip(np.abs(rng.normal(0.0, params.jitter_us * 1e3, len(frames))), 0.0, 0.1 * _AFTER)
+    late = np.clip(np.abs(run.rng.normal(0.0, params.jitter_us * 1e3, len(frames))), 0.0, 0.1 * _AFTER)
     for first, key, name, columns in (
         (0, "commands", params.commands, commands),
         (1, "sensors", params.sensors, outputs),
@@ -93,18 +71,9 @@ def linear_frames(
             for counter in (one for one in message.signals if one.name == _COUNTER):
                 values[_COUNTER] = np.arange(len(columns)) % 2.0**counter.length
             stamps = np.round(np.arange(len(columns)) * period) + first * _AFTER + np.round(late[first::2])
-            frames[first::2] = encode.frames_of(message, values, stamps, bus=bus)
-    truth = []
-    for fault in faults:
-        end = duration_s if fault.to_s is None else min(fault.to_s, duration_s)
-        if fault.from_s < end:
-            count = round((end - fault.from_s) * 1e3 / params.sample_ms)
-            truth.append(Truth(round(fault.from_s * 1e9), fault.kind, count))
-    return frames, truth
-
-
-def _frames(params: LinearParams, faults: Sequence[LinearFault], run: Run) -> tuple[Frames, list[Truth]]:
-    return linear_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng, databases=run.databases)
+            frames[first::2] = encode.frames_of(message, values, stamps, bus=run.bus)
+    times = [(fault.kind, fault.from_s, fault.to_s) for fault in faults]
+    return frames, injected(times, run.duration_s, params.sample_ms * 1e-3)
 
 
 def _fits(params: LinearParams, fault: LinearFault) -> None:

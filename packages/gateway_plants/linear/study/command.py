@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from math import isinf
 from pathlib import Path
 
 from rich.table import Table
 
-from gateway.cli.present import print_json, say, wide_console
+from gateway.cli.present import say
+from gateway.cli.study import headed, show, tabulate
 from gateway_plants.linear.study import example
 from gateway_plants.linear.study.bank import Quiet, quiet
 from gateway_plants.linear.study.continuous import observe, spans
@@ -34,52 +34,43 @@ def _paper() -> list[dict[str, str]]:
 
 
 def _figures_table(rows: list[dict[str, str]]) -> Table:
-    table = Table(title="The paper's Figs. 3 to 11: flags by (15) and (16), continuous observers [s]")
-    for name in rows[0]:
-        table.add_column(name)
+    table = headed("The paper's Figs. 3 to 11: flags by (15) and (16), continuous observers [s]", rows[0])
     for row in rows:
         table.add_row(*row.values())
     return table
 
 
 def _holdout_table(rows: list[Row]) -> Table:
-    table = Table(title="Random cases that nothing was chosen on")
-    table.add_column("at fault")
-    table.add_column("decided by")
-    for name in (
-        "cases",
-        "clean [%]",
-        "not\nmasked",
-        "clean of\nthose [%]",
-        "missed",
-        "false",
-        "dropped",
-        "mean delay\n[s]",
-    ):
-        table.add_column(name, justify="right")
-    for row in rows:
-        table.add_row(
-            row.case,
-            row.method,
-            str(row.cases),
-            f"{100 * row.clean:.1f}",
-            str(row.unmasked),
-            f"{100 * row.clean_unmasked:.1f}",
-            str(row.missed),
-            str(row.false),
-            str(row.dropped),
-            f"{row.delay_s:.2f}",
-        )
-    return table
+    return tabulate(
+        "Random cases that nothing was chosen on",
+        rows,
+        {
+            "at fault": lambda row: row.case,
+            "decided by": lambda row: row.method,
+            "cases": lambda row: row.cases,
+            "clean [%]": lambda row: f"{100 * row.clean:.1f}",
+            "not\nmasked": lambda row: row.unmasked,
+            "clean of\nthose [%]": lambda row: f"{100 * row.clean_unmasked:.1f}",
+            "missed": lambda row: row.missed,
+            "false": lambda row: row.false,
+            "dropped": lambda row: row.dropped,
+            "mean delay\n[s]": lambda row: f"{row.delay_s:.2f}",
+        },
+        texts=2,
+    )
 
 
 def _quiet_table(rows: list[Quiet]) -> Table:
-    table = Table(title="Healthy flight, commands moving, plant stabilised")
-    for name in ("noise of each sensor", "hours judged", "false alarms"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        table.add_row(f"{row.noise:g}", f"{row.hours:.2f}", str(row.alarms))
-    return table
+    return tabulate(
+        "Healthy flight, commands moving, plant stabilised",
+        rows,
+        {
+            "noise of each sensor": lambda row: f"{row.noise:g}",
+            "hours judged": lambda row: f"{row.hours:.2f}",
+            "false alarms": lambda row: row.alarms,
+        },
+        texts=0,
+    )
 
 
 def linear(*, cases: int, hours: float, seed: int, json: bool, plot: Path | None) -> int:
@@ -94,30 +85,15 @@ def linear(*, cases: int, hours: float, seed: int, json: bool, plot: Path | None
         from gateway_plants.linear.study.figures import draw  # noqa: PLC0415 - slow to load
 
         files = draw(plot, rows)
-    if json:
-        print_json(
-            {
-                "study": "pi-bank",
-                "seeds": cases,
-                "first_seed": seed,
-                "figures": paper,
-                "rows": [asdict(row) for row in rows],
-                "healthy": [asdict(row) for row in flown],
-                "files": [str(file) for file in files],
-            }
-        )
-        return 0
-    console = wide_console()
-    console.print(_figures_table(paper))
-    if rows:
-        console.print(_holdout_table(rows))
-    if flown:
-        console.print(_quiet_table(flown))
-    console.print(
+    document = {
+        "study": "pi-bank", "seeds": cases, "first_seed": seed, "figures": paper, "rows": rows, "healthy": flown,
+    }  # fmt: skip
+    tables = [_figures_table(paper)]
+    tables += [_holdout_table(rows)] if rows else []
+    tables += [_quiet_table(flown)] if flown else []
+    note = (
         "clean: the right flags, no other, none that goes down again; products: (15) latched, (16)"
         " over all observers, or as"
         "\nprinted; masked: (16) loses the actuator's fault in the stationary state of an observer"
     )
-    for file in files:
-        console.print(f"drawn: {file}")
-    return 0
+    return show(document, tables, [note], files=files, json=json)

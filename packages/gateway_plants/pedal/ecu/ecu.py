@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import Frames, empty, put
+from gateway.bus.frames import Frames
+from gateway.signals.framed import frames_of
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
-from gateway_bench.vecu.protection import message_of, protect
+from gateway_bench.vecu.databases import message_of
 from gateway_bench.vecu.sensor_faults import at_rail, digitised, drift, impulses, offset, stuck
 from gateway_plants.pedal.ecu import strokes
 from gateway_plants.pedal.ecu.params import PedalParams, SensorFault
@@ -69,24 +70,9 @@ def _faulty(
     return Truth(round(begin * params.period_ms * 1e6), fault.kind, length)
 
 
-def pedal_frames(
-    params: PedalParams,
-    faults: Iterable[SensorFault],
-    duration_s: float,
-    *,
-    bus: int,
-    rng: np.random.Generator,
-) -> tuple[Frames, list[Truth]]:
-    """Return all frames of a run, stamped from time 0, and what was injected.
-
-    Args:
-        params: the pedal.
-        faults: of its sensors, in the order they are applied.
-        duration_s: length of the run [s].
-        bus: index of its bus.
-        rng: source of all randomness.
-    """
-    n = int(duration_s * 1e3 / params.period_ms)
+def _frames(params: PedalParams, faults: Sequence[SensorFault], run: Run) -> tuple[Frames, list[Truth]]:
+    rng = run.rng
+    n = int(run.duration_s * 1e3 / params.period_ms)
     t = np.arange(n, dtype=np.float64) * (params.period_ms * 1e-3)
     x = travel(params, t, rng)
     readings = np.empty((n, len(params.sensors)))
@@ -96,29 +82,10 @@ def pedal_frames(
     truth = [done for fault in faults if (done := _faulty(readings, fault, params, rng))]
     readings = digitised(readings, params.supply, params.adc_bits)
     message = message_of("dbc/pedal.dbc", params.message)
-    signals = {signal.name: signal for signal in message.signals}
-    names = [sensor.signal for sensor in params.sensors]
     least = 0.2 * params.period_ms * 1e6  # frames of one ECU do not overtake each other
     late = np.clip(np.abs(rng.normal(0, params.jitter_us * 1e3, n)), 0, least)
-    stamps = np.rint(t * 1e9 + late).astype(np.int64)
-    frames = empty(n)
-    for k in range(n):
-        values = {
-            name: min(float(readings[k, i]), signals[name].maximum or params.supply) for i, name in enumerate(names)
-        }
-        put(
-            frames,
-            k,
-            int(stamps[k]),
-            message.frame_id,
-            protect(message, {"FrameCnt": k % 16, **values}),
-            bus=bus,
-        )
-    return frames, truth
-
-
-def _frames(params: PedalParams, faults: Sequence[SensorFault], run: Run) -> tuple[Frames, list[Truth]]:
-    return pedal_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
+    columns = {sensor.signal: readings[:, i] for i, sensor in enumerate(params.sensors)}
+    return frames_of(message, {"FrameCnt": np.arange(n) % 16, **columns}, t * 1e9 + late, bus=run.bus), truth
 
 
 def _fits(params: PedalParams, fault: SensorFault) -> None:

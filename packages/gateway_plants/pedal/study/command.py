@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from math import isnan
 from pathlib import Path
 
@@ -10,11 +9,14 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.present import print_json, wide_console
+from gateway.cli.study import headed, show, tabulate
 from gateway_plants.pedal.study.cases import STROKES
 from gateway_plants.pedal.study.follow import VOTERS
 from gateway_plants.pedal.study.outside.roads import HOURS, Named, drives, jobs, names
 from gateway_plants.pedal.study.table import FAULTS, RATES, VALUES, Score, monte_carlo, plan
+
+#: Voters whose judgements are shown.
+_JUDGED = ("KHR", "KHR*", "tracking")
 
 
 def _share(value: float) -> str:
@@ -23,9 +25,7 @@ def _share(value: float) -> str:
 
 def _errors(scores: list[Score], title: str) -> Table:
     """Return the IAE of all voters, a row a case."""
-    table = Table(title=title)
-    table.add_column("case")
-    table.add_column("oracle", justify="right")
+    table = headed(title, ["case"], ["oracle"])
     for voter in VOTERS:
         table.add_column(voter, justify="right", style="bold" if "tracking" in voter else None)
     for case in dict.fromkeys(score.case for score in scores):
@@ -37,24 +37,14 @@ def _errors(scores: list[Score], title: str) -> Table:
 
 def _judgements(scores: list[Score], title: str) -> Table:
     """Return what the voters believed, a row a case."""
-    table = Table(title=title)
-    table.add_column("case")
-    table.add_column("runs", justify="right")
-    for voter in ("KHR", "KHR*", "tracking"):
-        for name in ("rejected", "accepted", "latched"):
-            table.add_column(f"{voter}\n{name}", justify="right")
-    for name in (
-        "isolated\nwrongly",
-        "isolated\nrightly",
-        "drift\nseen",
-        "after\n[ms]",
-        "beyond\nd/2",
-    ):
+    judged = [f"{voter}\n{name}" for voter in _JUDGED for name in ("rejected", "accepted", "latched")]
+    table = headed(title, ["case"], ["runs", *judged])
+    for name in ("isolated\nwrongly", "isolated\nrightly", "drift\nseen", "after\n[ms]", "beyond\nd/2"):
         table.add_column(name, justify="right", style="bold")
     for case in dict.fromkeys(score.case for score in scores):
         by = {score.voter: score for score in scores if score.case == case}
         cells = []
-        for voter in ("KHR", "KHR*", "tracking"):
+        for voter in _JUDGED:
             s = by[voter]
             cells += [_share(s.rejected), _share(s.accepted), str(s.latched)]
         ours = by["tracking"]
@@ -91,26 +81,27 @@ def _tables(scores: list[Score]) -> list[Table]:
     return tables
 
 
+def _seconds(value: float) -> str:
+    return "-" if isnan(value) else f"{value:.3f}"
+
+
 def _driven(rows: list[Named]) -> Table:
     """Return how faults were named, a row a fault."""
-    table = Table(title="Faults and healthy drives, frames lost, late and swapped")
-    table.add_column("fault")
-    for name in (
-        "runs",
-        "right first",
-        "visible",
-        "right first",
-        "its own channel",
-        "median [s]",
-        "longest [s]",
-        "wrong",
-    ):
-        table.add_column(name, justify="right")
-    for row in rows:
-        times = ["-" if isnan(t) else f"{t:.3f}" for t in (row.median, row.longest)]
-        cells = (row.runs, row.right, row.visible, row.visible_right, row.own, *times, row.wrong)
-        table.add_row(row.fault, *map(str, cells))
-    return table
+    return tabulate(
+        "Faults and healthy drives, frames lost, late and swapped",
+        rows,
+        {
+            "fault": lambda row: row.fault,
+            "runs": lambda row: row.runs,
+            "right first": lambda row: row.right,
+            "visible": lambda row: row.visible,
+            "right first\nof those": lambda row: row.visible_right,
+            "its own channel": lambda row: row.own,
+            "median [s]": lambda row: _seconds(row.median),
+            "longest [s]": lambda row: _seconds(row.longest),
+            "wrong": lambda row: row.wrong,
+        },
+    )
 
 
 def pedal(*, runs: int, seed: int, roads: int, hours: float, json: bool, plot: Path | None) -> int:
@@ -126,36 +117,21 @@ def pedal(*, runs: int, seed: int, roads: int, hours: float, json: bool, plot: P
         from gateway_plants.pedal.study.figures import draw  # noqa: PLC0415 - slow to load
 
         files = draw(plot, scores, seed)
-    if json:
-        print_json(
-            {
-                "study": "voters",
-                "seeds": runs,
-                "first_seed": seed,
-                "rows": [asdict(score) for score in scores],
-                "roads": [asdict(row) for row in named],
-                "files": [str(file) for file in files],
-            }
-        )
-        return 0
-    console = wide_console()
-    for each in _tables(scores):
-        console.print(each)
+    document = {"study": "voters", "seeds": runs, "first_seed": seed, "rows": scores, "roads": named}
+    tables, notes = _tables(scores), []
     if named:
-        console.print(_driven(named))
+        tables.append(_driven(named))
         last = seed + max(roads, round(hours / HOURS)) - 1
-        console.print(
+        notes.append(
             f"seeds {seed} to {last}; visible: the fault makes the channels differ by more than 2 % of the travel and"
             "\nfive standard deviations for 0.2 s, or both jump at once. wrong: runs in which a healthy channel was"
             f" named, or\nanything before the fault; of healthy drives, each {HOURS:g} h, those with a code."
         )
     if scores:
-        console.print(
+        notes.append(
             f"seeds {seed} to {seed + runs - 1}; runs of 1000 samples of 1 ms, 0 to 5 V. average, median: three"
             " channels, the others two. predictive, KHR: the\npaper's schemes as printed; KHR*: repaired."
             " oracle: mean of the two channels' healthy readings.\nrejected: healthy samples not used; accepted:"
             " faulty ones, more than 20 mV off, used; latched, isolated, drift: runs; beyond d/2: samples."
         )
-    for file in files:
-        console.print(f"drawn: {file}")
-    return 0
+    return show(document, tables, notes, files=files, json=json)

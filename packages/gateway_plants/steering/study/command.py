@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from math import isnan
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.present import print_json, wide_console
+from gateway.cli.study import headed, show, tabulate
 from gateway_fdi.stopping import RULES
 from gateway_plants.steering.study import operations
 from gateway_plants.steering.study.estimators import Accuracy, accuracy
@@ -31,115 +30,85 @@ def _percent(value: float) -> str:
 
 
 def _estimators(rows: list[Accuracy]) -> list[Table]:
-    tables = []
-    for key in dict.fromkeys((row.period_ms, row.voltages) for row in rows):
-        period, voltages = key
-        table = Table(title=f"Estimators at {period:.0f} ms, mean voltages {voltages}, nominal motor")
-        table.add_column("estimator")
-        for name in (
-            "angle rms\n[deg]",
-            "max",
-            "speed rms\n[rad/s]",
-            "moving",
-            "worst drift in\n1 s of rest [deg]",
-            "note:\nrms",
-        ):
-            table.add_column(name, justify="right")
-        for row in rows:
-            if (row.period_ms, row.voltages) == key:
-                table.add_row(
-                    row.estimator,
-                    _number(row.angle_rms, ".2f"),
-                    _number(row.angle_max, ".1f"),
-                    _number(row.speed_rms, ".2f"),
-                    _number(row.moving, ".2f"),
-                    _number(row.standstill, ".1f"),
-                    _number(row.note, ".4g"),
-                )
-        tables.append(table)
-    return tables
+    return [
+        tabulate(
+            f"Estimators at {key[0]:.0f} ms, mean voltages {key[1]}, nominal motor",
+            (row for row in rows if (row.period_ms, row.voltages) == key),
+            {
+                "estimator": lambda row: row.estimator,
+                "angle rms\n[deg]": lambda row: _number(row.angle_rms, ".2f"),
+                "max": lambda row: _number(row.angle_max, ".1f"),
+                "speed rms\n[rad/s]": lambda row: _number(row.speed_rms, ".2f"),
+                "moving": lambda row: _number(row.moving, ".2f"),
+                "worst drift in\n1 s of rest [deg]": lambda row: _number(row.standstill, ".1f"),
+                "note:\nrms": lambda row: _number(row.note, ".4g"),
+            },
+        )
+        for key in dict.fromkeys((row.period_ms, row.voltages) for row in rows)
+    ]
+
+
+def _noted(s: Score) -> str:
+    """Return the delay of the prototype's rules, and how often they detect."""
+    return "-" if isnan(s.note_ms) else f"{s.note_ms:.0f} [{s.note_percent:.0f}]"
 
 
 def _scores(scores: list[Score]) -> list[Table]:
-    tables = []
-    for temperature, period in dict.fromkeys((s.temperature, s.period_ms) for s in scores):
-        table = Table(title=f"Faults at {period:.0f} ms, resistance {temperature}")
-        table.add_column("fault")
-        for name in (
-            "runs",
-            "detected\nin 2 s [%]",
-            "in 100 ms\n[%]",
-            "delay\nmean [ms]",
-            "max",
-            "isolated\n[%]",
-            "after\n[ms]",
-            "wrong\n[runs]",
-            "kind right\n[%]",
-            "note: ms [%]",
-        ):
-            table.add_column(name, justify="right")
-        for s in scores:
-            if (s.temperature, s.period_ms) != (temperature, period):
-                continue
-            note = "-" if isnan(s.note_ms) else f"{s.note_ms:.0f} [{s.note_percent:.0f}]"
-            table.add_row(
-                s.case,
-                str(s.runs),
-                _percent(s.detected),
-                _percent(s.within_100_ms),
-                _number(s.delay_ms),
-                _number(s.delay_max_ms),
-                _percent(s.isolated),
-                _number(s.isolated_after_ms),
-                str(s.wrong),
-                _percent(s.kind),
-                note,
-            )
-        tables.append(table)
-    return tables
+    return [
+        tabulate(
+            f"Faults at {key[1]:.0f} ms, resistance {key[0]}",
+            (s for s in scores if (s.temperature, s.period_ms) == key),
+            {
+                "fault": lambda s: s.case,
+                "runs": lambda s: s.runs,
+                "detected\nin 2 s [%]": lambda s: _percent(s.detected),
+                "in 100 ms\n[%]": lambda s: _percent(s.within_100_ms),
+                "delay\nmean [ms]": lambda s: _number(s.delay_ms),
+                "max": lambda s: _number(s.delay_max_ms),
+                "isolated\n[%]": lambda s: _percent(s.isolated),
+                "after\n[ms]": lambda s: _number(s.isolated_after_ms),
+                "wrong\n[runs]": lambda s: s.wrong,
+                "kind right\n[%]": lambda s: _percent(s.kind),
+                "note: ms [%]": _noted,
+            },
+        )
+        for key in dict.fromkeys((s.temperature, s.period_ms) for s in scores)
+    ]
+
+
+def _nearest(row: Health) -> str:
+    """Return the symptom that came nearest to its threshold."""
+    near = max(row.peaks, key=row.peaks.__getitem__)
+    return f"{near}: {100 * row.peaks[near]:.0f} %"
 
 
 def _health(rows: list[Health]) -> Table:
-    table = Table(title="Healthy runs with spread parameters")
-    for name in (
-        "resistance",
-        "period\n[ms]",
-        "runs",
-        "hours",
-        "false\nalarms",
-        "MTFA sure with\n95 % [s]",
-        "angle\nlost",
-        "worst angle\n[deg]",
-        "symptom nearest to its threshold",
-    ):
-        table.add_column(name, justify="left" if "nearest" in name else "right")
-    for row in rows:
-        near = max(row.peaks, key=row.peaks.__getitem__)
-        table.add_row(
-            row.temperature,
-            f"{row.period_ms:.0f}",
-            str(row.runs),
-            f"{row.hours:.2f}",
-            str(row.alarms),
-            f"{row.mtfa_s:.0f}",
-            str(row.lost),
-            f"{row.worst_deg:.2f}",
-            f"{near}: {100 * row.peaks[near]:.0f} %",
-        )
-    return table
+    return tabulate(
+        "Healthy runs with spread parameters",
+        rows,
+        {
+            "resistance": lambda row: row.temperature,
+            "period\n[ms]": lambda row: f"{row.period_ms:.0f}",
+            "runs": lambda row: row.runs,
+            "hours": lambda row: f"{row.hours:.2f}",
+            "false\nalarms": lambda row: row.alarms,
+            "MTFA sure with\n95 % [s]": lambda row: f"{row.mtfa_s:.0f}",
+            "angle\nlost": lambda row: row.lost,
+            "worst angle\n[deg]": lambda row: f"{row.worst_deg:.2f}",
+            "symptom nearest to its threshold": _nearest,
+        },
+        texts=0,
+    )
 
 
 def _structure(rows: list[Combination]) -> Table:
     length = rows[0].mtfa_s
-    table = Table(
-        title=f"One filter, one distance, one rule: mean delay [ms] (detected in 2 s, %), "
+    names = [case.name for case in CASES[:7]]
+    title = (
+        f"One filter, one distance, one rule: mean delay [ms] (detected in 2 s, %), "
         f"no alarm in {length:.0f} healthy s, in-sample"
     )
-    table.add_column("symptom")
-    table.add_column("rule")
-    names = [case.name for case in CASES[:7]]
-    for name in names:
-        table.add_column(name, justify="right")
+    table = headed(title, ["symptom", "rule"], names)
     by = {(r.symptom, r.rule, r.fault): r for r in rows}
     for symptom in dict.fromkeys(r.symptom for r in rows):
         for rule in RULES:
@@ -152,30 +121,21 @@ def _structure(rows: list[Combination]) -> Table:
 
 
 def _operations(rows: list[operations.Load]) -> Table:
-    table = Table(title="Table 1: operations of a step (the paper's in brackets)")
-    table.add_column("method")
-    for name in (
-        "multiplications",
-        "additions",
-        "divisions",
-        "trigonometric, logic",
-        "integrators",
-    ):
-        table.add_column(name, justify="right")
-
     def beside(ours: int, paper: int) -> str:
         return str(ours) if paper < 0 else f"{ours} ({paper})"
 
-    for r in rows:
-        table.add_row(
-            r.method,
-            beside(r.multiplications, r.paper_multiplications),
-            str(r.additions),
-            str(r.divisions),
-            beside(r.trigonometric_and_logic, r.paper_trigonometric_and_logic),
-            beside(r.integrators, r.paper_integrators),
-        )
-    return table
+    return tabulate(
+        "Table 1: operations of a step (the paper's in brackets)",
+        rows,
+        {
+            "method": lambda r: r.method,
+            "multiplications": lambda r: beside(r.multiplications, r.paper_multiplications),
+            "additions": lambda r: r.additions,
+            "divisions": lambda r: r.divisions,
+            "trigonometric, logic": lambda r: beside(r.trigonometric_and_logic, r.paper_trigonometric_and_logic),
+            "integrators": lambda r: beside(r.integrators, r.paper_integrators),
+        },
+    )
 
 
 def steering(*, runs: int, healthy: int, seed: int, rules: bool, json: bool, plot: Path | None) -> int:
@@ -197,36 +157,18 @@ def steering(*, runs: int, healthy: int, seed: int, rules: bool, json: bool, plo
         from gateway_plants.steering.study.figures import draw  # noqa: PLC0415 - slow to load
 
         files = draw(plot, scores, seed)
-    if json:
-        print_json(
-            {
-                "study": "steering",
-                "seeds": runs,
-                "first_seed": seed,
-                "estimators": [asdict(row) for row in estimators],
-                "rows": [asdict(row) for row in scores],
-                "healthy": [asdict(row) for row in health],
-                "rules": [asdict(row) for row in combinations],
-                "operations": [asdict(row) for row in loads],
-                "files": [str(file) for file in files],
-            }
-        )
-        return 0
-    console = wide_console()
-    for table in (*_estimators(estimators), *_scores(scores)):
-        console.print(table)
-    if health:
-        console.print(_health(health))
-    if combinations:
-        console.print(_structure(combinations))
-    console.print(_operations(loads))
-    console.print(
+    document = {
+        "study": "steering", "seeds": runs, "first_seed": seed, "estimators": estimators, "rows": scores,
+        "healthy": health, "rules": combinations, "operations": loads,
+    }  # fmt: skip
+    tables = [*_estimators(estimators), *_scores(scores)]
+    tables += [_health(health)] if health else []
+    tables += [_structure(combinations)] if combinations else []
+    note = (
         f"seeds from {seed} on. Resistance unknown: -10 to +30 %, the winding's temperature not"
         f" used; known: within 5 %."
         " isolated: of the runs in which\n"
         "anything was detected, the component that is at fault was named by the end, and no"
         " other; note: the best of the prototype's rules, mean delay, and percentage detected in brackets."
     )
-    for file in files:
-        console.print(f"drawn: {file}")
-    return 0
+    return show(document, [*tables, _operations(loads)], [note], files=files, json=json)

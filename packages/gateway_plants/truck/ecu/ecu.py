@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
 from gateway.signals import framed as encode
-from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
-from gateway_bench.vecu.protection import message_of
+from gateway_bench.vecu.contract import Run, Truth, VirtualEcu, injected
+from gateway_bench.vecu.databases import message_of
 from gateway_plants.truck.ecu.control import PERIOD
 from gateway_plants.truck.ecu.drive import Drive, drive
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams
@@ -79,36 +79,10 @@ def frames_of(params: TruckParams, driven: Drive, *, bus: int, rng: np.random.Ge
     return frames
 
 
-def truck_frames(
-    params: TruckParams,
-    faults: Iterable[TruckFault],
-    duration_s: float,
-    *,
-    bus: int,
-    rng: np.random.Generator,
-) -> tuple[Frames, list[Truth]]:
-    """Return all frames of a run, stamped from time 0, and what was injected.
-
-    Args:
-        params: the truck.
-        faults: of its parts.
-        duration_s: length of the run [s].
-        bus: index of its bus.
-        rng: source of all randomness.
-    """
-    faults = tuple(faults)
-    frames = frames_of(params, drive(params, faults, duration_s), bus=bus, rng=rng)
-    truth = []
-    for fault in faults:
-        end = duration_s if fault.to_s is None else min(fault.to_s, duration_s)
-        if fault.from_s < end:
-            count = round((end - fault.from_s) / PERIOD)
-            truth.append(Truth(round(fault.from_s * 1e9), fault.kind, count))
-    return frames, truth
-
-
 def _frames(params: TruckParams, faults: Sequence[TruckFault], run: Run) -> tuple[Frames, list[Truth]]:
-    return truck_frames(params, faults, run.duration_s, bus=run.bus, rng=run.rng)
+    driven = drive(params, tuple(faults), run.duration_s)
+    times = [(fault.kind, fault.from_s, fault.to_s) for fault in faults]
+    return frames_of(params, driven, bus=run.bus, rng=run.rng), injected(times, run.duration_s, PERIOD)
 
 
 ECU = VirtualEcu(

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from gateway.cli.present import print_json, wide_console
+from gateway.cli.study import headed, show
 from gateway_plants.truck.ecu.params import TruckFault
 from gateway_plants.truck.study.conditions import CHARGE, CONDITIONS, NOISE, Compared, compare
 from gateway_plants.truck.study.table import (
@@ -31,12 +31,8 @@ def _delay(seconds: float) -> str:
 
 
 def _firing_table(rows: list[Row]) -> Table:
-    table = Table(title="Isolated, of the runs with each onset; median delay to the DTC [s]")
-    for name in ("fault", "onset [s]", "runs"):
-        table.add_column(name)
-    for system in SYSTEMS:
-        table.add_column(system, justify="right")
-        table.add_column("delay", justify="right")
+    title = "Isolated, of the runs with each onset; median delay to the DTC [s]"
+    table = headed(title, ["fault", "onset [s]", "runs"], [name for system in SYSTEMS for name in (system, "delay")])
     for fault in (None, *FAULTS):
         for onset in ONSETS if fault else (0.0,):
             mine = [r for r in rows if (r.fault, r.onset) == (fault, onset)]
@@ -63,8 +59,7 @@ def _told(rows: list[Row]) -> str:
 
 
 def _disturbed_table(rows: list[Row], title: str) -> Table:
-    table = Table(title=title)
-    table.add_column("truck")
+    table = headed(title, ["truck"])
     for system in SYSTEMS:
         table.add_column(system, max_width=34)
     for name in DISTURBANCES:
@@ -74,10 +69,9 @@ def _disturbed_table(rows: list[Row], title: str) -> Table:
 
 
 def _conditions_table(compared: list[Compared]) -> Table:
-    table = Table(title=f"T4 of ICDS, voltage sensor 20 V off, noise {NOISE:g} times, J_1 {CHARGE:g} As")
-    table.add_column("condition")
-    for name in ("largest T_norm", "share above 1 behind the first alarm", "decrease / increase"):
-        table.add_column(f"{name}, each seed", justify="right")
+    title = f"T4 of ICDS, voltage sensor 20 V off, noise {NOISE:g} times, J_1 {CHARGE:g} As"
+    names = ("largest T_norm", "share above 1 behind the first alarm", "decrease / increase")
+    table = headed(title, ["condition"], [f"{name}, each seed" for name in names])
     for k, name in enumerate(CONDITIONS):
         table.add_row(
             name,
@@ -115,32 +109,21 @@ def truck(*, seeds: int, seed: int, json: bool, plot: Path | None) -> int:
         from gateway_plants.truck.study.figures import draw  # noqa: PLC0415 - slow to load
 
         files = draw(plot, seed)
-    if json:
-        print_json(
-            {
-                "study": "hybrid",
-                "seeds": seeds,
-                "first_seed": seed,
-                "firing": [_finite(row) for row in fired],
-                "disturbed": [_finite(row) for rows in told for row in rows],
-                "conditions": [
-                    {"condition": name, "on": [c.on[k] for c in compared]} for k, name in enumerate(CONDITIONS)
-                ],
-                "files": [str(file) for file in files],
-            }
-        )
-        return 0
-    console = wide_console()
-    console.print(_firing_table(fired))
-    console.print(_disturbed_table(told[0], "Trucks that differ from the model; onset 400 s"))
-    title = "The same, thresholds learned from a healthy drive of that truck"
-    console.print(_disturbed_table(told[1], title))
-    console.print(_conditions_table(compared))
-    console.print(
+    document = {
+        "study": "hybrid", "seeds": seeds, "first_seed": seed,
+        "firing": [_finite(row) for row in fired],
+        "disturbed": [_finite(row) for rows in told for row in rows],
+        "conditions": [{"condition": name, "on": [c.on[k] for c in compared]} for k, name in enumerate(CONDITIONS)],
+    }  # fmt: skip
+    tables = [
+        _firing_table(fired),
+        _disturbed_table(told[0], "Trucks that differ from the model; onset 400 s"),
+        _disturbed_table(told[1], "The same, thresholds learned from a healthy drive of that truck"),
+        _conditions_table(compared),
+    ]
+    note = (
         "isolated: the fault's own DTC, no other fault's, nothing before the onset; ICDS and MCDS:"
         " the paper's systems; RDS:"
         "\nT1, T2, T5, T6 and the observer T7"
     )
-    for file in files:
-        console.print(f"drawn: {file}")
-    return 0
+    return show(document, tables, [note], files=files, json=json)

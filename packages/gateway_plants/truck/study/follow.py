@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.monitors.contract import FAILED
 from gateway.signals.framed import carried
-from gateway_bench.vecu.protection import message_of
+from gateway_bench.vecu.databases import message_of
 from gateway_fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway_fdi.jit import kernel, zeros
 from gateway_plants.truck.ecu.control import PERIOD
