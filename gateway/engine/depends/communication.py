@@ -38,6 +38,8 @@ def of_check(check: CheckInstance, fault: str, network: Network) -> Iterator[See
         return
     if fault in ("early", "second_sender"):
         yield Seen(network.second_sender(check.bus, name), 0.9, "another one sends it, too")
+    if fault == "counter":
+        yield Seen(network.frozen(check.bus, name), 0.9, "its counter stands, too")
     of_message, of_sender, of_bus = _POWERS[fault]
     yield Seen(message, of_message, "the message itself")
     for sender in network.senders(check.bus, name):
