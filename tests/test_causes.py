@@ -259,3 +259,21 @@ def test_of_a_learned_car_the_part_that_is_wrong_is_named(car, tmp_path, capsys,
     causes = {tuple(group["cause"]) for event in told for group in event["groups"] if group["cause"]}
     assert causes == ({(cause,)} if cause else set())
     assert bool(told) is bool(injected)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "injected",
+    [
+        "offset WHEEL_SPEEDS.WHEEL_SPEED_FR=25 @20..22", "scale WHEEL_SPEEDS.WHEEL_SPEED_FL=0.2 @20..20.8",
+        "scale WHEEL_SPEEDS.WHEEL_SPEED_RL=0.96 @5",
+    ],
+    ids=["a wheel spins on ice", "ABS", "a spare wheel"],
+)  # fmt: skip
+def test_everyday_driving_accuses_no_part_of_a_learned_car(car, tmp_path, capsys, injected):
+    config, log = car
+    capsys.readouterr()
+    replay(log, config, memory=tmp_path / "m.sqlite", injections=[injected], json=True, fail_on_dtc=False)
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [e["fault"] for e in events if e["event"] == "dtc"] == []
+    assert diagnoses(events) == []
