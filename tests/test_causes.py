@@ -246,7 +246,7 @@ def car(tmp_path_factory):
         ("offset SPEED.SPEED=40 @20..25", "signal can0.SPEED.SPEED"),
         ("drop SPEED @20..25", "message can0.SPEED"),
         ("freeze WHEEL_SPEEDS @20..30", "message can0.WHEEL_SPEEDS"),
-        ("offset WHEEL_SPEEDS.WHEEL_SPEED_FR=40 @20..30", "signal can0.WHEEL_SPEEDS.WHEEL_SPEED_FR"),
+        ("offset WHEEL_SPEEDS.WHEEL_SPEED_FR=40 @20..45", "signal can0.WHEEL_SPEEDS.WHEEL_SPEED_FR"),
         ("", None),
     ],
 )
