@@ -115,6 +115,17 @@ def test_a_dip_while_cranking_accuses_nobody(tmp_path, seed):
     assert [one for _, one in activities(events)] in ([], ["falling asleep", "running"])
 
 
+@pytest.mark.parametrize("away_s", [0.2, 0.6])
+def test_an_ecu_that_starts_again_while_cranking_is_told_only_where_it_takes_long(tmp_path, away_s):
+    """A flat battery: the supply dips for a moment at the start of the engine, and once more when it fires."""
+    frames = traffic(
+        NETWORK, random.Random(7), 16, lambda b, e, i, t: e != "Engine" or not (8 < t < 8 + away_s or 9 < t < 9.2)
+    )
+    codes, told, _ = run(config_of(tmp_path), frames, 16)
+    assert codes == ({"drive.M100.timeout", "drive.M101.timeout"} if away_s > 0.5 else set())
+    assert causes(told) <= {("ecu drive.Engine",), ("message drive.M100",)}
+
+
 @pytest.mark.evidence("Healthy parts: lost frames")
 @pytest.mark.parametrize("share", [0.05, 0.3])
 def test_frames_that_get_lost_everywhere_are_told_and_accuse_nobody(tmp_path, share):
@@ -130,6 +141,63 @@ def test_frames_that_get_lost_everywhere_are_told_and_accuse_nobody(tmp_path, sh
     stamps = frames["t_ns"] * 1e-9
     gone = np.isin(frames["can_id"], (0x100, 0x101)) & (stamps > 16) & (stamps < 18)
     assert "drive.M100.timeout" in run(config_of(tmp_path), frames[~gone], 36)[0]
+
+
+RATE = "most = {{ frames = 80, ms = {window}, cycle_ms = {cycle} }}\nlength = 8\n"
+
+
+@pytest.mark.evidence("Healthy parts: lost frames")
+def test_a_recorder_that_takes_frames_now_and_then_accuses_nobody(tmp_path):
+    """Of each message it takes some frames in a row, and misses the next for half a second: six of seven."""
+    rng = random.Random(8)
+    taken = {
+        can_id: [rng.random() < 0.15 for _ in range(400)] for each in NETWORK["drive"].values() for can_id, _ in each
+    }
+    frames = traffic(NETWORK, rng, 30, lambda b, e, i, t: taken[i][int(t / 0.08)])
+    config = networks.config_of(tmp_path, NETWORK, 5.0, health=SLEEPS, check=RATE)
+    codes, told, events = run(config, frames, 30)
+    assert (codes, told) == (set(), [])
+    (lossy,) = [e for e in events if e["event"] == "lossy"]
+    assert lossy["lossy"]
+
+
+def test_a_log_of_some_messages_accuses_nobody_of_the_others(tmp_path):
+    """A recorder that filters, or a car of which only some ECUs are awake: half of the messages never come."""
+    frames = traffic(NETWORK, random.Random(9), 40, lambda b, e, i, t: e in ("Brakes", "Steering"))
+    codes, told, events = run(config_of(tmp_path), frames, 40)
+    assert (codes, told) == (set(), [])
+    assert activities(events) == [("running", "running in part")]
+    stops = frames[(frames["can_id"] < 0x130) | (frames["t_ns"] < 20e9)]
+    assert run(config_of(tmp_path), stops, 40)[0] == {"drive.M130.timeout", "drive.M131.timeout"}
+
+
+def test_who_wakes_a_sleeping_bus_for_a_moment_accuses_nobody(tmp_path):
+    """It is silent for 4 s, less than its slowest sender may be; then some ECUs come, for a door that was opened."""
+    network = {"drive": NETWORK["drive"] | {"Clock": [(0x1F0, 4000)]}}
+    off = drawn(random.Random(10), 2.0) | {"Clock": 0.5}
+    door = ("Climate", "Steering")
+    frames = traffic(network, random.Random(10), 30, lambda b, e, i, t: t < 8 + off[e] or (e in door and 15 < t < 20))
+    codes, told, _ = run(networks.config_of(tmp_path, network, 5.0, health=SLEEPS), frames, 40)
+    assert (codes, told) == (set(), [])
+
+
+def test_an_ecu_of_another_software_is_told_as_that(tmp_path):
+    """Its frames have another length and rate from the first one on; of a length that changes later it is accused."""
+    frames = traffic(NETWORK, random.Random(11), 12, lambda b, e, i, t: True)
+    engine = np.isin(frames["can_id"], (0x100, 0x101))
+    other, late = frames.copy(), frames.copy()
+    other["length"][engine] = 7
+    twice = other[frames["can_id"] == 0x101].copy()
+    twice["t_ns"] += 50_000_000
+    both = np.concatenate([other, twice])
+    both = both[np.argsort(both["t_ns"], kind="stable")]
+    config = networks.config_of(tmp_path, NETWORK, 5.0, health=SLEEPS, check=RATE)
+    codes, told, events = run(config, both, 12)
+    assert (codes, told) == (set(), [])
+    told = {(e["message"], e["what"]) for e in events if e["event"] == "other_software"}
+    assert told == {("M100", "length"), ("M101", "length")}
+    late["length"][engine & (frames["t_ns"] > 6e9)] = 7
+    assert run(config, late, 12)[0] == {"drive.M100.length", "drive.M101.length"}
 
 
 def test_terminal_15_says_that_nothing_falls_asleep(tmp_path):

@@ -6,6 +6,7 @@ import random
 
 import numpy as np
 import pytest
+from car import Car, write
 
 from gateway.cli.replay import replay
 from gateway.common.times import NEVER
@@ -204,6 +205,28 @@ def test_it_is_the_same_however_the_frames_come(name, seconds):
         assert played(config, frames, pieces) == whole
 
 
+def test_a_frozen_message_proves_no_signal_beside_it(tmp_path):
+    """Four wheels of one message stand, and go on to fit each other: the speed that moves on is not proven wrong."""
+    signals = 'SG_ {} : {}|16@1+ (0.01,0) [0|300] "km/h" B'
+    wheels = " ".join(signals.format(name, 16 * k) for k, name in enumerate(("FL", "FR", "RL", "RR")))
+    text = f"BO_ 256 Speed: 8 A\n {signals.format('V', 0)}\nBO_ 257 Wheels: 8 A\n {wheels}\n"
+    rules = [f'{{name = "{n}", holds = "Speed.V == Wheels.{n}", tolerance = 4.0}}' for n in ("FL", "RR")]
+    rules += ['{name = "rear", holds = "Wheels.RL == Wheels.RR", tolerance = 4.0}']
+    tables = f'[[monitor]]\nname = "r"\ntype = "rule"\nbus = "b"\nrule = [{", ".join(rules)}]\n'
+    one = Car(write(tmp_path, text, tables))
+    for k in range(1500):
+        speed = round(100 * (40.0 + 0.02 * k)).to_bytes(2, "little")
+        wheel = round(100 * (40.0 + 0.02 * min(k, 600))).to_bytes(2, "little")
+        one.feed([speed + bytes(6)], 256).feed([4 * wheel], 257)
+    assert one.failed() == ["FL", "RR"]
+    groups = [group for event in one.of("diagnosis") for group in event["groups"]]
+    assert groups[-1]["failed"]
+    assert all(group["cause"] is None for group in groups)
+    named = {tuple(one["components"]): one["probability"] for one in groups[-1]["causes"]}
+    assert named["message b.Wheels",] > 0.05
+    assert len(named) == len(groups[-1]["causes"]), "a message is told once, in whatever way it fails"
+
+
 @pytest.fixture(scope="module")
 def car(tmp_path_factory):
     """Return the configuration that is learned from the car's drive, and the drive."""
@@ -222,7 +245,8 @@ def car(tmp_path_factory):
     [
         ("offset SPEED.SPEED=40 @20..25", "signal can0.SPEED.SPEED"),
         ("drop SPEED @20..25", "message can0.SPEED"),
-        ("offset WHEEL_SPEEDS.WHEEL_SPEED_FR=40 @20..30", "signal can0.WHEEL_SPEEDS.WHEEL_SPEED_FR"),
+        ("freeze WHEEL_SPEEDS @20..30", "message can0.WHEEL_SPEEDS"),
+        ("offset WHEEL_SPEEDS.WHEEL_SPEED_FR=40 @20..45", "signal can0.WHEEL_SPEEDS.WHEEL_SPEED_FR"),
         ("", None),
     ],
 )
@@ -235,3 +259,21 @@ def test_of_a_learned_car_the_part_that_is_wrong_is_named(car, tmp_path, capsys,
     causes = {tuple(group["cause"]) for event in told for group in event["groups"] if group["cause"]}
     assert causes == ({(cause,)} if cause else set())
     assert bool(told) is bool(injected)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "injected",
+    [
+        "offset WHEEL_SPEEDS.WHEEL_SPEED_FR=25 @20..22", "scale WHEEL_SPEEDS.WHEEL_SPEED_FL=0.2 @20..20.8",
+        "scale WHEEL_SPEEDS.WHEEL_SPEED_RL=0.96 @5",
+    ],
+    ids=["a wheel spins on ice", "ABS", "a spare wheel"],
+)  # fmt: skip
+def test_everyday_driving_accuses_no_part_of_a_learned_car(car, tmp_path, capsys, injected):
+    config, log = car
+    capsys.readouterr()
+    replay(log, config, memory=tmp_path / "m.sqlite", injections=[injected], json=True, fail_on_dtc=False)
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [e["fault"] for e in events if e["event"] == "dtc"] == []
+    assert diagnoses(events) == []

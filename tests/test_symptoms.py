@@ -82,7 +82,7 @@ def test_each_entry_has_its_cause_in_the_file(car, tmp_path):
     for entry in service.list_entries(tmp_path / "m.sqlite"):
         cause = entry["cause"]
         assert (cause["role"], cause["components"], cause["lead"]) == ("symptom", SPEED, "rules.A")
-        assert cause["probability"] > 0.99
+        assert cause["probability"] > 0.9, "its message may have frozen, too"
         assert cause["lead_dtc"] == service.show(tmp_path / "m.sqlite", cause["lead_dtc"])["dtc"]
         assert entry["hold"] == ""
     assert service.verify(tmp_path / "m.sqlite")["whole"]

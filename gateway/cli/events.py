@@ -157,6 +157,11 @@ class EventPrinter:
         )
         self._lines.print(f"{self._time(event)}  short frames  {told}", mark="short frames", colour="bold")
 
+    def _on_other_software(self, event: dict[str, Any]) -> None:
+        of = f"{event['bus']}.{event['message']}"
+        text = f"{of}: {event['what']} {event['now']:g}, as checked {event['learned']:g}, ever since it came"
+        self._lines.print(f"{self._time(event)}  other software  {text}", mark="other software", colour="bold")
+
     def _on_activity(self, event: dict[str, Any]) -> None:
         mark = f"bus {event['bus']} {event['activity']}"
         self._lines.print(f"{self._time(event)}  {mark}  it was {event['before']}", mark=mark)

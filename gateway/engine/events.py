@@ -47,6 +47,10 @@ ACTIVITY = 12
 #: Frames of a bus get lost, or no more: ``value`` is their share, ``threshold`` that from which on it is told.
 LOSSY = 13
 
+#: A message of a bus that sleeps never had its length since it came (``fault`` is its row, ``value`` the length now,
+#: ``threshold`` the one of its check [byte]), or on such a bus its rate (frames in the window of its limit, negative).
+OTHER = 14
+
 #: Slips of a monitor's author that the loop puts right, as bits of ``slips`` of its handler.
 NO_NUMBER, NO_FAULT, TOO_MANY, TOO_SOON = 1, 2, 4, 8
 

@@ -249,7 +249,7 @@ class Blame(NamedTuple):
         part: the name of a connected signal, as ``connect`` has it; or with a kind a name of the monitor's own.
         kind: of a part that is no signal: "actuator", "plant", "supply", "model", ...; "": it is a signal. With the
             name of a signal it is what that signal commands or measures, the same for all monitors; "message": what
-            carries it.
+            carries it; "frozen": that, repeating one payload.
         share: how likely the test fails if this part alone is at fault, against a part that it is there for, 0 to 1.
     """
 

@@ -315,12 +315,12 @@ class Causes:
         return (
             failed,
             group.cause is None,
-            *(tuple(system.components[c].name for c in one.components) for one in ranked),
+            *(tuple(system.components[c].told for c in one.components) for one in ranked),
         )
 
     def _group(self, group: Group, t_ns: int) -> dict[str, Any]:
         system = self._diagnoser.system
-        components = [c.name for c in system.components]
+        components = [c.told for c in system.components]
         cause = group.cause
         apart = telling(system, self._diagnoser.state, group)[:_TOLD]
         return {

@@ -188,7 +188,7 @@ class Explainer:
         return Cause(role, tuple(ranked), lead, str(self._memory.definition(lead).dtc), t_ns)
 
     def _names(self, fault: str, components: Iterable[str]) -> bool:
-        return self._depends[fault][0].component.name in components
+        return self._depends[fault][0].component.told in components
 
     def _lead(self, group: _Group) -> str:
         """Return the fault that stands for a proven cause; "": there is none.
@@ -203,7 +203,7 @@ class Explainer:
         def key(fault: str) -> tuple[bool, bool, float, int, str]:
             record = self._memory.record(fault)
             led = record.cause is not None and record.cause.lead == fault and components == set(record.cause.components)
-            power = max((one.power for one in self._depends[fault] if one.component.name in components), default=0.0)
+            power = max((one.power for one in self._depends[fault] if one.component.told in components), default=0.0)
             return (not self._names(fault, components), not led, -power, record.last_ns or 0, fault)
 
         return min(explained, key=key, default="")

@@ -55,6 +55,15 @@ def short_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
     return {"event": "short_frames", "t_ns": event.t_ns, **of, **told}
 
 
+def other_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
+    """Tell that a message never was as its check says since it came: its ECU has another software, or is another."""
+    what = "length" if event.value > 0 else "frames"
+    told: dict[str, Any] = {"bus": bus, "message": plan.message_names[event.fault][1], "what": what}
+    told |= {"now": round(abs(event.value), 1), "learned": event.threshold}
+    _log.warning("another software of its ECU, or another ECU: it never was as its check says", **told)
+    return {"event": "other_software", "t_ns": event.t_ns, **told}
+
+
 def source_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
     """Tell that a further source address sends a J1939 message, or that it is silent."""
     name, address = plan.message_names[event.fault][1], int(event.value)

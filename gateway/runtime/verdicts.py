@@ -15,6 +15,7 @@ from gateway.engine.events import (
     LOSSY,
     MONITOR_OFF,
     NO_BUS,
+    OTHER,
     QUALIFIED_FAILED,
     QUALIFIED_PASSED,
     RESULT_CHANGED,
@@ -45,6 +46,7 @@ from gateway.runtime.told import (
     dtc_event,
     lossy_event,
     monitor_events,
+    other_event,
     short_event,
     source_event,
 )
@@ -133,6 +135,9 @@ class Verdicts:
             return
         if kind == LOSSY:
             self._outbox.note(lossy_event(event, self._buses[event.bus]))
+            return
+        if kind == OTHER:
+            self._outbox.note(other_event(event, self._engine.plan, self._buses[event.bus]))
             return
         if kind == SHORT:
             self._outbox.note(short_event(event, self._engine.plan, self._buses[event.bus]))

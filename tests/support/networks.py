@@ -9,8 +9,11 @@ from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 
 
-def config_of(folder, network, timeout=2.5, power="", health=""):
-    """Return a configuration that watches all messages; timeouts in cycles, ``health`` of each bus."""
+def config_of(folder, network, timeout=2.5, power="", health="", check=""):
+    """Return a configuration that watches all messages.
+
+    Timeouts are in cycles, ``health`` is of each bus, ``check`` of each message, with its ``{cycle}`` [ms].
+    """
     text = [power]
     for bus, ecus in network.items():
         lines = ['VERSION ""', "NS_ :", "BS_:", f"BU_: {' '.join(ecus)}"]
@@ -19,6 +22,7 @@ def config_of(folder, network, timeout=2.5, power="", health=""):
             for can_id, cycle in messages:
                 lines += [f"BO_ {can_id} M{can_id:X}: 8 {ecu}", f' SG_ Value : 0|8@1+ (1,0) [0|255] "" {ecu}']
                 checks.append(f'[[bus.check]]\nmessage = "M{can_id:X}"\ntimeout_ms = {timeout * cycle}\n')
+                checks.append(check.format(cycle=cycle, window=60 * cycle))
         (folder / f"{bus}.dbc").write_text("\n".join(lines) + "\n")
         text += [f'[[bus]]\nname = "{bus}"\nuri = "virtual:{bus}"\ndatabase = ["{bus}.dbc"]\ncodes = "own"\n']
         text += [health, *checks]

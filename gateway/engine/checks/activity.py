@@ -11,10 +11,11 @@ times, or are many, have been switched off. All is judged at once where ``[power
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from gateway.common.times import NEVER
-from gateway.engine.checks.bus_health import ASLEEP, AWAITED, AWAKE, FALLING, WAKING
+from gateway.engine.checks.bus_health import ASLEEP, AWAITED, AWAKE, FALLING, PART, WAKING
 from gateway.engine.checks.communication import COMES, MISSING, NOT_YET, STOPPED, TIMEOUT
 from gateway.engine.events import ACTIVITY, LOSSY
 from gateway.engine.gate import said_awake
@@ -27,16 +28,22 @@ _LOOK_NS, _LEAST_NS = 500_000_000, 1_000_000_000
 #: Where one frame in the first number does not come, the bus is taken to lose them; in the second, that is told.
 #: Frames, and time [ns], that are weighed.
 _LOSSY, _TOLD, _WEIGHED, _WEIGHED_NS = 50, 25, 100, 2_000_000_000
-#: While frames get lost, a message is missing after this number of times its timeout more.
-_LONGER = 3
+#: While frames get lost, a message is missing after this number of times its timeout more, at least; and so many that
+#: a row of losses takes so long once in RARE times, of timeouts of CYCLES, where a share of at most MOST is lost, some
+#: TOGETHER. From the share HALF on it is known by the rate of those that come.
+_LONGER, _RARE, _CYCLES, _MOST, _TOGETHER, _HALF = 3, 1e10, 5.0, 0.98, 3.0, 0.5
+#: A message that comes again after less than this time was not missing: the supply dips for as long while an engine is
+#: cranked (ISO 16750-2, starting profile), and its ECU starts again [ns].
+_DIP_NS = 250_000_000
 #: A bus sleeps after this time without a frame [ns].
 _ASLEEP_NS = 1_000_000_000
 #: A gap between two frames of a bus is unusual from the shortest timeout / UNUSUAL on: then the next frame decides. It
 #: matters to a message from its own timeout / UNUSUAL on.
 UNUSUAL = 3
 #: Senders that stop at one time are switched off, not at fault, from this number on, a message whose sender nobody
-#: names being half of one; and from this share of the messages of the bus on (its numerator and denominator).
-_MANY, _PART, _OF = 3, 2, 5
+#: names being half of one; and from this share of the messages of the bus on (its numerator and denominator). A parked
+#: car's bus wakes in part, for a door: of those that do not come then the last share is enough.
+_MANY, _PART, _OF, _PARKED = 3, 2, 5, 1
 #: A bus that falls asleep is silent after this time, or those that have stopped are at fault [ns].
 _AFTER_RUN_NS = 300_000_000_000
 
@@ -49,7 +56,7 @@ def set_activity(T: Any, t_ns: int, bus: int, activity: int) -> None:
     h.activity = activity
     if before != activity and h.begun == 1:
         announce(T, t_ns, ACTIVITY, bus, bus, float(activity), float(before))
-    if activity == AWAKE:
+    if activity in (AWAKE, PART):
         h.begun = 1
         h.stops = 0
     h.look_ns = t_ns + _LOOK_NS if activity in (WAKING, FALLING) else NEVER
@@ -122,8 +129,20 @@ def waits_to_settle(T: Any, due: int, c: Any) -> bool:
         return False
     h = T.health[c.bus]
     waits = False
-    if h.settle_ns > 0 and c.coming in (COMES, STOPPED) and not said_awake(T, T.debounces[c.fault[TIMEOUT]]):
-        waits = _settles(T, due, h, c)
+    if h.settle_ns > 0 and not said_awake(T, T.debounces[c.fault[TIMEOUT]]):
+        if c.coming in (COMES, STOPPED):
+            waits = _settles(T, due, h, c)
+        elif c.coming == NOT_YET:
+            part = _are_many(T, due, c.bus, NOT_YET)
+            waits = (
+                part
+                or (h.activity == FALLING and due < h.fell_ns + _AFTER_RUN_NS)
+                or (is_lossy(h) and _lost_ns(h, c) > c.wake_ns)
+            )
+            if part and h.activity in (WAKING, AWAKE):
+                set_activity(T, due, c.bus, PART)
+            if waits:
+                c.deadline_ns = due + max(c.wake_ns, c.timeout_ns)
     if not waits and c.coming == STOPPED:
         c.silent_ns += due - c.overdue_ns
         c.deadline_ns = due
@@ -135,24 +154,34 @@ def waits_to_settle(T: Any, due: int, c: Any) -> bool:
 @kernel
 def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
     """Return whether it is to be seen first whether others stop, too."""
-    lossy = _is_lossy(h)
+    lossy = is_lossy(h)
     if c.coming == COMES:
         c.coming, c.overdue_ns = STOPPED, due
         if not lossy:
             _note_stop(h, c, due)
-        if h.activity == AWAKE and h.stops > 1:
+        if h.activity in (AWAKE, PART) and h.stops > 1:
             _fall(T, due, c.bus)
     until_ns = h.stopped_ns + h.settle_ns
-    if h.activity == AWAKE and due >= until_ns and _many_stop(T, due, c.bus):
+    if h.activity in (AWAKE, PART) and due >= until_ns and _are_many(T, due, c.bus, STOPPED):
         _fall(T, due, c.bus)
-    if h.activity == FALLING:
+    if h.activity == FALLING or (h.activity == ASLEEP and h.fell_ns > h.joined_ns):
         until_ns = h.fell_ns + _AFTER_RUN_NS
+    elif _is_parked(T, due, c.bus):
+        until_ns = due + h.settle_ns
+    elif due < h.joined_ns + _WEIGHED_NS:
+        until_ns = max(until_ns, h.joined_ns + _WEIGHED_NS)
     elif lossy:
-        until_ns = max(until_ns, c.overdue_ns + _LONGER * c.timeout_ns)
+        until_ns = max(until_ns, c.overdue_ns + _lost_ns(h, c))
     if due >= until_ns:
         return False
     c.deadline_ns = min(until_ns, due + max(h.settle_ns, c.timeout_ns))
     return True
+
+
+@kernel
+def _is_parked(T: Any, t_ns: int, bus: int) -> bool:
+    """Return whether a bus that fell asleep before is awake in part: who stops then falls asleep again."""
+    return bool(T.health[bus].fell_ns > 0 and _are_many(T, t_ns, bus, NOT_YET))
 
 
 @kernel(inlined=False)
@@ -166,26 +195,55 @@ def note_gap(T: Any, t_ns: int, c: Any, gap_ns: int) -> None:
         return
     h = T.health[c.bus]
     h.gaps = h.gaps + 1 if gap_ns > c.timeout_ns >> 4 else max(h.gaps - 1, 0)
-    frames = h.frames - h.frames_before
-    if t_ns - h.weighed_ns >= _WEIGHED_NS and frames >= _WEIGHED:
-        lossy = h.gaps * (_LOSSY if h.lossy == 1 else _TOLD) > frames
+    if t_ns - h.weighed_ns >= _WEIGHED_NS and h.watched >= _WEIGHED:
+        h.share = max(h.gaps / h.watched, _lost_share(T, t_ns, c.bus))
+        lossy = h.share * (_LOSSY if h.lossy == 1 else _TOLD) > 1.0
         if lossy != (h.lossy == 1):
-            announce(T, t_ns, LOSSY, c.bus, c.bus, h.gaps / frames, 1.0 / _LOSSY)
+            announce(T, t_ns, LOSSY, c.bus, c.bus, h.share, 1.0 / _LOSSY)
         h.lossy = 1 if lossy else 0
-        h.frames_before, h.gaps, h.weighed_ns = h.frames, 0, t_ns
+        h.watched, h.gaps, h.weighed_ns = 0, 0, t_ns
 
 
 @kernel
-def _is_lossy(h: Any) -> bool:
+def _lost_share(T: Any, t_ns: int, bus: int) -> float:
+    """Return the share of the frames that did not come of the messages that come; 0: less than half.
+
+    A recorder that takes frames for a moment, and none for the next, has few gaps, and long ones.
+    """
+    h, one = T.health[bus], 0.0
+    for k in range(T.checks.shape[0]):
+        c = T.checks[k]
+        if c.bus == bus and c.coming in (COMES, STOPPED) and c.one_ns > 0:
+            one += c.stride * c.slots * ((t_ns - h.weighed_ns) / c.one_ns)
+    share = 1.0 - h.watched / max(one, 1.0)
+    return share if share > _HALF and h.weighed_ns > 0 else 0.0
+
+
+@kernel
+def is_lossy(h: Any) -> bool:
     """Return whether frames of a bus get lost now."""
-    frames = h.frames - h.frames_before
-    return bool(h.gaps * _LOSSY > max(frames, _WEIGHED) or (h.lossy == 1 and frames < _WEIGHED))
+    return bool(h.gaps * _LOSSY > max(h.watched, _WEIGHED) or (h.lossy == 1 and h.watched < _WEIGHED))
+
+
+@kernel
+def _lost_ns(h: Any, c: Any) -> int:
+    """Return how long behind its timeout frames of a message may be missing that were lost on the way [ns].
+
+    Where each is lost with the probability p, and none knows of another, n of them are with p^n.
+    """
+    share = min(max(h.share if h.lossy == 1 else 0.0, h.gaps / max(h.watched, _WEIGHED)), _MOST)
+    together = _TOGETHER if share > _HALF else 1.0
+    return int(max(float(_LONGER), together * math.log(_RARE) / (_CYCLES * (1.0 - share))) * c.timeout_ns)
 
 
 @kernel
 def is_gone(T: Any, t_ns: int, c: Any) -> bool:
     """Return whether a message whose time is over is missing, not lost on the way."""
-    return bool(t_ns >= c.overdue_ns + _LONGER * c.timeout_ns or not _is_lossy(T.health[c.bus]))
+    h = T.health[c.bus]
+    last_ns = c.overdue_ns - c.timeout_ns
+    if t_ns < h.joined_ns + _WEIGHED_NS or t_ns - last_ns < _DIP_NS:
+        return False  # a bus that has just begun may lose frames
+    return bool(not is_lossy(h) or t_ns >= c.overdue_ns + _lost_ns(h, c))
 
 
 @kernel
@@ -215,28 +273,29 @@ def _note_stop(h: Any, c: Any, due: int) -> None:
 
 
 @kernel
-def _many_stop(T: Any, due: int, bus: int) -> bool:
-    """Return whether the senders that have stopped are more than those that are at fault at one time."""
+def _are_many(T: Any, due: int, bus: int, coming: int) -> bool:
+    """Return whether the senders that have stopped, or not come yet, are more than are at fault at one time."""
     h = T.health[bus]
-    stopped = on = halves = 0
+    away = on = halves = 0
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
         if c.bus != bus or c.timeout_ns <= 0:
             continue
-        if c.coming == STOPPED:
-            stopped += 1
+        if c.coming == coming:
+            away += 1
             halves += 1 if c.sender < 0 else 2 * _is_first(T, k)
-        elif c.coming == COMES and c.timeout_ns <= due - h.stop_until_ns:
+        elif c.coming == COMES and (coming == NOT_YET or c.timeout_ns <= due - h.stop_until_ns):
             on += 1
-    return bool(halves >= 2 * _MANY and stopped * _OF >= (stopped + on) * _PART)
+    part = _PARKED if coming == NOT_YET and h.fell_ns > 0 else _PART
+    return bool(halves >= 2 * _MANY and away * _OF >= (away + on) * part)
 
 
 @kernel
 def _is_first(T: Any, k: int) -> bool:
-    """Return whether a message is the first of those of its sender that have stopped."""
+    """Return whether a message is the first of those of its sender that are as it is."""
     c = T.checks[k]
     for j in range(k):
-        if T.checks[j].sender == c.sender and T.checks[j].coming == STOPPED:
+        if T.checks[j].sender == c.sender and T.checks[j].coming == c.coming:
             return False
     return True
 
@@ -247,8 +306,13 @@ def begin_to_come(T: Any, t_ns: int, c: Any) -> bool:
     h, stopped = T.health[c.bus], c.coming == STOPPED
     if c.coming == NOT_YET:
         h.joined_ns = max(h.joined_ns, t_ns)
-    elif stopped and h.activity == AWAKE and h.stops <= 1 and is_gone(T, t_ns, c):
-        if not _many_stop(T, t_ns, c.bus):
+        if h.activity == PART and not _are_many(T, t_ns, c.bus, NOT_YET):
+            set_activity(T, t_ns, c.bus, AWAKE)
+    elif stopped and h.activity in (AWAKE, PART) and h.stops <= 1 and is_gone(T, t_ns, c):
+        if _is_parked(T, t_ns, c.bus):
+            c.coming = COMES
+            return False
+        if not _are_many(T, t_ns, c.bus, STOPPED):
             h.stops = 0
             return True
         _fall(T, t_ns, c.bus)

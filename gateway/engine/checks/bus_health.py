@@ -127,8 +127,8 @@ CODES = ("U0001", "U0028", "U0037", "U0046", "U0055", "U0064", "U0010", "U0019")
 WHOLE, AWAITED, SPOKEN = range(3)
 
 #: Activity of a bus as a whole (see ``activity``), and the words for it.
-ASLEEP, WAKING, AWAKE, FALLING = range(4)
-ACTIVITIES = ("asleep", "waking", "running", "falling asleep")
+ASLEEP, WAKING, AWAKE, FALLING, PART = range(5)
+ACTIVITIES = ("asleep", "waking", "running", "falling asleep", "running in part")
 
 #: Counters of error frames, by class.
 COUNTED = {
@@ -225,7 +225,7 @@ class HealthState(Record):
     others_ns: i8 = means("when that of another message did last; 0: none did", "ns")
     silence: u1 = means("WHOLE: of all, or it was not heard yet, AWAITED: messages wait for a frame of anybody, SPOKEN")
     asleep: u1 = means("whether it may be silent: nobody is awake")
-    activity: u1 = means("ASLEEP, WAKING, AWAKE or FALLING")
+    activity: u1 = means("ASLEEP, WAKING, AWAKE, FALLING or PART")
     begun: u1 = means("whether it was AWAKE before")
     joined_ns: i8 = means("when a message last began to come after the bus was asleep", "ns")
     look_ns: i8 = means("when it is looked whether it is awake", "ns")
@@ -234,12 +234,14 @@ class HealthState(Record):
     stop_from_ns: i8 = means("that was after this time", "ns")
     stop_until_ns: i8 = means("and before this one", "ns")
     stopped_ns: i8 = means("the last frame of what was the first to be overdue then", "ns")
-    fell_ns: i8 = means("since when it is FALLING", "ns")
+    fell_ns: i8 = means("since when it is FALLING, or was last; 0: never", "ns")
     frames: i8 = means("frames received")
-    frames_before: i8 = means("those when gaps were last weighed")
+    watched: i8 = means("frames of messages with a timeout, since gaps were last weighed")
     gaps: i8 = means("gaps since then in which a frame of a message did not come, less those that came together")
     weighed_ns: i8 = means("when that was", "ns")
     lossy: u1 = means("whether it is told that frames of it get lost")
+    other: u1 = means("whether an ECU of it has another software than the one that the checks were made for")
+    share: f8 = means("share of them, when gaps were last weighed")
     counts: Annotated[i8s, len(COUNTED)] = means("conditions so far, by COUNTED")
     value: f8 = means("value of the verdicts")
     limit: f8 = means("limit of the verdicts")

@@ -7,7 +7,7 @@ from typing import Any
 from gateway.bus.conditions import LOSS, RUNNING, STEPPED
 from gateway.bus.frames import ID_MASK
 from gateway.common.times import NEVER
-from gateway.engine.checks.activity import UNUSUAL, begin_waking, set_waking
+from gateway.engine.checks.activity import UNUSUAL, begin_waking, set_waking, waits_to_settle
 from gateway.engine.checks.bus_health import (
     ASLEEP,
     SILENT,
@@ -113,9 +113,9 @@ def on_sign_of_life(T: Any, t_ns: int, bus: int) -> None:
 def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
     """Take the first frame after the bus was silent for longer than usual.
 
-    After a silence of the whole bus each message has its time to wake. A shorter one that is longer than the shortest
-    timeout may have been the time of a frame of any message two fifths of whose time is over (a cycle less its jitter,
-    where the time is two cycles): it starts again. One that is
+    After a silence of the whole bus, and one that it fell asleep before, each message has its time to wake. A shorter
+    one that is longer than the shortest timeout may have been the time of a frame of any message two fifths of whose
+    time is over (a cycle less its jitter, where the time is two cycles): it starts again. One that is
     shorter still is added to the time of each to which it matters. A message that misses :data:`MOST_PARKS` of them is
     not there: on a bus where little is sent, nearly all time is such a silence.
 
@@ -126,7 +126,7 @@ def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
         silent_ns: how long the bus was silent.
     """
     h = T.health[bus]
-    whole = h.silence == WHOLE
+    whole = h.silence == WHOLE or (h.activity == ASLEEP and h.fell_ns > h.joined_ns)
     long = silent_ns > UNUSUAL * h.gap_ns
     h.silence = SPOKEN
     h.asleep = 0
@@ -148,7 +148,8 @@ def end_silence(T: Any, t_ns: int, bus: int, silent_ns: int) -> None:
         if parked_ns > 0 and c.parks >= MOST_PARKS:
             c.silent_ns += t_ns - parked_ns
             c.deadline_ns = t_ns
-            report_timeout(T, t_ns, c)
+            if not waits_to_settle(T, t_ns, c):
+                report_timeout(T, t_ns, c)
         elif parked_ns > 0 or (missed and c.parks < MOST_PARKS):
             c.parks += 1
             c.deadline_ns = t_ns + c.timeout_ns if missed else parked_ns + silent_ns - h.gap_ns

@@ -238,6 +238,8 @@ class CheckState(Record):
     weighed: u8 = means("hash of the last right payload before the rule was proven")
     proof: i4 = means("what speaks for the rule of the checksum, -PROVEN to PROVEN", "half bit")
     longest: i4 = means("length of its longest frame", "byte")
+    fitted: u1 = means("whether a frame had the one length that it may have")
+    told: u1 = means("whether it is told that its sender has another software")
     unread: i4 = means("frames rejected since the counter was last read")
     misfits: i4 = means("frames whose checksum was wrong before the rule was proven")
     seen: u1 = means("1: last_counter is known")
@@ -263,6 +265,7 @@ COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
         "most_ns", "stride", "slots",
     ),
     ("longest",): ("length",),
+    ("fitted", "told"): ("only_length",),
     ("silent_sources",): ("timeout_ns",),
     ("passed", "weighed", "proof", "misfits", "samples", "lengths"): ("rule",),
     ("fresh", "trial", "sought", "synced"): ("rule",),

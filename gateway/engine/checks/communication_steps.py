@@ -40,6 +40,7 @@ from gateway.engine.checks.senders_steps import (
     is_doubtful,
     is_lost_with_others,
     is_news,
+    is_other,
     keep_stamp,
 )
 from gateway.engine.checks.silence import park
@@ -266,8 +267,8 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
         step = follow(T, t_ns, c, received, step)
     # The counters of rejected frames went by unread; those frames were not lost.
     jumped = step < 0 or step > p.max_step + c.unread
-    if jumped and step > 0 and is_lost_with_others(T, t_ns, c):
-        T.clock[0].missed += step - 1
+    if step >= 0 and (jumped or step == 0) and is_lost_with_others(T, t_ns, c, step):
+        T.clock[0].missed += max(step - 1, 0)
         not_tested(T, t_ns, c.fault[COUNTER])
     else:
         place = accuse(T, t_ns, c, COUNTER, jumped or step == 0, float(step), float(p.max_step))
@@ -367,6 +368,11 @@ def report_arrival(T: Any, t_ns: int, c: Any, length: int) -> None:
         report_result(T, t_ns, c.fault[TIMEOUT], False, 0.0, c.timeout_ns * 1e-6)
     if c.fault[LENGTH] >= 0:
         wrong = is_odd_length(c, length)
+        if not wrong:
+            c.fitted = 1
+        elif c.only_length > 0 and c.fitted == 0 and is_other(T, t_ns, c, length, c.only_length):
+            not_tested(T, t_ns, c.fault[LENGTH])
+            return
         place = accuse(T, t_ns, c, LENGTH, wrong, length, c.only_length if c.only_length > 0 else c.length)
         store_evidence(T, c.fault[LENGTH], place, 0, length)
 
@@ -421,6 +427,8 @@ def come(T: Any, t_ns: int, c: Any) -> None:
 def note_arrival(T: Any, t_ns: int, c: Any, words: Any) -> None:
     """Take that a frame of a message has come: its time starts again, and it counts for its rate."""
     if c.timeout_ns > 0:
+        if c.bus < T.health.shape[0] - 1:
+            T.health[c.bus].watched += 1
         deadline_ns, before_ns = t_ns + c.timeout_ns, c.deadline_ns
         moved_ns = deadline_ns - before_ns
         if c.coming != COMES:

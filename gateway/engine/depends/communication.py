@@ -7,21 +7,21 @@ from collections.abc import Iterator
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.depends.parts import Network, Seen, component
 
-#: Check -> probability that it fails if the message, its sender, its bus is at fault. A message is missing or wrong, in
-#: one of several ways: what one check sees the others do not, so that their passes clear little. An ECU that fails
-#: mostly dies, and all of its messages stop; or a part of them, which its dead half sends. While a bus is cut off
-#: nothing is tested but its silence; a frame that it damages is dropped by each controller, before any check. So a
-#: message is missing only while others are heard: then the bus is well.
+#: Check -> probability that it fails if the message, or its sender, is at fault. A message is missing or wrong, in one
+#: of several ways: what one check sees the others do not, so that their passes clear little. An ECU that fails mostly
+#: dies, and all of its messages stop; or a part of them, which its dead half sends. No check sees the bus. While it is
+#: cut off nothing is tested but its silence; a frame that it damages is dropped by each controller, before any check;
+#: where it loses frames that is told, and counters wait. So it is well wherever a check fails.
 _POWERS = {
-    "timeout": (0.6, 0.95, 0.0),
-    "counter": (0.3, 0.1, 0.02),
-    "crc": (0.3, 0.1, 0.02),
-    "mac": (0.3, 0.1, 0.02),
-    "freshness": (0.3, 0.1, 0.02),
-    "length": (0.3, 0.1, 0.01),
-    "value": (0.3, 0.1, 0.01),
-    "early": (0.1, 0.02, 0.001),
-    "second_sender": (0.01, 0.01, 0.001),
+    "timeout": (0.6, 0.95),
+    "counter": (0.3, 0.1),
+    "crc": (0.3, 0.1),
+    "mac": (0.3, 0.1),
+    "freshness": (0.3, 0.1),
+    "length": (0.3, 0.1),
+    "value": (0.3, 0.1),
+    "early": (0.1, 0.02),
+    "second_sender": (0.01, 0.01),
 }
 #: Likewise that a message is missing, if the ECU is dead that sends some of those whose sender nobody names.
 _UNNAMED = 0.05
@@ -38,14 +38,14 @@ def of_check(check: CheckInstance, fault: str, network: Network) -> Iterator[See
         return
     if fault in ("early", "second_sender"):
         yield Seen(network.second_sender(check.bus, name), 0.9, "another one sends it, too")
-    of_message, of_sender, of_bus = _POWERS[fault]
+    if fault == "counter":
+        yield Seen(network.frozen(check.bus, name), 0.9, "its counter stands, too")
+    of_message, of_sender = _POWERS[fault]
     yield Seen(message, of_message, "the message itself")
     for sender in network.senders(check.bus, name):
         yield Seen(sender, of_sender, f"sends {name}")
     if fault == "timeout" and not network.senders(check.bus, name):
         yield Seen(network.unnamed(check.bus), _UNNAMED, f"may send {name}")
-    if of_bus:
-        yield Seen(network.bus(check.bus), of_bus, f"carries {name}")
 
 
 def of_bus(bus: int, fault: str, network: Network) -> Iterator[Seen]:

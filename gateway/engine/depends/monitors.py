@@ -85,8 +85,8 @@ def part_of(m: MonitorInstance, part: str, kind: str, inputs: Mapping[str, Signa
     ref = inputs.get(part)
     if not kind:
         return network.signal(inputs[part])
-    if kind == "message" and ref is not None:
-        return network.message(ref.bus, ref.message)
+    if kind in ("message", "frozen") and ref is not None:
+        return (network.message if kind == "message" else network.frozen)(ref.bus, ref.message)
     if ref is not None:
         return component(kind, network.names[ref.bus], ref.message, ref.signal)
     return component(kind, m.name, part)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from gateway.engine.checks.silence import NOBODY
@@ -90,6 +91,10 @@ class Network:
     def second_sender(self, bus: int, message: str) -> Component:
         """Return what sends a message beside its own sender."""
         return component("second sender", self.names[bus], message)
+
+    def frozen(self, bus: int, message: str) -> Component:
+        """Return a message as it fails where its sender repeats one payload; it is told as the message."""
+        return replace(component("frozen", self.names[bus], message), of=self.message(bus, message).name)
 
     def message(self, bus: int, message: str) -> Component:
         """Return a message."""

@@ -77,12 +77,15 @@ def _noise(result: LastResult) -> float:
 def blames(part: PartParams) -> dict[str, list[Blame]]:
     """Return whom a relation blames: all of its signals, and itself; less what only says how far others may be apart.
 
-    Of ``abs(e) < limit`` and of the condition ``when`` a signal has to be wrong in one direction, and by much.
+    Of ``abs(e) < limit`` and of the condition ``when`` a signal has to be wrong in one direction, and by much. A
+    message that freezes is seen by a relation to another message only: its own signals go on to fit each other.
     """
     limits = part.holds.ops[-1][0] in (p.LESS, p.AT_MOST)
     own = _compared(part.holds) if limits else set(part.holds.signals)
     signals = [Blame(name, share=SEES if name in own else BESIDE) for name in part.signals]
-    return {part.rule.name: [*signals, Blame(part.rule.name, "model")]}
+    apart = len({name.rpartition(".")[0] for name in own}) > 1
+    frozen = [Blame(name, "frozen", SEES) for name in part.signals if name in own and apart]
+    return {part.rule.name: [*signals, *frozen, Blame(part.rule.name, "model")]}
 
 
 def _compared(program: Program) -> set[str]:

@@ -97,6 +97,7 @@ export function textOf(event) {
     case "intervention": return `${event.protocol === "local" ? "this machine" : `tester ${event.protocol}`}: ${event.action}${event.outcome === "done" ? "" : ", refused"}`;
     case "bus": return `bus ${event.bus} ${event.state}${event.reason ? `: ${event.reason}` : ""}`;
     case "activity": return `bus ${event.bus} ${event.activity}`;
+    case "other_software": return `${event.bus}.${event.message}: ${event.what} ${event.now}, as checked ${event.learned}: another software of its ECU`;
     case "lossy": return `bus ${event.bus} loses ${event.lossy ? `frames, about ${number(100 * event.share, 2)} %` : "no more frames"}`;
     case "clock": return `the clock was set by ${number(event.step_s)} s`;
     case "memory": return `fault memory ${event.state} ${event.reason}`;

@@ -68,6 +68,10 @@ class Cluster:
         self._known: dict[int, dict[int, float]] = {}
         self._count_passes()
 
+    def told(self, components: tuple[int, ...]) -> tuple[str, ...]:
+        """Return the names that components, by their places, are told by, each once."""
+        return tuple(sorted({self._system.components[c].told for c in components}))
+
     def widened(self, more: tuple[int, ...]) -> Cluster:
         """Return the same failed tests with more suspects, by their places."""
         return Cluster(self._system, self._state, self.failed, more)

@@ -128,7 +128,7 @@ class Diagnoser:
 
         No component: they are false alarms.
         """
-        names = [component.name for component in self.system.components]
+        names = [component.told for component in self.system.components]
         return [
             (tuple(names[place] for place in one.components), one.probability)
             for group in self.diagnose()

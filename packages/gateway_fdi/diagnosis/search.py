@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,7 +51,18 @@ def solve(cluster: Cluster, bounds: Bounds) -> Group:
     told = tuple(_told(cluster, one, share / whole) for one, share in listed)
     suspected = {k for one, d in zip(found, told, strict=False) if d.probability >= _SUSPECTED for k in one.elements}
     rest = max(1.0 - sum(one.probability for one in told), 0.0)
-    return Group(cluster.failed, told, rest, cluster.waiting(suspected))
+    return Group(cluster.failed, _merged(cluster, told), rest, cluster.waiting(suspected))
+
+
+def _merged(cluster: Cluster, told: tuple[Diagnosis, ...]) -> tuple[Diagnosis, ...]:
+    """Return diagnoses of which those are one that differ only in the way in which a component fails."""
+    merged: dict[tuple[str, ...], Diagnosis] = {}
+    for one in told:
+        name = cluster.told(one.components)
+        known = merged.setdefault(name, one)
+        if known is not one:
+            merged[name] = replace(known, probability=known.probability + one.probability)
+    return tuple(sorted(merged.values(), key=lambda one: -one.probability))
 
 
 def _found(cluster: Cluster, bounds: Bounds) -> tuple[list[HittingSet], list[float]]:

@@ -30,6 +30,7 @@ PRIORS = {
     "bus": 1e-4,
     "model": 1e-4,
     "second sender": 1e-4,
+    "frozen": 8e-5,
 }
 #: Of any other kind.
 OTHER_PRIOR = 3e-4
@@ -43,11 +44,18 @@ class Component:
         name: of it alone.
         kind: one of :data:`PRIORS`, or another word.
         prior: probability that it is faulty, above 0, at most 0.5; None: by its kind.
+        of: name of the component that this is one way to fail of, and is told as; "": it is no such way.
     """
 
     name: str
     kind: str = ""
     prior: float | None = None
+    of: str = ""
+
+    @property
+    def told(self) -> str:
+        """Name that people are told."""
+        return self.of or self.name
 
 
 class Link(NamedTuple):

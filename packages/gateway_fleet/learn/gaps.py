@@ -251,10 +251,10 @@ def _rounded(value: float) -> float:
 
 #: Shortest time of the row of gaps that is limited [ns]; share of it that such a row must take at least, and number of
 #: rows that it takes to say so.
-WINDOW_NS, LEAST_SHARE, LEAST_ROWS = 1_000_000_000, 0.75, 5
+WINDOW_NS, LEAST_SHARE, LEAST_ROWS = 1_000_000_000, 0.75, 2
 #: A message with a longer cycle is slow [ns]: it may be sent at a change, too, and its row has this number of gaps at
-#: least, so that one frame more, as senders send when they wake, breaks no limit.
-SLOW_NS, LEAST_ROW = WINDOW_NS // 8, 4
+#: least. Two frames more, as senders send when they wake or are asked, break no limit: so many cycles are left out.
+SLOW_NS, LEAST_ROW, MORE = 90_000_000, 8, 2.25
 #: Where fewer frames than this share repeat the one before, repeats say nothing; then a row has more gaps at least, and
 #: takes this share of its time.
 REPEATED, LONG_ROW, SHORT_SHARE = 1.0 / 3.0, 16, 0.6
@@ -282,6 +282,7 @@ def most(gaps: Gaps, repeated: float) -> dict[str, float | bool] | None:
         whole, count = row * cycle, gaps.counted // row
         if whole < WINDOW_NS or row < least or span_ns == 0 or count < LEAST_ROWS:
             continue
+        share = min(share, 1.0 - MORE / row)
         if whole - _longer(count) * max(whole - span_ns, 0.0) >= share * whole:
             ms, cycle_ms = (float(f"{ns * 1e-6:.3g}") for ns in (share * whole, cycle))
             again = {"repeats": True} if slow and not rolls else {}

@@ -26,8 +26,10 @@ SHARE_PRODUCT = 0.2
 GROWTH, ERRORS = 0.15, 4.0
 #: A range that begins this near to nothing has no lower end.
 NEAR_NOTHING = 0.05
-#: Time that a relation must not hold [ms].
-FAILED_MS = 1000.0
+#: Time that a relation must not hold [ms]; one between speeds, whose units are these: a wheel spins, or is braked to a
+#: stop, for so long on ice.
+FAILED_MS, SLIP_MS = 1000.0, 2500.0
+SPEEDS = frozenset({"km/h", "kph", "kmh", "km/hour", "m/s", "mph"})
 
 
 def rule_lines(
@@ -75,6 +77,7 @@ def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Sequ
     elif relation.delay_s < 0.0:
         of = f"delay({of}, {inline(round(-1e3 * relation.delay_s))})"
     right = _TOGETHER[relation.form].format(*by)
+    slips = {unit.lower() for unit in units} <= SPEEDS and bool(units)
     slope, offset = short(relation.slope), short(relation.offset)
     side = right if slope == 1.0 else f"{inline(slope)} * {right}"
     # The error by rounding the numbers, at the ends of the values seen, is part of the deviation.
@@ -95,7 +98,7 @@ def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Sequ
         f"{relation.rows} times, slope to {relation.slope_error:.2g}, for {LASTS_S:g} s at most {shown(relation.limit)}"
         f" off once in {HOURS:g} h, {shown(relation.worst)} at once; movements agree to {relation.movement:.3f}"
     )
-    keys = {"name": name, "holds": text, "tolerance": tolerance, "failed_ms": FAILED_MS}
+    keys = {"name": name, "holds": text, "tolerance": tolerance, "failed_ms": SLIP_MS if slips else FAILED_MS}
     return Line(buses[seen.bus], RULE, name, keys, why)
 
 

@@ -40,6 +40,14 @@ def test_a_diagnosis_hits_all_conflicts_and_needs_each_component():
                 assert len(idle) <= bool(one.sizes), case  # one that sizes ask for, though no failed test does
 
 
+def test_ways_in_which_one_component_fails_are_told_as_one():
+    ways = [Component("m", "message"), Component("frozen", prior=3e-4, of="m"), Component("s", "signal")]
+    tests = [Test("t", (Link("m", 0.01), Link("frozen", 0.3), Link("s", 0.3)))]
+    told = dict(ran(ways, tests, [("t", FAILED, 0)]).causes())
+    assert told[("s",)] / told[("m",)] == pytest.approx(1e-3 * 0.3 / (3e-4 * 0.31), rel=0.01)
+    assert sum(told.values()) == pytest.approx(1.0)
+
+
 def test_the_order_of_updates_of_different_tests_does_not_matter():
     for case, rng, components, tests, updates in cases(SEED + 1, 2000, 100):
         once = ran(components, tests, updates).diagnose()

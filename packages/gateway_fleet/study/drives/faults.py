@@ -182,7 +182,7 @@ class Drive:
         both[0].put_all(words, values[1], where)
         both[1].put_all(words, values[0], where)
         message.renew_all(words, mine["length"].astype(np.int64), where)
-        mine["data"] = words.view(np.uint8).reshape(len(mine), -1)
+        mine["data"] = words.view(np.uint8).reshape(mine["data"].shape)
         frames[places] = mine
         return frames
 
