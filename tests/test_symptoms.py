@@ -130,12 +130,12 @@ def test_two_that_nothing_tells_apart_are_confirmed(car):
 
 
 def test_a_symptom_is_released_when_another_cause_explains_what_is_left(car):
-    """A and B follow Speed: they hold again, and C that alone does not is the one that is wrong."""
+    """A and B follow Speed: they hold again, and C that alone does not is the one that is wrong, or its message."""
     one = car()
     one.drive(5.0)
     one.drive(3.0, Speed=40)
     assert one.held() == ["", "held", "held"]
-    one.drive(20.0, Speed=40, A=40, B=40)
+    one.drive(35.0, Speed=40, A=40, B=40)  # not proven: released when no slower test is waited for any more
     assert one.status() == [0x2E, 0x26, 0x2F], "released"
     assert [(told["state"], told["faults"]) for told in one.told()[1:]] == [("released", ["rules.C"])]
     assert one.gateway.memory.record("rules.C").cause.ranked[0].components == ("signal can0.C.V",)
