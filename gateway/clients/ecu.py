@@ -10,10 +10,10 @@ import numpy as np
 from gateway.answers.weave import NEGATIVE, POSITIVE
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, put
 from gateway.clients.ask import PROBES, Ask, allowed, spoken_in
-from gateway.clients.params import DTC_SERVICES, OBD, EcuParams
+from gateway.clients.params import DTC_SERVICES, OBD, ON_UDS, EcuParams
 from gateway.clients.passed import Passed, Waiting
 from gateway.clients.pgn import MARK, WAIT_MS, Ended, frame_of
-from gateway.clients.refusals import BUSY, FINAL, PENDING, TOO_LONG
+from gateway.clients.refusals import BUSY, FINAL, PENDING, TOO_LONG, UNKNOWN
 from gateway.common.times import NEVER
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.heard import N_CR_NS
@@ -72,7 +72,7 @@ class EcuClient:
     _again: int = 0
     _begun_ns: int = 0
     _probed: int = 0
-    _declined: dict[str, str] = field(default_factory=dict)
+    _declined: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.place: EcuAddress = self.params.place
@@ -293,7 +293,7 @@ class EcuClient:
             self._turn(ask, code, t_ns)
             return
         elif ask.probes:
-            self._declined[ask.protocol] = FINAL[code]
+            self._declined[ask.protocol] = code
         else:
             ask.refused = f"{ask.declined}{FINAL[code]} (0x{code:02X})"
             self._tell(ask)
@@ -326,19 +326,26 @@ class EcuClient:
         forms = forms[len(PROBES) if self.place.target is not None else 0 :]  # an address byte: it alone
         rounds, at = divmod(self._probed, len(forms))
         refuses = self._declined.keys() == PROBES.keys()
-        if (rounds, at) == (1, 0) or (refuses and rounds < 1):
+        if (rounds, at) == (1, 0) and not refuses:
             self.asks += self.open[OBD]
         if refuses:
-            self.open = {}
-            reason = "; ".join(f"{PROBES[protocol].hex().upper()}: {why}" for protocol, why in self._declined.items())
-            log.warning(
-                "an ECU tells no map of OBD, and is not asked for it again", ecu=self.params.name, reason=reason
-            )
+            self._refuses_maps(tried=rounds > 0)
             return
         protocol, to_all = forms[at]
         rest_ns = min(FIRST_REST_NS << rounds - 1, LONGEST_REST_NS) if rounds and not at else 0
         self._probed += 1
         self.asks.insert(0, Ask(PROBES[protocol], NEVER, t_ns + rest_ns, protocol=protocol, probes=True, to_all=to_all))
+
+    def _refuses_maps(self, *, tried: bool) -> None:
+        """Ask on by the protocol whose service it knows, where it refuses both maps for good."""
+        unknown = {protocol for protocol, code in self._declined.items() if code in UNKNOWN}
+        by = ON_UDS if unknown == {OBD} else OBD
+        kept = [ask for ask in self.asks if ask.protocol != OBD] if tried else self.asks
+        self.asks, self.open = [*kept, *self.open[by]], {}
+        reason = "; ".join(
+            f"{PROBES[protocol].hex().upper()}: {FINAL[code]}" for protocol, code in self._declined.items()
+        )
+        log.warning("an ECU tells no map of OBD", ecu=self.params.name, reason=reason, asked_by=by)
 
     def _learn(self, protocol: str) -> None:
         """Ask on by a protocol of OBD."""

@@ -12,6 +12,7 @@ from gateway.clients.dtcs import told_by
 from gateway.clients.ecu import SILENT, EcuClient
 from gateway.clients.params import OBD, ON_UDS, UDS, EcuParams
 from gateway.clients.protocols import DTC_REQUESTS
+from gateway.clients.refusals import UNKNOWN
 from gateway.common.times import NEVER
 
 #: Identifiers of a part (ISO 14229-1, Annex C.1), by the words of people.
@@ -38,8 +39,6 @@ SERVICES = {
     0x19: b"\x19\x02\xaf",
     0x22: VIN_DID,
 }
-#: Negative codes by which an ECU says that it does not know a service: at all, in this session.
-UNKNOWN = (0x11, 0x7F)
 #: PIDs of one answer of support (SAE J1979: bit masks of 32).
 _MASK = 32
 
