@@ -7,6 +7,7 @@ from udsoncan import Response
 from udsoncan.services import ReadDTCInformation
 
 from gateway.bus.frames import payload
+from gateway_bench.vecu.responder.memory import DtcMemory, StoredDtc
 from gateway_fdi.errors import GatewayError
 
 MEMORY = """
