@@ -204,3 +204,8 @@ def test_several_ecus_of_11_and_29_bits_are_asked_once_together_and_each_its_own
 def quiet(answer):
     """Return an ECU that refuses no request to all: as most, it says nothing."""
     return lambda request: [each for each in answer(request) if each[1][0] != 0x7F]
+
+
+def test_data_of_a_dtc_that_one_of_two_lists_has_are_read_once(tmp_path):
+    found = car(tmp_path, speaks(ON_UDS | {"195533": "595533FF04"})).run(4000)
+    assert requests(found).count("1904013300FF") == 1
