@@ -6,11 +6,13 @@ unit; ``s`` after the length: with a sign. ``=`` and words are what the numbers 
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from fractions import Fraction
 from functools import cache
 from typing import Any
 
 from gateway.answers.model import AnswerLayout, message_of, signal_of
+from gateway.answers.obd_on_uds import PAGES, classic
 
 _SENSORS = ("11", "12", "13", "14", "21", "22", "23", "24")
 
@@ -150,3 +152,19 @@ def j1979() -> tuple[AnswerLayout, ...]:
         pid, *fields = row.split()
         signals.setdefault(int(pid, 16), []).append(_signal(*fields))
     return tuple(AnswerLayout(0x01, pid, message_of(0x01, pid, found)) for pid, found in sorted(signals.items()))
+
+
+def layouts_of_obd(keys: Collection[tuple[int, int]], *, whole: bool) -> list[AnswerLayout]:
+    """Return the layouts of what is read of an ECU by OBD, whichever protocol it speaks.
+
+    Args:
+        keys: service and identifier of what is read; one of OBD on UDS by its own number gets a layout of its own.
+        whole: all layouts of the standard, also where nothing is read.
+    """
+    standard = {(layout.service, layout.identifier): layout for layout in j1979()}
+    found = list(standard.values()) if whole or any(service in PAGES for service, _ in keys) else []
+    for key in keys:
+        of = classic(*key)
+        if of in standard and of not in keys:
+            found.append(AnswerLayout(*key, message_of(*key, standard[of].message.signals)))
+    return found

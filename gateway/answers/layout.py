@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gateway.answers import databases, obdb, odx
-from gateway.answers.j1979 import j1979
+from gateway.answers.j1979 import j1979, layouts_of_obd
 from gateway.answers.model import Address, AnswerLayout, Layouts, LeftOut, Limits, layouts_for
 from gateway.signals.database import SUFFIXES
 from gateway_fdi.common.log import get_logger
@@ -20,6 +20,7 @@ __all__ = [
     "Limits",
     "j1979",
     "layouts_for",
+    "layouts_of_obd",
     "read_file",
     "read_layouts",
 ]

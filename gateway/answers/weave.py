@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from gateway.answers.model import TWO_BYTES
+from gateway.answers.obd_on_uds import PAGES, as_classic, classic, classic_length, on_uds
 from gateway.answers.pages import Page
 from gateway.bus.frames import FD, Frames, empty, joined, put
 
@@ -66,6 +67,8 @@ class Weaver:
         lengths: of the ECU's layouts.
         bus: index of the bus of the answers.
 
+    An answer of OBD on UDS has the layout of classic OBD, where it has none of its own.
+
     Attributes:
         bus: it.
         counts: answers of each kind: decoded, shorter or longer than their layout, without a layout, negative.
@@ -75,6 +78,8 @@ class Weaver:
         self, pages: Mapping[tuple[int, int], tuple[Page, ...]], lengths: Mapping[tuple[int, int], int], bus: int
     ) -> None:
         self._pages, self._lengths, self.bus = pages, lengths, bus
+        obd = {on_uds(*key): classic_length(key[0], n) for key, n in lengths.items() if key[0] in PAGES}
+        self._found = {**obd, **lengths}
         self.counts = dict.fromkeys(("decoded", "shorter", "longer", "unknown", "negative"), 0)
 
     def frames(self, answer: bytes, t_ns: int) -> Frames:
@@ -89,7 +94,9 @@ class Weaver:
         if answer[0] - POSITIVE not in READ_SERVICES:
             return empty(0)
         made = []
-        for key, data in records(answer, self._lengths):
+        for found, said in records(answer, self._found):
+            key = found if found in self._lengths else classic(*found) or found
+            data = said if key == found else as_classic(*key, said)
             length = self._lengths.get(key)
             if length is None:
                 self.counts["unknown"] += 1

@@ -161,7 +161,8 @@ def watch(
 @does("gateway.cli.request:request", config="config_path")
 def request(
     requests: Annotated[
-        list[str], typer.Argument(metavar="UDS...", help="Requests as hex digits, e.g. 22F190; one session has all.")
+        list[str],
+        typer.Argument(metavar="UDS...", help="Hex digits, e.g. 22F190, or names: VIN, coolant; one session has all."),
     ],
     config: ConfigOption = None,
     status: StatusOption = None,

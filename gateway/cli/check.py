@@ -117,7 +117,7 @@ def asked_of(config: Config) -> Iterator[str]:
         bus = config.bus[config.bus_index(ecu.bus)]
         silent = "; the bus is only listened to: nothing is asked" if bus.listen_only else ""
         reads = [f"{read.name} every {read.every_ms:g} ms" for read in ecu.read]
-        dtcs = [] if ecu.dtcs is None else [f"DTCs ({ecu.dtcs.protocol}) every {ecu.dtcs.every_s:g} s"]
+        dtcs = [] if ecu.dtcs is None else [f"DTCs ({ecu.dtc_protocol}) every {ecu.dtcs.every_s:g} s"]
         place = ecu.place
         ids = f"0x{place.request & ID_MASK:X}, 0x{place.response & ID_MASK:X}"
         asked = ", ".join([*reads, *dtcs]) or "nothing; its answers to others are heard"

@@ -111,14 +111,13 @@ def _asked(found: Found, rate: float) -> Iterator[Asked]:
     every_ms = max(_EVERY_MS, sum(len(pids) for *_, pids in known) * 1000 / (rate * _SHARE))
     for place, told, pids in known:
         reads = [Read(0x01, pid, every_ms, ", ".join(s.name for s in layouts[pid].message.signals[:3])) for pid in pids]
-        answered = told.services
-        reads_dtcs = any(answered.get(service) for service in (0x19, 0x03))
         yield Asked(
             place.name,
             Address(place.request, place.response),
             reads,
-            dtcs_s=_DTCS_S if reads_dtcs else None,
-            obd=not answered.get(0x19),
+            dtcs_s=_DTCS_S if told.reads_dtcs else None,
+            dtc_protocol=told.reads_dtcs,
+            protocol=told.speaks[0] if len(told.speaks) == 1 else "",
             comment="\n".join(f"{words}: {said}" for words, said in _words(told)),
         )
 
@@ -141,7 +140,9 @@ def _facts(found: Found) -> dict[str, Any]:
                 "vin": told.vin or None,
                 "parts": told.parts,
                 "services": {f"{service:02X}": known for service, known in told.services.items()},
+                "obd": told.speaks,
                 "pids": told.pids,
+                "monitors": told.monitors,
                 "dtcs": [{"dtc": dtc, "status": status} for dtc, status in told.dtcs.items()],
             }
             for place, told in _ecus(found)

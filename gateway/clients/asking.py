@@ -12,9 +12,10 @@ import numpy as np
 from gateway.answers.weave import NEGATIVE, Weaver
 from gateway.bus.frames import EXTENDED, Frames, empty, joined, payload, put
 from gateway.bus.heard import Heard
+from gateway.clients.ask import Ask
 from gateway.clients.dm1 import MASKS, Dm1Listener
 from gateway.clients.dtcs import READ_DTCS, details_of, told_by
-from gateway.clients.ecu import MS, Ask, EcuClient
+from gateway.clients.ecu import MS, EcuClient
 from gateway.clients.line import Line
 from gateway.clients.pgn import MARK, ended_by, identifiers_of
 from gateway.clients.refusals import PENDING
@@ -50,6 +51,7 @@ class Ecu:
         requests: messages to it.
         asked: the last one, until its answer.
         detailed: DTCs whose data have been asked for since they came.
+        listed: DTCs that were there in the latest list of each kind, by the request's bytes.
     """
 
     client: EcuClient
@@ -58,6 +60,7 @@ class Ecu:
     requests: Reassembler = field(init=False)
     asked: bytes = b""
     detailed: set[str] = field(default_factory=set)
+    listed: dict[bytes, set[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.begin_again()
@@ -215,18 +218,18 @@ class Asking:
                 said = ecu.client.on_first_frame(t_ns) if began else ecu.client.on_more(t_ns)
                 self._said += [said] if len(said) else []
             return empty(0)
-        ours = ecu.client.busy
+        ours = ecu.client.is_read
         ecu.client.on_answer(answer, t_ns)
         if len(answer) > MOST_SHORT:  # only testers ask for so much; no layout has it
             ecu.asked, ecu.weaver.counts["longer"] = b"", ecu.weaver.counts["longer"] + 1
             return empty(0)
-        told = told_by(ecu.client.params.name, answer, ecu.asked)
+        asked, told = ecu.asked, told_by(ecu.client.params.name, answer, ecu.asked)
         if answer[0] != NEGATIVE or answer[2:3] != bytes([PENDING]):
             ecu.asked = b""
         if told is None:
             return ecu.weaver.frames(answer, t_ns)
-        if ours and told.covers and told.whole and ecu.client.params.dtcs is not None:
-            self._read_details(ecu, told, t_ns)
+        if ours and told.covers and told.typed and ecu.client.params.dtcs is not None:
+            self._read_details(ecu, asked, told, t_ns)
         return self._tell(told, t_ns, ecu.weaver.bus)
 
     def _tell(self, told: Told, t_ns: int, bus: int) -> Frames:
@@ -241,10 +244,10 @@ class Asking:
         told = None if self._dm1 is None or not wanted else self._dm1.take(frame)
         return empty(0) if told is None else self._tell(told, int(frame["t_ns"]), self._bus_of[int(frame["bus"])])
 
-    def _read_details(self, ecu: Ecu, told: Told, t_ns: int) -> None:
+    def _read_details(self, ecu: Ecu, asked: bytes, told: Told, t_ns: int) -> None:
         """Have the data of DTCs read that came, once each."""
-        there = {dtc for dtc, status in told.found.items() if status & TOLD}
-        ecu.detailed &= there
+        there = ecu.listed[asked] = {dtc for dtc, status in told.found.items() if status & TOLD}
+        ecu.detailed &= set().union(*ecu.listed.values())
         for dtc in sorted(there - ecu.detailed)[:MOST_DETAILS]:
             ecu.detailed.add(dtc)
             ecu.client.asks += [Ask(request, NEVER, t_ns) for request in details_of(dtc)]
@@ -289,7 +292,8 @@ class Asking:
             if ecu.client.postpone(t_ns):
                 self._next_of_bus[bus] = t_ns + self._apart_ns[bus]
                 made = ecu.client.begin(t_ns)
-                ecu.asked = ecu.client.request
+                for each in (ecu, *(other for other in ready if other.client.join(ecu.client, t_ns))):
+                    each.asked = ecu.client.request
                 return made
         return empty(0)
 
@@ -365,6 +369,7 @@ class Asking:
                 **ecu.client.counts,
                 **{f"answers_{name}": count for name, count in ecu.weaver.counts.items()},
                 "answers_cut": ecu.answers.errors,
+                "speaks": ecu.client.speaks,
                 "not_asked": {ask.name: ask.refused for ask in ecu.client.asks if ask.refused},
             }
             for ecu in self.ecus

@@ -52,7 +52,8 @@ class Asked(NamedTuple):
         reads: its requests.
         signals: files of its layouts, relative to the configuration.
         dtcs_s: how often its DTCs are read [s]; None: they are not.
-        obd: whether they are read by the modes of OBD.
+        dtc_protocol: by which they are read; "": the usual one.
+        protocol: of OBD that it answers; "": it is found.
         comment: for people.
     """
 
@@ -61,7 +62,8 @@ class Asked(NamedTuple):
     reads: Sequence[Read] = ()
     signals: Sequence[str] = ()
     dtcs_s: float | None = None
-    obd: bool = False
+    dtc_protocol: str = ""
+    protocol: str = ""
     comment: str = ""
 
 
@@ -80,12 +82,14 @@ def tables(ecus: Iterable[Asked], bus: str, head: str, limits: Sequence[tuple[st
     for ecu in ecus:
         lines += ["", *(f"# {line}" for line in ecu.comment.splitlines()), "[[ecu]]", f"name = {json.dumps(ecu.name)}"]
         lines += [f"bus = {json.dumps(bus)}", *_address(ecu.address)]
+        if ecu.protocol:
+            lines.append(f"protocol = {json.dumps(ecu.protocol)}")
         if ecu.signals:
             lines.append(f"signals = {json.dumps(list(ecu.signals))}")
         if ecu.reads:
             lines += ["read = [", *(read.line for read in ecu.reads), "]"]
         if ecu.dtcs_s is not None:
-            protocol = ', protocol = "obd"' if ecu.obd else ""
+            protocol = f", protocol = {json.dumps(ecu.dtc_protocol)}" if ecu.dtc_protocol else ""
             lines.append(f"dtcs = {{ every_s = {ecu.dtcs_s:g}{protocol} }}")
     if limits:
         lines += ["", "# Limits that the file gives. To have them monitored, take the # away:", "# [[monitor]]"]

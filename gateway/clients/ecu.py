@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gateway.answers.weave import NEGATIVE, POSITIVE, READ_SERVICES
+from gateway.answers.weave import NEGATIVE, POSITIVE
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, put
-from gateway.clients.params import DTC_SERVICES, EcuParams
+from gateway.clients.ask import PROBES, Ask, allowed, spoken_in
+from gateway.clients.params import DTC_SERVICES, OBD, ON_UDS, EcuParams
 from gateway.clients.passed import Passed, Waiting
-from gateway.clients.pgn import MARK, WAIT_MS, Ended, frame_of, pgn_of
-from gateway.clients.refusals import BUSY, FINAL, PENDING, TOO_LONG
+from gateway.clients.pgn import MARK, WAIT_MS, Ended, frame_of
+from gateway.clients.refusals import BUSY, FINAL, PENDING, TOO_LONG, UNKNOWN
 from gateway.common.times import NEVER
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.heard import N_CR_NS
 from gateway.isotp.params import IsoTpParams
-from gateway.isotp.place import EcuAddress
+from gateway.isotp.place import FUNCTIONAL, EcuAddress
 from gateway_fdi.common.log import get_logger
 
 log = get_logger(__name__)
@@ -40,37 +41,6 @@ COUNTED = ("requests", "answers", "refused", "absent", "yielded", "pending", "sk
 
 
 @dataclass
-class Ask:
-    """A request of the schedule.
-
-    Attributes:
-        request: its bytes, of a single frame.
-        every_ns: time between two; NEVER: once.
-        due_ns: when it is next.
-        delays: refusals in a row, each of which doubled the time to the next.
-        refused: reason why it is not asked any more; "": it is.
-        ready: whether its conditions are met now.
-    """
-
-    request: bytes
-    every_ns: int
-    due_ns: int = 0
-    delays: int = 0
-    refused: str = ""
-    ready: Callable[[], bool] = lambda: True
-
-    @property
-    def name(self) -> str:
-        """Its bytes for people, or its parameter group."""
-        return f"PGN {pgn_of(self.request)}" if self.request[0] == MARK else self.request.hex().upper()
-
-
-def allowed(request: bytes) -> bool:
-    """Return whether a request only reads: nothing else leaves a client."""
-    return bool(request) and request[0] in (*READ_SERVICES, *DTC_SERVICES, MARK)
-
-
-@dataclass
 class EcuClient:
     """The client.
 
@@ -78,8 +48,10 @@ class EcuClient:
         params: of the ECU.
         bus: index of its bus.
         asks: its schedule.
+        open: further requests by the protocol of OBD that it speaks, where that is to be found.
 
     Attributes:
+        speaks: protocol of OBD that it answers, as far as it is known; "": not.
         counts: by COUNTED.
         waiting: requests of testers.
         silent: absences in a row.
@@ -88,6 +60,8 @@ class EcuClient:
     params: EcuParams
     bus: int
     asks: list[Ask]
+    open: Mapping[str, Sequence[Ask]] = field(default_factory=dict)
+    speaks: str = ""
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTED, 0))
     silent: int = 0
     waiting: Waiting = field(default_factory=Waiting)
@@ -97,10 +71,14 @@ class EcuClient:
     _pending: int = 0
     _again: int = 0
     _begun_ns: int = 0
+    _probed: int = 0
+    _declined: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.place: EcuAddress = self.params.place
         self._sender = self._new_sender()
+        if self.open:
+            self._probe(0)
 
     def _new_sender(self) -> IsoTpEndpoint:
         """Return what sends requests of several frames."""
@@ -113,6 +91,11 @@ class EcuClient:
     def busy(self) -> bool:
         """Whether an answer is waited for."""
         return self._asked is not None
+
+    @property
+    def is_read(self) -> bool:
+        """Whether the answer to a request of its schedule is waited for."""
+        return isinstance(self._asked, Ask)
 
     @property
     def due_ns(self) -> int:
@@ -145,18 +128,36 @@ class EcuClient:
 
     def begin(self, t_ns: int) -> Frames:
         """Return the request that is most overdue."""
-        ask = min((each for each in self.asks if not each.refused), key=lambda each: each.due_ns)
+        ask = self._next()
         if not allowed(ask.request):
             raise AssertionError(f"{ask.name} would change something")
+        self._wait_for(ask, t_ns)
+        if ask.request[0] == MARK:
+            return frame_of(ask.request, self.params.address or 0, self.bus, t_ns)
+        can_id = FUNCTIONAL[bool(self.place.request & EXTENDED)] if ask.to_all else self.place.request
+        return self._frame(bytes([len(ask.request)]) + ask.request, t_ns, can_id)
+
+    def join(self, other: EcuClient, t_ns: int) -> bool:
+        """Wait for the answer to a request of another client, if it goes to all, and would be the next one here."""
+        theirs = other._asked
+        if not isinstance(theirs, Ask) or not theirs.to_all or not self.is_due(t_ns):
+            return False
+        same_length = not (self.place.request ^ other.place.request) & EXTENDED
+        mine = self._next()
+        if mine.to_all and mine.request == theirs.request and same_length:
+            self._wait_for(mine, t_ns)
+            return True
+        return False
+
+    def _next(self) -> Ask:
+        return min((each for each in self.asks if not each.refused), key=lambda each: each.due_ns)
+
+    def _wait_for(self, ask: Ask, t_ns: int) -> None:
         ask.due_ns = ask.due_ns or t_ns
-        group = ask.request[0] == MARK
-        wait_ms = WAIT_MS if group else self.params.p2_ms
+        wait_ms = WAIT_MS if ask.request[0] == MARK else self.params.p2_ms
         self._asked, self._deadline_ns, self._pending = ask, t_ns + round(wait_ms * MS), 0
         self._begun_ns = t_ns
         self.counts["requests"] += 1
-        if group:
-            return frame_of(ask.request, self.params.address or 0, self.bus, t_ns)
-        return self._frame(bytes([len(ask.request)]) + ask.request, t_ns)
 
     def passes(self, t_ns: int) -> bool:
         """Return whether a tester's request may go now."""
@@ -187,10 +188,17 @@ class EcuClient:
         self._deadline_ns = t_ns + round(self.params.p2_ms * MS) + (N_CR_NS if self._sender.sending else 0)
         return self._sender.take_frames()
 
-    def _frame(self, data: bytes, t_ns: int) -> Frames:
+    def _frame(self, data: bytes, t_ns: int, can_id: int | None = None) -> Frames:
         before = b"" if self.place.target is None else bytes([self.place.target])
         frame = empty(1)
-        put(frame, 0, t_ns, self.place.request, (before + data).ljust(8, b"\xcc"), bus=self.bus)
+        put(
+            frame,
+            0,
+            t_ns,
+            self.place.request if can_id is None else can_id,
+            (before + data).ljust(8, b"\xcc"),
+            bus=self.bus,
+        )
         return frame
 
     def on_first_frame(self, t_ns: int) -> Frames:
@@ -219,6 +227,8 @@ class EcuClient:
     def on_answer(self, answer: bytes, t_ns: int) -> None:
         """Take an answer of the ECU, to us or to others."""
         ask = self._asked
+        if self.open and (spoken := spoken_in(answer)):
+            self._learn(spoken)
         if ask is None or not answer:
             return
         if isinstance(ask, Passed):
@@ -277,17 +287,73 @@ class EcuClient:
             self._asked, self.silent, ask.due_ns = None, 0, t_ns + AGAIN_NS
             self._rests_ns = t_ns + AGAIN_NS
             return
-        if code in FINAL:
-            ask.refused = f"{FINAL[code]} (0x{code:02X})"
-            self._tell(ask)
-        else:
+        if code not in FINAL:
             ask.delays = min(ask.delays + 1, 16)
+        elif ask.instead:
+            self._turn(ask, code, t_ns)
+            return
+        elif ask.probes:
+            self._declined[ask.protocol] = code
+        else:
+            ask.refused = f"{ask.declined}{FINAL[code]} (0x{code:02X})"
+            self._tell(ask)
         self._end(ask, t_ns, heard=True)
 
     def _tell(self, ask: Ask) -> None:
         """Tell of a request that is not asked again."""
         name = self.params.name
         log.warning("an ECU refuses, and is not asked this again", ecu=name, request=ask.name, reason=ask.refused)
+
+    def _turn(self, ask: Ask, code: int, t_ns: int) -> None:
+        """Ask in another way what is refused for good; it is told when no way is left."""
+        (request, *more), *later = ask.instead
+        ask.declined += f"{ask.name}: {FINAL[code]} (0x{code:02X}); "
+        # Each request of a turn goes on with those at its place of later turns, the first also with what is new there.
+        self.asks += [
+            replace(ask, request=each, due_ns=t_ns, instead=tuple((turn[k],) for turn in later if len(turn) > k))
+            for k, each in enumerate(more, 1)
+        ]
+        ask.request, ask.instead = request, tuple((turn[0], *turn[1 + len(more) :]) for turn in later)
+        self._end(ask, t_ns, heard=True)
+        ask.due_ns = t_ns
+
+    def _probe(self, t_ns: int) -> None:
+        """Ask which protocol of OBD it speaks: all ECUs at once, then it alone; each round later than the one before.
+
+        After the first round it is asked on, as it may answer requests and not for the map of them.
+        """
+        forms = [(protocol, to_all) for to_all in (True, False) for protocol in PROBES]
+        forms = forms[len(PROBES) if self.place.target is not None else 0 :]  # an address byte: it alone
+        rounds, at = divmod(self._probed, len(forms))
+        refuses = self._declined.keys() == PROBES.keys()
+        if (rounds, at) == (1, 0) and not refuses:
+            self.asks += self.open[OBD]
+        if refuses:
+            self._refuses_maps(tried=rounds > 0)
+            return
+        protocol, to_all = forms[at]
+        rest_ns = min(FIRST_REST_NS << rounds - 1, LONGEST_REST_NS) if rounds and not at else 0
+        self._probed += 1
+        self.asks.insert(0, Ask(PROBES[protocol], NEVER, t_ns + rest_ns, protocol=protocol, probes=True, to_all=to_all))
+
+    def _refuses_maps(self, *, tried: bool) -> None:
+        """Ask on by the protocol whose service it knows, where it refuses both maps for good."""
+        unknown = {protocol for protocol, code in self._declined.items() if code in UNKNOWN}
+        by = ON_UDS if unknown == {OBD} else OBD
+        kept = [ask for ask in self.asks if ask.protocol != OBD] if tried else self.asks
+        self.asks, self.open = [*kept, *self.open[by]], {}
+        reason = "; ".join(
+            f"{PROBES[protocol].hex().upper()}: {FINAL[code]}" for protocol, code in self._declined.items()
+        )
+        log.warning("an ECU tells no map of OBD", ecu=self.params.name, reason=reason, asked_by=by)
+
+    def _learn(self, protocol: str) -> None:
+        """Ask on by a protocol of OBD."""
+        self.speaks, asks, self.open = protocol, self.open[protocol], {}
+        kept = [ask for ask in self.asks if ask is self._asked or not ask.protocol or ask.protocol == protocol]
+        kept = [ask for ask in kept if ask is self._asked or not ask.probes]
+        self.asks = kept + [ask for ask in asks if not any(ask is each for each in kept)]
+        log.info("an ECU answers OBD", ecu=self.params.name, protocol=protocol)
 
     def _end(self, ask: Ask, t_ns: int, *, heard: bool) -> None:
         """Put a request back into the schedule."""
@@ -296,6 +362,8 @@ class EcuClient:
             self.silent, self._rests_ns = 0, 0
         if ask.every_ns == NEVER:
             self.asks.remove(ask)
+            if ask.probes and self.open:
+                self._probe(t_ns)
             return
         late = max(t_ns - ask.due_ns, 0) // ask.every_ns
         self.counts["skipped"] += late
@@ -360,13 +428,13 @@ class EcuClient:
         for one in ([old._asked] if isinstance(old._asked, Passed) else []) + list(old.waiting.passed):
             one.send_back()
         self.silent, self._rests_ns = old.silent, max(old._rests_ns, old._deadline_ns if old.busy else 0)
-        before = {ask.request: ask for ask in old.asks}
-        for ask in self.asks:
-            known = before.get(ask.request)
-            if known is not None:
-                ask.due_ns, ask.refused, ask.delays = known.due_ns, known.refused, known.delays
-
-
-def asks_of(params: EcuParams) -> list[Ask]:
-    """Return the schedule of an ECU's reads."""
-    return [Ask(read.request, round(read.every_ms * MS)) for read in params.read]
+        if old.speaks in self.open:
+            self._learn(old.speaks)
+        before: dict[bytes, list[Ask]] = {}
+        for ask in old.asks:
+            before.setdefault(ask.first, []).append(ask)
+        self.asks = [
+            replace(known, every_ns=ask.every_ns, ready=ask.ready)
+            for ask in self.asks
+            for known in before.get(ask.first, [ask])
+        ]

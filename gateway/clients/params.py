@@ -18,8 +18,10 @@ from gateway_fdi.common.tomlfile import StrictModel
 
 #: Services that only read DTCs.
 DTC_SERVICES = (0x19, 0x03, 0x07, 0x0A)
-#: Requests for the DTCs that fail, did in this cycle or since the clear, are pending, confirmed, or ask for a lamp.
-DTC_REQUESTS = {"uds": (b"\x19\x02\xaf",), "obd": (b"\x03", b"\x07", b"\x0a")}
+#: Protocols: UDS, classic OBD (SAE J1979), OBD on UDS (SAE J1979-2), the one of these two that an ECU answers.
+UDS, OBD, ON_UDS, AUTO = "uds", "obd", "obd_on_uds", "auto"
+#: Services of OBD that read values: PIDs, infotypes.
+_OBD_SERVICES = (0x01, 0x09)
 #: DTC of another ECU, as the vehicle's memory has it; without a failure type it is any.
 _CODE = r"^([PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?|SPN \d+ FMI \d+)$"
 
@@ -63,6 +65,11 @@ class ReadParams(StrictModel):
         return self.service or 0, self.identifier or 0
 
     @property
+    def is_obd(self) -> bool:
+        """Whether it is of OBD, and asked as the ECU's protocol has it."""
+        return self.key[0] in _OBD_SERVICES
+
+    @property
     def name(self) -> str:
         """The request for people: 22F190, PGN 65260."""
         return request_name(*self.key) if self.pgn is None else f"PGN {self.pgn}"
@@ -79,7 +86,11 @@ class DtcsParams(StrictModel):
     """How often an ECU is asked for its DTCs."""
 
     every_s: float = Field(ge=1, le=86_400, description="time between two requests [s]")
-    protocol: str = Field("uds", pattern="^(uds|obd)$", description="uds: 0x19 02; obd: modes 03, 07, 0A")
+    protocol: str | None = Field(
+        None, pattern="^(uds|obd|obd_on_uds|auto)$",
+        description="uds: 0x19 02; obd: modes 03, 07, 0A; obd_on_uds: 0x19 42 and 55 of group 33; auto: what the ECU"
+        " answers; default: auto if it is asked by OBD, uds else",
+    )  # fmt: skip
     when: tuple[ConditionSettings, ...] = Field((), description="only while all of these are met, by fresh values")
 
 
@@ -112,6 +123,10 @@ class EcuParams(PlaceParams):
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="how the rest refers to it")
     bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
+    protocol: str = Field(
+        AUTO, pattern="^(auto|obd|obd_on_uds)$",
+        description="of pid and dtcs: obd (SAE J1979), obd_on_uds (SAE J1979-2), auto: what the ECU answers",
+    )  # fmt: skip
     signals: tuple[Path, ...] = Field((), description="layouts of its answers: DBC, OBDb, ...; relative to this file")
     read: tuple[ReadParams, ...] = Field((), description="values that are read again and again")
     dtcs: DtcsParams | None = Field(None, description="its DTCs are read; none: they are not")
@@ -135,6 +150,19 @@ class EcuParams(PlaceParams):
     def asks(self) -> bool:
         """Whether it is asked for anything; else its answers to others are heard."""
         return bool(self.read) or self.dtcs is not None
+
+    @property
+    def dtc_protocol(self) -> str:
+        """Protocol by which its DTCs are read."""
+        by_obd = "protocol" in self.model_fields_set or any(read.is_obd for read in self.read)
+        given = None if self.dtcs is None else self.dtcs.protocol
+        return given or (AUTO if by_obd else UDS)
+
+    @property
+    def finds_protocol(self) -> bool:
+        """Whether it is found which protocol of OBD it answers."""
+        asked = any(read.is_obd for read in self.read) or (self.dtcs is not None and self.dtc_protocol == AUTO)
+        return self.protocol == AUTO and asked
 
     @property
     def owner(self) -> Address:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gateway.answers.weave import Weaver
+from gateway.answers.weave import NEGATIVE, Weaver
 from gateway.bus.frames import EXTENDED, ID_MASK
+from gateway.clients.ask import PROBES, Ask
 from gateway.clients.asking import Ecu
 from gateway.clients.dtcs import told_by
-from gateway.clients.ecu import SILENT, Ask, EcuClient
-from gateway.clients.params import DTC_REQUESTS, EcuParams
+from gateway.clients.ecu import SILENT, EcuClient
+from gateway.clients.params import OBD, ON_UDS, UDS, EcuParams
+from gateway.clients.protocols import DTC_REQUESTS
+from gateway.clients.refusals import UNKNOWN
 from gateway.common.times import NEVER
 
 #: Identifiers of a part (ISO 14229-1, Annex C.1), by the words of people.
@@ -23,7 +26,9 @@ PARTS = {
     0xF193: "hardware version",
     0xF197: "system name",
 }
-VIN_DID, VIN_INFO = b"\x22\xf1\x90", b"\x09\x02"
+VIN_DID = b"\x22\xf1\x90"
+#: Infotypes of OBD: its VIN; then, by the words of people, those that stand in maps, and the bytes of an item of them.
+VIN_INFO, INFOTYPES = 0x02, {0x04: ("calibration", 16), 0x06: ("verification number", 4), 0x0A: ("name", 20)}
 #: Services that only read, by a request that shows whether the ECU knows them.
 SERVICES = {
     0x01: b"\x01\x00",
@@ -31,19 +36,23 @@ SERVICES = {
     0x07: b"\x07",
     0x09: b"\x09\x00",
     0x0A: b"\x0a",
-    0x19: DTC_REQUESTS["uds"][0],
+    0x19: b"\x19\x02\xaf",
     0x22: VIN_DID,
 }
-#: Negative codes by which an ECU says that it does not know a service: at all, in this session.
-UNKNOWN = (0x11, 0x7F)
 #: PIDs of one answer of support (SAE J1979: bit masks of 32).
 _MASK = 32
 
 
-def questions(extra: tuple[bytes, ...] = ()) -> list[Ask]:
+def questions() -> list[Ask]:
     """Return the questions: those of support, the VIN, parts, DTCs."""
-    asked = [*SERVICES.values(), VIN_INFO, *(b"\x22" + did.to_bytes(2, "big") for did in PARTS), *extra]
+    asked = [*SERVICES.values(), PROBES[ON_UDS], _infotype(OBD, VIN_INFO)]
+    asked += [*(b"\x22" + did.to_bytes(2, "big") for did in PARTS)]
     return [Ask(request, NEVER) for request in dict.fromkeys(asked)]
+
+
+def _infotype(protocol: str, number: int) -> bytes:
+    """Return the request for an infotype."""
+    return bytes([0x22, 0xF8, number] if protocol == ON_UDS else [0x09, number])
 
 
 @dataclass
@@ -65,11 +74,15 @@ class Questioned(EcuClient):
             self._ask_next(ask.request, answer)
 
     def _ask_next(self, request: bytes, answer: bytes) -> None:
-        """Ask for the next mask of PIDs, where this one says that there is one."""
-        if len(request) == 2 and request[0] in (0x01, 0x09) and request[1] % _MASK == 0:
-            later = request[1] + _MASK
-            if later in supported(request, answer) and later <= 0xFF - _MASK + 1:
-                self.asks.append(Ask(bytes([request[0], later]), NEVER))
+        """Ask for the next map, where this one says that there is one, and for what it names; on UDS for all of it."""
+        number, there = request[-1], supported(request, answer)
+        more = [request[:-1] + bytes([number + _MASK])] if number + _MASK in there and number < 0xFF - _MASK else []
+        if request == PROBES[ON_UDS] and there:
+            more += [b"\x22\xf6\x00", _infotype(ON_UDS, 0), _infotype(ON_UDS, VIN_INFO)]
+            more += [each for each, _ in DTC_REQUESTS[ON_UDS]]
+        if request[:-1] in (b"\x09", b"\x22\xf8"):
+            more += [request[:-1] + bytes([each]) for each in INFOTYPES if each in there]
+        self.asks += [Ask(each, NEVER) for each in more]
 
     def _tell(self, ask: Ask) -> None:
         """A refusal is an answer here."""
@@ -97,11 +110,14 @@ def questioned(name: str, request: int, response: int) -> Ecu:
 
 
 def supported(request: bytes, answer: bytes) -> list[int]:
-    """Return the PIDs that an answer to a request for a mask names."""
-    if answer[:2] != bytes([request[0] + 0x40, request[1]]) or len(answer) < 6:
+    """Return the numbers that an answer to a request for a map names: PIDs, monitors, infotypes."""
+    head = bytes([request[0] + 0x40]) + request[1:]
+    if request[-1] % _MASK or request[0] not in (0x01, 0x09, 0x22) or not answer.startswith(head):
         return []
-    mask = int.from_bytes(answer[2:6], "big")
-    return [request[1] + 1 + k for k in range(_MASK) if mask >> (_MASK - 1 - k) & 1]
+    if len(answer) != len(head) + 4:
+        return []
+    mask = int.from_bytes(answer[-4:], "big")
+    return [request[-1] + 1 + k for k in range(_MASK) if mask >> (_MASK - 1 - k) & 1]
 
 
 @dataclass(frozen=True)
@@ -114,23 +130,39 @@ class Said:
 
     answers: dict[bytes, bytes]
 
+    def _data(self, request: bytes) -> bytes:
+        """Return what a positive answer has behind what it repeats; b"": there is none."""
+        head = bytes([request[0] + 0x40]) + request[1:]
+        answer = self.answers.get(request, b"")
+        return answer[len(head) :] if answer.startswith(head) else b""
+
+    def _infotype(self, number: int, size: int) -> list[bytes]:
+        """Return the items of an infotype, of this size each."""
+        for protocol in PROBES:
+            data = self._data(_infotype(protocol, number))
+            if data:
+                data = data[protocol == OBD or len(data) % size == 1 :]  # how many there are
+                return [data[k : k + size] for k in range(0, len(data), size)]
+        return []
+
     @property
     def vin(self) -> str:
         """Its VIN; "": it says none."""
-        by_did, by_info = self.answers.get(VIN_DID, b""), self.answers.get(VIN_INFO, b"")
-        if by_did[:1] == b"\x62":
-            return text(by_did[3:])
-        return text(by_info[3:]) if by_info[:1] == b"\x49" else ""
+        return text(self._data(VIN_DID) or b"".join(self._infotype(VIN_INFO, 17)))
+
+    @property
+    def speaks(self) -> list[str]:
+        """Protocols of OBD that it answers."""
+        return [protocol for protocol, request in PROBES.items() if self._data(request)]
 
     @property
     def parts(self) -> dict[str, str]:
         """Words -> what its identifiers say."""
-        found = {}
-        for did, words in PARTS.items():
-            answer = self.answers.get(b"\x22" + did.to_bytes(2, "big"), b"")
-            if answer[:1] == b"\x62":
-                found[words] = text(answer[3:])
-        return found
+        found = {words: text(self._data(b"\x22" + did.to_bytes(2, "big"))) for did, words in PARTS.items()}
+        for number, (words, size) in INFOTYPES.items():
+            items = self._infotype(number, size)
+            found[words] = ", ".join(item.hex().upper() if size == 4 else text(item) for item in items)
+        return {words: said for words, said in found.items() if said}
 
     @property
     def services(self) -> dict[int, bool | None]:
@@ -145,16 +177,32 @@ class Said:
     @property
     def pids(self) -> list[int]:
         """PIDs of current data, without those that only name others."""
-        found = [
-            pid for request, answer in self.answers.items() if request[0] == 0x01 for pid in supported(request, answer)
-        ]
-        return sorted(pid for pid in found if pid % _MASK)
+        return self._named(b"\x01", b"\x22\xf4")
+
+    @property
+    def monitors(self) -> list[int]:
+        """Monitors whose test results it has (F6xx)."""
+        return self._named(b"\x22\xf6")
+
+    def _named(self, *pages: bytes) -> list[int]:
+        """Return what the maps of pages name, without further maps."""
+        maps = [each for each in self.answers.items() if each[0][:-1] in pages]
+        return sorted({number for one in maps for number in supported(*one) if number % _MASK})
+
+    @property
+    def reads_dtcs(self) -> str:
+        """Protocol by which it has said its DTCs; "": none."""
+        for protocol in (UDS, ON_UDS, OBD):
+            answers = (self.answers.get(request, b"") for request, _ in DTC_REQUESTS[protocol])
+            if any(answer and answer[0] != NEGATIVE for answer in answers):
+                return protocol
+        return ""
 
     @property
     def dtcs(self) -> dict[str, int]:
         """DTCs with their status: of UDS the byte, of OBD a bit for each mode, as the vehicle's memory has them."""
         found: dict[str, int] = {}
-        for request in DTC_REQUESTS["uds" if self.services[0x19] else "obd"]:
+        for request, _ in DTC_REQUESTS.get(self.reads_dtcs, ()):
             answer = self.answers.get(request)
             told = told_by("", answer, request) if answer else None
             for dtc, status in told.found.items() if told is not None else ():

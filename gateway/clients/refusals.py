@@ -20,4 +20,6 @@ FINAL = {
     0x7E: "subFunctionNotSupportedInActiveSession",
     0x7F: "serviceNotSupportedInActiveSession",
 }
+#: Negative codes by which an ECU says that it does not know a service: at all, in this session.
+UNKNOWN = (0x11, 0x7F)
 #: All others (conditions not correct, voltage too low, ...): later.

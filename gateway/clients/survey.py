@@ -22,8 +22,8 @@ MS = 1_000_000
 LISTEN_NS, P2_NS = 1_000 * MS, 100 * MS
 #: Read the active session, then tester present: each UDS server answers in one frame, if only by a refusal.
 PROBES = (b"\x22\xf1\x86", b"\x3e\x00")
-#: Requests to all: PIDs of OBD, tester present.
-TO_ALL = (b"\x01\x00", b"\x3e\x00")
+#: Requests to all: PIDs of OBD, classic and on UDS, tester present.
+TO_ALL = (b"\x01\x00", b"\x22\xf4\x00", b"\x3e\x00")
 FUNCTIONAL_11, FUNCTIONAL_29 = FUNCTIONAL
 TESTER = 0xF1
 #: Physical addresses: of 11 bits, and of 29 bits in normal fixed addressing with the tester F1.

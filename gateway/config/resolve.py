@@ -11,7 +11,7 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from gateway.answers.layout import AnswerLayout, j1979, layouts_for, read_layouts
+from gateway.answers.layout import AnswerLayout, layouts_for, layouts_of_obd, read_layouts
 from gateway.answers.pages import AnswerBus, answer_bus
 from gateway.config.codes import codes_of_messages, network_codes
 from gateway.config.known import bus_instances
@@ -171,7 +171,7 @@ def answer_buses(config: Config) -> tuple[AnswerBus, ...]:
         found: list[tuple[str, Mapping[tuple[int, int], AnswerLayout]]] = []
         for k in ecus:
             ecu = config.ecu[k]
-            layouts = list(j1979()) if any(read.pid is not None for read in ecu.read) else []
+            layouts = layouts_of_obd([read.key for read in ecu.read], whole="protocol" in ecu.model_fields_set)
             for at, path in enumerate(ecu.signals):
                 with wrong, under(f"ecu[{k}].signals[{at}]", str(path)):
                     layouts += read_layouts(path)

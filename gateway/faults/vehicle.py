@@ -12,6 +12,8 @@ from typing import NamedTuple
 #: Bits of a status that make a DTC worth telling: failed, failed in this cycle, pending, confirmed, failed since the
 #: clear, lamp; and, beside the byte of ISO 14229-1, permanent (OBD mode 0A).
 TOLD, PERMANENT = 0x1AF, 0x100
+#: Kind of data that is a DTC's byte of severity and class: by the report that tells it, 0x19 42.
+SEVERITY = "1942"
 #: DTCs that are kept at most, of all ECUs. One that has gone gives way, the one that went first.
 MOST = 2000
 
@@ -21,10 +23,11 @@ class Told(NamedTuple):
 
     Attributes:
         ecu: its name.
-        found: status by DTC, only bits of ``covers`` if that is not 0.
+        found: status by DTC.
         covers: bits of which the answer names every DTC that has one; 0: it may have left some out.
         whole: whether each status is the whole byte.
-        kind, snapshot: data that belong to the one DTC that is found, in hexadecimal digits; "": none.
+        kind, data: data that belong to the DTCs that are found, in hexadecimal digits; "": none.
+        severity: the answer names those only whose SEVERITY has a bit of it; 0: all.
     """
 
     ecu: str
@@ -32,7 +35,17 @@ class Told(NamedTuple):
     covers: int
     whole: bool = True
     kind: str = ""
-    snapshot: str = ""
+    data: Mapping[str, str] = {}
+    severity: int = 0
+
+    @property
+    def typed(self) -> bool:
+        """Whether its DTCs have a failure type; those of the modes of OBD have none."""
+        return self.whole or bool(self.kind)
+
+    def may_name(self, dtc: EcuDtc) -> bool:
+        """Return whether the answer would name a DTC that has a status for it: it is of its group and severity."""
+        return not self.severity or bool(int(dtc.snapshots.get(SEVERITY, "0"), 16) & self.severity)
 
 
 @dataclass(frozen=True)
@@ -47,7 +60,7 @@ class EcuDtc:
         came: how often it came.
         first_ns, last_ns: when it was told first and last.
         went_ns: when it was told last that it is not there; None: it never went.
-        snapshots: its data by the request that reads them (1904, 1906), in hexadecimal digits.
+        snapshots: its data by the request that reads them (1904, 1906, 1942), in hexadecimal digits.
     """
 
     ecu: str
@@ -96,8 +109,8 @@ class VehicleMemory:
         """
         changed: dict[tuple[str, str], EcuDtc | None] = {}
         events = []
-        # Codes of UDS have a failure type, those of OBD have none: an answer of the one says nothing of the other.
-        known = {dtc for ecu, dtc in self._known if ecu == told.ecu and ("-" in dtc) == told.whole}
+        # An answer of UDS says nothing of codes of OBD, nor the other way round.
+        known = {dtc for ecu, dtc in self._known if ecu == told.ecu and ("-" in dtc) == told.typed}
         names = known | told.found.keys()
         for dtc in sorted(names):
             old = self._known.get((told.ecu, dtc))
@@ -120,6 +133,8 @@ class VehicleMemory:
     def _next(self, told: Told, dtc: str, old: EcuDtc | None, t_ns: int) -> EcuDtc | None:
         """Return a DTC as it is after an answer; None: it is not worth an entry."""
         status = 0 if old is None else old.status
+        if old is not None and dtc not in told.found and not told.may_name(old):
+            return old
         if dtc in told.found:
             status = told.found[dtc] | (status & PERMANENT if told.whole else status & ~told.covers)
         else:
@@ -132,8 +147,8 @@ class VehicleMemory:
         elif dtc not in told.found and status == old.status:
             return old
         snapshots = old.snapshots
-        if told.kind and dtc in told.found:
-            snapshots = {**snapshots, told.kind: told.snapshot}
+        if dtc in told.data:
+            snapshots = {**snapshots, told.kind: told.data[dtc]}
         came = old.came + (there and not old.there)
         went_ns = t_ns if old.there and not there else old.went_ns
         last_ns = t_ns if (status, snapshots, there) != (old.status, old.snapshots, old.there) else old.last_ns

@@ -8,25 +8,26 @@ from gateway.answers.pages import AnswerBus
 from gateway.answers.weave import Weaver
 from gateway.bus.frames import Frames, chosen
 from gateway.clients.asking import TELLS, Asking, Ecu
-from gateway.clients.ecu import Ask, EcuClient
+from gateway.clients.ecu import EcuClient
 from gateway.clients.params import EcuParams
+from gateway.clients.protocols import Schedule
 from gateway.clients.woven import woven_of
 from gateway.config.model import Config
 from gateway.signals.tables import DecodePlan
 
 
-def ecus_of(config: Config, answers: Sequence[AnswerBus], asks: Callable[[EcuParams], list[Ask]]) -> list[Ecu]:
+def ecus_of(config: Config, answers: Sequence[AnswerBus], schedule: Callable[[EcuParams], Schedule]) -> list[Ecu]:
     """Build the ECUs of a configuration.
 
     Args:
         config: the configuration.
         answers: buses of their answers, in the order of ``Config.answered``.
-        asks: returns what an ECU is asked for.
+        schedule: returns what an ECU is asked.
     """
     made: list[Ecu] = []
     for at, (bus, ecus) in enumerate(config.answered.items()):
         for k, pages, lengths in zip(ecus, answers[at].pages, answers[at].lengths, strict=True):
-            client = EcuClient(config.ecu[k], bus, asks(config.ecu[k]))
+            client = EcuClient(config.ecu[k], bus, *schedule(config.ecu[k]))
             made.append(Ecu(client, Weaver(pages, lengths, len(config.bus) + at)))
     return made
 
@@ -45,7 +46,7 @@ class Answers:
 
     def __init__(self, config: Config, answers: Sequence[AnswerBus], plan: DecodePlan) -> None:
         self._first, self._messages = len(config.bus), woven_of(plan)
-        ecus = ecus_of(config, answers, lambda _: [])
+        ecus = ecus_of(config, answers, lambda _: Schedule([], {}))
         self._asking = Asking(ecus, {}, lambda _: False, woven=self._messages)
         self.woven = 0
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 from gateway.answers.pages import AnswerBus
 from gateway.clients.asking import Asking
 from gateway.clients.dm1 import Dm1Listener
-from gateway.clients.ecu import MS, Ask, asks_of
-from gateway.clients.params import DTC_REQUESTS, EcuParams
+from gateway.clients.protocols import schedule_of
 from gateway.clients.woven import woven_of
 from gateway.common.fence import Fence
 from gateway.common.uncollected import uncollected
@@ -416,7 +415,8 @@ def asking_of(
         may_ask: whether a bus may be asked now, by its index.
         fence: counts exceptions that answers cause.
     """
-    made = ecus_of(config, parts.answers, lambda params: [*asks_of(params), *_asks_of_dtcs(params, control)])
+    meets = control.meets
+    made = ecus_of(config, parts.answers, lambda of: schedule_of(of, lambda: of.dtcs is None or meets(of.dtcs.when)))
     rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
     bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}
     return Asking(made, rates, may_ask, _dm1_of(config), bus_of, fence, woven_of(parts.engine.plan))
@@ -434,14 +434,3 @@ def _dm1_of(config: Config) -> Dm1Listener | None:
     own = config.output.j1939
     ours = [] if own is None else [(config.bus_index(own.bus), own.address)]
     return Dm1Listener(buses, names, {k: config.bus[k].name for k in buses}, ours) if buses else None
-
-
-def _asks_of_dtcs(params: EcuParams, control: TesterControl) -> list[Ask]:
-    """Return the requests for an ECU's DTCs."""
-    if params.dtcs is None:
-        return []
-    when = params.dtcs.when
-    return [
-        Ask(request, round(params.dtcs.every_s * 1000 * MS), ready=lambda: control.meets(when))
-        for request in DTC_REQUESTS[params.dtcs.protocol]
-    ]

@@ -14,15 +14,15 @@ LENGTHS = {
 }  # fmt: skip
 
 
-def _map(target: Target, mode: str, rest: str = "") -> set[int]:
-    """Return the numbers that a mode says it has, by its maps."""
+def _map(target: Target, page: str) -> set[int]:
+    """Return the numbers that a mode, or a page of identifiers of OBD on UDS, says it has, by its maps."""
     found: set[int] = set()
     for base in range(0, 0x100, 0x20):
-        request = f"{mode} {base:02X} {rest}"
-        answer = target.positive(request, 1)
-        head = 2 + len(bytes.fromhex(rest))
-        good = len(answer) == head + 4 and answer[1] == base
-        target.ask(request).needs(good, f"{int(mode, 16) + 0x40:02X} {base:02X} and four bytes")
+        request = f"{page} {base:02X}"
+        asked = bytes.fromhex(request)
+        answer = target.positive(request, len(asked) - 1)
+        expected = f"{shown(bytes([asked[0] + 0x40]) + asked[1:])} and four bytes"
+        target.ask(request).needs(len(answer) == len(asked) + 4, expected)
         bits = int.from_bytes(answer[-4:], "big")
         found |= {base + 32 - k for k in range(32) if bits >> k & 1}
         if not bits & 1:
@@ -30,20 +30,20 @@ def _map(target: Target, mode: str, rest: str = "") -> set[int]:
     return found
 
 
-@pytest.mark.parametrize(("mode", "rest"), [("01", ""), ("09", "")])
-def test_maps_say_what_is_answered(target: Target, mode: str, rest: str) -> None:
-    """SAE J1979, 6.1 (mode 01), 6.9 (mode 09): what the maps name is answered, and nothing else is."""
-    there = _map(target, mode, rest)
-    start = int(mode, 16) + 0x40
+@pytest.mark.parametrize("page", ["01", "09", "22 F4", "22 F8"])
+def test_maps_say_what_is_answered(target: Target, page: str) -> None:
+    """SAE J1979, 6.1, 6.9 (modes 01, 09), ISO 14229-1, C.1 (F4xx, F8xx): what maps name is answered, nothing else."""
+    there, head = _map(target, page), bytes.fromhex(page)
+    start = bytes([head[0] + 0x40]) + head[1:]
     for number in sorted(there | {*range(1, 0x60)}):
         if number % 0x20 == 0:
             continue
-        answer = target.ask(f"{mode} {number:02X}", patience_ns=round(1e8) if number not in there else round(1e9))
+        answer = target.ask(f"{page} {number:02X}", patience_ns=round(1e8) if number not in there else round(1e9))
         if number not in there:
             answer.needs(not answer.came or bool(answer.refusal), "no positive answer: the map does not name it")
             continue
-        data = answer.positive(bytes([start, number]))[2:]
-        length = LENGTHS.get(number) if mode == "01" else None
+        data = answer.positive(start + bytes([number]))[len(start) + 1 :]
+        length = LENGTHS.get(number) if page in ("01", "22 F4") else None
         answer.needs(len(data) == length if length else bool(data), f"{length or 'some'} bytes of data")
 
 
@@ -90,6 +90,46 @@ def test_dtcs_are_those_of_uds(target: Target) -> None:
     target.ask("19 02 08").needs(
         {*codes} <= known, f"also {', '.join(map(shown, sorted({*codes} - known)))} of mode 03"
     )
+
+
+def _rows(target: Target, request: str, head: int, size: int) -> list[bytes]:
+    """Return the rows of a list of DTCs of the emission system; expects its head and whole rows."""
+    answer = target.positive(request, 2)
+    target.ask(request).needs((len(answer) - head) % size == 0, f"{head} bytes and rows of {size}")
+    return [answer[k : k + size] for k in range(head, len(answer), size)]
+
+
+def test_dtcs_of_the_emission_system(target: Target) -> None:
+    """ISO 14229-1:2020, 0x19 42: severity, DTC, status; each has a bit of the mask, and is in 19 02, too."""
+    for mask in (0x04, 0x08, 0xAF):
+        request = f"19 42 33 {mask:02X} FF"
+        rows, asked = _rows(target, request, 6, 5), target.ask(request)
+        asked.needs(all(row[-1] & mask for row in rows), f"only DTCs with a bit of {mask:02X} in the status")
+        by_mask = target.ask(f"19 02 {mask:02X}")
+        if by_mask.came and by_mask.came[0].startswith(b"\x59\x02"):
+            known = {by_mask.came[0][k : k + 4] for k in range(3, len(by_mask.came[0]), 4)}
+            asked.needs({row[1:] for row in rows} <= known, "DTCs and status as 19 02 has them")
+
+
+def test_permanent_dtcs_of_the_emission_system(target: Target) -> None:
+    """ISO 14229-1:2020, 0x19 55: DTC and status; the codes of mode 0A where both are there."""
+    codes = {row[:2] for row in _rows(target, "19 55 33", 5, 4)}
+    classic = target.ask("0A")
+    if classic.came and classic.came[0][:1] == b"\x4a":
+        said = {classic.came[0][k : k + 2] for k in range(2, len(classic.came[0]), 2)}
+        target.ask("19 55 33").needs(codes == said, f"the codes of mode 0A: {', '.join(map(shown, sorted(said)))}")
+
+
+def test_vin_on_uds(target: Target) -> None:
+    """ISO 14229-1, C.1, F802 (infotype 02): 17 characters, the VIN of 22 F190 where both are there."""
+    answer = target.positive("22 F8 02", 2)
+    asked = target.ask("22 F8 02")
+    asked.needs(
+        len(answer) == 20 and answer[3:].isascii() and answer[3:].isalnum(), "62 F8 02 and 17 letters and digits"
+    )
+    other = target.ask("22 F1 90")
+    if other.came and other.came[0].startswith(b"\x62\xf1\x90"):
+        other.needs(other.came[0][3:] == answer[3:], f"{shown(answer[3:])}, the VIN of 22 F8 02")
 
 
 def test_freeze_frame(target: Target) -> None:

@@ -33,8 +33,10 @@ def write(folder, toml, dbc=DBC):
 class Ecu:
     """An ECU: an address, and a function from a request to answers, each so many milliseconds later."""
 
-    def __init__(self, request, response, answer, bus=0):
-        self.transport = IsoTpEndpoint(IsoTpParams(request=request, response=response, functional=0x7DF), bus)
+    def __init__(self, request, response, answer, bus=0, extended=False):
+        to_all = 0x18DB33F1 if extended else 0x7DF
+        params = IsoTpParams(request=request, response=response, functional=to_all, extended=extended)
+        self.transport = IsoTpEndpoint(params, bus)
         self.answer, self.due, self.heard = answer, deque(), []
 
     def take(self, frames):

@@ -88,7 +88,7 @@ def test_signals_of_answers_are_monitored_and_silence_is_told(battery):
     (entry,) = [one for one in made.gateway.memory.entries() if one.fault == LOW]
     assert entry.freeze_frames[0].content == {"Cells.First": 3.7, "A_010C.RPM": 1726.0}
     counters = made.gateway.summary(1.0)["counters"]
-    assert counters["ecu_requests"] == sum(len(ecu.heard) for ecu in made.ecus)
+    assert counters["ecu_requests"] == len(made.requests)
     assert counters["ecu_answers_unknown"] > 10  # 0x1111 has no layout
     for k in (0, 1):
         assert settled(made.state(k))

@@ -6,7 +6,8 @@ from amount import amount
 from asking_rig import BUS, MS, Car, Ecu, changed, settled, write
 
 from gateway.bus.frames import EXTENDED
-from gateway.clients.ecu import MOST_AGAIN, SILENT, Ask, EcuClient, allowed
+from gateway.clients.ask import Ask, allowed
+from gateway.clients.ecu import MOST_AGAIN, SILENT, EcuClient
 from gateway.clients.params import EcuParams
 from gateway.config.load import load_config
 from gateway_fdi.errors import GatewayError

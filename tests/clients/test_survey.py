@@ -56,6 +56,29 @@ extended = true
 answers = { "03" = "43 01 01 71", "07" = "47 00", "0A" = "4A 00", "3E 00" = "7E 00" }
 identifiers = { F18A = "ACME" }
 """
+#: A car of model year 2027: OBD on UDS alone.
+NEW = """
+[[ecu]]
+type = "responder"
+name = "new"
+[ecu.uds]
+request = {request}
+response = {response}
+functional = {functional}
+extended = {extended}
+[ecu.uds.answers]
+"22 F4 00" = "62 F4 00 08 10 00 01"
+"22 F4 20" = "62 F4 20 80 00 00 00"
+"22 F6 00" = "62 F6 00 80 00 00 00"
+"22 F8 00" = "62 F8 00 54 40 00 00"
+"22 F8 02" = "62 F8 02 57 56 57 5A 5A 5A 31 4A 5A 58 57 30 30 30 30 30 31"
+"22 F8 04" = "62 F8 04 43 41 4C 2D 41 00 00 00 00 00 00 00 00 00 00 00 43 41 4C 2D 42 00 00 00 00 00 00 00 00 00 00 00"
+"22 F8 06" = "62 F8 06 12 34 56 78 9A BC DE F0"
+"22 F8 0A" = "62 F8 0A 45 43 4D"
+"19 42 33 AF FF" = "59 42 33 FF FF 04 02 01 33 00 2F"
+"19 55 33" = "59 55 33 FF 04 01 33 00 2F"
+"19 02*" = "7F 19 12"
+"""
 
 
 def surveyed(folder, text, *, rate=200.0, traffic=(), until_ns=LISTEN_NS, seconds=60, **options):
@@ -116,6 +139,21 @@ def test_what_is_found_is_a_configuration_that_asks_it(tmp_path, capsys):
     assert facts["ecus"][1]["dtcs"] == [{"dtc": "P0171", "status": 8}]
     cli._say(found, facts)
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 88
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_car_that_speaks_obd_on_uds_alone_is_found_and_asked_so(tmp_path, wide):
+    ids = ("0x18DA40F1", "0x18DAF140", "0x18DB33F1", "true") if wide else ("0x7E0", "0x7E8", "0x7DF", "false")
+    names = dict(zip(("request", "response", "functional", "extended"), ids, strict=True))
+    found, _ = surveyed(tmp_path, NEW.format(**names))
+    (told,) = found.ecus.values()
+    assert (told.vin, told.speaks, told.pids) == ("WVWZZZ1JZXW000001", ["obd_on_uds"], [0x05, 0x0C, 0x21])
+    assert told.parts == {"calibration": "CAL-A, CAL-B", "verification number": "12345678, 9ABCDEF0", "name": "ECM"}
+    assert (told.monitors, told.reads_dtcs, told.dtcs) == ([1], "obd_on_uds", {"P0133-00": 0x12F})
+    (tmp_path / "ecu.toml").write_text(tables(cli._asked(found, 10.0), "obd=virtual:y", "found"))
+    (ecu,) = load_config(tmp_path / "ecu.toml").ecu
+    assert (ecu.protocol, ecu.dtc_protocol, ecu.finds_protocol) == ("obd_on_uds", "obd_on_uds", False)
+    assert [read.key for read in ecu.read] == [(0x01, 0x05), (0x01, 0x0C), (0x01, 0x21)]
 
 
 def test_it_only_reads_and_keeps_its_rate(tmp_path):

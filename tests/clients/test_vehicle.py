@@ -46,7 +46,7 @@ def test_answers_are_read():
     assert told("4301 0133 0000").found == {"P0133": 8}
     assert told("4303 0133").covers == 0  # cut
     assert told("4A00") == Told("e", {}, PERMANENT, whole=False)
-    assert told("5904 400011 2F 01 02 F190 31").snapshot == "0102F19031"
+    assert told("5904 400011 2F 01 02 F190 31").data == {"C0000-11": "0102F19031"}
     assert [told(text) for text in ("7F1931", "62F19001", "59", "5904400011", "43")] == [None] * 5
     assert details_of("C0000-11") == (bytes.fromhex("1904400011FF"), bytes.fromhex("1906400011FF"))
 

@@ -97,6 +97,10 @@ SAID = {
     "dids": lambda r, f, ask, a: edited(a, b"\x62\xf1\x90", lambda b: bytes(b[:20])),
     "record": lambda r, f, ask, a: edited(a, b"\x59\x06", lambda b: bytes(b[:-1]) if r[-1] == 0xFF else bytes(b)),
     "pids": lambda r, f, ask, a: edited(a, b"\x41\x00", at(3, lambda n: n | 0x80)),
+    "page": lambda r, f, ask, a: edited(a, b"\x62\xf4\x00", at(4, lambda n: n | 0x80)),
+    "group": lambda r, f, ask, a: edited(a, b"\x59\x42", at(-1, lambda n: n ^ 0x10)),
+    "permanent": lambda r, f, ask, a: edited(a, b"\x59\x55", at(6, lambda n: n ^ 1)),
+    "vin": lambda r, f, ask, a: edited(a, b"\x62\xf8\x02", at(5, lambda n: n + 1)),
     "dtcs": lambda r, f, ask, a: edited(a, b"\x43", at(1, lambda n: n + 1)),
 }
 #: Defects of the transport: frames of the tester (physical, or of J1939) as the server takes them.

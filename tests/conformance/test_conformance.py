@@ -27,12 +27,16 @@ WRONG = {
         "dtcs": {"test_dtcs", "test_the_count_of_dtcs", "test_dtcs_are_those_of_uds", "test_freeze_frame"},
         "separation": {"test_separation_time"},
         "wait": {"test_wait"},
+        "page": {"test_maps_say_what_is_answered"},
+        "vin": {"test_vin_on_uds"},
     },
     3: {
         "length": {"test_wrong_lengths"},
         "dids": {"test_several_identifiers"},
         "sequence": {"test_a_wrong_sequence_number"},
         "reserved": {"test_frames_that_are_none"},
+        "group": {"test_dtcs_of_the_emission_system"},
+        "permanent": {"test_permanent_dtcs_of_the_emission_system"},
         "available": {"test_status_availability", "test_counts_equal_lists", "test_no_bit_no_dtc"},
     },
 }

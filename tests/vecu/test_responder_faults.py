@@ -7,6 +7,7 @@ from udsoncan import Response
 from udsoncan.services import ReadDTCInformation
 
 from gateway.bus.frames import payload
+from gateway_bench.vecu.responder.memory import DtcMemory, StoredDtc
 from gateway_fdi.errors import GatewayError
 
 MEMORY = """
@@ -162,3 +163,19 @@ def test_mistakes_are_told(tmp_path):
     only = '[[ecu]]\ntype = "responder"\nname = "abs"\n[[ecu.reply]]\non = "Ask"\nsend = "Answer"\n'
     with pytest.raises(GatewayError, match=r"no \[ecu.uds\]"):
         write(tmp_path, only + fault("mute"))
+
+
+def test_a_memory_of_obd_on_uds_tells_the_emission_system_alone():
+    stored = [StoredDtc(code="P0301-00", permanent=True, severity=0x04), StoredDtc(code="U0100-87", status=0x08)]
+    newer, older = (DtcMemory(stored, protocol) for protocol in ("obd_on_uds", "obd"))
+    for memory, request, answer in (
+        (newer, "194233AFFF", "594233FFFF040403010 02F"),
+        (newer, "1942FF0802", "5942FFFFFF0402C1008708"),
+        (newer, "195533", "595533FF040301002F"),
+        (newer, "1942D0AFFF", "7F1931"),
+        (newer, "1902AF", "7F1912"),
+        (newer, "194233AF", "7F1913"),
+        (older, "194233AFFF", "7F1912"),
+    ):
+        assert memory.answer(bytes.fromhex(request), 0) == bytes.fromhex(answer.replace(" ", "")), request
+    assert (0x03 in newer.services, 0x03 in older.services) == (False, True)

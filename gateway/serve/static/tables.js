@@ -59,9 +59,9 @@ const table = (titles, rows) => make("table", {}, make("thead", {}, make("tr", {
 export function showVehicle(ecus, dtcs) {
   byId("vehicle-card").hidden = !ecus.length && !dtcs.length;
   const answers = ecus.map((ecu) => make("tr", {}, make("th", { scope: "row" }, ecu.ecu),
-    ...["requests", "answers", "refused", "absent", "yielded"].map((name) => make("td", { class: "number" }, String(ecu[name]))),
+    make("td", {}, { obd: "classic", obd_on_uds: "on UDS" }[ecu.speaks] ?? "-"), ...["requests", "answers", "refused", "absent", "yielded"].map((name) => make("td", { class: "number" }, String(ecu[name]))),
     make("td", {}, Object.entries(ecu.not_asked).map(([request, why]) => `${request}: ${why}`).join("; "))));
-  byId("ecus").replaceChildren(...(answers.length ? [table(["ECU", "Requests", "Answers", "Refused", "No answer", "Gave way", "Not asked any more"], answers)] : []));
+  byId("ecus").replaceChildren(...(answers.length ? [table(["ECU", "OBD", "Requests", "Answers", "Refused", "No answer", "Gave way", "Not asked any more"], answers)] : []));
   const rows = dtcs.map((each) => make("tr", {}, make("th", { scope: "row" }, each.ecu), make("td", { class: "mono" }, each.dtc),
     make("td", {}, make("span", { class: `pill ${each.there ? "bad" : "good"}` }, each.there ? "there" : "went")),
     make("td", { class: "mono" }, `0x${each.status.toString(16).toUpperCase().padStart(2, "0")}`), make("td", { class: "number" }, String(each.came)),

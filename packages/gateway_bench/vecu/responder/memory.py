@@ -14,8 +14,11 @@ from gateway_fdi.common.tomlfile import StrictModel
 POSITIVE, NEGATIVE = 0x40, 0x7F
 SUB_FUNCTION, LENGTH, OUT_OF_RANGE = 0x12, 0x13, 0x31
 CLEAR, READ = 0x14, 0x19
-#: Reports of 0x19 -> length of a request for it.
-_LENGTHS = {0x01: 3, 0x02: 3, 0x04: 6, 0x06: 6, 0x0A: 2}
+#: Reports of 0x19 -> length of a request for it: of all DTCs, of the emission system (group 0x33), of one DTC.
+_ALL, _GROUP, _ONE = {0x01: 3, 0x02: 3, 0x0A: 2}, {0x42: 5, 0x55: 3}, {0x04: 6, 0x06: 6}
+#: Protocol of OBD -> its reports.
+REPORTS = {"obd": _ALL | _ONE, "obd_on_uds": _GROUP | _ONE, "both": _ALL | _GROUP | _ONE}
+_EMISSION, _ANY_GROUP, _WWH_FORMAT = 0x33, 0xFF, 0x04
 #: Modes of OBD -> bit of the status that shows a DTC in them; None: permanent ones.
 _MODES = {0x03: Status.CONFIRMED_DTC, 0x07: Status.PENDING_DTC, 0x0A: None}
 _OBD_CLEAR = 0x04
@@ -35,6 +38,7 @@ class StoredDtc(StrictModel):
     status: int = Field(0x2F, ge=0, le=0xFF, description="status byte (ISO 14229-1, Annex D.2)")
     from_s: float = Field(0.0, ge=0, allow_inf_nan=False, description="when it is set [s]")
     permanent: bool = Field(False, description="a clear leaves it in mode 0A")
+    severity: int = Field(0x02, ge=0, le=0xFF, description="19 42: severity and class (ISO 14229-1, Annex D.3)")
     snapshot: str = Field("", pattern=_HEX, description="19 04: record 1 in hex, from its count of identifiers on")
     extended: str = Field("", pattern=_HEX, description="19 06: extended data record 1, in hex")
 
@@ -49,16 +53,18 @@ class DtcMemory:
 
     Args:
         stored: what comes into it.
+        protocol: of OBD, a key of REPORTS.
     """
 
-    def __init__(self, stored: Sequence[StoredDtc]) -> None:
-        self._stored = stored
+    def __init__(self, stored: Sequence[StoredDtc], protocol: str = "obd") -> None:
+        self._stored, self._lengths = stored, REPORTS[protocol]
+        self._modes = frozenset() if protocol == "obd_on_uds" else frozenset({_OBD_CLEAR, *_MODES})
         self._cleared_ns: dict[int, int] = {}
 
     @property
     def services(self) -> frozenset[int]:
         """Services that it answers; none where the scenario gives it no DTCs."""
-        return frozenset({READ, CLEAR, _OBD_CLEAR, *_MODES}) if self._stored else frozenset()
+        return frozenset({READ, CLEAR}) | self._modes if self._stored else frozenset()
 
     def answer(self, request: bytes, t_ns: int) -> bytes:
         """Return the answer to a request for one of its services.
@@ -105,20 +111,35 @@ class DtcMemory:
         return bytes([CLEAR + POSITIVE])
 
     def _report(self, request: bytes, t_ns: int) -> bytes:
-        if len(request) < 2 or request[1] not in _LENGTHS:
+        if len(request) < 2 or request[1] not in self._lengths:
             return bytes([NEGATIVE, READ, SUB_FUNCTION if len(request) > 1 else LENGTH])
         report = request[1]
-        if len(request) != _LENGTHS[report]:
+        if len(request) != self._lengths[report]:
             return bytes([NEGATIVE, READ, LENGTH])
         now = self._now(t_ns)
         head = bytes([READ + POSITIVE, report])
         if report in (0x04, 0x06):
             return self._record(head, request, now)
+        if report in _GROUP:
+            return self._of_group(head, request, now)
         mask = AVAILABLE if report == 0x0A else request[2]
         found = [one.bytes + bytes([status]) for one, status in now if report == 0x0A or status & mask]
         if report == 0x01:
             return head + bytes([AVAILABLE, 0x00]) + len(found).to_bytes(2, "big")
         return head + bytes([AVAILABLE]) + b"".join(found)
+
+    def _of_group(self, head: bytes, request: bytes, now: Sequence[tuple[StoredDtc, int]]) -> bytes:
+        """Return the DTCs of the emission system: by masks of status and severity, or permanent ones."""
+        group, *masks = request[2:]
+        if group not in (_EMISSION, _ANY_GROUP):
+            return bytes([NEGATIVE, READ, OUT_OF_RANGE])
+        mine = [(one, s) for one, s in now if group == _ANY_GROUP or Dtc.parse(one.code).is_powertrain]
+        if not masks:
+            rows = (one.bytes + bytes([status]) for one, status in mine if one.permanent)
+            return head + bytes([group, AVAILABLE, _WWH_FORMAT]) + b"".join(rows)
+        found = [(one, s) for one, s in mine if s & masks[0] and one.severity & masks[1]]
+        rows = (bytes([one.severity]) + one.bytes + bytes([status]) for one, status in found)
+        return head + bytes([group, AVAILABLE, 0xFF, _WWH_FORMAT]) + b"".join(rows)
 
     def _record(self, head: bytes, request: bytes, now: Sequence[tuple[StoredDtc, int]]) -> bytes:
         """Return a snapshot or extended data record of one DTC; after a clear it has none."""

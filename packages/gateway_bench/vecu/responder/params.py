@@ -81,6 +81,9 @@ class UdsStub(StrictModel):
         default_factory=dict, description='"01 05", "22 F4 05" -> number that goes on with time'
     )
     dtc: tuple[StoredDtc, ...] = Field((), description="its fault memory: 0x19, 0x14, and modes 03, 04, 07, 0A of OBD")
+    protocol: Literal["obd", "obd_on_uds", "both"] = Field(
+        "obd", description="of its fault memory: 19 01, 02, 0A and the modes; 19 42, 55 (SAE J1979-2); both"
+    )
     delay_ms: float = Field(5.0, ge=0, le=60_000, allow_inf_nan=False, description="until it answers [ms]")
 
     @model_validator(mode="after")

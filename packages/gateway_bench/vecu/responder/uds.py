@@ -61,7 +61,7 @@ class UdsResponder:
 
     def __init__(self, params: UdsStub, run: Run, read: Callable[[str], bytes], faults: Drawn) -> None:
         self._params, self._read, self._run, self._faults = params, read, run, faults
-        self._memory = DtcMemory(params.dtc)
+        self._memory = DtcMemory(params.dtc, params.protocol)
         self._owed: list[_Owed] = []  # in order of time
         self._begin()
         self._off_ns = 0  # until when it is off
