@@ -20,11 +20,12 @@ from gateway.signals.database import Database
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.derive import derive
 from gateway_fleet.learn.document import BusAsked, document
-from gateway_fleet.learn.lines import CHECK, HEALTH, Learned, inline
+from gateway_fleet.learn.lines import CHECK, HEALTH, RULE, SIGNAL, Learned, inline
 from gateway_fleet.learn.merge import merged
 from gateway_fleet.learn.observe import Observation, Observer
 from gateway_fleet.learn.proof import Replayed, replayed
 from gateway_fleet.learn.state import Kept, Refused, load_state, merge, state_of
+from gateway_fleet.learn.tails import FALSE_PER_HOUR
 from gateway_fleet.learn.trial import Outcome, Trials, tried
 from gateway_fleet.learn.unknown import database_path, database_text
 from gateway_fleet.learn.update import add_before, dropped, read_file
@@ -32,6 +33,9 @@ from gateway_fleet.learn.widen import owner, widened
 
 #: How often a limit is widened before it is taken out, and how often the configuration is replayed at most.
 WIDENED, ROUNDS = 3, 8
+
+#: Alarms that are accepted, of those asked for: one thing sets several.
+IN_ROWS = 4.0
 
 #: Told: the task, log or number, how far it is (0 to 1).
 Progress = Callable[[str, str, float], None]
@@ -50,6 +54,7 @@ class Asked:
         maps: channels of the logs taken as buses, ``"channel=bus"`` each.
         seed: of the faults that are put in.
         update: the file is there, and another drive is added to it.
+        per_hour: false codes of all limits of signals together that are accepted [1/h].
     """
 
     name: str
@@ -60,6 +65,7 @@ class Asked:
     maps: tuple[str, ...] = ()
     seed: int = 1
     update: bool = False
+    per_hour: float = FALSE_PER_HOUR
 
 
 @dataclass
@@ -205,7 +211,7 @@ def learn(asked: Asked, progress: Progress) -> Result:
     names = [bus.name for bus in asked.buses]
     merge(observation, before, names)
     progress("deriving", "", 0.0)
-    learned = derive(observation, databases, asked.buses, before.seconds)
+    learned = derive(observation, databases, asked.buses, before.seconds, asked.per_hour)
     result = Result(learned, observation, "")
     result.databases = _own_texts(asked, databases, result)
     logs = [*before.logs, *logs_text(observation)]
@@ -239,6 +245,7 @@ def settle(
             proof = replayed(path, result.observation.logs, asked.maps, _by_log(progress, said))
         result.held_s, result.held_frames = proof.seconds, proof.frames
         own = {fault for fault in proof.alarms if of_log(fault, [bus.name for bus in asked.buses])}
+        _accept(asked, result, proof)
         result.alarms = tuple(sorted(set(proof.alarms) - own))
         result.conditions = tuple(sorted(own))
         if not _widen(asked, result, proof, before):
@@ -246,6 +253,16 @@ def settle(
     assert proof is not None
     if not result.alarms:
         _try(asked, result, proof, progress)
+
+
+def _accept(asked: Asked, result: Result, proof: Replayed) -> None:
+    """Take out alarms of signals and relations if they are as many as were asked for; they come in rows."""
+    owners = {fault: owner(result.learned, fault, asked.buses) for fault in proof.alarms}
+    mine = [fault for fault, line in owners.items() if line is not None and line[0].table in (SIGNAL, RULE)]
+    accepted = asked.per_hour * proof.hours
+    if sum(proof.alarms[fault].count for fault in mine) <= IN_ROWS * accepted:
+        for fault in mine if accepted >= 1.0 else ():
+            del proof.alarms[fault]
 
 
 def of_log(fault: str, buses: Sequence[str]) -> bool:
