@@ -98,13 +98,21 @@ def derive(
     limits.add(learned, grip_lines(observation, buses, speeds))
     learned.notes[:0] = strangers(observation, buses)
     learned.notes += limits.notes_of(observation, buses, learned)
-    for (index, _), seen in everything.seen.items():
-        if asked[index].of_answers:
-            answer_lines(learned, asked[index], seen, seconds, taken.setdefault(index, set()), shown[index])
+    _add_answers(learned, everything, asked, seconds, shown)
     for bus_asked in asked:
         absent_lines(learned, bus_asked)
     learned.notes += answer_notes(everything, asked)
     return learned
+
+
+def _add_answers(
+    learned: Learned, everything: Observation, asked: Sequence[BusAsked], seconds: float, shown: Sequence[Shown]
+) -> None:
+    """Add what is asked of answers of ECUs."""
+    taken: dict[int, set[str]] = {}
+    for (index, _), seen in everything.seen.items():
+        if asked[index].of_answers:
+            answer_lines(learned, asked[index], seen, seconds, taken.setdefault(index, set()), shown[index])
 
 
 def _shown(observation: Observation, bus: int, per_hour: float) -> Shown:

@@ -79,7 +79,7 @@ def movement(x: NDArray[np.float64], y: NDArray[np.float64], pace: int = 1) -> t
     ``pace``: rows from value to value of the slower one; movements are over this many at least.
 
     Movements follow each other, too: two slow waves agree by chance. As many of them count as are independent by their
-    autocorrelations (Bartlett 1935), and the correlation of so many scatters as Fisher's transform has it.
+    autocorrelations (Bartlett 1935), and the correlation of this number scatters as Fisher's transform has it.
     """
     over = max(MOVED, pace)
     one, other = x[over:] - x[:-over], y[over:] - y[:-over]

@@ -20,7 +20,7 @@ class Standard:
         low, high: of it, unit of the signal.
         seen: values that the drive must keep within for the range to be taken.
         why: for people.
-        failed_ms: for so long a healthy one may be beyond, while cranking [ms]; None: no longer than any.
+        failed_ms: time that a healthy one may be beyond, while cranking [ms]; None: that of any signal.
     """
 
     low: float
