@@ -1,8 +1,8 @@
 """Answers of ECUs, of which less is learned than of what is broadcast: they come when somebody asks.
 
 How often they come is the habit of a tester, not of the ECU, and one that asks more seldom hides how steep a signal is
-and how long it stands. So there is no timeout but one that the file of the ECUs asks for, and no gradient, standstill,
-counter or relation.
+and how long it stands. So there is no timeout but one that the file of the ECUs asks for, and no gradient, standstill
+or counter; ranges and relations there are, at the rate at which they come.
 """
 
 from __future__ import annotations
@@ -139,6 +139,6 @@ def answer_notes(observation: Observation, buses: Sequence[BusAsked]) -> list[st
             names = f" ({', '.join(came)})" if came else ""
             notes.append(
                 f"{bus.name}: of {len(came) + absent} answers that have a layout {len(came)} came{names};"
-                " when they come is up to who asks: no timeout, gradient, standstill or relation is learned of them"
+                " when they come is up to who asks: no timeout, gradient or standstill is learned of them"
             )
     return notes

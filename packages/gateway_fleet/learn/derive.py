@@ -13,7 +13,7 @@ from gateway.bus.frames import ID_MASK
 from gateway.signals.database import Database
 from gateway.signals.decode import of_a_tester
 from gateway_fleet.learn import limits
-from gateway_fleet.learn.answers import absent_lines, answer_lines, answer_notes
+from gateway_fleet.learn.answers import NOTHING, absent_lines, answer_lines, answer_notes
 from gateway_fleet.learn.belonging import strangers
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.findings import findings
@@ -109,10 +109,14 @@ def _add_answers(
     learned: Learned, everything: Observation, asked: Sequence[BusAsked], seconds: float, shown: Sequence[Shown]
 ) -> None:
     """Add what is asked of answers of ECUs."""
-    taken: dict[int, set[str]] = {}
-    for (index, _), seen in everything.seen.items():
-        if asked[index].of_answers:
-            answer_lines(learned, asked[index], seen, seconds, taken.setdefault(index, set()), shown[index])
+    for index, bus in enumerate(asked):
+        mine = {key: seen for key, seen in everything.seen.items() if key[0] == index and bus.of_answers}
+        taken: set[str] = set()
+        for seen in mine.values():
+            answer_lines(learned, bus, seen, seconds, taken, shown[index])
+        if mine:
+            found = dict.fromkeys(mine, NOTHING)
+            limits.add(learned, rule_lines(replace(everything, seen=mine), found, {index: bus.name}, shown[index]))
 
 
 def _shown(observation: Observation, bus: int, per_hour: float) -> Shown:

@@ -90,8 +90,8 @@ class Drive:
 
     def __init__(self, config: Config, parts: Parts, frames: Frames, rng: np.random.Generator) -> None:
         self.frames, self.rng, self._parts = frames, rng, parts
-        self.names = [bus.name for bus in config.bus]
-        self._pgn = [k for k, bus in enumerate(config.bus) if bus.match == "pgn"]
+        self.names = [bus.name for bus in config.buses]
+        self._pgn = [k for k, bus in enumerate(config.buses) if bus.match == "pgn"]
         self._network = Network(self.names, dict(enumerate(parts.databases)))
         self.start_ns, end_ns = int(frames["t_ns"][0]), int(frames["t_ns"][-1])
         self.seconds = (end_ns - self.start_ns) * 1e-9

@@ -42,7 +42,7 @@ EXPLORED, CARELESS = 0.1, 0.25
 
 @dataclass(frozen=True)
 class Shown:
-    """What drives show.
+    """Values that drives show.
 
     Attributes:
         matrix: values of all signals at the same times, NaN where there is none, shape (times, signals).

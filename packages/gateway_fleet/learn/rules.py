@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from cantools.database.can.signal import Signal
@@ -17,6 +17,8 @@ from gateway_fleet.learn.ranges import Shown
 from gateway_fleet.learn.relations import LASTS_S, LEAST_VALUES, ONE, TIMES, Relation, relations
 from gateway_fleet.learn.tails import Rate
 
+#: Index of a bus -> its name.
+Buses = Mapping[int, str] | Sequence[str]
 #: Limit that lasting deviations exceed once in hundreds of hours -> tolerance: with this share of the largest value:
 #: tyres wear, a car is loaded, logs seldom show tight turns and slip.
 WIDER, SHARE = 1.2, 0.06
@@ -35,7 +37,7 @@ FAILED_MS = 1000.0
 
 
 def rule_lines(
-    observation: Observation, found: dict[tuple[int, str], ProtectionFound], buses: Sequence[str], drive: Shown
+    observation: Observation, found: dict[tuple[int, str], ProtectionFound], buses: Buses, drive: Shown
 ) -> list[Line]:
     """Return the relations between the signals of all buses, each with its evidence."""
     units = [""] * observation.snapshots.width
@@ -63,7 +65,7 @@ def _of_protection(found: ProtectionFound) -> set[str]:
     return own | (set() if found.claim is None else {str(part.get("signal")) for part in found.claim.keys.values()})
 
 
-def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Sequence[str], rate: Rate) -> Line:
+def _line(relation: Relation, names: dict[int, tuple[Seen, Signal]], buses: Buses, rate: Rate) -> Line:
     seen, signal = names[relation.of]
 
     columns = (relation.of, *relation.by)
