@@ -234,7 +234,7 @@ def car(tmp_path_factory):
     database, log = shipped("examples/car/toyota_rav4.dbc"), shipped("examples/car/drive.log.xz")
     learn_car(
         [database, log], out=folder / "car.toml", buses=(), hold_out=0.2, maps=(), pgn=False, seed=1, update=False,
-        ecu=None, force=False, json=True,
+        ecu=None, force=False, json=True, false_per_hour=1e-3,
     )  # fmt: skip
     return folder / "car.toml", log
 

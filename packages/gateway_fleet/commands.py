@@ -8,6 +8,11 @@ import typer
 from gateway.cli.commands import does
 from gateway.cli.options import ConfigOption, EcuOption, Json, JsonEvents, Maps
 
+FalsePerHour = Annotated[
+    float,
+    typer.Option(min=1e-9, max=1e6, help="False codes that all limits of signals together may set in an hour."),
+]
+
 
 @does("gateway_fleet.cli.learn:learn_car", bus="buses")
 def learn(
@@ -28,6 +33,7 @@ def learn(
     maps: Maps = None,
     pgn: Annotated[bool, typer.Option("--pgn", help="Match extended identifiers by their J1939 PGN.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the faults that are injected into the test share.")] = 1,
+    false_per_hour: FalsePerHour = 1e-3,
     update: Annotated[
         bool, typer.Option("--update", help="Add the logs to a configuration learned earlier; edited lines stay.")
     ] = False,
@@ -189,13 +195,22 @@ def evaluate_drives(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Folder that keeps what is learned.  [default: kept nowhere]")
     ] = None,
+    false_per_hour: FalsePerHour = 1e-3,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ROLE=NAME",
+            help="Of tables of values (CSV): time=NAME, truth=NAME (not 0 where something is wrong), out=NAME (no"
+            " signal); may be repeated.",
+        ),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Judge what is learned of vehicles, on their other drives.
 
     It tells the false codes and causes of the healthy drives, and what comes of everyday faults that are put into them.
-    Of each vehicle the largest log is learned of; a single log is halved. Exit code 2: a vehicle or drive could not be
-    judged; all others were.
+    Of each vehicle the largest log is learned of; a single log is halved. A CSV of values is a machine of its own: with
+    a column of truth it is learned of the begin. Exit code 2: a vehicle or drive could not be judged; all others were.
     """
 
 

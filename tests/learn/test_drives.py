@@ -10,7 +10,7 @@ from gateway.bus.logs import open_writer
 from gateway.cli import app
 from gateway.config.load import load_config
 from gateway.runtime.assemble import prepare
-from gateway_fleet.study.drives.faults import BEGIN, END, KINDS, Drive
+from gateway_fleet.learn.everyday import BEGIN, END, KINDS, Drive
 from gateway_fleet.study.drives.judge import Told, _of_fault
 from gateway_fleet.study.drives.vehicles import drive_of, vehicles
 from gateway_fleet.study.learn.drive import Way, frames_of

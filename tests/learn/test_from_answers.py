@@ -27,7 +27,8 @@ def test_answers_in_a_log_are_learned_from(tmp_path, capsys, monkeypatch):
     asked = {entry["signal"]: set(entry) for entry in signals.model_extra["signal"]}
     assert "plausible" in asked["Cells.First"]
     assert not [keys for keys in asked.values() if keys & {"gradient", "stuck"}]
-    assert not [entry for entry in config.monitor if entry.type == "rule"]
+    rules = [rule["name"] for entry in config.monitor if entry.type == "rule" for rule in entry.model_extra["rule"]]
+    assert rules == ["Cells_First_by_Last"], "one cell is as the other"
     again = tmp_path / "again.toml"
     told = (
         file.read_text() + 'check = [{ message = "Cells", timeout_ms = 900.0 }, { message = "Never", value = false }]\n'

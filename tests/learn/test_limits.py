@@ -3,18 +3,19 @@
 import numpy as np
 import pytest
 
-from gateway_fleet.learn.relations import LESS, TIMES, _delay, _fitted, relations
-from gateway_fleet.learn.tails import HOURS, SHARERS, block_maxima, limit_above, sustained
+from gateway_fleet.learn.fits import delay_of, fitted
+from gateway_fleet.learn.relations import SUM, TIMES, relations
+from gateway_fleet.learn.tails import Rate, block_maxima, limit_above, sustained
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_limit_of_exponential_maxima_is_that_of_their_law(seed):
     """Of maxima with mean 1 in blocks of a second one in n exceeds ln n."""
     maxima = np.random.default_rng(seed).exponential(1.0, 20000)
-    wanted = np.log(HOURS * SHARERS * 3600.0)
-    assert limit_above(maxima, 1.0, 0.0) == pytest.approx(wanted, rel=0.12), f"seed {seed}"
-    assert limit_above(maxima, 10.0, 0.0) < limit_above(maxima, 1.0, 0.0)
-    assert limit_above(np.zeros(100), 1.0, 0.5) > 5.0, "what never moved is known to its resolution only"
+    wanted, rate = np.log(1e5 * 3600.0), Rate(1e-3, 100)
+    assert limit_above(maxima, 1.0, 0.0, rate) == pytest.approx(wanted, rel=0.12), f"seed {seed}"
+    assert limit_above(maxima, 10.0, 0.0, rate) < limit_above(maxima, 1.0, 0.0, rate)
+    assert limit_above(np.zeros(100), 1.0, 0.5, rate) > 5.0, "what never moved is known to its resolution only"
 
 
 def test_a_deviation_counts_while_it_lasts():
@@ -35,10 +36,10 @@ def test_noise_on_both_sides_bends_no_slope_and_delays_are_found(seed):
     noise = 0.3 * v.std()
     x, y = v + rng.normal(0, noise, len(v)), 2.0 * v + rng.normal(0, 2.0 * noise, len(v))
     y[::97] += 40.0  # slip
-    assert abs(_fitted(x, y)[0] - 2.0) < 0.05, f"seed {seed}"
+    assert abs(fitted(x, y)[0] - 2.0) < 0.05, f"seed {seed}"
     assert abs(np.polyfit(x, y, 1)[0] - 2.0) > 0.1, "least squares bends it"
     for delay in (-5, 0, 7):
-        assert _delay(v, 3.0 * np.roll(v, delay)) == delay, f"seed {seed}"
+        assert delay_of(v, 3.0 * np.roll(v, delay)) == delay, f"seed {seed}"
 
 
 @pytest.mark.parametrize("seed", [21, 22])
@@ -51,7 +52,7 @@ def test_laws_of_three_signals(seed):
     noise = [rng.normal(0, size, len(v)) for size in (0.002, 0.002, 0.002, 0.01, 0.01)]
     values = np.column_stack([v, left, right, angle, yaw]) + np.column_stack(noise)
     found = relations(values, [True] * 5)
-    assert any(r.of == 4 and r.form == LESS and set(r.by) <= {0, 1, 2} for r in found), f"seed {seed}"
+    assert any(r.of == 4 and r.form == SUM and set(r.by) <= {0, 1, 2} for r in found), f"seed {seed}"
     found = relations(np.column_stack([values[:, 0], 3.6 * v, values[:, 3:]]), [True] * 4)
     law = [r for r in found if r.form == TIMES]
     assert [r for r in law if r.of == 3 and 2 in r.by], f"seed {seed}"

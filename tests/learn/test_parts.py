@@ -9,6 +9,7 @@ import pytest
 from gateway.bus.frames import empty
 from gateway_fleet.learn.course import Courses
 from gateway_fleet.learn.document import BusAsked
+from gateway_fleet.learn.figures import Everyday
 from gateway_fleet.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, sending, timeout_ms
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
 from gateway_fleet.learn.merge import File, merged, read
@@ -178,9 +179,13 @@ def test_a_table_of_faults_has_as_many_cells_in_each_line():
             ("B", "noise", True),
         )
     ]
-    trials = SimpleNamespace(left=0, seeing=(), unwatched=())
+    found = Everyday("offset", "b.A.x +3", ("x.high",), named=True, accused=False)
+    silent = Everyday("offset", "b.A.y +2", (), named=False, accused=False)
+    trials = SimpleNamespace(left=0, seeing=(), unwatched=(), everyday=[found, silent])
     text = "\n".join(_faults(SimpleNamespace(outcomes=outcomes, trials=trials)))
-    assert [line for line in text.splitlines() if line.startswith("|")] == [
+    assert "| offset | 2 | 1 | 1 | 1 |" in text
+    assert "- offset: b.A.y +2" in text, "what is silent is told"
+    assert [line for line in text.splitlines() if line.startswith("|")][3:] == [
         "| message | drop | flip | noise |",
         "|---|---|---|---|",
         "| A | 1/2 | 1/1 |  |",

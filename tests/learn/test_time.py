@@ -117,7 +117,9 @@ def test_what_an_update_drops_is_told(tmp_path):
     """A second drive in which a message comes when it likes: its timeout goes, and a line says so."""
     learned(tmp_path, lambda _t, _id, _rng: True)
     (tmp_path / "car.toml").unlink()
-    more = {"buses": (), "hold_out": 0.3, "maps": (), "pgn": False, "seed": 1, "json": False, "ecu": None}
+    more = {"buses": (), "hold_out": 0.3, "maps": (), "pgn": False, "seed": 1, "json": False, "ecu": None} | {
+        "false_per_hour": 1e-3
+    }
     out = tmp_path / "car.toml"
     learn_car([tmp_path / "car.dbc", tmp_path / "drive.log"], out=out, update=False, force=False, **more)
     rng = random.Random(8)

@@ -29,6 +29,7 @@ def learn_car(
     maps: Sequence[str],
     pgn: bool,
     seed: int,
+    false_per_hour: float,
     update: bool,
     force: bool,
     json: bool,
@@ -36,7 +37,7 @@ def learn_car(
     """Learn a configuration and write it; returns the exit code."""
     databases = [file for file in files if file.suffix.lower() in SUFFIXES]
     logs = [file for file in files if file not in databases]
-    how = Asking(buses, ecu, hold_out, maps, seed, pgn=pgn, update=update, force=force)
+    how = Asking(buses, ecu, hold_out, maps, seed, pgn=pgn, update=update, force=force, per_hour=false_per_hour)
     asked = asked_for(databases, logs, out, how)
     with _shown(json) as progress:
         result = learned(asked, progress)
@@ -66,8 +67,10 @@ def _say(asked: Asked, result: Result) -> None:
         print(f"healthy frames still set {', '.join(result.alarms)}: see these lines")
     elif found["held_out_frames"]:
         print(f"proof: silent on all, and on {found['held_out_frames']} frames, {found['held_out_s']:.0f} s held out")
-    if result.outcomes:
-        print(f"{found['faults_named']} of {found['faults_tried']} faults put into these were named")
+    if result.trials.everyday:
+        print("everyday faults put into these: tried, found, named, silent")
+        for kind, counts in found["everyday"].items():
+            print(f"  {kind:18}" + "".join(f"{count:4}" for count in counts))
     if result.conditions:
         print(f"the logs themselves: {', '.join(result.conditions)}")
     for line in (line for lines in observed(result).values() for line in lines):

@@ -1,8 +1,8 @@
 """Answers of ECUs, of which less is learned than of what is broadcast: they come when somebody asks.
 
 How often they come is the habit of a tester, not of the ECU, and one that asks more seldom hides how steep a signal is
-and how long it stands. So there is no timeout but one that the file of the ECUs asks for, and no gradient, standstill,
-counter or relation.
+and how long it stands. So there is no timeout but one that the file of the ECUs asks for, and no gradient, standstill
+or counter; ranges and relations there are, at the rate at which they come.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from gateway_fleet.learn.limits import signal_lines
 from gateway_fleet.learn.lines import CHECK, HEALTH, Learned, Line
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound
+from gateway_fleet.learn.ranges import Shown
 from gateway_fleet.learn.widen import asks
 
 #: Keys of a bus that learning has itself.
@@ -97,7 +98,7 @@ def _refuse_more(text: Mapping[str, Any], file: Path) -> None:
             raise InputError("checks of a bus are learned, not taken from here", file=file, key=f"bus[{k}].check")
 
 
-def answer_lines(learned: Learned, bus: BusAsked, seen: Seen, seconds: float, taken: set[str]) -> None:
+def answer_lines(learned: Learned, bus: BusAsked, seen: Seen, seconds: float, taken: set[str], drive: Shown) -> None:
     """Add what is asked of an answer and its signals.
 
     Args:
@@ -106,6 +107,7 @@ def answer_lines(learned: Learned, bus: BusAsked, seen: Seen, seconds: float, ta
         seen: of one message.
         seconds: length of the logs [s].
         taken: names of faults that are in use; those of the lines are added.
+        drive: values of all signals, and how often a healthy one may alarm.
     """
     name = seen.message.name
     given = next((ecu.checks[name] for ecu in bus.ecus if name in ecu.checks), None)
@@ -113,7 +115,7 @@ def answer_lines(learned: Learned, bus: BusAsked, seen: Seen, seconds: float, ta
         "as the file of the ECUs asks" if given else "no timeout: they come when asked for"
     )
     learned.add(Line(bus.name, CHECK, name, given or {"message": name}, why))
-    for line in signal_lines(bus.name, seen, NOTHING, seconds, taken):
+    for line in signal_lines(bus.name, seen, NOTHING, seconds, taken, drive):
         keys = {key: value for key, value in line.keys.items() if key not in _OF_RHYTHM}
         if asks(line.table, keys):
             learned.add(replace(line, keys=keys))
@@ -137,6 +139,6 @@ def answer_notes(observation: Observation, buses: Sequence[BusAsked]) -> list[st
             names = f" ({', '.join(came)})" if came else ""
             notes.append(
                 f"{bus.name}: of {len(came) + absent} answers that have a layout {len(came)} came{names};"
-                " when they come is up to who asks: no timeout, gradient, standstill or relation is learned of them"
+                " when they come is up to who asks: no timeout, gradient or standstill is learned of them"
             )
     return notes

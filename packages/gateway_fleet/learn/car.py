@@ -19,6 +19,7 @@ from gateway_fleet.learn.learn import Asked, Progress, Result, write
 from gateway_fleet.learn.learn import learn as learn_from
 from gateway_fleet.learn.report import data, markdown
 from gateway_fleet.learn.state import state_path
+from gateway_fleet.learn.tails import FALSE_PER_HOUR
 
 #: Bus where none is named.
 BUS = "can0"
@@ -37,6 +38,7 @@ class Asking:
         pgn: extended identifiers match by PGN.
         update: the logs are added to a file that is there.
         force: a file that is there is overwritten.
+        per_hour: false codes of all limits of signals together that are accepted [1/h].
     """
 
     buses: Sequence[str] = ()
@@ -47,6 +49,7 @@ class Asking:
     pgn: bool = False
     update: bool = False
     force: bool = False
+    per_hour: float = FALSE_PER_HOUR
 
 
 def asked_for(databases: Sequence[Path], logs: Sequence[Path], out: Path, how: Asking) -> Asked:
@@ -85,6 +88,7 @@ def asked_for(databases: Sequence[Path], logs: Sequence[Path], out: Path, how: A
         maps=tuple(how.maps),
         seed=how.seed,
         update=how.update,
+        per_hour=how.per_hour,
     )
 
 

@@ -27,7 +27,7 @@ class Course:
         changes: how often it changed.
         rest_s: the longest time without change, while it came [s].
         values: the first different ones, at most MOST_VALUES + 1.
-        swings: how often it went from one end of its span to the other; of floating-point signals only.
+        swings: how often it went from one end of its span to the other, in the latest logs.
     """
 
     count: int = 0

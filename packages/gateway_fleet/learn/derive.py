@@ -13,7 +13,7 @@ from gateway.bus.frames import ID_MASK
 from gateway.signals.database import Database
 from gateway.signals.decode import of_a_tester
 from gateway_fleet.learn import limits
-from gateway_fleet.learn.answers import absent_lines, answer_lines, answer_notes
+from gateway_fleet.learn.answers import NOTHING, absent_lines, answer_lines, answer_notes
 from gateway_fleet.learn.belonging import strangers
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.findings import findings
@@ -23,7 +23,9 @@ from gateway_fleet.learn.lines import HEALTH, Learned, Line
 from gateway_fleet.learn.moves import drives
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound, joined, protection_found
+from gateway_fleet.learn.ranges import Shown, is_careful
 from gateway_fleet.learn.rules import rule_lines
+from gateway_fleet.learn.tails import FALSE_PER_HOUR, Rate
 from gateway_fleet.learn.unknown import with_counter, with_signals
 
 #: Frames that must have come of a message for anything to be said of it.
@@ -33,7 +35,11 @@ VARY, TOGETHER = 0.2, 0.2
 
 
 def derive(
-    observation: Observation, databases: Sequence[Database], asked: Sequence[BusAsked], earlier_s: float = 0.0
+    observation: Observation,
+    databases: Sequence[Database],
+    asked: Sequence[BusAsked],
+    earlier_s: float = 0.0,
+    per_hour: float = FALSE_PER_HOUR,
 ) -> Learned:
     """Return the lines that a configuration gets, and the notes beside them.
 
@@ -42,6 +48,7 @@ def derive(
         databases: of the buses.
         asked: the buses; those of answers last.
         earlier_s: length of earlier logs whose statistics were added [s].
+        per_hour: false codes of all tests that are accepted [1/h].
     """
     learned = Learned()
     found: dict[tuple[int, str], ProtectionFound] = {}
@@ -81,20 +88,48 @@ def derive(
         if not seen.unknown or set(line.keys) - {"message", "length"} or line.keys.get("length") is not False:
             learned.add(line)
     speeds = [drives(observation, bus) for bus in range(len(buses))]
+    shown = [_shown(everything, index, per_hour) for index in range(len(asked))]
     for key, seen in observation.seen.items():
         names = taken.setdefault(key[0], set())
-        limits.add(learned, limits.signal_lines(buses[key[0]], seen, found[key], seconds, names, speeds[key[0]]))
-    limits.add(learned, rule_lines(observation, found, buses))
+        bus, drive = key[0], shown[key[0]]
+        lines = limits.signal_lines(buses[bus], seen, found[key], seconds, names, drive, speeds[bus])
+        limits.add(learned, lines)
+    limits.add(learned, rule_lines(observation, found, buses, shown[0]))
     limits.add(learned, grip_lines(observation, buses, speeds))
     learned.notes[:0] = strangers(observation, buses)
     learned.notes += limits.notes_of(observation, buses, learned)
-    for (index, _), seen in everything.seen.items():
-        if asked[index].of_answers:
-            answer_lines(learned, asked[index], seen, seconds, taken.setdefault(index, set()))
+    _add_answers(learned, everything, asked, seconds, shown)
     for bus_asked in asked:
         absent_lines(learned, bus_asked)
     learned.notes += answer_notes(everything, asked)
     return learned
+
+
+def _add_answers(
+    learned: Learned, everything: Observation, asked: Sequence[BusAsked], seconds: float, shown: Sequence[Shown]
+) -> None:
+    """Add what is asked of answers of ECUs."""
+    for index, bus in enumerate(asked):
+        mine = {key: seen for key, seen in everything.seen.items() if key[0] == index and bus.of_answers}
+        taken: set[str] = set()
+        for seen in mine.values():
+            answer_lines(learned, bus, seen, seconds, taken, shown[index])
+        if mine:
+            found = dict.fromkeys(mine, NOTHING)
+            limits.add(learned, rule_lines(replace(everything, seen=mine), found, {index: bus.name}, shown[index]))
+
+
+def _shown(observation: Observation, bus: int, per_hour: float) -> Shown:
+    """Return what the drives show of the signals of a bus; all tests of the configuration share the rate."""
+    everything = [
+        (index, signal, course)
+        for (index, _), seen in observation.seen.items()
+        for signal, course in zip(seen.signals, seen.courses.each, strict=True)
+    ]
+    tests = sum(not course.states for _, _, course in everything)
+    careful = is_careful((signal, course) for index, signal, course in everything if index == bus)
+    snapshots = observation.snapshots
+    return Shown(snapshots.matrix(), snapshots.step_s, Rate(per_hour, tests), careful)
 
 
 def _makers(found: Mapping[tuple[int, str], ProtectionFound], bus: int) -> set[str]:

@@ -1,8 +1,8 @@
 """From what was seen to limits that a healthy part keeps, each with its evidence.
 
 A log shows what a part does, not all that it may do. So a limit is taken from it only where the log has room to show
-that: ranges where the database gives none only of signals that went through much of what their bits can say, gradients
-with a margin and only where something steeper could be told, standstill only of long logs.
+that: ranges of signals that went through their span often (:mod:`gateway_fleet.learn.ranges`), gradients with a margin
+and only where something steeper could be told, standstill only of long logs.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 from cantools.database.can.signal import Signal
+from numpy.typing import NDArray
 
 from gateway.bus.frames import ID_MASK
 from gateway.monitors.signal.params import MOST_CODES, MOST_VALUES
 from gateway.monitors.signal.parts import no_value
-from gateway.signals.columns import limits
-from gateway.signals.tables import signal_row
 from gateway_fleet.learn import gaps
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter, signal_of
@@ -26,19 +25,14 @@ from gateway_fleet.learn.lines import CHECK, SIGNAL, Learned, Line, short, shown
 from gateway_fleet.learn.moves import Drives, moving
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound
+from gateway_fleet.learn.ranges import SWINGS, Shown, database_range, range_of, representable, waiting
+from gateway_fleet.learn.standards import standard
 from gateway_fleet.learn.unknown import SHOWN
 
 #: A share of lost frames that is reported.
 LOST = 0.005
 #: Values that it takes to say anything of a signal.
 LEAST_VALUES = 100
-#: Share of its bits' range that a signal must have gone through, and the margin on either side, of its span.
-EXPLORED, ROOM = 0.2, 2.0
-#: The bits of a floating-point signal say nothing of its range: one that swung this often from end to end has shown it,
-#: else a value beyond is wild that is larger than any by this factor.
-SWINGS, WILD = 10, 10.0
-#: Margin on either side of the database's range, of its width: steering wheels turn farther than databases say.
-MARGIN = 0.1
 #: Steepest change seen -> limit, at least the whole range in this time [s]: a log of gentle driving shows no emergency.
 STEEPER, ACROSS_S = 3.0, 1.0
 #: A limit must be below this share of the range in one period, or nothing could exceed it.
@@ -128,7 +122,13 @@ def _ended(seen: Seen) -> bool:
 
 
 def signal_lines(
-    bus: str, seen: Seen, found: ProtectionFound, seconds: float, taken: set[str], speeds: Sequence[Drives] = ()
+    bus: str,
+    seen: Seen,
+    found: ProtectionFound,
+    seconds: float,
+    taken: set[str],
+    drive: Shown,
+    speeds: Sequence[Drives] = (),
 ) -> list[Line]:
     """Return what is asked of the signals of a message.
 
@@ -138,6 +138,7 @@ def signal_lines(
         found: how the message is protected: its counter and checksum are no quantities.
         seconds: length of the logs [s].
         taken: names of faults that are in use; those of the lines are added.
+        drive: values of all signals, and how often a healthy one may alarm.
         speeds: signals that say how fast the car is.
     """
     own = {found.counter.signal} if found.counter is not None else set()
@@ -146,15 +147,16 @@ def signal_lines(
     lines = []
     counted = found.counter is not None or (found.claim is not None and "e2e" in found.claim.keys)
     checksum = None if counted or found.claim is None else next(iter(own), None)
-    moves = {signal.name: (keys, text) for signal, keys, text in moving(seen, own, speeds, checksum)}
+    moves = {signal.name: (keys, text) for signal, keys, text in moving(seen, own, speeds, drive.rate, checksum)}
     period = seen.gaps.quantile_ns(0.5) * 1e-9 if seen.gaps.count else 0.0
-    for signal, course in zip(seen.signals, seen.courses.each, strict=True):
+    for k, (signal, course) in enumerate(zip(seen.signals, seen.courses.each, strict=True)):
         keys: dict[str, Any] = {}
         why: list[str] = []
+        column = drive.matrix[:, seen.columns.start + k]
         if not (
             signal.name in own or called_checksum(signal.name) or called_counter(signal.name) or signal.is_multiplexer
         ):
-            keys, why = _limits(signal, course, period, seconds)
+            keys, why = _limits(seen.message.name, signal, course, column, drive, (period, seconds))
         if signal.name in moves and "stuck" not in keys:
             keys["stuck"], text = moves[signal.name]
             why.append(text)
@@ -170,13 +172,16 @@ def signal_lines(
     return lines
 
 
-def _limits(signal: Signal, course: Course, period: float, seconds: float) -> tuple[dict[str, Any], list[str]]:
-    keys: dict[str, Any] = {}
+def _limits(
+    message: str, signal: Signal, course: Course, column: NDArray[np.float64], drive: Shown, times: tuple[float, float]
+) -> tuple[dict[str, Any], list[str]]:
     why: list[str] = []
     if course.count and not course.states:
         why.append(f"{course.count} values, {shown(course.lowest)} to {shown(course.highest)}")
-    for part in (_range, _gradient, _rest):
-        more, text = part(signal, course, period, seconds)
+    keys, text = _range(message, signal, course, column, times[0], drive)
+    why += [text] if text else []
+    for part in (_gradient, _rest):
+        more, text = part(signal, course, *times)
         keys |= more
         why += [text] if text else []
     codes = no_value(signal)
@@ -191,46 +196,15 @@ def _limits(signal: Signal, course: Course, period: float, seconds: float) -> tu
     return keys | more, why + ([text] if text else [])
 
 
-def representable(signal: Signal) -> tuple[float, float]:
-    """Return the physical values that a signal's bits can say."""
-    return limits(signal_row(signal))
-
-
-def database_range(signal: Signal) -> tuple[float, float] | None:
-    """Return the range of a signal in the database, if it says more than the signal's bits do."""
-    if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
-        return None
-    low, high = representable(signal)
-    step = abs(signal.scale) * 1.001
-    if signal.minimum <= low + step and signal.maximum >= high - step:
-        return None
-    return float(signal.minimum), float(signal.maximum)
-
-
-def _range(signal: Signal, course: Course, _period: float, _seconds: float) -> tuple[dict[str, Any], str]:
-    if not course.count:
-        return {}, ""
-    given, (low, high) = database_range(signal), representable(signal)
-    slack = abs(signal.scale) * 0.501
-    if given is not None and given[0] - slack <= course.lowest and course.highest <= given[1] + slack:
-        room = MARGIN * (given[1] - given[0])
-        wide = given[0] - room, given[1] + room
-        if wide[0] <= low and wide[1] >= high:
-            return {}, ""
-        return {"plausible": [short(wide[0]), short(wide[1])]}, f"database {shown(given[0])} to {shown(given[1])}"
-    beyond = "" if given is None else f"beyond the database's {shown(given[0])} to {shown(given[1])}"
-    if course.states or course.count < LEAST_VALUES:
-        return {}, beyond
-    room, text = ROOM * course.span, "range of the logs, and twice as much on either side"
-    if signal.is_float and course.swings < SWINGS:
-        room = WILD * max(abs(course.lowest), abs(course.highest))
-        text = "its largest value ten times, as a number of its kind says nothing of a range"
-    elif not signal.is_float and course.span < EXPLORED * (high - low):
-        return {}, beyond
-    wide = course.lowest - room, course.highest + room
-    if wide[0] <= low and wide[1] >= high:
-        return {}, beyond
-    return {"plausible": [short(wide[0]), short(wide[1])]}, "; ".join(part for part in (beyond, text) if part)
+def _range(
+    message: str, signal: Signal, course: Course, column: NDArray[np.float64], every_s: float, drive: Shown
+) -> tuple[dict[str, Any], str]:
+    own = standard(message, signal, course.lowest, course.highest)
+    found, text = range_of(own, signal, course, column, every_s, drive)
+    if found is None:
+        return {}, text
+    late = {} if own is None or own.failed_ms is None else {"failed_ms": own.failed_ms}
+    return {"plausible": list(found)} | late, text
 
 
 def _gradient(signal: Signal, course: Course, period: float, _seconds: float) -> tuple[dict[str, Any], str]:
@@ -315,6 +289,11 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
         untested = _without_a_text(observation, bus, learned.lines, name)
         if untested:
             notes.append(f"{name}: values without a text are not tested, too few texts came: {', '.join(untested)}")
+        waits = _waiting(observation, bus)
+        if waits:
+            notes.append(
+                f"{name}: no range, they went too few ways through what they span ({SWINGS} wanted): {', '.join(waits)}"
+            )
         resting = [line.name for line in learned.of(name, SIGNAL) if "inside" in line.keys.get("stuck", {})]
         if resting:
             notes.append(f"{name}: a value that stands at the end of its range is not tested: {', '.join(resting)}")
@@ -324,6 +303,18 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
                 exact = ", ".join(f"{message}_0x{one.message.frame_id & ~0xFF | each:X}" for each in one.sources)
                 notes.append(f"{name}: {message} comes from several sources, one of them is learned: {exact}")
     return notes
+
+
+def _waiting(observation: Observation, bus: int) -> list[str]:
+    """Return the quantities of a bus that the drives have not shown enough of for a limit, and how much they want."""
+    seconds = sum(log.seconds for log in observation.logs)
+    return [
+        f"{seen.message.name}.{signal.name} ({course.swings} in {seconds:.0f} s:"
+        f" about {np.ceil(max(seconds, 30.0) * SWINGS / max(course.swings, 1) / 60.0):.0f} min)"
+        for (index, _), seen in sorted(observation.seen.items())
+        for signal, course in zip(seen.signals, seen.courses.each, strict=True)
+        if index == bus and waiting(signal, course)
+    ]
 
 
 def _without_a_text(observation: Observation, bus: int, lines: Mapping[Any, Line], name: str) -> list[str]:

@@ -19,7 +19,7 @@ from gateway_fleet.learn.counters import called_counter
 from gateway_fleet.learn.gaps import cycle_ns
 from gateway_fleet.learn.lines import short
 from gateway_fleet.learn.observe import Observation, Seen
-from gateway_fleet.learn.tails import limit_above
+from gateway_fleet.learn.tails import Rate, limit_above
 
 #: Values of one share, and the time that they take at least, and at most [s].
 VALUES, LEAST_S, MOST_S = 50, 1.0, 15.0
@@ -99,7 +99,7 @@ def _at(stamps: NDArray[np.int64], column: NDArray[np.float64]) -> Callable[[NDA
 
 
 def moving(
-    seen: Seen, own: set[str], speeds: Sequence[Drives], checksum: str | None = None
+    seen: Seen, own: set[str], speeds: Sequence[Drives], rate: Rate, checksum: str | None = None
 ) -> Iterator[tuple[Signal, dict[str, Any], str]]:
     """Yield the signals of a message that move, the limit of each, and its evidence.
 
@@ -107,6 +107,7 @@ def moving(
         seen: of the message.
         own: names of its counter and checksum.
         speeds: of :func:`drives`.
+        rate: of false alarms that is asked for.
         checksum: of a message without a counter: it moves with any bit of the frame; None: not looked at.
     """
     period = cycle_ns(seen.gaps) * 1e-9
@@ -122,14 +123,18 @@ def moving(
             continue
         columns = [values[:, k] for values in runs]
         stamps = seen.samples.stamps
-        each = [(found, n * count) for n in LONGER if (found := _asked(columns, stamps, speed, n * count))]
+        each = [(found, n * count) for n in LONGER if (found := _asked(columns, stamps, speed, n * count, rate))]
         if each:
             (share, condition, text), values = max(each, key=lambda one: one[0][0] >= TWICE)
             yield signal, {"seconds": short(values * period, 2), "share": share} | condition, text
 
 
 def _asked(
-    columns: Sequence[NDArray[np.float64]], times: Sequence[NDArray[np.int64]], speed: Drives | None, count: int
+    columns: Sequence[NDArray[np.float64]],
+    times: Sequence[NDArray[np.int64]],
+    speed: Drives | None,
+    count: int,
+    rate: Rate,
 ) -> tuple[float, dict[str, Any], str] | None:
     """Return the least share of values that move, when it is asked for, and its evidence; None: nothing is.
 
@@ -138,6 +143,7 @@ def _asked(
         times: stamps of the runs [ns].
         speed: of the car.
         count: values of one share.
+        rate: of false alarms that is asked for.
     """
     shares, lows = [], []
     low, high, ways = np.inf, -np.inf, set[int]()
@@ -171,7 +177,7 @@ def _asked(
             break
         middle = float(mine.mean())
         scatter = max(np.sqrt(middle * (1.0 - middle) / count), 1.0 / count)
-        limit = -limit_above(-mine, 1.0, 0.25 * scatter)
+        limit = -limit_above(-mine, 1.0, 0.25 * scatter, rate)
         share = short(min(limit, OF_LEAST * float(mine.min())), 2)
         if share >= LEAST_SHARE:
             condition: dict[str, Any] = {"inside": [short(start, 3), short(high, 3)]}

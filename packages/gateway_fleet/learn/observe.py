@@ -312,10 +312,11 @@ class Observer:
         """Return what was seen."""
         for bus in range(len(self._pauses)):
             tell_wakes([seen.gaps for seen in self._made if seen.bus == bus])
-        floats = [(seen, k) for seen in self._made for k, signal in enumerate(seen.signals) if signal.is_float]
-        matrix = self._snapshots.matrix() if floats else np.zeros((0, 0))
-        for seen, k in floats:
-            seen.courses.each[k].count_swings(matrix[:, seen.columns.start + k])
+        matrix = self._snapshots.matrix()
+        for seen in self._made:
+            for k, course in enumerate(seen.courses.each):
+                if not course.states or seen.signals[k].is_float:
+                    course.count_swings(matrix[:, seen.columns.start + k])
         return Observation(
             {(seen.bus, seen.message.name): seen for seen in self._made if seen.frames},
             [(seen.bus, seen.message.name) for seen in self._made if not seen.frames],

@@ -39,6 +39,11 @@ class Alarm:
     value: float = np.nan
     threshold: float = np.nan
 
+    @property
+    def count(self) -> int:
+        """How often in all."""
+        return self.learned + self.held_out
+
 
 @dataclass
 class Replayed:
@@ -52,6 +57,7 @@ class Replayed:
         strangers: (bus, identifier with its flags) that came and that nothing knows.
         config: that was replayed.
         parts: built of it.
+        hours: length of all that was replayed [h].
     """
 
     config: Config
@@ -62,6 +68,7 @@ class Replayed:
     windows: list[Frames] = field(default_factory=list)
     before: list[Engine] = field(default_factory=list)
     strangers: set[tuple[int, int]] = field(default_factory=set)
+    hours: float = 0.0
 
 
 def replayed(
@@ -100,6 +107,7 @@ def _replay(
 
     windows: list[list[Frames]] = []
     last_ns = 0
+    first_ns: int | None = None
     for frames, done in read_answered(result.config, result.parts.answers, engine.plan, log.path, maps):
         begins = [] if cut is None else [cut + WINDOW_NS * k for k in BEGINS[len(windows) :]]
         reached = [int(np.argmax(frames["t_ns"] >= at)) for at in begins if int(frames["t_ns"].max()) >= at]
@@ -115,6 +123,10 @@ def _replay(
                 until_ns = cut + WINDOW_NS * (BEGINS[len(windows) - 1] + 1)
                 windows[-1].append(part[part["t_ns"] < until_ns][: WINDOW_FRAMES - sum(map(len, windows[-1]))])
         progress(log.path, len(frames), done)
+        first_ns = int(frames["t_ns"][0]) if first_ns is None and len(frames) else first_ns
+        if first_ns is not None and len(frames):
+            result.hours += max(int(frames["t_ns"][-1]) - first_ns, 0) / 3.6e12
+            first_ns = int(frames["t_ns"][-1])
     rows = engine.tables.strangers
     result.strangers |= {(int(row["bus"]), int(row["can_id"])) for row in rows[rows["count"] > 0]}
     if held and cut is not None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from gateway_fleet.learn.figures import by_kind
 from gateway_fleet.learn.learn import Asked, Result
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, inline, shown
 from gateway_fleet.learn.observers import OBSERVERS
@@ -34,6 +35,7 @@ def summary(result: Result) -> dict[str, Any]:
         "widened": result.changes,
         "faults_tried": len(result.outcomes),
         "faults_named": sum(outcome.named for outcome in result.outcomes),
+        "everyday": by_kind(result.trials.everyday),
         "kept": result.kept,
         "dropped": result.dropped,
     } | observed(result)
@@ -71,6 +73,7 @@ def data(result: Result) -> dict[str, Any]:
             }
             for outcome in result.outcomes
         ],
+        "everyday_faults": [asdict(each) for each in result.trials.everyday],
         "smallest": [asdict(each) for each in result.trials.seeing],
         "unwatched": result.trials.unwatched,
     }
@@ -109,11 +112,10 @@ def _silence(result: Result) -> str:
 def _faults(result: Result) -> list[str]:
     if not result.outcomes:
         return []
-    named = sum(outcome.named for outcome in result.outcomes)
     left = result.trials.left
     of = f"; {left} more signals were not tried" if left else ""
     kinds = sorted({outcome.trial.injection.kind for outcome in result.outcomes})
-    head = f"{named} of {len(result.outcomes)} faults put into what was held out were named{of}."
+    head = f"Faults that limits are there for, named of those put into what was held out{of}."
     head += " An offset is as large as the signal's own spread, not as its limits."
     table = ["| message | " + " | ".join(kinds) + " |", "|---" * (len(kinds) + 1) + "|"]
     for message in sorted({outcome.trial.message for outcome in result.outcomes}):
@@ -126,11 +128,31 @@ def _faults(result: Result) -> list[str]:
         for outcome in result.outcomes
         if not outcome.named
     ]
-    parts = ["## Faults put in", head, "\n".join(table), *_list("Not named", missed, level=3), *_smallest(result)]
+    parts = [
+        *_everyday(result),
+        "## Faults put in",
+        head,
+        "\n".join(table),
+        *_list("Not named", missed, level=3),
+        *_smallest(result),
+    ]
     return [
         *parts,
         *_list("Not watched", [", ".join(result.trials.unwatched)] if result.trials.unwatched else []),
     ]
+
+
+def _everyday(result: Result) -> list[str]:
+    """Return what came of everyday faults, by kind, and which were silent."""
+    if not result.trials.everyday:
+        return []
+    rows = [f"| {kind} | {' | '.join(map(str, counts))} |" for kind, counts in by_kind(result.trials.everyday).items()]
+    head = (
+        "Put into what was held back, whether or not anything watches for them; `named`: a code that sees the part at"
+        " fault.\n\n| fault | tried | found | named | silent |\n|---|---|---|---|---|"
+    )
+    silent = [f"{one.kind}: {one.about}" for one in result.trials.everyday if not one.codes]
+    return ["## Everyday faults", "\n".join([head, *rows]), *_list("Silent", silent, level=3)]
 
 
 def _smallest(result: Result) -> list[str]:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 MOST = 6000
 #: Room between them at first [ns].
 STEP_NS = 50_000_000
-#: A value that is older does not count any more [ns].
-STALE_NS = 400_000_000
+#: A value that is older does not count any more [ns]; of a signal that comes seldom: than this number of its usual
+#: times from value to value, at most this time.
+STALE_NS, TIMES, MOST_NS = 400_000_000, 2.5, 6_000_000_000
 
 
 class Snapshots:
@@ -23,6 +24,7 @@ class Snapshots:
     def __init__(self, signals: int) -> None:
         self._held = np.full(signals, np.nan)
         self._since_ns = np.full(signals, np.iinfo(np.int64).min // 2)
+        self._usual_ns = np.zeros(signals)
         self._rows: list[NDArray[np.float64]] = []
         self._stamps: list[NDArray[np.int64]] = []
         self._step_ns = STEP_NS
@@ -37,6 +39,14 @@ class Snapshots:
         """Begin with another log."""
         self._since_ns[:] = np.iinfo(np.int64).min // 2
         self._next_ns = None
+
+    def _stale_ns(self, columns: slice) -> float:
+        """Return the age from which on values of a message do not count any more."""
+        return max(STALE_NS, min(TIMES * float(self._usual_ns[columns.start]), MOST_NS))
+
+    def every_s(self) -> NDArray[np.float64]:
+        """Return the usual time from value to value of each signal [s]; 0: not known."""
+        return self._usual_ns * 1e-9
 
     def grid(self, first_ns: int, last_ns: int) -> NDArray[np.int64]:
         """Return the times of a batch that rows are wanted of."""
@@ -57,18 +67,28 @@ class Snapshots:
             t_ns: stamps of its frames in the batch, in order.
             values: shape (frames, signals).
         """
+        self._follow(columns, t_ns)
+        stale_ns = self._stale_ns(columns)
         at = np.searchsorted(t_ns, self._times, side="right") - 1
         known = at >= 0
-        fresh = known & (self._times - t_ns[at] <= STALE_NS)
+        fresh = known & (self._times - t_ns[at] <= stale_ns)
         self._block[fresh, columns] = values[at[fresh]]
-        early = ~known & (self._times - self._since_ns[columns.start] <= STALE_NS)
+        early = ~known & (self._times - self._since_ns[columns.start] <= stale_ns)
         self._block[early, columns] = self._held[columns]
         self._held[columns] = values[-1]
         self._since_ns[columns] = t_ns[-1]
 
+    def _follow(self, columns: slice, t_ns: NDArray[np.int64]) -> None:
+        """Learn how often a message comes: by half the difference, as a batch may have one frame of it only."""
+        before = self._since_ns[columns.start]
+        stamps = np.concatenate([[before], t_ns]) if before > 0 else t_ns
+        if len(stamps) > 1 and columns.start < len(self._usual_ns):
+            found, usual = float(np.median(np.diff(stamps))), float(self._usual_ns[columns.start])
+            self._usual_ns[columns] = 0.5 * (usual + found) if usual else found
+
     def rest(self, columns: slice) -> None:
         """Put what a message that did not come in the batch had last."""
-        early = self._times - self._since_ns[columns.start] <= STALE_NS
+        early = self._times - self._since_ns[columns.start] <= self._stale_ns(columns)
         self._block[early, columns] = self._held[columns]
 
     def end(self) -> None:

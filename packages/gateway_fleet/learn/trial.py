@@ -15,16 +15,16 @@ from cantools.database.can.signal import Signal
 
 from gateway.bus.frames import Frames
 from gateway.engine.core import Engine
-from gateway.engine.events import QUALIFIED_FAILED, Events
 from gateway.monitors.signal.parts import no_value
 from gateway.runtime.injection import Injection, Injector
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter
 from gateway_fleet.learn.document import SIGNAL_NAME, BusAsked, monitor_name
-from gateway_fleet.learn.limits import representable
+from gateway_fleet.learn.figures import Everyday, codes_of, everyday
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
 from gateway_fleet.learn.observe import Observation, Seen
-from gateway_fleet.learn.proof import Replayed, restore
+from gateway_fleet.learn.proof import Replayed
+from gateway_fleet.learn.ranges import representable
 
 #: Time from the cut to the begin of a fault [s]; signals that are tried at most: others are drawn by chance.
 LEAD_S, MOST = 1.0, 60
@@ -121,12 +121,14 @@ class Trials:
     Attributes:
         outcomes: one fault of each kind and place; its size is that of the signal's own spread.
         seeing: of each signal that is watched.
+        everyday: faults of each kind, whether or not anything watches for them.
         unwatched: signals that move, and that nothing watches beside their message's frames.
         left: signals that are watched and were not tried: there were too many.
     """
 
     outcomes: list[Outcome] = field(default_factory=list)
     seeing: list[Seeing] = field(default_factory=list)
+    everyday: list[Everyday] = field(default_factory=list)
     unwatched: list[str] = field(default_factory=list)
     left: int = 0
 
@@ -209,7 +211,7 @@ class Bench:
         rng = np.random.default_rng([self._seed, self.count])
         self.count += 1
         for saved, window in zip(self._proof.before, self._proof.windows, strict=True):
-            yield _one(self._proof, self._proof.parts.engine, saved, window, trial, rng)
+            yield _one(self._proof, saved, window, trial, rng)
 
     def share(self, trial: Trial) -> Smallest:
         """Return at how many moments one fault is named, of those at which its message came."""
@@ -239,6 +241,7 @@ def tried(
     result = Trials()
     if not proof.windows:
         return result
+    result.everyday = everyday(proof, seed, progress)
     index = {bus.name: k for k, bus in enumerate(buses)}
     seconds = max((float(w["t_ns"].max() - w["t_ns"].min()) * 1e-9 for w in proof.windows if len(w)), default=0.0)
     watched, bench = watchers(learned, buses), Bench(proof, seed)
@@ -358,31 +361,20 @@ def _smallest(
     return best if best.named else None
 
 
-def _one(
-    proof: Replayed, engine: Engine, saved: Engine, window: Frames, trial: Trial, rng: np.random.Generator
-) -> Outcome:
+def _one(proof: Replayed, saved: Engine, window: Frames, trial: Trial, rng: np.random.Generator) -> Outcome:
     if not len(window):
         return Outcome(trial, 0, named=False, others=())
-    restore(engine, saved, proof.config)
     databases, checks = proof.parts.databases, proof.parts.checks
     pgn = [k for k, bus in enumerate(proof.config.bus) if bus.match == "pgn"]
     start_ns = int(window["t_ns"][0])
     injector = Injector(trial.injection, databases, checks, rng, start_ns, pgn)
-    set_: dict[str, float] = {}
-
-    def hear(events: Events) -> None:
-        for event in events[events["kind"] == QUALIFIED_FAILED]:
-            fault = engine.faults[int(event["fault"])].id
-            set_.setdefault(fault, float(int(event["t_ns"]) - start_ns) * 1e-9 - LEAD_S)
-
     faulty = injector.apply(window)
-    end_ns = int(window["t_ns"].max())
-    engine.process(faulty, hear)
-    engine.advance(end_ns, hear)
+    set_ = codes_of(proof, saved, faulty) if len(faulty) else {}
     right = [fault for fault in set_ if _is_right(fault, trial.watched)]
     by = min(right, key=lambda fault: set_[fault], default="")
     others = tuple(sorted(set(set_) - {by}))
-    return Outcome(trial, injector.count, bool(right), others, by, set_.get(by, np.nan))
+    late_s = float(int(faulty["t_ns"][0]) - start_ns) * 1e-9 - LEAD_S if by else np.nan
+    return Outcome(trial, injector.count, bool(right), others, by, set_.get(by, np.nan) + late_s)
 
 
 def _is_right(fault: str, watched: frozenset[str]) -> bool:

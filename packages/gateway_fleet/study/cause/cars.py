@@ -16,7 +16,7 @@ from gateway.signals.database import Database, load_database
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.learn import Asked, learn, write
-from gateway_fleet.learn.limits import representable
+from gateway_fleet.learn.ranges import representable
 from gateway_fleet.study.cause.cases import Truth
 from gateway_fleet.study.cause.drive import played
 

@@ -16,10 +16,11 @@ from gateway.cli.present import print_json, say, table_of, wide_console
 from gateway.cli.progress import LogsDone
 from gateway.common.extras import need
 from gateway.common.pool import Pool, Work, Workers, default_workers
-from gateway_fleet.study.drives.judge import SHORTEST_S, Judged, Judging, Row, Task
+from gateway_fleet.study.drives.judge import SHORTEST_S, Judged, Judging, Points, Row, Task
+from gateway_fleet.study.drives.tables import columns_of
 from gateway_fleet.study.drives.vehicles import Learned, Learning, vehicles
 
-Asked = TypeVar("Asked")
+Item = TypeVar("Item")
 Done = TypeVar("Done")
 
 
@@ -61,6 +62,14 @@ class Study:
         return bad + [f"{one.drive}: {one.error}" for one in [*self.healthy, *self.faulty] if one.error]
 
     @property
+    def points(self) -> Points:
+        """Rows of all tables with a truth."""
+        total = Points()
+        for one in self.healthy:
+            total.add(one.points or Points())
+        return total
+
+    @property
     def kinds(self) -> dict[str, Row]:
         """Kind of a fault -> what came of all of it."""
         total: dict[str, Row] = {}
@@ -70,8 +79,28 @@ class Study:
         return total
 
 
-def drives(folder: Path, *, faults: int, seed: int, workers: int | None, out: Path | None, json: bool) -> int:
+def drives(
+    folder: Path,
+    *,
+    faults: int,
+    seed: int,
+    workers: int | None,
+    out: Path | None,
+    false_per_hour: float,
+    column: Sequence[str],
+    json: bool,
+) -> int:
     """Learn of one drive of each vehicle of a folder, judge the others; returns the exit code: 2 if one could not be.
+
+    Args:
+        folder: a folder a vehicle.
+        faults: of each kind that are put in a vehicle's other drives.
+        seed: of all randomness.
+        workers: on this machine; None: one per core.
+        out: folder that keeps what is learned.
+        false_per_hour: false codes that are accepted [1/h].
+        column: roles of the columns of tables, ``ROLE=NAME``.
+        json: print JSON.
 
     Raises:
         InputError: the folder is not there, or has no log.
@@ -79,11 +108,13 @@ def drives(folder: Path, *, faults: int, seed: int, workers: int | None, out: Pa
     count = default_workers() if workers is None else workers
     if count:
         need("fleet", "workers on this machine")
-    found = vehicles(folder)
+    found = vehicles(folder, columns_of(column))
     with ExitStack() as stack:
         work = (out or Path(stack.enter_context(TemporaryDirectory()))).absolute()
         say(f"seed {seed}; {len(found)} vehicles, the largest log of each is learned of")
-        learned = sorted(_done(Learning(work, seed), found, "vehicles", count, stack), key=lambda one: one.vehicle)
+        learned = sorted(
+            _done(Learning(work, seed, false_per_hour), found, "vehicles", count, stack), key=lambda one: one.vehicle
+        )
         tasks = [Task(one, drive) for one in learned if one.config is not None for drive in one.judged]
         healthy = _done(Judging(), tasks, "healthy drives", count, stack)
         more = list(_with_faults(tasks, healthy, faults, seed))
@@ -100,7 +131,7 @@ def _place(judged: Judged) -> tuple[str, str]:
     return judged.vehicle, str(judged.drive)
 
 
-def _done(work: Work[Asked, Done], tasks: Sequence[Asked], what: str, count: int, stack: ExitStack) -> list[Done]:
+def _done(work: Work[Item, Done], tasks: Sequence[Item], what: str, count: int, stack: ExitStack) -> list[Done]:
     """Return the outcomes of tasks, as they came."""
     progress, outcomes = LogsDone(what), list[Done]()
     for outcome in Pool(work, Workers(count=count), stack).run(tasks):
@@ -111,7 +142,8 @@ def _done(work: Work[Asked, Done], tasks: Sequence[Asked], what: str, count: int
 
 def _with_faults(tasks: Sequence[Task], healthy: Sequence[Judged], faults: int, seed: int) -> Iterator[Task]:
     """Yield each vehicle's drives in turn, so often as faults are asked for; a drive that is too short has none."""
-    long = {(one.vehicle, one.drive) for one in healthy if one.seconds >= SHORTEST_S and not one.error}
+    good = (one for one in healthy if one.seconds >= SHORTEST_S and not one.error and one.points is None)
+    long = {(one.vehicle, one.drive) for one in good}
     for name, some in groupby(tasks, key=lambda task: task.learned.vehicle):
         mine = [task for task in some if (name, task.drive) in long]
         for k in range(faults if mine else 0):
@@ -132,8 +164,12 @@ def _data(study: Study) -> dict[str, Any]:
         "false_causes": len(study.causes),
         "false_kinds": _by_kind(study.codes),
         "faults": {kind: asdict(row) for kind, row in study.kinds.items()},
+        "points": asdict(study.points),
         "errors": study.errors,
-        "vehicles": [asdict(one) | {"judged": len(one.judged), "config": str(one.config)} for one in study.learned],
+        "vehicles": [
+            asdict(replace(one, truth=None)) | {"judged": len(one.judged), "config": str(one.config)}
+            for one in study.learned
+        ],
         "drives": [asdict(one) | {"drive": str(one.drive)} for one in (*study.healthy, *study.faulty)],
     }
 
@@ -154,6 +190,11 @@ def _tell(study: Study) -> None:
             numbers = (row.tried, row.found, row.tried - row.found, row.right, row.wrong, row.accused)
             table.add_row(kind, *map(str, numbers))
         wide_console().print(table)
+    if (points := study.points).wrong:
+        print(
+            f"tables: {points.found} of {points.wrong} rows found ({points.found / points.wrong:.3f}),"
+            f" {points.false} of {points.healthy} healthy ones told ({points.false / max(points.healthy, 1):.3f})"
+        )
     print(
         f"healthy: {len(study.codes)} false codes, {len(study.causes)} false causes in {study.hours:.2f} h; seed"
         f" {study.seed}"

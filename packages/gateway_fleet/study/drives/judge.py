@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway.config.load import load_config
@@ -18,8 +19,8 @@ from gateway.faults.status import Status
 from gateway.runtime.assemble import prepare
 from gateway_fdi.common import log
 from gateway_fdi.errors import GatewayError
+from gateway_fleet.learn.everyday import KINDS, Drive, Fault
 from gateway_fleet.study.cause.drive import events_of
-from gateway_fleet.study.drives.faults import KINDS, Drive, Fault
 from gateway_fleet.study.drives.vehicles import Learned, drive_of, is_of_car
 
 #: Longest part of a drive that a fault is put into [s], and the shortest.
@@ -70,6 +71,26 @@ class Row:
 
 
 @dataclass
+class Points:
+    """Rows of a table: at which of them a code was there.
+
+    Attributes:
+        wrong, found: rows where something is wrong, and those of them with a code.
+        healthy, false: the others.
+    """
+
+    wrong: int = 0
+    found: int = 0
+    healthy: int = 0
+    false: int = 0
+
+    def add(self, other: Points) -> None:
+        """Add another's counts."""
+        for name, count in vars(other).items():
+            setattr(self, name, getattr(self, name) + count)
+
+
+@dataclass
 class Judged:
     """Results of one drive.
 
@@ -81,6 +102,7 @@ class Judged:
         causes: false ones, likewise.
         faults: kind -> what came of its faults.
         lines: of faults that were silent, or blamed what is well: kind, what, what was told.
+        points: rows of a table with a truth, told or not.
         error: why it could not be judged; "": it was.
     """
 
@@ -91,6 +113,7 @@ class Judged:
     causes: list[str] = field(default_factory=list)
     faults: dict[str, Row] = field(default_factory=dict)
     lines: list[tuple[str, str, str]] = field(default_factory=list)
+    points: Points | None = None
     error: str = ""
 
 
@@ -140,6 +163,9 @@ def _judge(task: Task, judged: Judged) -> None:
         return
     stamps = frames["t_ns"]
     judged.seconds = float(stamps[-1] - stamps[0]) * 1e-9
+    if task.learned.truth is not None:
+        judged.points = _points(config, frames, *task.learned.truth)
+        return
     if task.seed is None:
         whole = told_of(config, frames)
         judged.codes = sorted(whole.codes)
@@ -155,6 +181,20 @@ def _judge(task: Task, judged: Judged) -> None:
             judged.faults.setdefault(kind, Row()).add(row)
             if not row.right or row.wrong or row.accused:
                 judged.lines.append((kind, fault.about, text))
+
+
+def _points(config: Config, frames: Frames, t_ns: NDArray[np.int64], wrong: NDArray[np.bool_]) -> Points:
+    """Return at which rows of a table a code was there."""
+    failing: set[str] = set()
+    changes: list[tuple[int, bool]] = [(0, False)]
+    for event in events_of(config, frames):
+        if event["event"] == "dtc" and is_of_car(event["fault"], config):
+            (failing.add if event["status"] & Status.TEST_FAILED else failing.discard)(event["fault"])
+            changes.append((int(event["t_ns"]), bool(failing)))
+    judged = t_ns >= int(frames["t_ns"][0])
+    last = np.searchsorted([at for at, _ in changes], t_ns[judged], side="right") - 1
+    told, wrong = np.array([is_there for _, is_there in changes])[last], wrong[judged]
+    return Points(int(wrong.sum()), int((told & wrong).sum()), int((~wrong).sum()), int((told & ~wrong).sum()))
 
 
 def told_of(config: Config, frames: Frames) -> Told:

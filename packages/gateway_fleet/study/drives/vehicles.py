@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.bus.corpus import Recording, find
 from gateway.bus.frames import Frames, empty
@@ -20,6 +21,8 @@ from gateway_fdi.common import log
 from gateway_fdi.errors import InputError, InputErrors
 from gateway_fleet.learn.car import Asking, asked_for, learned
 from gateway_fleet.learn.learn import of_log
+from gateway_fleet.learn.tails import FALSE_PER_HOUR
+from gateway_fleet.study.drives.tables import Columns, is_table, read, written
 
 
 @dataclass(frozen=True)
@@ -31,12 +34,14 @@ class Vehicle:
         databases: in its folder.
         learned: drive that is learned of.
         judged: others, in order of their names; the second half of the first one, if there is no other.
+        columns: of a table of values; None: it is a log of frames.
     """
 
     name: str
     databases: tuple[Path, ...]
     learned: Path
     judged: tuple[Path, ...]
+    columns: Columns | None = None
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,7 @@ class Learned:
         judged: drives.
         seconds: of the drive that was learned of.
         error: why nothing could be learned; "": something was.
+        truth: times [ns] of the rows that are judged, and whether something is wrong there; None: nobody says.
     """
 
     vehicle: str
@@ -56,12 +62,13 @@ class Learned:
     judged: tuple[Path, ...]
     seconds: float = 0.0
     error: str = ""
+    truth: tuple[NDArray[np.int64], NDArray[np.bool_]] | None = None
 
 
-def vehicles(folder: Path) -> list[Vehicle]:
-    """Return the vehicles of a folder, by name: a folder each, or the folder itself.
+def vehicles(folder: Path, columns: Columns | None = None) -> list[Vehicle]:
+    """Return the vehicles of a folder, by name: a folder each, or the folder itself; and its tables, each one alone.
 
-    The largest log of a vehicle is the drive that is learned of.
+    The largest log of a vehicle is the drive that is learned of. ``columns``: of tables.
 
     Raises:
         InputError: the folder is not there, or has no log.
@@ -70,7 +77,13 @@ def vehicles(folder: Path) -> list[Vehicle]:
     for recording in find([folder]):
         logs.setdefault(recording.device, []).append(recording)
     found = []
-    for name, recordings in sorted(logs.items()):
+    for name, some in sorted(logs.items()):
+        tables = [one.path for one in some if is_table(one.path)]
+        recordings = [one for one in some if one.path not in tables]
+        columns = columns or Columns()
+        found += [Vehicle(f"{name}/{path.stem}", (), path, (), columns) for path in sorted(tables)]
+        if not recordings:
+            continue
         home = folder / name if (folder / name).is_dir() else folder
         files = sorted(path for path in home.rglob("*") if path.suffix.lower() in SUFFIXES)
         first = max(recordings, key=lambda one: sum(file.stat().st_size for file in one.files))
@@ -85,26 +98,33 @@ class Learning:
     Args:
         work: folder of the configurations.
         seed: of the faults that ``learn`` itself puts in.
+        per_hour: false codes that are accepted [1/h].
     """
 
-    def __init__(self, work: Path, seed: int) -> None:
-        self._work, self._seed = work, seed
+    def __init__(self, work: Path, seed: int, per_hour: float = FALSE_PER_HOUR) -> None:
+        self._work, self._seed, self._per_hour = work, seed, per_hour
 
     def do(self, task: Vehicle) -> list[Learned]:
         """Learn of a vehicle's first drive; a vehicle of which nothing can be learned says why."""
         log.to_stderr(logging.ERROR)
         home, drive, others = self._work / task.name, task.learned, task.judged
+        databases, truth, how = task.databases, None, Asking(seed=self._seed, force=True, per_hour=self._per_hour)
         try:
             home.mkdir(parents=True, exist_ok=True)
-            if not others:
+            if task.columns is not None:
+                table = read(task.learned, task.columns)
+                database, drive, rest = written(table, home, task.columns)
+                databases, others, how = (database,), (rest,), replace(how, hold_out=0.0)
+                truth = None if table.truth is None else (table.t_ns, table.truth)
+            elif not others:
                 drive, rest = _halves(task.learned, home)
                 others = (rest,)
-            asked = asked_for(task.databases, [drive], home / "car.toml", Asking(seed=self._seed, force=True))
+            asked = asked_for(databases, [drive], home / "car.toml", how)
             result = learned(asked, lambda *_: None)
         except (InputError, InputErrors, OSError) as error:
             return self.failed(task, " ".join(str(error).split()))
         seconds = sum(one.seconds for one in result.observation.logs)
-        return [Learned(task.name, asked.out, others, seconds)]
+        return [Learned(task.name, asked.out, others, seconds, truth=truth)]
 
     def failed(self, task: Vehicle, text: str) -> list[Learned]:
         """Refuse a vehicle."""

@@ -22,11 +22,14 @@ from gateway.signals.protection.params import protection_for
 from gateway.signals.protection.protection import Protection
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter
+from gateway_fleet.learn.course import MOST_VALUES
 
 #: When a fault begins and ends, in shares of the drive; an ECU reboots, and a bus is away [s].
 BEGIN, END, REBOOT_S, AWAY_S = 0.3, 0.75, 2.0, 3.0
 #: Offsets: of a speed [km/h]; of others as a share of what the signal spans. Factor; end of a drift, of that span.
 SPEED_KMH, WHEEL_KMH, SHARE, FACTOR, DRIFT = 7.0, 8.0, 0.25, 2.0, 0.4
+#: A signal whose middle change is farther than this share of its span is a code; two that are swapped differ by it.
+JUMPS = 0.1
 #: Jitter in cycles, and one frame of LOST is lost.
 CYCLES, LOST = 3.0, 10
 #: Messages of an ECU where no database names senders; frames of a message at least; signals of the same kind that are
@@ -87,8 +90,8 @@ class Drive:
 
     def __init__(self, config: Config, parts: Parts, frames: Frames, rng: np.random.Generator) -> None:
         self.frames, self.rng, self._parts = frames, rng, parts
-        self.names = [bus.name for bus in config.bus]
-        self._pgn = [k for k, bus in enumerate(config.bus) if bus.match == "pgn"]
+        self.names = [bus.name for bus in config.buses]
+        self._pgn = [k for k, bus in enumerate(config.buses) if bus.match == "pgn"]
         self._network = Network(self.names, dict(enumerate(parts.databases)))
         self.start_ns, end_ns = int(frames["t_ns"][0]), int(frames["t_ns"][-1])
         self.seconds = (end_ns - self.start_ns) * 1e-9
@@ -122,13 +125,28 @@ class Drive:
         return [self.sent[k] for k in places]
 
     def quantities(self) -> Iterator[tuple[_Sent, Signal, NDArray[np.float64]]]:
-        """Yield signals that move and are no code, counter or checksum, in an order by chance, with their values."""
+        """Yield quantities that move, with their values, in an order by chance: no state, code, counter or checksum.
+
+        A quantity goes from value to value: what jumps as far in the middle as JUMPS of its span is a code.
+        """
         for sent, signal in self._signals():
             named = called_checksum(signal.name) or called_counter(signal.name) or signal.is_multiplexer
-            if not named and not signal.choices and signal.length > 1:
-                values = self.values(sent, signal.name)
-                if len(values) >= LEAST and np.ptp(values) > 0.0:
-                    yield sent, signal, values
+            if named or signal.choices or signal.length < 2 or self._protects(sent, signal.name):
+                continue
+            values = self.values(sent, signal.name)
+            steps = np.abs(np.diff(values))
+            steps = steps[steps > 0.0]
+            many = len(values) >= LEAST and len(np.unique(values)) > MOST_VALUES
+            if many and np.median(steps) <= JUMPS * np.ptp(values):
+                yield sent, signal, values
+
+    def _protects(self, sent: _Sent, signal: str) -> bool:
+        """Return whether a signal is the counter or checksum of its message, as the configuration has it."""
+        for check in self._parts.checks:
+            if (check.bus, check.params.message) == (sent.bus, sent.name):
+                asked = check.params.model_dump()
+                return any(isinstance(part, dict) and part.get("signal") == signal for part in asked.values())
+        return False
 
     def texts(self) -> Iterator[tuple[_Sent, Signal]]:
         """Yield signals whose values have texts, and that could say one without, in an order by chance."""
@@ -315,15 +333,15 @@ def _wheel(drive: Drive) -> Fault | None:
 
 
 def _swap(drive: Drive) -> Fault | None:
-    by: dict[tuple[object, ...], list[tuple[_Sent, str]]] = {}
-    for sent, signal, _ in drive.quantities():
+    by: dict[tuple[object, ...], list[tuple[_Sent, str, NDArray[np.float64]]]] = {}
+    for sent, signal, values in drive.quantities():
         some = by.setdefault((sent, signal.length, signal.scale, signal.offset, signal.is_signed), [])
-        some.append((sent, signal.name))
-        if len(some) == 2:
-            frames = drive.swapped(sent, some[0][1], some[1][1])
-            if not np.array_equal(frames, drive.frames):
-                places = [drive.place(sent, name) for _, name in some]
+        for _, other, before in some:
+            if len(before) == len(values) and np.median(np.abs(values - before)) >= JUMPS * np.ptp(values):
+                places = [drive.place(sent, name) for name in (other, signal.name)]
+                frames = drive.swapped(sent, other, signal.name)
                 return drive.fault("swapped", " and ".join(places), frames, {f"signal {p}" for p in places}, [sent])
+        some.append((sent, signal.name, values))
     return None
 
 

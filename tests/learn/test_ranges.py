@@ -1,0 +1,108 @@
+"""Ranges of signals: as far as a drive knows, not farther than the database says."""
+
+import cantools
+import numpy as np
+import pytest
+
+from gateway_fdi.tails import exceeded_once, shape_of
+from gateway_fleet.learn.course import Course
+from gateway_fleet.learn.ranges import SWINGS, Shown, is_careful, range_of, waiting
+from gateway_fleet.learn.standards import standard
+from gateway_fleet.learn.tails import Rate
+
+DBC = (
+    'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 M: 8 A\n SG_ Yaw : 0|16@1- (0.01,0) [0|0] "deg/s" A\n'
+    ' SG_ Level : 16|16@1+ (1,0) [0|1000] "" A\n SG_ Wrong : 32|8@1- (1,0) [0|255] "" A\n'
+    'BO_ 512 Coolant: 8 A\n SG_ Temp : 0|8@1+ (1,-40) [-40|150] "degC" A\n SG_ Oil : 8|8@1+ (1,-40) [0|0] "degC" A\n'
+    ' SG_ BatteryVoltage : 16|16@1+ (0.01,0) [0|30] "V" A\nBO_ 768 F: 4 A\n SG_ Flow : 0|32@1- (1,0) [0|0] "" A\n'
+    "SIG_VALTYPE_ 768 Flow : 1;\n"
+)
+BASE = cantools.database.load_string(DBC)
+SIGNALS = {signal.name: signal for message in BASE.messages for signal in message.signals}
+
+
+def seen(values):
+    course = Course(count=len(values), lowest=values.min(), highest=values.max())
+    course.values = set(np.unique(values)[:25].tolist())
+    course.count_swings(values)
+    return course
+
+
+def found(name, values, *, step_s=0.05, every_s=0.05, rate=Rate(1e-3, 100), careful=True):
+    values = np.asarray(values, np.float64)
+    drive = Shown(values[:, None], step_s, rate, careful)
+    return range_of(None, SIGNALS[name], seen(values), values, every_s, drive)
+
+
+def swinging(seed, seconds, step_s, spread=1.0):
+    """A signal that comes back each few seconds."""
+    count, width = round(seconds / step_s), max(round(1.0 / step_s), 1)
+    noise = np.random.default_rng(seed).normal(0, 1, count + width)
+    return spread * np.convolve(noise, np.ones(width) / np.sqrt(width), "valid")[:count]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("step_s", [0.05, 1.0])
+@pytest.mark.parametrize("name", ["Yaw", "Flow"])
+def test_a_signal_that_swings_often_gets_a_limit_that_hours_of_it_keep(seed, step_s, name):
+    ends, why = found(name, swinging(seed, 600.0, step_s), step_s=step_s, every_s=step_s)
+    more = swinging(seed + 100, 36_000.0, step_s)
+    assert ends is not None, why
+    assert ends[0] < more.min() < more.max() < ends[1], f"seed {seed}"
+    assert max(-ends[0], ends[1]) < 16.0, "and it sees what is five times as large as any"
+
+
+def test_a_rate_that_the_drive_itself_shows_is_taken_from_it():
+    """An alarm each 200 s: no limit for years of it, but the one that is exceeded as often."""
+    values, more = swinging(5, 1800.0, 1.0), swinging(6, 36_000.0, 1.0)
+    ends, _ = found("Flow", values, step_s=1.0, every_s=1.0, rate=Rate(36.0, 2))
+    beyond = (more < ends[0]) | (more > ends[1])
+    lasting = beyond[1:] & beyond[:-1]
+    alarms = np.count_nonzero(np.diff(lasting.astype(int)) > 0)
+    assert 30 < alarms < 1000, "360 asked for"
+
+
+def test_a_drive_that_shows_too_little_supports_no_limit_and_is_told():
+    climbs = np.linspace(0.0, 20.0, 12_000).round(2)
+    assert found("Yaw", climbs)[0] is None
+    assert waiting(SIGNALS["Yaw"], seen(climbs))
+    assert found("Yaw", swinging(1, 20.0, 0.05))[0] is None, "20 s"
+    ends, why = found("Flow", climbs)
+    assert ends == (-200.0, 220.0), "of a float what is wild is told all the same"
+    assert "ten times" in why
+    assert seen(swinging(1, 600.0, 0.05)).swings >= SWINGS
+
+
+def test_a_database_is_a_bound_where_its_ranges_are_kept():
+    values = np.clip(swinging(3, 600.0, 0.05, 60.0) + 300.0, 5, 995).round()
+    ends, why = found("Level", values)
+    assert ends[0] >= -100.0
+    assert ends[1] <= 1100.0
+    assert "database" in why
+    still = np.full(1000, 7.0)
+    assert found("Level", still)[0] == (-100.0, 1100.0)
+    assert found("Level", still, careful=False)[0] is None, "ranges that others break say nothing of what stands"
+    course = seen(np.arange(0.0, 100.0))
+    assert is_careful([(SIGNALS["Level"], course)] * 3)
+    assert not is_careful([(SIGNALS["Wrong"], course)]), "8 bits with a sign are never 255"
+    assert not is_careful([(SIGNALS["Level"], seen(np.arange(0.0, 2000.0)))])
+
+
+def test_coolant_and_supply_have_the_ranges_of_any_car():
+    assert standard("Coolant", SIGNALS["Temp"], 84.0, 93.0).high == 130.0
+    assert standard("Coolant", SIGNALS["Oil"], 84.0, 93.0) is None
+    supply = standard("Battery", SIGNALS["BatteryVoltage"], 13.7, 14.1)
+    assert (supply.low, supply.high) == (10.5, 16.0)
+    assert supply.failed_ms == 10_000.0, "cranking takes seconds"
+    assert standard("Battery", SIGNALS["BatteryVoltage"], 340.0, 401.0) is None, "a traction battery"
+    assert standard("Battery", SIGNALS["BatteryVoltage"], 22.0, 28.0) is None, "a lorry's"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_heavy_tail_is_followed_where_it_is_proven(seed):
+    rng = np.random.default_rng(seed)
+    heavy = (rng.random(4000) ** -0.3 - 1.0) / 0.3
+    wanted = (1e6**0.3 - 1.0) / 0.3
+    assert exceeded_once(heavy, 1e6, heavy=True) == pytest.approx(wanted, rel=0.6), f"seed {seed}"
+    assert exceeded_once(heavy, 1e6) < 0.5 * wanted
+    assert shape_of(np.sort(rng.exponential(size=200))) < 0.25
