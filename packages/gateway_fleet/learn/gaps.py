@@ -253,7 +253,7 @@ def _rounded(value: float) -> float:
 #: rows that it takes to say so.
 WINDOW_NS, LEAST_SHARE, LEAST_ROWS = 1_000_000_000, 0.75, 2
 #: A message with a longer cycle is slow [ns]: it may be sent at a change, too, and its row has this number of gaps at
-#: least. Two frames more, as senders send when they wake or are asked, break no limit: this number of cycles is left out.
+#: least. Two frames more, as senders send when they wake or are asked, break no limit: these cycles are left out.
 SLOW_NS, LEAST_ROW, MORE = 90_000_000, 8, 2.25
 #: Where fewer frames than this share repeat the one before, repeats say nothing; then a row has more gaps at least, and
 #: takes this share of its time.
