@@ -35,7 +35,8 @@ class Ecu:
 
     def __init__(self, request, response, answer, bus=0, extended=False):
         to_all = 0x18DB33F1 if extended else 0x7DF
-        params = IsoTpParams(request=request, response=response, functional=to_all, extended=extended)
+        more = {"extended": True} if extended else {}
+        params = IsoTpParams(request=request, response=response, functional=to_all, **more)
         self.transport = IsoTpEndpoint(params, bus)
         self.answer, self.due, self.heard = answer, deque(), []
 
