@@ -317,7 +317,7 @@ class Player:
         for until in range(step_ns, end + step_ns, step_ns):
             if self.stepwise:
                 frames = self.take(until)
-                # What an ECU answers within a step that is over comes at the end of it: a bus has no past.
+                # Answers within a step that is over come at its end: a bus has no past.
                 frames["t_ns"] = np.maximum(frames["t_ns"], until - step_ns)
             else:
                 last = int(np.searchsorted(self.frames["t_ns"], until))
