@@ -23,6 +23,10 @@ def fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float
     Both signals have noise, estimated by their second differences (a course without corners has none); deviations count
     across the line in units of it (Deming's regression, ratio of the variances known). An offset that may be chance is
     none: laws of physics go through zero.
+
+    Args:
+        x: values of the signal that explains, shape (rows,).
+        y: those of the signal that is explained, at the same times, shape (rows,).
     """
     ratio = max(noise(y), 1e-12) ** 2 / max(noise(x), 1e-12) ** 2
     used = np.ones(len(x), np.bool_)

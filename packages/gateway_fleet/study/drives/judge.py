@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,8 +46,17 @@ class Told(NamedTuple):
 Name = TypeVar("Name", str, tuple[str, ...])
 
 
+class Counts:
+    """Counts that can be added up."""
+
+    def add(self, other: Self) -> None:
+        """Add another's counts."""
+        for name, count in vars(other).items():
+            setattr(self, name, getattr(self, name) + count)
+
+
 @dataclass
-class Row:
+class Row(Counts):
     """Results of one kind of fault, or of one fault.
 
     Attributes:
@@ -64,14 +73,9 @@ class Row:
     wrong: int = 0
     accused: int = 0
 
-    def add(self, other: Row) -> None:
-        """Add another's counts."""
-        for name, count in vars(other).items():
-            setattr(self, name, getattr(self, name) + count)
-
 
 @dataclass
-class Points:
+class Points(Counts):
     """Rows of a table: at which of them a code was there.
 
     Attributes:
@@ -83,11 +87,6 @@ class Points:
     found: int = 0
     healthy: int = 0
     false: int = 0
-
-    def add(self, other: Points) -> None:
-        """Add another's counts."""
-        for name, count in vars(other).items():
-            setattr(self, name, getattr(self, name) + count)
 
 
 @dataclass
