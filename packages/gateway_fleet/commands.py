@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from gateway.cli.commands import does
-from gateway.cli.options import ConfigOption, EcuOption, Json, JsonEvents, Maps
+from gateway.cli.options import ConfigOption, EcuOption, HtmlOption, Json, JsonEvents, Maps
 
 FalsePerHour = Annotated[
     float,
@@ -126,8 +126,23 @@ def fleet_run(
 ) -> None:
     """Run many logs through the monitors, each log once.
 
-    The results are Parquet tables of logs, DTCs, tests, events and errors. If called again, it runs only new logs. Exit
+    It tells which cars have what (gateway fleet report). The results are Parquet tables of logs, DTCs, tests, events
+    and errors. If called again, it runs only new logs. Exit
     code 2: a log could not be run; all others were.
+    """
+
+
+@does("gateway_fleet.cli.fleet:fleet_report")
+def fleet_report(
+    folder: Annotated[Path, typer.Argument(help="Folder with the results of gateway fleet run.")],
+    html: HtmlOption = None,
+    csv: Annotated[Path | None, typer.Option(help="Write the findings as a table, e.g. findings.csv.")] = None,
+    json: Json = False,
+) -> None:
+    """Tell which cars have what, since when, and which log to open.
+
+    Causes come first, then DTCs without a proven cause, values far from those of all other cars, and logs that could
+    not be judged.
     """
 
 

@@ -10,15 +10,15 @@ from gateway_fleet.fleet.task import digest_of
 @pytest.fixture
 def config(tmp_path):
     """The motor's configuration, with its model and database beside it."""
-    for name in ("models/motor.toml", "dbc/motor.dbc"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
+    for name in ("models/motor.toml", "dbc/structural/motor.dbc"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_bytes(shipped(name).read_bytes())
     text = shipped("configs/motor.toml").read_text()
     (tmp_path / "car.toml").write_text(text)
     return tmp_path / "car.toml"
 
 
-@pytest.mark.parametrize("name", ["models/motor.toml", "dbc/motor.dbc", "car.toml"])
+@pytest.mark.parametrize("name", ["models/motor.toml", "dbc/structural/motor.dbc", "car.toml"])
 def test_every_file_counts(config, name):
     before = digest_of(load_config(config), ())
     assert digest_of(load_config(config), ()) == before

@@ -54,17 +54,5 @@ def test_thresholds_against_hours(verdicts):
     assert rows["voltage.Value.high", 1.0][1] == pytest.approx(10 * 10 / 3600, rel=0.02)
 
 
-def test_what_could_not_be_judged(verdicts):
-    ((kind, logs, path, why),) = asked(verdicts, "could not be judged")
-    assert (kind, logs) == ("damaged", 1)
-    assert path.endswith("00000.log")
-    assert "00000.log:1001" in why
-
-
-def test_first_failures(verdicts):
-    rows = asked(verdicts, "first failed")
-    assert [(row[0], row[1], row[3]) for row in rows] == [("car3", "C0070-85", 1), ("car2", "U0100-87", 1)]
-
-
 def test_all_queries_are_asked_here():
-    assert len(QUERIES) == 6, "one of them is of a lake, and asked in test_decode.py"
+    assert len(QUERIES) == 5, "one of a lake is asked in test_decode.py, one of cars on the road in test_delivery.py"

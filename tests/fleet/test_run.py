@@ -334,7 +334,7 @@ def test_without_the_extra_it_is_named(fleet, monkeypatch):
 
     monkeypatch.setitem(sys.modules, "distributed", None)
     ended = CliRunner().invoke(app, ["fleet", "run", "logs", "-o", "out"])
-    assert "pip install 'ecu-gateway[fleet]'" in str(ended.exception)
+    assert "pip install '.[fleet]'" in str(ended.exception)
 
 
 def test_a_storm_of_events_is_bounded():

@@ -1,12 +1,10 @@
 """Workers that are processes: killed ones, a log that kills its worker, a scheduler and workers of their own."""
 
-import json
 import os
 import signal
 import subprocess
 import sys
-import time
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 
 import dask
 import distributed
@@ -75,7 +73,9 @@ def test_a_killed_worker_and_a_log_that_kills_its_own(fleet):
             os.kill(killed[0], signal.SIGKILL)
 
     recordings = find([fleet / "logs"])
-    with dask.config.set({"distributed.worker.preload": [str(fleet / "poison.py")]}):
+    # As on a machine where a worker's new start takes longer than Dask waits for it: it gives up that worker for good.
+    hurry = {"distributed.deploy.lost-worker-timeout": "1ms"}
+    with dask.config.set({"distributed.worker.preload": [str(fleet / "poison.py")], **hurry}):
         result = run(Order(recordings, fleet / "car.toml", fleet / "out", workers=2), progress)
     assert killed
     states = {outcome.recording.path.name: outcome.state for outcome in result.outcomes}
@@ -143,75 +143,56 @@ class Asking:
         return ["killed"], None
 
 
-@pytest.mark.parametrize("stranger", [None, distributed.Security.temporary], ids=["no certificate", "his own"])
-def test_nobody_else_on_this_machine_runs_code_at_our_workers(stranger):
+def test_nobody_else_on_this_machine_runs_code_at_our_workers():
+    """Neither without a certificate nor with his own."""
     with ExitStack() as stack:
         pool = Pool(Asking(), Workers(count=1), stack)
         (scheduler, worker) = pool.run([0])
         for address in (scheduler, worker):
             assert address.startswith("tls://127.0.0.1:")
-        port = scheduler.rsplit(":", 1)[1]
-        addresses = [f"tcp://127.0.0.1:{port}"] if stranger is None else [scheduler]
-        for address in addresses:
-            security = None if stranger is None else stranger()
+        open_ = f"tcp://127.0.0.1:{scheduler.rsplit(':', 1)[1]}"
+        for address, security in ((open_, None), (scheduler, distributed.Security.temporary())):
             with pytest.raises(OSError, match="(?i)timed out|closed|tls|ssl|certificate"):  # noqa: SIM117
                 with distributed.Client(address, security=security, timeout="2s", set_as_default=False) as client:
                     client.submit(os.getuid).result(10)
         assert list(pool.run([0])) == [scheduler, worker], "we go on"
 
 
-@contextmanager
-def started(folder, *words):
-    """Run a part of Dask as a process of its own on loopback."""
-    with (folder / f"{words[0]}-{len(list(folder.glob('*.out')))}.out").open("w") as out:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "dask", *words, "--host", "127.0.0.1", "--no-dashboard"],
-            cwd=folder,
-            stdout=out,
-            stderr=out,
-        )
-        try:
-            yield process
-        finally:
-            process.terminate()
-            try:
-                process.wait(60)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait(60)
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """A scheduler and a worker that are processes of their own; yields its address, the worker, and their folder."""
+    folder = tmp_path_factory.mktemp("own")
+    with long_log.one_worker(folder) as (address, worker):
+        yield address, worker, folder
 
 
-def wait_for(path, seconds=120):
-    ends = time.monotonic() + seconds
-    while not path.exists() or not path.read_text().strip():
-        assert time.monotonic() < ends, f"no {path}"
-        time.sleep(0.1)
-
-
-def test_a_scheduler_and_workers_of_their_own(fleet):
-    facts = fleet / "scheduler.json"
-    one = ("--nthreads", "1", "--scheduler-file", str(facts))
-    with started(fleet, "scheduler", "--port", "0", "--scheduler-file", str(facts)):
-        wait_for(facts)
-        address = json.loads(facts.read_text())["address"]
-        assert address.startswith("tcp://127.0.0.1:")
-        with started(fleet, "worker", *one), started(fleet, "worker", *one):
-            order = Order(find([fleet / "logs"]), fleet / "car.toml", fleet / "out", scheduler=address)
-            result = run(order)
-            assert len(result.outcomes) == len(order.recordings)
-            assert run(order).outcomes == []
+def test_a_scheduler_and_workers_of_their_own(fleet, own):
+    address, _, folder = own
+    assert address.startswith("tcp://127.0.0.1:")
+    words = ("worker", "--nthreads", "1", "--no-dashboard", "--scheduler-file", str(folder / "scheduler.json"))
+    with (folder / "second.out").open("w") as out:
+        second = subprocess.Popen([sys.executable, "-m", "dask", *words, "--host", "127.0.0.1"], stdout=out, stderr=out)
+    try:
+        with distributed.Client(address, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=120)
+        order = Order(find([fleet / "logs"]), fleet / "car.toml", fleet / "out", scheduler=address)
+        result = run(order)
+        assert len(result.outcomes) == len(order.recordings)
+        assert run(order).outcomes == []
+    finally:
+        second.terminate()
+        second.wait(60)
     assert tables_hash(fleet / "out") == tables_hash(fleet / "serial")
 
 
-def test_memory_of_a_worker_does_not_grow_with_the_length_of_a_log(tmp_path):
+def test_memory_of_a_worker_does_not_grow_with_the_length_of_a_log(tmp_path, own):
     """A worker of its own judges a log; bytes a frame that stayed would show: 8 of them are 19 MB here, 800 MB in full.
 
     In full 10^8 frames: as candump 5 GB, deleted with the folder. A short log goes first, so that all is loaded.
     """
     few, many = amount(10**6, 600_000), amount(10**8, 3_000_000)
     try:
-        with long_log.one_worker(tmp_path) as (address, worker):
-            sizes = [judged(tmp_path, frames, address, worker) for frames in (1000, few, many)]
+        sizes = [judged(tmp_path, frames, *own[:2]) for frames in (1000, few, many)]
     finally:
         for path in tmp_path.rglob("*.log"):
             path.unlink()

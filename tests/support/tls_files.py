@@ -1,6 +1,7 @@
 """Certificates for TLS on a bench: a root, the gateway's, a tester's."""
 
 import datetime as dt
+from ipaddress import IPv4Address
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -12,11 +13,11 @@ def _name(common):
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common)])
 
 
-def write_tls(folder):
-    """Write ``ca``, ``gateway`` and ``workshop``: certificates (.pem) with their keys (.key)."""
+def write_tls(folder, names=("gateway", "workshop")):
+    """Write ``ca`` and those of names: certificates (.pem) with their keys (.key)."""
     now, day = dt.datetime.now(dt.UTC), dt.timedelta(days=1)
     root_key = ec.generate_private_key(ec.SECP256R1())
-    for common in ("ca", "gateway", "workshop"):
+    for common in ("ca", *names):
         key = root_key if common == "ca" else ec.generate_private_key(ec.SECP256R1())
         made = (
             x509.CertificateBuilder()
@@ -26,6 +27,7 @@ def write_tls(folder):
             .serial_number(x509.random_serial_number())
             .not_valid_before(now - day)
             .not_valid_after(now + day)
+            .add_extension(x509.SubjectAlternativeName([x509.IPAddress(IPv4Address("127.0.0.1"))]), critical=False)
             .add_extension(x509.BasicConstraints(ca=common == "ca", path_length=None), critical=True)
             .sign(root_key, hashes.SHA256())
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -14,12 +15,18 @@ from gateway.cli.present import find_config, print_json, say, table_of, wide_con
 from gateway.cli.progress import LogsDone
 from gateway.common.extras import need
 from gateway_fdi.errors import InputError
+from gateway_fleet.fleet.answer import CAUSE, LOG, Answer, answer, clock
+from gateway_fleet.fleet.report import write_csv, write_report
 from gateway_fleet.fleet.task import Outcome
+from gateway_fleet.fleet.verdicts import Verdicts
+
+#: Findings that a terminal gets; a report has all.
+MOST_FINDINGS = 30
 
 
 def _teller(*, as_json: bool) -> Callable[[Outcome, int], None]:
     """Return what tells how far a run is: an event a log, or a line."""
-    done = LogsDone()
+    done = LogsDone(goes_on=True)
 
     def tell(outcome: Outcome, left: int) -> None:
         if as_json:
@@ -96,10 +103,46 @@ def fleet_run(
     else:
         told = ", ".join(f"{count} {state}" for state, count in sorted(states.items())) or "nothing new"
         print(f"{len(order.recordings)} logs, {result.known} judged before; now: {told}. Tables: {out}")
-        for outcome in result.outcomes:
-            if outcome.state != "whole":
-                say(f"{outcome.recording.path}: {outcome.state} (table errors)")
+        _tell(answer(Verdicts(out)), out)
     return 2 if failed else 0
+
+
+def _tell(found: Answer, out: Path) -> None:
+    """Print which cars have what, and the way on."""
+    print(found.verdict() + (":" if found.findings else "."))
+    if not found.findings:
+        return
+    table = table_of("car", "finding", "since (UTC)", "DTCs", "log")
+    for one in found.findings[:MOST_FINDINGS]:
+        text = one.text if one.kind in (CAUSE, LOG) else f"{one.kind}: {one.text}"
+        more = f" and {one.logs - 1} more" if one.logs > 1 else ""
+        table.add_row(one.device, text, clock(one.since_ns), str(len(one.dtcs) or ""), f"{_short(one.log)}{more}")
+    wide_console().print(table)
+    if len(found.findings) > MOST_FINDINGS:
+        print(f"and {len(found.findings) - MOST_FINDINGS} more")
+    print(f"Next: gateway fleet report {out} --html fleet.html")
+
+
+def _short(path: str) -> str:
+    """Return a path from here, if it is below."""
+    return os.path.relpath(path) if Path(path).is_relative_to(Path.cwd()) else path
+
+
+def fleet_report(folder: Path, *, html: Path | None, csv: Path | None, json: bool) -> int:
+    """Tell and write what the tables of a run say; returns the exit code."""
+    need("parquet", "tables of verdicts")
+    found = answer(Verdicts(folder))
+    if csv is not None:
+        write_csv(csv, found)
+    if html is not None:
+        write_report(html, found, folder)
+    if json:
+        print_json({"event": "fleet_report", "verdict": found.verdict(), "findings": [x.row() for x in found.findings]})
+    elif csv is None and html is None:
+        _tell(found, folder)
+    else:
+        say(f"{' and '.join(str(file) for file in (html, csv) if file is not None)}: {found.verdict()}")
+    return 0
 
 
 def fleet_diff(first: Path, second: Path, *, json: bool) -> int:
@@ -118,7 +161,7 @@ def fleet_diff(first: Path, second: Path, *, json: bool) -> int:
             events = [_told_event(event) for event in (one.before, one.after)]
             if one.states[0] != one.states[1]:
                 events = [f"{state}; {event}" for state, event in zip(one.states, events, strict=True)]
-            table.add_row(one.path, one.device, at, *events, ", ".join(one.gone), ", ".join(one.new))
+            table.add_row(_short(one.path), one.device, at, *events, ", ".join(one.gone), ", ".join(one.new))
         wide_console().print(table)
     for label, paths in (("first", found.only_first), ("second", found.only_second)):
         if paths:

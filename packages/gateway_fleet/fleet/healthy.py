@@ -29,7 +29,7 @@ from gateway.monitors.contract import Calibration, CusumCalibration, Refinement,
 from gateway.runtime.app import Gateway
 from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.fleet.task import Setup, digest_of, unreadable
-from gateway_fleet.fleet.verdicts import Done, Manifest, Row, error_rows, signature, write_table
+from gateway_fleet.fleet.verdicts import TABLES, Done, Manifest, Row, error_rows, signature, write_table
 
 #: Kinds of parts. LEVELS and SUMS and SENSORS are asked of each log alone, PEAKS with the sums of all, PLANT with what
 #: the log before has left.
@@ -295,7 +295,7 @@ def learn(
         survey = _Survey(setup, recordings, Pool(_Asking(), workers, stack), told)
         parts = dict(_parts(config, survey))
         left_out = _left_out(survey)
-        write_table(setup.out / "errors" / "errors.parquet", "errors", left_out)
+        write_table(setup.out / "errors" / "errors.parquet", TABLES["errors"], left_out)
         if not survey.good:
             first = left_out[0]
             raise InputError(f"of no log anything is to be learnt; {first['kind']}: {first['text']}", file=path)

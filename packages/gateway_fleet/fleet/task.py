@@ -365,6 +365,7 @@ def _cause(cause: Cause | None) -> Row:
 def _tests(gateway: Gateway, records: Mapping[str, Record], old: Mapping[str, Record]) -> Iterator[Row]:
     """Yield what each test that had results came to."""
     buckets = gateway.engine.take_buckets()
+    monitors = {entry.name for entry in gateway.config.monitor}
     for definition, bucket in zip(gateway.catalogue, buckets, strict=False):
         record, was = records.get(definition.id), old.get(definition.id)
         near = 0 if record is None else record.near_misses - (0 if was is None else was.near_misses)
@@ -382,4 +383,5 @@ def _tests(gateway: Gateway, records: Mapping[str, Record], old: Mapping[str, Re
             "ratio": value("ratio"), "worst": value("worst"), "limit": value("limit"),
             "worst_t": int(bucket["worst_ns"]) if numbers else None, "low": value("low"), "high": value("high"),
             "near_misses": near, "peak_fdc": 0 if record is None else record.peak_fdc,
+            "monitor": name if (name := definition.id.split(".")[0]) in monitors else None, "tested": definition.tested,
         }  # fmt: skip

@@ -50,7 +50,7 @@ TABLES: dict[str, dict[str, str]] = {
     "tests": {
         "log": _TEXT, "device": _TEXT, "dtc": _TEXT, "fault": _TEXT, "results": _COUNT, "failed": _COUNT,
         "ratio": _NUMBER, "worst": _NUMBER, "limit": _NUMBER, "worst_t": _TIME, "low": _NUMBER, "high": _NUMBER,
-        "near_misses": _COUNT, "peak_fdc": _COUNT,
+        "near_misses": _COUNT, "peak_fdc": _COUNT, "monitor": _TEXT, "tested": _TEXT,
     },
     "events": {
         "log": _TEXT, "device": _TEXT, "n": _COUNT, "t": _TIME, "dtc": _TEXT, "fault": _TEXT, "status": _COUNT,
@@ -73,21 +73,31 @@ class Verdict:
     errors: list[Row] = field(default_factory=list)
 
 
-def _schema(table: str) -> pa.Schema:
+def _schema(columns: Mapping[str, str]) -> pa.Schema:
     import pyarrow as pa  # noqa: PLC0415 - an extra
 
     types = {_TIME: pa.timestamp("ns", "UTC"), _TEXT: pa.string(), _COUNT: pa.int64(), _NUMBER: pa.float64()}
-    return pa.schema([pa.field(name, types[kind]) for name, kind in TABLES[table].items()])
+    types |= {f"{kind}s": pa.list_(types[kind]) for kind in (_TEXT, _NUMBER)}
+    return pa.schema([pa.field(name, types[kind]) for name, kind in columns.items()])
 
 
-def write_table(path: Path, table: str, rows: Sequence[Row]) -> None:
-    """Write a file that is there whole or not at all."""
+def write_table(path: Path, columns: Mapping[str, str], rows: Sequence[Row]) -> None:
+    """Write a file that is there whole or not at all.
+
+    Args:
+        path: of the file.
+        columns: name -> "time", "text", "count", "number", or "texts", "numbers" for lists.
+        rows: of the table.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     import pyarrow as pa  # noqa: PLC0415 - an extra
     import pyarrow.parquet as pq  # noqa: PLC0415 - an extra
 
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        pq.write_table(pa.Table.from_pylist(list(rows), schema=_schema(table)), part)
+        pq.write_table(pa.Table.from_pylist(list(rows), schema=_schema(columns)), part)
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)
@@ -111,11 +121,11 @@ class Verdicts:
             InputError: they cannot be made.
         """
         try:
-            for table in TABLES:
+            for table, columns in TABLES.items():
                 (self.folder / table).mkdir(parents=True, exist_ok=True)
                 empty = self.folder / table / "none.parquet"
                 if not empty.exists():
-                    write_table(empty, table, [])
+                    write_table(empty, columns, [])
         except OSError as error:
             raise InputError(f"cannot be written: {error.strerror or error}", file=self.folder) from error
 
@@ -133,7 +143,7 @@ class Verdicts:
             rows = getattr(verdict, table)
             path = self.path(table, log)
             if rows:
-                write_table(path, table, rows)
+                write_table(path, TABLES[table], rows)
             else:
                 path.unlink(missing_ok=True)
 
@@ -165,7 +175,7 @@ class Verdicts:
             path.unlink(missing_ok=True)
             return
         text = f"the same contents as {first.path}: counted once"
-        write_table(path, "errors", error_rows(log, recording, "copy", [text]))
+        write_table(path, TABLES["errors"], error_rows(log, recording, "copy", [text]))
 
     def rows(self, table: str, log: str | None = None) -> list[Row]:
         """Return the rows of a table, of one log or of all, in order of their logs; times in nanoseconds.

@@ -67,6 +67,7 @@ _CAUSES = """
 SIGNAL_NAME = re.compile(r"[A-Za-z_][\w-]*(?:\.[A-Za-z_]\w*)+")
 
 _HEAD = """\
+#:schema gateway.schema.json
 # {title}
 #
 # Learned from healthy logs: {logs}.

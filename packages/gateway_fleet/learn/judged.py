@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.signals.protection.judge import FRAME_OK, judge_frame
-from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill
+from gateway.signals.protection.protection import Protection, compiled
 from gateway_fdi.jit import kernel
 
 
@@ -74,11 +74,8 @@ class Judged:
 
 def judged(payloads: Payloads, asked: Protection) -> Judged:
     """Judge payloads by a protection."""
-    tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
-    fill(rows[0], asked, tables)
     count = len(payloads)
     received, computed = np.zeros(count, np.uint64), np.zeros(count, np.uint64)
     good = np.zeros(count, np.uint8)
-    row, crcs = rows.view(np.recarray)[0], tables.array()
-    judge_all(payloads.words, payloads.lengths, row, crcs, received, computed, good)
+    judge_all(payloads.words, payloads.lengths, *compiled(asked), received, computed, good)
     return Judged(received, computed, good == 1)

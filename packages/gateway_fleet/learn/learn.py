@@ -114,7 +114,14 @@ class Result:
 
 
 def write(texts: Mapping[Path, str]) -> None:
-    """Write files, each whole or not at all."""
+    """Write files, each whole or not at all.
+
+    Raises:
+        InputError: one is there that is no file: a device would be replaced by one.
+    """
+    for path in texts:
+        if path.exists() and not path.is_file():
+            raise InputError("is there, and no file", file=path, key="-o")
     for path, text in texts.items():
         beside = path.with_name(f".{path.name}.new")
         beside.write_text(text)

@@ -17,7 +17,8 @@ from gateway.config.model import Config
 from gateway.engine.checks.bus_health import ACTIVITIES, ASLEEP
 from gateway.faults.status import Status
 from gateway.runtime.assemble import prepare
-from gateway_fdi.common import log
+from gateway.runtime.log import Log
+from gateway_fdi.common.log import to_stderr
 from gateway_fdi.errors import GatewayError
 from gateway_fleet.learn.everyday import KINDS, Drive, Fault
 from gateway_fleet.study.cause.drive import events_of
@@ -136,7 +137,7 @@ class Judging:
 
     def do(self, task: Task) -> list[Judged]:
         """Judge a drive; a drive that cannot be read says why."""
-        log.to_stderr(logging.ERROR)  # what a gateway says of each event is counted here
+        to_stderr(logging.ERROR)  # what a gateway says of each event is counted here
         judged = Judged(task.learned.vehicle, task.drive)
         try:
             _judge(task, judged)
@@ -156,6 +157,11 @@ class Judging:
 def _judge(task: Task, judged: Judged) -> None:
     assert task.learned.config is not None
     config = load_config(task.learned.config)
+    parts, log = prepare(config, task.learned.config), Log(task.drive, config)
+    log.refuse_foreign(parts.databases)
+    if log.foreign:
+        judged.error = f"of another vehicle: {log.foreign} of its identifiers are known"
+        return
     frames = drive_of(task.drive, config)
     if not len(frames):
         judged.error = "no frame on a bus of the vehicle"
@@ -171,7 +177,7 @@ def _judge(task: Task, judged: Judged) -> None:
         judged.causes = sorted(" and ".join(cause) for cause in whole.causes)
         return
     part = frames[: int(np.searchsorted(stamps, stamps[0] + round(LONGEST_S * 1e9)))]
-    parts, healthy = prepare(config, task.learned.config), told_of(config, part)
+    healthy = told_of(config, part)
     sees = {fault: {one.component.name for one in some} for fault, some in parts.depends.items()}
     for number, (kind, make) in enumerate(KINDS.items()):
         fault = make(Drive(config, parts, part, np.random.default_rng([task.seed, number])))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
 from gateway.signals.bits import field_at
-from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill, protect_all
+from gateway.signals.protection.protection import Counter, Protection, compiled, protect_all
 from gateway_fleet.study.learn.network import Network, Sent
 
 #: Time between two points of a course [s].
@@ -214,8 +214,6 @@ def _frames(m: Sent, t: Course, course: Callable[[str], Course]) -> Frames:
         if m.checksum is not None:
             check, own = m.checksum[2], field_at(m.checksum[1] // 8, 8)
         asked = Protection(check, own, Counter(place, m.counter[3]))
-        tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
-        fill(rows[0], asked, tables)
-        protect_all(words, np.full(len(t), m.length, np.int64), rows.view(np.recarray)[0], tables.array(), 0)
+        protect_all(words, np.full(len(t), m.length, np.int64), *compiled(asked), 0)
     frames["data"] = words.view(np.uint8).reshape(len(t), 64)
     return frames
