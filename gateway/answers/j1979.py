@@ -12,10 +12,18 @@ from functools import cache
 from typing import Any
 
 from gateway.answers.model import AnswerLayout, message_of, signal_of
+from gateway.answers.monitor_tests import layout_of
 from gateway.answers.obd_on_uds import PAGES, classic
 
 _SENSORS = ("11", "12", "13", "14", "21", "22", "23", "24")
 
+#: Fuel trims: PID -> name, first bank; a second byte is of the bank two further, where a car has it.
+TRIMS = {
+    0x06: ("SHRTFT", 1), 0x07: ("LONGFT", 1), 0x08: ("SHRTFT", 2), 0x09: ("LONGFT", 2),
+    0x55: ("STSO2FT", 1), 0x56: ("LGSO2FT", 1), 0x57: ("STSO2FT", 2), 0x58: ("LGSO2FT", 2),
+}  # fmt: skip
+#: Values of PID 0x69, by the bit that says they are there.
+_EGR = ("EGR_A_CMD", "EGR_A_ACT", "EGR_A_ERR", "EGR_B_CMD", "EGR_B_ACT", "EGR_B_ERR")
 #: Monitors of PIDs 0x01 and 0x41, from bit 8 of the answer on; 1 of readiness or completion: not yet.
 _CONTINUOUS = ("CCM", "FUEL", "MIS")
 _OTHERS = ("EGR", "HTR", "O2S", "ACRF", "AIR", "EVAP", "HCAT", "CAT")
@@ -29,14 +37,6 @@ _TABLE = """
 03 FUELSYS2 8 8 1 0 - =off,OL,CL,-,OL-Drive,-,-,-,OL-Fault,-,-,-,-,-,-,-,CL-Fault
 04 LOAD_PCT 0 8 100/255 0 %
 05 ECT 0 8 1 -40 degC
-06 SHRTFT1 0 8 100/128 -100 %
-06 SHRTFT3 8 8 100/128 -100 %
-07 LONGFT1 0 8 100/128 -100 %
-07 LONGFT3 8 8 100/128 -100 %
-08 SHRTFT2 0 8 100/128 -100 %
-08 SHRTFT4 8 8 100/128 -100 %
-09 LONGFT2 0 8 100/128 -100 %
-09 LONGFT4 8 8 100/128 -100 %
 0A FRP 0 8 3 0 kPa
 0B MAP 0 8 1 0 kPa
 0C RPM 0 16 1/4 0 rpm
@@ -50,7 +50,7 @@ _TABLE = """
 1E PTO_STAT 7 1 1 0 - =off,on
 1F RUNTM 0 16 1 0 s
 21 MIL_DIST 0 16 1 0 km
-22 FRP 0 16 5178/65535 0 kPa
+22 FRP 0 16 79/1000 0 kPa
 23 FRP 0 16 10 0 kPa
 2C EGR_PCT 0 8 100/255 0 %
 2D EGR_ERR 0 8 100/128 -100 %
@@ -81,14 +81,6 @@ _TABLE = """
 52 ALCH_PCT 0 8 100/255 0 %
 53 EVAP_VPA 0 16 1/200 0 kPa
 54 EVAP_VP 0 16s 1 0 Pa
-55 STSO2FT1 0 8 100/128 -100 %
-55 STSO2FT3 8 8 100/128 -100 %
-56 LGSO2FT1 0 8 100/128 -100 %
-56 LGSO2FT3 8 8 100/128 -100 %
-57 STSO2FT2 0 8 100/128 -100 %
-57 STSO2FT4 8 8 100/128 -100 %
-58 LGSO2FT2 0 8 100/128 -100 %
-58 LGSO2FT4 8 8 100/128 -100 %
 59 FRP 0 16 10 0 kPa
 5A APP_R 0 8 100/255 0 %
 5B BAT_PWR 0 8 100/255 0 %
@@ -98,17 +90,22 @@ _TABLE = """
 61 TQ_DD 0 8 1 -125 %
 62 TQ_ACT 0 8 1 -125 %
 63 TQ_REF 0 16 1 0 Nm
-64 TQ_MAX1 0 8 1 -125 %
-64 TQ_MAX2 8 8 1 -125 %
-64 TQ_MAX3 16 8 1 -125 %
-64 TQ_MAX4 24 8 1 -125 %
-64 TQ_MAX5 32 8 1 -125 %
 8E TQ_FR 0 8 1 -125 %
+9A HEV_BATT_V_SUP 6 1 1 0 - =no,yes
+9A HEV_BATT_A_SUP 5 1 1 0 - =no,yes
+9A HEV_BATT_V 16 16 1/64 0 V
+9A HEV_BATT_A 32 16s 1/10 0 A
 9D ENG_FUEL_RATE 0 16 1/50 0 g/s
 9D VEH_FUEL_RATE 16 16 1/50 0 g/s
 9E EXH_RATE 0 16 1/5 0 kg/h
 A2 CYL_RATE 0 16 1/32 0 mg/stroke
 A6 ODO 0 32 1/10 0 km
+B2 BAT_SOH 0 8 100/255 0 %
+D2 SOCE_SUP 7 1 1 0 - =no,yes
+D2 SOCR_SUP 6 1 1 0 - =no,yes
+D2 SOCE 8 8 100/255 0 %
+D2 SOCR 16 8 100/255 0 %
+D3 ODO_ENG 0 32 1/10 0 km
 """
 
 
@@ -121,6 +118,12 @@ def _rows() -> list[str]:
             rows += [f"{pid} {name}_{state} {9 + k} {_DONE}", f"{pid} {name}_{enabled} {13 + k} {_NO}"]
         for k, name in enumerate(_OTHERS):
             rows += [f"{pid} {name}_{enabled} {16 + k} {_NO}", f"{pid} {name}_{state} {24 + k} {_DONE}"]
+    rows += [f"64 TQ_MAX{k + 1} {8 * k} 8 1 -125 %" for k in range(5)]
+    for trim, (name, bank) in TRIMS.items():
+        rows += [f"{trim:02X} {name}{bank + 2 * k} {8 * k} 8 100/128 -100 %" for k in (0, 1)]
+    for k, name in enumerate(_EGR):
+        scale = "100/128 -100" if name.endswith("ERR") else "100/255 0"
+        rows += [f"69 {name}_SUP {7 - k} {_NO}", f"69 {name} {8 + 8 * k} 8 {scale} %"]
     for k, name in enumerate(_SENSORS):
         rows += [f"{0x14 + k:02X} O2S{name} 0 8 1/200 0 V", f"{0x14 + k:02X} SHRTFT{name} 8 8 100/128 -100 %"]
         rows += [f"{0x24 + k:02X} LAMBDA{name} 0 16 2/65536 0 -", f"{0x24 + k:02X} O2S{name} 16 16 8/65536 0 V"]
@@ -164,7 +167,9 @@ def layouts_of_obd(keys: Collection[tuple[int, int]], *, whole: bool) -> list[An
     standard = {(layout.service, layout.identifier): layout for layout in j1979()}
     found = list(standard.values()) if whole or any(service in PAGES for service, _ in keys) else []
     for key in keys:
-        of = classic(*key)
-        if of in standard and of not in keys:
+        of = classic(*key) or key
+        if of[0] == 0x06 and of[1] % 0x20:
+            found.append(layout_of(of[1]))
+        elif of in standard and of not in keys:
             found.append(AnswerLayout(*key, message_of(*key, standard[of].message.signals)))
     return found

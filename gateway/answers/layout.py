@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.answers import databases, obdb, odx
+from gateway.answers import databases, obdb, odx, wican
 from gateway.answers.j1979 import j1979, layouts_of_obd
+from gateway.answers.jsonfile import document_of
 from gateway.answers.model import Address, AnswerLayout, Layouts, LeftOut, Limits, layouts_for
 from gateway.signals.database import SUFFIXES
 from gateway_fdi.common.log import get_logger
@@ -31,7 +32,7 @@ _log = get_logger(__name__)
 _READERS: dict[str, Callable[[Path, int | None], Layouts]] = {
     **dict.fromkeys(SUFFIXES, databases.read),
     ".cdd": databases.read_cdd,
-    ".json": obdb.read,
+    ".json": lambda path, year: (obdb if "commands" in document_of(path) else wican).read(path, year),
     **dict.fromkeys((".odx", ".odx-d", ".pdx"), odx.read),
 }
 
@@ -41,7 +42,7 @@ def read_file(path: Path, year: int | None = None) -> Layouts:
 
     Args:
         path: a database (DBC, KCD, SYM, ARXML: an extended identifier ``service << 16 | identifier`` a message), a CDD,
-            ODX or PDX, a signal set of OBDb (JSON).
+            ODX or PDX, a signal set of OBDb or a vehicle profile of WiCAN (JSON).
         year: model year, where a file distinguishes them; None: all, of two for one request the later.
 
     Raises:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from gateway.answers.jsonfile import Place, count_at, document_of, hex_at, list_at, number_at, object_at
 from gateway.answers.model import (
     LONGEST_SIGNAL,
     Address,
@@ -27,7 +28,6 @@ from gateway.answers.model import (
 )
 from gateway.bus.frames import EXTENDED
 from gateway.isotp.place import FUNCTIONAL, TESTER
-from gateway.signals.bounds import LONGEST
 from gateway_fdi.errors import InputError
 
 #: OBDb's words of units -> as the project writes them. Those of two words are texts (below).
@@ -54,60 +54,6 @@ _TEXTS = {"noyes": {0: "no", 1: "yes"}, "yesno": {0: "yes", 1: "no"}, "offon": {
 _PRIORITY = 0x18
 
 
-class _Place(NamedTuple):
-    """Names a part of a file in errors."""
-
-    file: Path
-    key: str
-
-    def at(self, key: str) -> _Place:
-        return _Place(self.file, f"{self.key}.{key}" if self.key else key)
-
-    def wrong(self, message: str, value: object = None) -> InputError:
-        return InputError(message, file=self.file, key=self.key or None, value=value)
-
-
-def _object(value: Any, place: _Place) -> Mapping[str, Any]:
-    if not isinstance(value, dict):
-        raise place.wrong("must be an object", value)
-    return value
-
-
-def _list(value: Any, place: _Place) -> list[Any]:
-    if not isinstance(value, list):
-        raise place.wrong("must be a list", value)
-    return value
-
-
-def _hex(table: Mapping[str, Any], key: str, place: _Place, most: int) -> int | None:
-    value = table.get(key)
-    if value is None:
-        return None
-    try:
-        number = int(value, 16) if isinstance(value, str) else -1
-    except ValueError:
-        number = -1
-    if not 0 <= number <= most:
-        raise place.at(key).wrong(f"must be hexadecimal digits, at most {most:X}", value)
-    return number
-
-
-def _number(table: Mapping[str, Any], key: str, place: _Place) -> float | None:
-    value = table.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise place.at(key).wrong("must be a finite number", value)
-    return value
-
-
-def _count(table: Mapping[str, Any], key: str, place: _Place, default: int | None, least: int) -> int:
-    value = table.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= 8 * LONGEST:
-        raise place.at(key).wrong(f"must be a whole number from {least} on, at most {8 * LONGEST}", value)
-    return value
-
-
 @dataclass(frozen=True)
 class Years:
     """Model years that a command is for.
@@ -123,14 +69,14 @@ class Years:
     single: frozenset[int] = frozenset()
 
     @staticmethod
-    def of(table: Any, place: _Place) -> Years:
+    def of(table: Any, place: Place) -> Years:
         """Return the years of a ``filter``; a command without one is for all."""
-        fields = _object(table or {}, place)
+        fields = object_at(table or {}, place)
         first, last = (
-            None if fields.get(key) is None else _count(fields, key, place, None, 0) for key in ("from", "to")
+            None if fields.get(key) is None else count_at(fields, key, place, None, 0) for key in ("from", "to")
         )
-        years = _list(fields.get("years") or [], place.at("years"))
-        single = [_count({"years": year}, "years", place, None, 0) for year in years]
+        years = list_at(fields.get("years") or [], place.at("years"))
+        single = [count_at({"years": year}, "years", place, None, 0) for year in years]
         return Years(first, last, frozenset(single))
 
     def match(self, year: int) -> bool:
@@ -155,7 +101,7 @@ class Years:
 class _Command(NamedTuple):
     """One command: its request, and its signals as they stand there."""
 
-    place: _Place
+    place: Place
     address: Address | None
     service: int
     identifier: int
@@ -168,10 +114,10 @@ class _Command(NamedTuple):
         return request_name(self.service, self.identifier)
 
 
-def _command(entry: Any, place: _Place) -> _Command:
+def _command(entry: Any, place: Place) -> _Command:
     """Return a command of the file."""
-    table = _object(entry, place)
-    request = _object(table.get("cmd"), place.at("cmd"))
+    table = object_at(entry, place)
+    request = object_at(table.get("cmd"), place.at("cmd"))
     if len(request) != 1:
         raise place.at("cmd").wrong("must have one service", dict(request))
     word = next(iter(request))
@@ -181,7 +127,7 @@ def _command(entry: Any, place: _Place) -> _Command:
         service = 0
     if not 0 < service < 0x40:
         raise place.at("cmd").wrong("a service is two hexadecimal digits, less than 40", word)
-    identifier = _hex(request, word, place.at("cmd"), 0xFFFF if service == 0x22 else 0xFF)
+    identifier = hex_at(request, word, place.at("cmd"), 0xFFFF if service == 0x22 else 0xFF)
     if identifier is None:
         raise place.at("cmd").at(word).wrong("an identifier is missing")
     return _Command(
@@ -190,26 +136,26 @@ def _command(entry: Any, place: _Place) -> _Command:
         service,
         identifier,
         Years.of(table.get("filter"), place.at("filter")),
-        _number(table, "freq", place),
-        _list(table.get("signals"), place.at("signals")),
+        number_at(table, "freq", place),
+        list_at(table.get("signals"), place.at("signals")),
     )
 
 
-def _address(table: Mapping[str, Any], place: _Place) -> Address:
+def _address(table: Mapping[str, Any], place: Place) -> Address:
     """Return the address of a command: 11 bits (``7E0``), the middle two bytes of 29 (``DA10``), or all of them."""
     header = table.get("hdr")
-    request = _hex(table, "hdr", place, 0x1FFF_FFFF)
+    request = hex_at(table, "hdr", place, 0x1FFF_FFFF)
     if request is None or not isinstance(header, str):
         raise place.at("hdr").wrong("the header of a request is missing")
-    response = _hex(table, "rax", place, 0x1FFF_FFFF)
-    own, tester = _hex(table, "eax", place, 0xFF), _hex(table, "tst", place, 0xFF)
+    response = hex_at(table, "rax", place, 0x1FFF_FFFF)
+    own, tester = hex_at(table, "eax", place, 0xFF), hex_at(table, "tst", place, 0xFF)
     if len(header) == 3:
         if request > 0x7FF or (response or 0) > 0x7FF:
             raise place.at("hdr").wrong("an identifier of three digits has at most 7FF", header)
         return Address(request, response, own, None if own is None else own if tester is None else tester)
     source = TESTER if tester is None else tester
     if len(header) == 4:
-        priority = _hex(table, "pri", place, 0x1F)
+        priority = hex_at(table, "pri", place, 0x1F)
         request |= (_PRIORITY if priority is None else priority) << 16
         request = request << 8 | source
     if response is not None:  # of fewer than eight digits it is the end of an identifier, as FE0076 of 17FE0076
@@ -229,14 +175,14 @@ def _answered(commands: list[_Command]) -> Iterator[_Command]:
         yield one._replace(address=own)
 
 
-def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
+def _signal(entry: Any, place: Place) -> tuple[Any, Limits] | LeftOut:
     """Return a signal and its limits."""
-    table = _object(entry, place)
-    name, fmt = table.get("id"), _object(table.get("fmt"), place.at("fmt"))
+    table = object_at(entry, place)
+    name, fmt = table.get("id"), object_at(table.get("fmt"), place.at("fmt"))
     if not isinstance(name, str) or not name:
         raise place.at("id").wrong("a name is missing", name)
     place = place.at("fmt")
-    first, length = _count(fmt, "bix", place, 0, 0), _count(fmt, "len", place, None, 1)
+    first, length = count_at(fmt, "bix", place, 0, 0), count_at(fmt, "len", place, None, 1)
     unit = fmt.get("unit")
     if unit == "ascii" or length > LONGEST_SIGNAL:
         return LeftOut(name, f"a text, or a number of {length} bits: at most {LONGEST_SIGNAL} are decoded")
@@ -247,11 +193,11 @@ def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
         start, big = 8 * (first // 8) + 8 * size - first % 8 - length, False
         if start < 8 * (first // 8):
             return LeftOut(name, "its bytes are turned round, and its bits reach beyond them")
-    scale, offset = _number(fmt, "mul", place), _number(fmt, "add", place)
-    divisor = _number(fmt, "div", place)
+    scale, offset = number_at(fmt, "mul", place), number_at(fmt, "add", place)
+    divisor = number_at(fmt, "div", place)
     if divisor == 0 or scale == 0:
         raise place.wrong("a factor is a number other than 0", 0)
-    numbers = [_number(fmt, key, place) for key in ("nullmin", "nullmax", "omin", "omax", "min", "max")]
+    numbers = [number_at(fmt, key, place) for key in ("nullmin", "nullmax", "omin", "omax", "min", "max")]
     least, most = numbers[4:]
     signal = signal_of(
         name,
@@ -269,13 +215,13 @@ def _signal(entry: Any, place: _Place) -> tuple[Any, Limits] | LeftOut:
     return signal, Limits(*numbers[:4])
 
 
-def _texts(fmt: Mapping[str, Any], place: _Place) -> dict[int, str]:
+def _texts(fmt: Mapping[str, Any], place: Place) -> dict[int, str]:
     """Return what values mean."""
     if "map" not in fmt:
         simple = not {"mul", "div", "add", "sign"} & set(fmt)
         return _TEXTS.get(str(fmt.get("unit")), {}) if simple else {}
     texts = {}
-    for raw, meaning in _object(fmt["map"], place.at("map")).items():
+    for raw, meaning in object_at(fmt["map"], place.at("map")).items():
         try:
             number = int(raw)
         except ValueError:
@@ -310,27 +256,14 @@ def _joined(commands: list[_Command], left: list[LeftOut]) -> AnswerLayout | Non
     return AnswerLayout(first.service, first.identifier, message, first.address, limits, first.every_s)
 
 
-def _document(path: Path) -> dict[str, Any]:
-    """Return the file's contents."""
-    try:
-        document = json.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise InputError(error.strerror or str(error), file=path) from error
-    except json.JSONDecodeError as error:
-        raise InputError(f"no good JSON: {error.msg}", file=path, line=error.lineno) from error
-    except (UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"no good JSON: {error}", file=path) from error
-    return dict(_object(document, _Place(path, "")))
-
-
 def of_year(path: Path, year: int) -> str:
     """Return the text of a signal set that has the commands of one model year only."""
-    document = _document(path)
-    place = _Place(path, "commands")
+    document = document_of(path)
+    place = Place(path, "commands")
     document["commands"] = [
         entry
-        for k, entry in enumerate(_list(document.get("commands"), place))
-        if _command(entry, _Place(path, f"commands[{k}]")).years.match(year)
+        for k, entry in enumerate(list_at(document.get("commands"), place))
+        if _command(entry, Place(path, f"commands[{k}]")).years.match(year)
     ]
     return json.dumps(document, indent=1) + "\n"
 
@@ -345,8 +278,8 @@ def read(path: Path, year: int | None) -> Layouts:
     Raises:
         InputError: it cannot be read, is no signal set, or has nothing for the year; names key and value.
     """
-    top = _Place(path, "")
-    entries = _list(_document(path).get("commands"), top.at("commands"))
+    top = Place(path, "")
+    entries = list_at(document_of(path).get("commands"), top.at("commands"))
     commands = [_command(entry, top.at(f"commands[{k}]")) for k, entry in enumerate(entries)]
     left: list[LeftOut] = []
     requests: dict[tuple[Address | None, int, int], list[_Command]] = {}

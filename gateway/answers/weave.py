@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from gateway.answers.model import TWO_BYTES
+from gateway.answers.monitor_tests import LENGTH, laid_out
 from gateway.answers.obd_on_uds import PAGES, as_classic, classic, classic_length, on_uds
 from gateway.answers.pages import Page
 from gateway.bus.frames import FD, Frames, empty, joined, put
 
 #: Services of requests that read values; all others have no layout.
-READ_SERVICES = (0x01, 0x09, 0x21, 0x22)
+READ_SERVICES = (0x01, 0x06, 0x09, 0x21, 0x22)
 #: Added to the service of a request in a positive answer; a negative answer.
 POSITIVE, NEGATIVE = 0x40, 0x7F
 
@@ -101,6 +102,9 @@ class Weaver:
             if length is None:
                 self.counts["unknown"] += 1
                 continue
+            if key[0] == 0x06 and length == LENGTH:  # as many results as there are
+                data = laid_out(data)
+                length = len(data)
             self.counts["decoded" if len(data) == length else "longer" if len(data) > length else "shorter"] += 1
             made.append(framed(data, self._pages[key], t_ns, self.bus))
         return joined(made)

@@ -239,6 +239,13 @@ class Asking:
         self.told.append(told)  # last: each has its frame
         return made
 
+    def on_dtc(self, ecu: str | None, t_ns: int) -> None:
+        """Have that asked which is asked when a DTC came: of an ECU, or of ours (None: of all ECUs)."""
+        for each in self.ecus:
+            if ecu in (None, each.client.params.name):
+                each.client.on_dtc(t_ns)
+        self._plan()
+
     def _broadcast(self, frame: np.void, wanted: bool) -> Frames:
         """Take a frame that may be of DM1; returns the place in time of what it completes."""
         told = None if self._dm1 is None or not wanted else self._dm1.take(frame)

@@ -77,7 +77,7 @@ def tables(ecus: Iterable[Asked], bus: str, head: str, limits: Sequence[tuple[st
         limits: signal of the answers, and between which values it is likely; a comment that can be made a monitor.
     """
     bus, _, uri = bus.partition("=")
-    lines = [f"# {line}".rstrip() for line in head.splitlines()]
+    lines = ["#:schema gateway.schema.json", *(f"# {line}".rstrip() for line in head.splitlines())]
     lines += ["", "[[bus]]", f"name = {json.dumps(bus)}", f"uri = {json.dumps(uri or f'socketcan:{bus}')}"]
     for ecu in ecus:
         lines += ["", *(f"# {line}" for line in ecu.comment.splitlines()), "[[ecu]]", f"name = {json.dumps(ecu.name)}"]

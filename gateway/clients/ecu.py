@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
 from gateway.answers.weave import NEGATIVE, POSITIVE
-from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, put
-from gateway.clients.ask import PROBES, Ask, allowed, spoken_in
-from gateway.clients.params import DTC_SERVICES, OBD, ON_UDS, EcuParams
+from gateway.bus.frames import BRS, EXTENDED, FD, ID_MASK, Frames, empty, put
+from gateway.clients.ask import PROBES, Ask, allowed, probe_forms, spoken_in
+from gateway.clients.params import DTC, DTC_SERVICES, OBD, ON_UDS, EcuParams
 from gateway.clients.passed import Passed, Waiting
 from gateway.clients.pgn import MARK, WAIT_MS, Ended, frame_of
 from gateway.clients.refusals import BUSY, FINAL, PENDING, TOO_LONG, UNKNOWN
@@ -30,8 +31,6 @@ YIELD_NS = 5_000 * MS
 AGAIN_NS, MOST_AGAIN = 200 * MS, 10
 #: Announcements (0x78) in a row that an ECU may give.
 MOST_PENDING = 60
-#: How often conditions that are not met are looked at again [ns].
-UNMET_NS = 1_000 * MS
 #: Absences in a row that make an ECU silent: it is asked once in 1 s, 2 s, 4 s ... then.
 SILENT, FIRST_REST_NS, LONGEST_REST_NS = 3, 1_000 * MS, 60_000 * MS
 
@@ -73,6 +72,8 @@ class EcuClient:
     _begun_ns: int = 0
     _probed: int = 0
     _declined: dict[str, int] = field(default_factory=dict)
+    _expected: str = ""
+    _keep: Callable[[str], None] = lambda _protocol: None
 
     def __post_init__(self) -> None:
         self.place: EcuAddress = self.params.place
@@ -84,7 +85,9 @@ class EcuClient:
         """Return what sends requests of several frames."""
         request, response, target, tester = self.place
         long = bool(request & EXTENDED)
-        params = IsoTpParams(request=response & ID_MASK, response=request & ID_MASK, functional=None, extended=long)
+        params = IsoTpParams(
+            request=response & ID_MASK, response=request & ID_MASK, functional=None, extended=long, fd=self.params.fd
+        )
         return IsoTpEndpoint(params, self.bus, None if target is None or tester is None else (tester, target))
 
     @property
@@ -122,9 +125,15 @@ class EcuClient:
     def postpone(self, t_ns: int) -> bool:
         """Put off requests that are due and whose conditions are not met; returns whether one is left."""
         for ask in self.asks:
-            if not ask.refused and ask.due_ns <= t_ns and not ask.ready():
-                ask.due_ns = t_ns + UNMET_NS
+            if not ask.refused and ask.due_ns <= t_ns:
+                ask.waits(t_ns)
         return self.due_ns <= t_ns
+
+    def on_dtc(self, t_ns: int) -> None:
+        """Note that a DTC came."""
+        for ask in chain(self.asks, *self.open.values()):
+            if ask.on == DTC:
+                ask.come(t_ns)
 
     def begin(self, t_ns: int) -> Frames:
         """Return the request that is most overdue."""
@@ -142,9 +151,9 @@ class EcuClient:
         theirs = other._asked
         if not isinstance(theirs, Ask) or not theirs.to_all or not self.is_due(t_ns):
             return False
-        same_length = not (self.place.request ^ other.place.request) & EXTENDED
+        alike = not (self.place.request ^ other.place.request) & EXTENDED and self.params.fd == other.params.fd
         mine = self._next()
-        if mine.to_all and mine.request == theirs.request and same_length:
+        if mine.to_all and mine.request == theirs.request and alike:
             self._wait_for(mine, t_ns)
             return True
         return False
@@ -190,15 +199,9 @@ class EcuClient:
 
     def _frame(self, data: bytes, t_ns: int, can_id: int | None = None) -> Frames:
         before = b"" if self.place.target is None else bytes([self.place.target])
-        frame = empty(1)
-        put(
-            frame,
-            0,
-            t_ns,
-            self.place.request if can_id is None else can_id,
-            (before + data).ljust(8, b"\xcc"),
-            bus=self.bus,
-        )
+        frame, flags = empty(1), FD | BRS if self.params.fd else 0
+        to = self.place.request if can_id is None else can_id
+        put(frame, 0, t_ns, to, (before + data).ljust(8, b"\xcc"), bus=self.bus, flags=flags)
         return frame
 
     def on_first_frame(self, t_ns: int) -> Frames:
@@ -315,15 +318,21 @@ class EcuClient:
         ]
         ask.request, ask.instead = request, tuple((turn[0], *turn[1 + len(more) :]) for turn in later)
         self._end(ask, t_ns, heard=True)
-        ask.due_ns = t_ns
+        ask.due_ns, ask.free_ns, ask.armed = t_ns, t_ns, bool(ask.on)
+
+    def expect(self, protocol: str, keep: Callable[[str], None]) -> None:
+        """Ask first by the protocol of OBD that it answered before the start ("": none); have kept what it answers."""
+        self._expected, self._keep = protocol, keep
+        if self.open and not self._begun_ns:
+            self.asks, self._probed = [ask for ask in self.asks if not ask.probes], 0
+            self._probe(0)
 
     def _probe(self, t_ns: int) -> None:
         """Ask which protocol of OBD it speaks: all ECUs at once, then it alone; each round later than the one before.
 
         After the first round it is asked on, as it may answer requests and not for the map of them.
         """
-        forms = [(protocol, to_all) for to_all in (True, False) for protocol in PROBES]
-        forms = forms[len(PROBES) if self.place.target is not None else 0 :]  # an address byte: it alone
+        forms = probe_forms(self._expected, alone=self.place.target is not None)
         rounds, at = divmod(self._probed, len(forms))
         refuses = self._declined.keys() == PROBES.keys()
         if (rounds, at) == (1, 0) and not refuses:
@@ -350,6 +359,7 @@ class EcuClient:
     def _learn(self, protocol: str) -> None:
         """Ask on by a protocol of OBD."""
         self.speaks, asks, self.open = protocol, self.open[protocol], {}
+        self._keep(protocol)
         kept = [ask for ask in self.asks if ask is self._asked or not ask.protocol or ask.protocol == protocol]
         kept = [ask for ask in kept if ask is self._asked or not ask.probes]
         self.asks = kept + [ask for ask in asks if not any(ask is each for each in kept)]
@@ -360,6 +370,9 @@ class EcuClient:
         self._asked, self._deadline_ns, self._again = None, NEVER, 0
         if heard:
             self.silent, self._rests_ns = 0, 0
+        if ask.on:
+            ask.end(t_ns, done=heard and not ask.delays)
+            return
         if ask.every_ns == NEVER:
             self.asks.remove(ask)
             if ask.probes and self.open:
@@ -434,7 +447,7 @@ class EcuClient:
         for ask in old.asks:
             before.setdefault(ask.first, []).append(ask)
         self.asks = [
-            replace(known, every_ns=ask.every_ns, ready=ask.ready)
+            replace(known, every_ns=ask.every_ns, ready=ask.ready) if known.on == ask.on else ask
             for ask in self.asks
             for known in before.get(ask.first, [ask])
         ]

@@ -8,6 +8,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from gateway.answers.model import TWO_BYTES, Address, request_name
+from gateway.answers.obd_on_uds import PAGES
 from gateway.answers.weave import READ_SERVICES
 from gateway.clients import pgn
 from gateway.engine.checks.communication import Params as CheckParams
@@ -20,8 +21,12 @@ from gateway_fdi.common.tomlfile import StrictModel
 DTC_SERVICES = (0x19, 0x03, 0x07, 0x0A)
 #: Protocols: UDS, classic OBD (SAE J1979), OBD on UDS (SAE J1979-2), the one of these two that an ECU answers.
 UDS, OBD, ON_UDS, AUTO = "uds", "obd", "obd_on_uds", "auto"
-#: Services of OBD that read values: PIDs, infotypes.
-_OBD_SERVICES = (0x01, 0x09)
+#: Events on which a value is read: the start, that its conditions become met, that a DTC came.
+START, WHEN, DTC = "start", "when", "dtc"
+#: Least time between two requests on an event [ms].
+_EVENT_MS = 1000.0
+#: Services of OBD that read values: PIDs, results of monitors, infotypes.
+_OBD_SERVICES = tuple(PAGES)
 #: DTC of another ECU, as the vehicle's memory has it; without a failure type it is any.
 _CODE = r"^([PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?|SPN \d+ FMI \d+)$"
 
@@ -34,12 +39,26 @@ class ReadParams(StrictModel):
     pgn: int | None = Field(
         None, ge=0, le=0x3FFFF, description="J1939: parameter group; its messages are the bus's own"
     )
-    service: int | None = Field(None, description="0x01, 0x09, 0x21 or 0x22: with identifier, instead of did and pid")
+    service: int | None = Field(
+        None, description="0x01, 0x06, 0x09, 0x21 or 0x22: with identifier, instead of did and pid"
+    )
     identifier: int | None = Field(None, ge=0, le=0xFFFF, description="that the service reads")
-    every_ms: float = Field(ge=10, le=86_400_000, description="time between two requests [ms]")
+    every_ms: float | None = Field(
+        None, ge=10, le=86_400_000, description="time between two requests [ms]; with on: the least, default 1000"
+    )
+    on: str | None = Field(
+        None, pattern="^(start|when|dtc)$",
+        description="not by time: once, after the start; each time that `when` is met; that a DTC came, of the"
+        " ECU or of ours",
+    )  # fmt: skip
+    when: tuple[ConditionSettings, ...] = Field((), description="only while all of these are met, by fresh values")
 
     @model_validator(mode="after")
     def _one(self) -> Self:
+        if (self.every_ms is None and self.on is None) or (self.every_ms is not None and self.on == START):
+            raise ValueError('give every_ms, or on = "start", "when" or "dtc"')
+        if self.on == WHEN and not self.when:
+            raise ValueError('on = "when" needs its conditions: when')
         given = [each is not None for each in (self.did, self.pid, self.pgn, self.service)]
         if sum(given) != 1 or (self.service is None) != (self.identifier is None):
             raise ValueError("give did, or pid, or pgn, or service with identifier")
@@ -63,6 +82,17 @@ class ReadParams(StrictModel):
         if self.pid is not None:
             return 0x01, self.pid
         return self.service or 0, self.identifier or 0
+
+    @property
+    def told(self) -> str:
+        """How often it is read, for people."""
+        conditions = f" while {' and '.join(one.signal for one in self.when)} are met" if self.when else ""
+        return f"on {self.on}{conditions}" if self.on else f"every {self.every_ms:g} ms{conditions}"
+
+    @property
+    def apart_ms(self) -> float | None:
+        """Least time between two requests [ms]; None: it is read once."""
+        return None if self.on == START else self.every_ms or _EVENT_MS
 
     @property
     def is_obd(self) -> bool:
@@ -127,6 +157,7 @@ class EcuParams(PlaceParams):
         AUTO, pattern="^(auto|obd|obd_on_uds)$",
         description="of pid and dtcs: obd (SAE J1979), obd_on_uds (SAE J1979-2), auto: what the ECU answers",
     )  # fmt: skip
+    fd: bool = Field(False, description="it is asked in CAN FD frames; its answers are heard in either kind")
     signals: tuple[Path, ...] = Field((), description="layouts of its answers: DBC, OBDb, ...; relative to this file")
     read: tuple[ReadParams, ...] = Field((), description="values that are read again and again")
     dtcs: DtcsParams | None = Field(None, description="its DTCs are read; none: they are not")

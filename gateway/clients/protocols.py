@@ -5,14 +5,17 @@ Requests of OBD on UDS for DTCs are those of ISO 14229-1:2020 (0x19 42 and 55) f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 from gateway.answers.obd_on_uds import on_uds
 from gateway.clients.ask import Ask, Turns
 from gateway.clients.ecu import MS
-from gateway.clients.params import AUTO, OBD, ON_UDS, UDS, EcuParams
+from gateway.clients.params import AUTO, OBD, ON_UDS, UDS, EcuParams, ReadParams
+from gateway.common.times import NEVER
+from gateway.faults.settings import ConditionSettings
 
 #: DTCs that fail, did in this cycle or since the clear, are pending, confirmed, or ask for a lamp; confirmed; pending.
 _ANY, _CONFIRMED, _PENDING = 0xAF, 0x08, 0x04
@@ -57,23 +60,27 @@ class Schedule(NamedTuple):
     open: Mapping[str, list[Ask]]
 
 
-def schedule_of(params: EcuParams, ready: Callable[[], bool] = lambda: True) -> Schedule:
+#: Whether signals are in their ranges now.
+Meets = Callable[[Sequence[ConditionSettings]], bool]
+
+
+def schedule_of(params: EcuParams, meets: Meets = lambda _: True) -> Schedule:
     """Return what an ECU is asked.
 
     Args:
         params: of the ECU.
-        ready: whether the conditions for its DTCs are met now.
+        meets: judges the conditions of its requests.
     """
-    asks = [Ask(read.request, round(read.every_ms * MS)) for read in params.read if not read.is_obd]
+    asks = [_ask_of(read, read.request, meets) for read in params.read if not read.is_obd]
     if params.dtcs is not None and params.dtc_protocol == UDS:
-        asks += _asks_of_dtcs(params, DTC_REQUESTS[UDS], ready)
+        asks += _asks_of_dtcs(params, DTC_REQUESTS[UDS], meets)
     if params.finds_protocol:
-        found = {protocol: _asks_of_obd(params, protocol, ready) for protocol in (ON_UDS, OBD)}
+        found = {protocol: _asks_of_obd(params, protocol, meets) for protocol in (ON_UDS, OBD)}
         return Schedule(asks, {name: [replace(ask, protocol=name) for ask in each] for name, each in found.items()})
-    return Schedule([*asks, *_asks_of_obd(params, params.protocol, ready)], {})
+    return Schedule([*asks, *_asks_of_obd(params, params.protocol, meets)], {})
 
 
-def _asks_of_obd(params: EcuParams, protocol: str, ready: Callable[[], bool]) -> Iterator[Ask]:
+def _asks_of_obd(params: EcuParams, protocol: str, meets: Meets) -> Iterator[Ask]:
     """Yield what is asked by a protocol of OBD: values, DTCs."""
     for read in params.read:
         if read.is_obd:
@@ -81,19 +88,24 @@ def _asks_of_obd(params: EcuParams, protocol: str, ready: Callable[[], bool]) ->
             if protocol == ON_UDS:
                 forms.reverse()
             instead = ((forms[1],),) if params.finds_protocol else ()  # it may answer both, each in part
-            yield Ask(forms[0], round(read.every_ms * MS), instead=instead)
+            yield replace(_ask_of(read, forms[0], meets), instead=instead)
     if params.dtc_protocol == AUTO:
-        yield from _asks_of_dtcs(params, _FOUND[protocol], ready)
+        yield from _asks_of_dtcs(params, _FOUND[protocol], meets)
     elif params.dtc_protocol != UDS:
-        yield from _asks_of_dtcs(params, DTC_REQUESTS[params.dtc_protocol], ready)
+        yield from _asks_of_dtcs(params, DTC_REQUESTS[params.dtc_protocol], meets)
 
 
 def _request(service: int, identifier: int) -> bytes:
     return bytes([service, *identifier.to_bytes(2, "big")])
 
 
-def _asks_of_dtcs(params: EcuParams, found: _Requests, ready: Callable[[], bool]) -> Iterator[Ask]:
+def _ask_of(read: ReadParams, request: bytes, meets: Meets) -> Ask:
+    every_ns = NEVER if read.apart_ms is None else round(read.apart_ms * MS)
+    return Ask(request, every_ns, ready=partial(meets, read.when), on=read.on or "")
+
+
+def _asks_of_dtcs(params: EcuParams, found: _Requests, meets: Meets) -> Iterator[Ask]:
     if params.dtcs is not None:
         every_ns = round(params.dtcs.every_s * 1000 * MS)
         for request, instead in found:
-            yield Ask(request, every_ns, instead=instead, ready=ready)
+            yield Ask(request, every_ns, instead=instead, ready=partial(meets, params.dtcs.when))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from gateway.answers.monitor_tests import Result, results
+from gateway.answers.obd_on_uds import as_classic
 from gateway.answers.weave import NEGATIVE, Weaver
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.clients.ask import PROBES, Ask
@@ -33,12 +35,15 @@ VIN_INFO, INFOTYPES = 0x02, {0x04: ("calibration", 16), 0x06: ("verification num
 SERVICES = {
     0x01: b"\x01\x00",
     0x03: b"\x03",
+    0x06: b"\x06\x00",
     0x07: b"\x07",
     0x09: b"\x09\x00",
     0x0A: b"\x0a",
     0x19: b"\x19\x02\xaf",
     0x22: VIN_DID,
 }
+#: Requests for results of monitors, without the monitor's number.
+_MONITORS = (b"\x06", b"\x22\xf6")
 #: PIDs of one answer of support (SAE J1979: bit masks of 32).
 _MASK = 32
 
@@ -80,6 +85,8 @@ class Questioned(EcuClient):
         if request == PROBES[ON_UDS] and there:
             more += [b"\x22\xf6\x00", _infotype(ON_UDS, 0), _infotype(ON_UDS, VIN_INFO)]
             more += [each for each, _ in DTC_REQUESTS[ON_UDS]]
+        if request[:-1] in _MONITORS:
+            more += [request[:-1] + bytes([each]) for each in there if each % _MASK]
         if request[:-1] in (b"\x09", b"\x22\xf8"):
             more += [request[:-1] + bytes([each]) for each in INFOTYPES if each in there]
         self.asks += [Ask(each, NEVER) for each in more]
@@ -112,7 +119,7 @@ def questioned(name: str, request: int, response: int) -> Ecu:
 def supported(request: bytes, answer: bytes) -> list[int]:
     """Return the numbers that an answer to a request for a map names: PIDs, monitors, infotypes."""
     head = bytes([request[0] + 0x40]) + request[1:]
-    if request[-1] % _MASK or request[0] not in (0x01, 0x09, 0x22) or not answer.startswith(head):
+    if request[-1] % _MASK or request[0] not in (0x01, 0x06, 0x09, 0x22) or not answer.startswith(head):
         return []
     if len(answer) != len(head) + 4:
         return []
@@ -181,8 +188,18 @@ class Said:
 
     @property
     def monitors(self) -> list[int]:
-        """Monitors whose test results it has (F6xx)."""
-        return self._named(b"\x22\xf6")
+        """Monitors whose test results it has."""
+        return self._named(*_MONITORS)
+
+    @property
+    def tests(self) -> dict[int, list[Result]]:
+        """Results of the tests of its monitors, as it has said them."""
+        found = {}
+        for monitor in self.monitors:
+            said = [self._data(head + bytes([monitor])) for head in _MONITORS]
+            data = said[0] or as_classic(0x06, monitor, said[1])
+            found[monitor] = list(results(data))
+        return {monitor: tests for monitor, tests in found.items() if tests}
 
     def _named(self, *pages: bytes) -> list[int]:
         """Return what the maps of pages name, without further maps."""

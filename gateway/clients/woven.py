@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, FRAME, MORE, RAW, WOVEN, Frames, empty, joined
 from gateway.bus.heard import Heard
-from gateway.j1939.frame import TP_CM, TP_DT, Pdu, pdu_of
+from gateway.j1939.frame import TP_CM, TP_DT, Pdu, group_of, pdu_of
 from gateway.j1939.overheard import CUTS, FAST, STRAY, Overheard
 from gateway.signals.containers import Container, unpack
 from gateway.signals.decode import lookup
-from gateway.signals.identity import group_of
-from gateway.signals.keys import groups_of
 from gateway.signals.tables import DecodePlan
 
 #: Bytes of a frame at most.
@@ -76,7 +74,7 @@ class Woven:
     def among(self, frames: Frames) -> NDArray[np.bool_]:
         """Return which frames may carry parts of messages, shape (n,)."""
         ids = frames["can_id"]
-        places = frames["bus"].astype(np.uint32) << np.uint32(18) | groups_of(ids)
+        places = frames["bus"].astype(np.uint32) << np.uint32(18) | group_of(ids)
         return np.asarray((ids & (EXTENDED | WOVEN) == EXTENDED) & np.isin(places, self._looked), np.bool_)
 
     def hear(self, frames: Frames) -> Frames:

@@ -112,7 +112,8 @@ class AccessParams(StrictModel):
     dtc_setting: Access | None = Field(None, description="switching the setting of DTCs off (0x85)")
     events: Access | None = Field(None, description="responses on events (0x86)")
     route: Access | None = Field(
-        None, description="requests by a route beside reading (10 01, 19, 22, 3E); none: they are refused"
+        None,
+        description="requests by a route beside reading (10 01, 19, 22, 3E, OBD but 04 and 08); none: they are refused",
     )
     obd_clear: SessionlessAccess | None = Field(None, description="clearing by OBD (mode 04)")
     j1939_clear: SessionlessAccess | None = Field(None, description="clearing by J1939 (DM3, DM11)")

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from gateway.bus.frames import EXTENDED, FRAME
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, RESULT_CHANGED
 from gateway.faults.entries import UNKNOWN, UNTOLD
+from gateway.signals.columns import insert
 from gateway.signals.decode import SIGNAL
-from gateway.signals.encode import insert
 from gateway.signals.tables import encode_rows
 from gateway_fdi.jit import COMPILED, Record, i8, kernel, means
 

@@ -32,7 +32,7 @@ def bus_reach(own: UdsParams, bus: str, need: Need) -> Iterator[str]:
 
 def passing(ecu: str, need: Need) -> str:
     """Return what a route to an ECU lets pass, for people."""
-    return f"{ecu}: 10 01, 19, 22, 3E; {_more(need)}"
+    return f"{ecu}: 10 01, 19, 22, 3E, OBD but 04, 08; {_more(need)}"
 
 
 def routes_around(need: Need) -> Iterator[str]:

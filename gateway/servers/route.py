@@ -9,8 +9,9 @@ from typing import Protocol
 from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, Nrc
 from gateway.servers.uds.server import UdsServer
 
-#: Services that pass: DTCs, data, tester present; of the sessions the default one.
-READING = frozenset({0x19, 0x22, 0x3E})
+#: Services that pass: of OBD all but clearing (04) and control (08); DTCs, data, tester present; of the sessions the
+#: default one.
+READING = frozenset({0x01, 0x02, 0x03, 0x06, 0x07, 0x09, 0x0A, 0x19, 0x22, 0x3E})
 _DEFAULT_SESSION = (0x10, 0x01)
 #: Longest request of a tester, to the gateway or by a route [byte].
 LONGEST_REQUEST = 4095

@@ -121,7 +121,7 @@ class Car:
     def _send(self, frames):
         if len(frames):
             mine = frames.copy()
-            mine["t_ns"], mine["flags"] = self.now, OWN
+            mine["t_ns"], mine["flags"] = self.now, mine["flags"] | OWN
             self.log.append(mine)
             self.sent += [(self.now // MS, int(f["can_id"]), payload(f)) for f in mine]
             self._feed(joined([ecu.take(mine) for ecu in self.ecus]))

@@ -1,10 +1,16 @@
 """OBD as a car answers it: classic (SAE J1979), on UDS (SAE J1979-2), both, wrongly, late, in part; no storm."""
 
 import numpy as np
-from asking_rig import BUS, Car, Ecu, settled, write
+from amount import amount
+from asking_rig import BUS, Car, Ecu, Server, settled, write
+from rig import Rig, Tester, dtc_text, write_config
 
-from gateway.bus.frames import EXTENDED
+from gateway.answers.layout import j1979
+from gateway.bus.frames import EXTENDED, payload
+from gateway.cli.faults import list_faults
+from gateway.clients.dtcs import told_by
 from gateway.config.load import load_config
+from gateway.faults.vehicle import PERMANENT
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
 
@@ -75,7 +81,8 @@ def dtcs(found):
 
 
 def test_a_car_of_2027_is_asked_by_obd_on_uds(tmp_path, capsys):
-    found = car(tmp_path, speaks(ON_UDS)).run(4000)
+    memory = tmp_path / "memory.sqlite"
+    found = Car(write(tmp_path, BUS + ONE), [Ecu(0x7E0, 0x7E8, speaks(ON_UDS))], memory).run(4000)
     assert found.state()["speaks"] == "obd_on_uds"
     assert capsys.readouterr().out.count("an ECU answers OBD") == 1
     assert (found.value("answers:obd.A_0105.ECT"), found.value("answers:obd.A_010C.RPM")) == (170, 1726)
@@ -88,6 +95,10 @@ def test_a_car_of_2027_is_asked_by_obd_on_uds(tmp_path, capsys):
     assert requests(found).count("1904013300FF") == 1
     assert found.state()["not_asked"] == {}
     assert settled(found.state())
+    found.gateway.stop(found.now)
+    found.close()
+    assert list_faults(None, memory=memory, json=False, ecu="engine") == 0
+    assert "record 1: ECT 170 degC" in capsys.readouterr().out
 
 
 def test_a_classic_car_is_asked_as_before_and_by_uds_for_dtcs_where_it_can(tmp_path):
@@ -103,7 +114,7 @@ def test_a_classic_car_is_asked_as_before_and_by_uds_for_dtcs_where_it_can(tmp_p
 
 
 def test_values_faults_and_their_replay_are_the_same_by_either_protocol(tmp_path):
-    verdicts = []
+    verdicts, causes = [], []
     for tables in (ON_UDS, CLASSIC):
         found = car(tmp_path, speaks(tables)).run(4000)
         live = [e for e in found.events if e["event"] == "dtc"]
@@ -115,7 +126,109 @@ def test_values_faults_and_their_replay_are_the_same_by_either_protocol(tmp_path
         kinds = ("dtc", "ecu_dtc", "diagnosis")
         assert [e for e in again if e["event"] in kinds] == [e for e in found.events if e["event"] in kinds]
         verdicts.append([(e["dtc"], e["fault"]) for e in live])
+        groups = [e["groups"] for e in found.events if e["event"] == "diagnosis" and e["groups"]]
+        causes.append(groups[-1])
     assert verdicts[0] == verdicts[1]
+    assert causes[0] == causes[1]
+    assert causes[0][0]
+
+
+SERVER = """
+[output.uds]
+[output.obd]
+vin = "1HGCM82633A004352"
+pid = [
+    { id = 0x0C, signal = "M0.Value" }, { id = 0x05, signal = "M1.Value" }, { id = 0x0D, signal = "M2.Value" },
+    { id = 0xA6, signal = "M2.Value", length = 4, scale = 0.1, offset = 0.0 },
+]
+"""
+
+
+def test_our_own_server_says_the_same_by_either_protocol(tmp_path):
+    """Values, MIL, readiness; DTCs by mask, of the emission system, permanent, and by readiness group."""
+    emission = 'emission_related = true\nindicator = true\nreadiness = "egr"\n'
+    rig = Rig(write_config(tmp_path, 3, extra=SERVER, faults={0: emission}))
+    for k, value in enumerate((812.5, 90, 50)):
+        rig.value(k, value)
+    rig.fail(0)
+    rig.fail(1)  # of the chassis: no DTC of OBD
+    names = ("A_0101.MIL", "A_0101.DTC_CNT", "A_0101.EGR_RDY", "A_0105.ECT", "A_010C.RPM", "A_010D.VSS", "A_01A6.ODO")
+    wanted = ", ".join(f'{{ signal = "{each}", plausible = [-1e9, 1e9] }}' for each in names)
+    dtcs_of = {}
+    for protocol in ("auto", "obd_on_uds", "obd"):
+        read = ", ".join(f"{{ pid = {pid}, every_ms = 500 }}" for pid in (0x01, 0x05, 0x0C, 0x0D, 0xA6))
+        toml = f"[[ecu]]\nname = 'e'\nrequest = 0x7E0\nresponse = 0x7E8\nprotocol = '{protocol}'\nread = [{read}]\n"
+        toml += f"dtcs = {{ every_s = 1, protocol = '{protocol}' }}\n"
+        monitor = f'[[monitor]]\nname = "m"\ntype = "signal"\nbus = "answers:obd"\nsignal = [{wanted}]\n'
+        made = Car(write(tmp_path, BUS + toml + monitor + "[clock]\nwatched = false\n"), [Server(rig)])
+        made.now = rig.now
+        made.run(3000)
+        rig.now = made.now
+        dtcs_of[protocol] = [(each.dtc, each.status) for each in made.gateway.memory.vehicle.all()]
+        assert [made.value(f"answers:obd.{each}") for each in names] == [1, 1, 0, 90, 812.5, 50, 50]
+        assert (made.state()["refused"], made.state()["absent"]) == (0, 0)
+    assert dtcs_of["auto"] == dtcs_of["obd_on_uds"] == [("P1000-11", 0x1AF)]
+    assert dtcs_of["obd"] == [("P1000", 0x10C)]
+    tester = Tester(rig)
+    reports = [bytes.fromhex(each) for each in ("1902AF", "194233AFFF", "195533", "1956330B")]
+    lists = [told_by("e", tester.ask(each), each).found for each in reports]
+    assert lists[0].pop(dtc_text(1)) == 0x2F
+    assert lists == [{"P1000-11": 0xAF}, {"P1000-11": 0xAF}, {"P1000-11": PERMANENT}, {"P1000-11": 0xAF}]
+    rig.close()
+
+
+def test_a_car_that_behaves_by_chance_is_asked_in_no_storm_and_told_of_once(tmp_path, capsys):
+    """Each request has an answer of its own kind, and now and then another: wrong, late, refused, doubled, none."""
+    known = {bytes.fromhex(asked): bytes.fromhex(said) for asked, said in (ON_UDS | CLASSIC).items()}
+    codes = (0x11, 0x12, 0x31, 0x22, 0x21, 0x78, 0x10, 0x33, 0x7E)
+    for seed in range(amount(60, 5, 3)):
+        rng, kinds = np.random.default_rng(seed), {}
+
+        def answer(request, rng=rng, kinds=kinds):
+            kind = kinds.setdefault(request, rng.integers(8)) if rng.random() > 0.1 else rng.integers(8)
+            said, no = known.get(request, bytes([0x7F, request[0], 0x31])), bytes([0x7F, request[0]])
+            return [
+                [(2, said)],
+                [(2, said), (4, said), (250, said)],
+                [],
+                [(2, no + bytes([rng.choice(codes)]))],
+                [(2, no + b"\x78"), (500, no + b"\x78"), (1500, said)],
+                [(2, rng.bytes(int(rng.integers(1, 12))))],
+                [(300, said)],
+                [(2, no + b"\x78")],
+            ][kind]
+
+        found = car(tmp_path, answer).run(5000)
+        asked = [(t, data) for t, _, data in found.requests]
+        for t, data in asked:
+            assert sum(t <= at < t + 1000 for at, _ in asked) <= 10, seed
+            assert sum(t <= at < t + 1000 for at, other in asked if other == data) <= 6, seed
+        lines = [line.split("]", 1)[-1] for line in capsys.readouterr().out.splitlines() if "an ECU" in line]
+        assert len(lines) == len(set(lines)), seed
+        assert settled(found.state()), seed
+        found.close()
+
+
+def test_each_built_in_layout_has_the_same_answer_by_either_protocol(tmp_path):
+    rng = np.random.default_rng(75)
+    data = {each.identifier: rng.bytes(each.message.length).hex() for each in j1979()}
+    classic = {f"01{pid:02X}": f"41{pid:02X}" + said for pid, said in data.items()} | {"0100": CLASSIC["0100"]}
+    on_uds = {f"22F4{pid:02X}": f"62F4{pid:02X}" + said for pid, said in data.items()} | {"22F400": ON_UDS["22F400"]}
+    reads = ", ".join(f"{{ pid = {pid}, every_ms = 86400000 }}" for pid in data)
+    toml = (
+        f"[bus.ask]\nrequests_per_s = 200\n[[ecu]]\nname = 'e'\nrequest = 0x7E0\nresponse = 0x7E8\nread = [{reads}]\n"
+    )
+    seen = []
+    for table in (on_uds, classic):
+        found = car(tmp_path, speaks(table), toml)
+        heard, came = found.gateway.asking.hear, []
+        found.gateway.asking.hear = lambda frames, hear=heard, came=came: came.append(hear(frames)) or came[-1]
+        found.run(1500)
+        answers = np.concatenate([frames[frames["bus"] == 1] for frames in came])
+        seen.append(sorted((int(frame["can_id"]), payload(frame)) for frame in answers))
+        assert found.state()["answers_decoded"] == 102
+    assert seen[0] == seen[1]
+    assert len(seen[0]) == 102
 
 
 def test_a_car_that_answers_both_is_asked_by_the_newer_and_in_part_by_the_other(tmp_path):
@@ -126,6 +239,17 @@ def test_a_car_that_answers_both_is_asked_by_the_newer_and_in_part_by_the_other(
     assert [asked.count(each) for each in ("0100", "22F40C", "0105", "194233AFFF")] == [0, 1, 0, 1]
     assert asked.count("010C") > 6
     assert (found.value("answers:obd.A_0105.ECT"), found.value("answers:obd.A_010C.RPM")) == (170, 1726)
+
+
+def test_what_a_car_answered_is_asked_first_after_a_restart_and_another_car_all_the_same(tmp_path):
+    memory = tmp_path / "memory.sqlite"
+    for tables, first in ((CLASSIC, "22F400"), (CLASSIC, "0100"), (ON_UDS, "0100"), (ON_UDS, "22F400")):
+        found = Car(write(tmp_path, BUS + ONE), [Ecu(0x7E0, 0x7E8, speaks(tables))], memory).run(3000)
+        assert requests(found)[0] == first
+        assert found.state()["speaks"] == ("obd" if tables is CLASSIC else "obd_on_uds")
+        assert found.value("answers:obd.A_0105.ECT") == 170
+        found.gateway.stop(found.now)
+        found.close()
 
 
 def test_what_a_car_refuses_in_each_form_is_told_once_with_all_reasons(tmp_path, capsys):

@@ -69,7 +69,9 @@ extended = {extended}
 [ecu.uds.answers]
 "22 F4 00" = "62 F4 00 08 10 00 01"
 "22 F4 20" = "62 F4 20 80 00 00 00"
-"22 F6 00" = "62 F6 00 80 00 00 00"
+"22 F6 00" = "62 F6 00 C0 00 00 00"
+"22 F6 01" = "62 F6 01 80 0B 01 F4 01 2C 02 BC 81 96 FF 38 FE 0C FF 9C"
+"22 F6 02" = "62 F6 02 80 0B 03 84 01 2C 02 BC"
 "22 F8 00" = "62 F8 00 54 40 00 00"
 "22 F8 02" = "62 F8 02 57 56 57 5A 5A 5A 31 4A 5A 58 57 30 30 30 30 30 31"
 "22 F8 04" = "62 F8 04 43 41 4C 2D 41 00 00 00 00 00 00 00 00 00 00 00 43 41 4C 2D 42 00 00 00 00 00 00 00 00 00 00 00"
@@ -123,7 +125,7 @@ def test_ecus_of_11_and_29_bits_are_found_and_say_who_they_are(tmp_path):
     assert engine.dtcs == {"P0301-00": 0x2F}
     assert engine.services[0x19] is True
     assert body.parts == {"serial number": "4711"}
-    assert body.services == {0x01: False, 0x03: False, 0x07: False, 0x09: False, 0x0A: False, 0x19: False, 0x22: True}
+    assert body.services == {service: service == 0x22 for service in (0x01, 0x03, 0x06, 0x07, 0x09, 0x0A, 0x19, 0x22)}
     assert wide.dtcs == {"P0171": 0x08}
     assert (found.unclear, found.not_tried) == ([], [])
 
@@ -149,7 +151,12 @@ def test_a_car_that_speaks_obd_on_uds_alone_is_found_and_asked_so(tmp_path, wide
     (told,) = found.ecus.values()
     assert (told.vin, told.speaks, told.pids) == ("WVWZZZ1JZXW000001", ["obd_on_uds"], [0x05, 0x0C, 0x21])
     assert told.parts == {"calibration": "CAL-A, CAL-B", "verification number": "12345678, 9ABCDEF0", "name": "ECM"}
-    assert (told.monitors, told.reads_dtcs, told.dtcs) == ([1], "obd_on_uds", {"P0133-00": 0x12F})
+    assert (told.monitors, told.reads_dtcs, told.dtcs) == ([1, 2], "obd_on_uds", {"P0133-00": 0x12F})
+    assert [str(one) for one in told.tests[1]] == [
+        "test 80 0.5 V, 0.3 to 0.7: passed",
+        "test 81 -20 degC, -50 to -10: passed",
+    ]
+    assert [(one["value"], one["passed"]) for one in cli._facts(found)["ecus"][0]["tests"]["02"]] == [(0.9, False)]
     (tmp_path / "ecu.toml").write_text(tables(cli._asked(found, 10.0), "obd=virtual:y", "found"))
     (ecu,) = load_config(tmp_path / "ecu.toml").ecu
     assert (ecu.protocol, ecu.dtc_protocol, ecu.finds_protocol) == ("obd_on_uds", "obd_on_uds", False)
@@ -160,7 +167,7 @@ def test_it_only_reads_and_keeps_its_rate(tmp_path):
     _, sent = surveyed(tmp_path, ENGINE + BODY.format(delay=20), rate=50.0)
     asked = sent[(sent["data"][:, 0] >> 4) == 0]
     asked = asked[asked["can_id"] != EXTENDED | 0x18EAFFFE]
-    assert {int(each) for each in asked["data"][:, 1]} <= {0x01, 0x03, 0x07, 0x09, 0x0A, 0x19, 0x22, 0x3E}
+    assert {int(each) for each in asked["data"][:, 1]} <= {0x01, 0x03, 0x06, 0x07, 0x09, 0x0A, 0x19, 0x22, 0x3E}
     assert np.diff(asked["t_ns"]).min() >= 20 * MS
     rest = sent[(sent["data"][:, 0] >> 4) != 0]
     assert {int(each) for each in rest["data"][:, 0]} <= {0x30}  # flow control

@@ -5,8 +5,7 @@ import sqlite3
 
 import numpy as np
 import pytest
-from asking_rig import BUS, Car, Ecu, Server, settled, write
-from rig import Rig, dtc_text, write_config
+from asking_rig import BUS, Car, Ecu, settled, write
 
 from gateway.clients.dtcs import details_of, told_by
 from gateway.config.load import load_config
@@ -49,6 +48,16 @@ def test_answers_are_read():
     assert told("5904 400011 2F 01 02 F190 31").data == {"C0000-11": "0102F19031"}
     assert [told(text) for text in ("7F1931", "62F19001", "59", "5904400011", "43")] == [None] * 5
     assert details_of("C0000-11") == (bytes.fromhex("1904400011FF"), bytes.fromhex("1906400011FF"))
+
+
+def test_dtcs_are_the_same_by_each_report_of_uds():
+    """By mask; of the emission system by mask and severity, permanent, by a readiness group (1)."""
+    two = ("400011", "010203")
+    plain = told("5902FF" + "".join(f"{dtc} 2F" for dtc in two))
+    assert told("595633FF0401" + "".join(f"{dtc} 2F" for dtc in two), "19563301").found == plain.found
+    assert told("594233FFFF04" + "".join(f"04 {dtc} 2F" for dtc in two), "194233AFFF").found == plain.found
+    assert told("595533FF04" + "".join(f"{dtc} 2F" for dtc in two)).found == dict.fromkeys(plain.found, PERMANENT)
+    assert told("595633FF0401", "19563301") == Told("e", {}, 0)  # of one readiness group: no other is cleared
 
 
 def states(memory, answer, request="1902AF", t_ns=0):
@@ -155,19 +164,6 @@ def test_nothing_is_asked_unless_its_conditions_are_met(tmp_path):
     assert len(made.run(3000, *[(k, 0x100, b"\x00") for k in range(0, 3000, 100)]).requests) in (1, 2, 3)
 
 
-def test_our_own_server_as_an_ecu(tmp_path):
-    rig = Rig(write_config(tmp_path, 3, extra="[output.uds]\n[output.obd]\n"))
-    rig.fail(0)
-    rig.fail(1)
-    obd = UDS.replace("every_s = 1", 'every_s = 1, protocol = "obd"')
-    for toml, found in ((UDS, {dtc_text(0), dtc_text(1)}), (obd, {dtc_text(0)[:5]})):
-        made = Car(write(tmp_path, BUS + toml), [Server(rig)])
-        made.now = rig.now
-        made.run(4000)
-        assert {each.dtc for each in made.gateway.memory.vehicle.all()} == found
-        rig.now = made.now
-
-
 def test_names_of_faults_are_theirs_alone(tmp_path):
     for wrong, text in (
         (UDS.replace('"brake"', '"obd"'), "this name is taken"),
@@ -205,9 +201,10 @@ def test_people_and_programs_see_them(brake, tmp_path, capsys):
 def test_metrics_and_the_broker_have_them():
     from pathlib import Path
 
+    from gateway.serve.broker import Broker
     from gateway.serve.hub import Hub
     from gateway.serve.metrics import Metrics
-    from gateway.serve.mqtt import BrokerSettings, Publisher
+    from gateway.serve.mqtt import Published, Publisher
 
     hub = Hub(Path("none"))
     hub.ecus = [{"ecu": "brake", "requests": 7, "answers": 5, "absent": 2, "not_asked": {}}]
@@ -217,7 +214,7 @@ def test_metrics_and_the_broker_have_them():
     assert 'gateway_ecu_requests_total{ecu="brake"} 7.0' in text
     assert 'gateway_ecu_outcomes_total{ecu="brake",outcome="absent"} 2.0' in text
     assert 'gateway_ecu_dtc{dtc="C0036-11",ecu="brake"} 0.0' in text
-    states = Publisher(hub, BrokerSettings("none"), "car").states()
+    states = Publisher(hub, Broker(host="none"), Published(), "car").states()
     assert [topic for topic in states if "/ecu/" in topic] == ["gateway/car/ecu/brake/dtc/C0035-11"]
 
 

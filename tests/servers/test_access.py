@@ -44,7 +44,7 @@ def test_what_is_guarded_needs_the_extended_session(uds, request_):
 @pytest.mark.evidence("ISO 14229-1: NRC 33")
 @pytest.mark.parametrize("request_", GUARDED)
 def test_what_is_guarded_needs_the_least_security_level_there_is(uds, request_):
-    _, ask = uds(uds=LEVEL)
+    _, ask = uds(uds=LEVEL.replace(" }]", ' }, { level = 3, secret = "44556677" }]'))
     assert ask("1003")
     assert ask(request_) == f"7f{request_[:2]}33"
     unlock(ask)

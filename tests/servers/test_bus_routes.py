@@ -444,7 +444,7 @@ response = 0x7ED
 def test_the_check_prints_who_reaches_what(tmp_path, capsys):
     check(write_config(tmp_path, extra=ROUTES.format(read="", uds="") + RULE.format()), schema_wanted=False, json=False)
     said = capsys.readouterr().out
-    more = "10 01, 19, 22, 3E; all else: in the extended session, security level 1, M1.Value in ..1"
+    more = "10 01, 19, 22, 3E, OBD but 04, 08; all else: in the extended session, security level 1, M1.Value in ..1"
     for line in (
         "by routes from bus to bus:",
         "  all who can send on the bus b, in the session at 0x7E0, reach:",

@@ -402,14 +402,14 @@ def test_the_check_prints_who_reaches_what_and_ways_around(tmp_path, capsys):
     for line in (
         "  any network: 0.0.0.0, TCP 13400 (UDP 13400: identification, status)",
         "  testers 0x0E05 reach:",
-        "    0x1001  brakes: 10 01, 19, 22, 3E; all else: in the extended session, M1.Value in ..1",
+        "    0x1001  brakes: 10 01, 19, 22, 3E, OBD but 04, 08; all else: in the extended session, M1.Value in ..1",
         "warning: output.doip.bind: all who reach 0.0.0.0 may come without TLS",
         "warning: access.route: every tester may write and clear by each route while its conditions",
     ):
         assert line in said, line
     check(write_config(tmp_path, extra=ROUTES.format(read="")), schema_wanted=False, json=False)
     said = capsys.readouterr().out
-    assert "    0x1003  doors: 10 01, 19, 22, 3E; nothing else" in said
+    assert "    0x1003  doors: 10 01, 19, 22, 3E, OBD but 04, 08; nothing else" in said
     assert "warning: output.doip" not in said
 
 

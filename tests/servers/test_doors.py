@@ -16,9 +16,10 @@ from test_access import LEVEL
 
 from gateway.faults import service
 from gateway.runtime.app import Gateway
+from gateway.serve.broker import Broker
 from gateway.serve.hub import Hub
 from gateway.serve.metrics import Metrics
-from gateway.serve.mqtt import BrokerSettings, Publisher
+from gateway.serve.mqtt import Published, Publisher
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs/security.md"
@@ -372,7 +373,7 @@ def test_sending_that_is_off_blinds_nobody(doors):
 def test_a_broker_can_ask_for_nothing(tmp_path):
     """What MQTT has: it tells. There is no topic that it listens to, so that no rule can be gone around."""
     hub = Hub(tmp_path / "nobody")
-    publisher = Publisher(hub, BrokerSettings("127.0.0.1"), "x")
+    publisher = Publisher(hub, Broker(host="127.0.0.1"), Published(), "x")
     assert publisher._client.on_message is None
     source = (ROOT / "gateway/serve/mqtt.py").read_text()
     assert ".subscribe(" not in source

@@ -169,12 +169,13 @@ def test_an_ecu_is_reached_by_the_rules_of_routes(tmp_path, rule):
     ask, own = asks(reader, ecu="brakes"), asks(reader)
     assert ask("22f190") == ["62f190"]
     assert ask("3e80") == []
+    assert ask("0105") == ["4105"], "OBD reads, too"
     assert own("1003")[0].startswith("5003")
     assert ask("2e0102") == ["6e0102" if rule else "7f2e33"]
     assert own("1001")[0].startswith("5001")
     assert ask("2e0102") == ["7f2e7f" if rule else "7f2e33"]
     sent = [request.hex() for request in car.ecus[0].heard]
-    assert sent == ["22f190", "3e80"] + (["2e0102"] if rule else [])
+    assert sent == ["22f190", "3e80", "0105"] + (["2e0102"] if rule else [])
     noted = [(each.outcome, each.bus) for each in car.gateway.memory.interventions() if each.action == "route"]
     by = f"local one (reader 1, uid {os.getuid()}) to brakes"
     assert noted == [(0, by), (0x7F, by)] if rule else [(0x33, by)] * 2

@@ -140,15 +140,16 @@ def test_modes_03_07_0a_and_04(rig, ask):
 
 @pytest.mark.evidence("SAE J1979: several frames")
 def test_many_dtcs_come_in_several_frames(tmp_path):
-    related = dict.fromkeys(range(60), "emission_related = true\n")
-    rig = Rig(write_config(tmp_path, 60, extra=EXTRA, faults=related))
+    related = dict.fromkeys(range(130), "emission_related = true\n")
+    rig = Rig(write_config(tmp_path, 130, extra=EXTRA, faults=related))
     tester = Tester(rig)
-    for k in range(60):
+    for k in range(130):
         rig.fail(k)
     (answer,) = tester.exchange(b"\x03", functional=FUNCTIONAL)
-    assert answer[:2] == b"\x43\x3c"
+    assert answer[:2] == b"\x43\x82"
     codes = [answer[k : k + 2].hex() for k in range(2, len(answer), 2)]
-    assert len(codes) == 60
+    assert len(codes) == 130
+    assert tester.ask("0101").hex()[4:6] == "7f", "the most that its seven bits can say"
     assert codes == sorted(codes)
     rig.close()
 
@@ -167,6 +168,14 @@ def test_mode_02_shows_the_frame_of_the_first_failure(rig, ask):
     assert ask("020d01") == "", "there is one frame, number 0"
     assert ask("020000") == "420000" + "48180001"
     rig.gateway.controls.clear(0xFFFF33)
+    assert ask("020200") == "4202000000"
+    rig.fail(1)
+    rig.cycle()
+    rig.heal(1)
+    assert ask("020200") == "4202005001", "pending until a cycle has passed without it"
+    rig.cycle()
+    rig.heal(1)
+    assert rig.gateway.memory.entry("b.M1.length").freeze_frames, "it is kept, but neither pending nor confirmed"
     assert ask("020200") == "4202000000"
 
 

@@ -7,9 +7,8 @@ import hmac
 import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
 
-from gateway.common.plugins import Registry
+from gateway.common.plugins import Registry, accept_callable
 from gateway.servers.uds.attempts import Attempts
 from gateway.servers.uds.nrc import NegativeError, Nrc
 from gateway.servers.uds.params import SecurityLevel
@@ -24,14 +23,8 @@ def hmac_sha256(seed: bytes, secret: bytes, level: int) -> bytes:
     return hmac.new(secret, seed + bytes([level]), hashlib.sha256).digest()[: len(seed)]
 
 
-def _accepted(found: object, name: str) -> KeyFunction:
-    if not callable(found):
-        raise InputError("this is no function", value=name)
-    return cast("KeyFunction", found)
-
-
 #: Key functions of other packages, by name.
-KEYS: Registry[KeyFunction] = Registry("gateway.keys", _accepted)
+KEYS: Registry[KeyFunction] = Registry("gateway.keys", accept_callable)
 
 
 def key_function(name: str) -> KeyFunction:
