@@ -9,19 +9,21 @@ from gateway.cli.commands import does
 from gateway.cli.options import LOG_HELP, Json
 
 
-@does("gateway_arena.study:arena", plant="plants", method="methods")
+@does("gateway_arena.study:arena", method="methods")
 def evaluate_arena(
-    plant: Annotated[
+    plants: Annotated[
         list[str] | None,
         typer.Option(
-            help="Plants: spring, buck, stiff_motor, quad, wind, motor, tanks, cooling, battery, brake, tennessee."
-            " Default: all."
+            "--plant",
+            "--plants",
+            help="Plants: spring, buck, stiff_motor, quad, wind, motor, tanks, cooling, battery, brake, turbo,"
+            " valve, tennessee. Default: all. A list with commas is several.",
         ),
     ] = None,
     method: Annotated[
         list[str] | None,
         typer.Option(
-            help="Methods: structural, pi_bank, fixed, pca, svm, forest, kalman, particles, or FILE.py:CLASS."
+            help="Methods: structural, courses, pi_bank, fixed, pca, svm, forest, kalman, particles, or FILE.py:CLASS."
             " Default: all that have a name."
         ),
     ] = None,
@@ -40,6 +42,9 @@ def evaluate_arena(
     seed: Annotated[
         int, typer.Option(min=0, help="First seed; nothing was chosen with seeds from 100000 up.")
     ] = 100_000,
+    scenarios: Annotated[
+        int, typer.Option(min=0, help="Runs of each of valve's 44 scenarios; an incipient one is run once. 0: none.")
+    ] = 5,
     data: Annotated[
         Path | None,
         typer.Option(exists=True, file_okay=False, help="Folder with the files of LiU-ICE, as a plant."),
@@ -47,7 +52,7 @@ def evaluate_arena(
     plot: Annotated[Path | None, typer.Option(help="Draw ROC curves into this file (.svg, .png, .pdf).")] = None,
     json: Json = False,
 ) -> None:
-    """Compare methods of fault diagnosis, on eleven plants.
+    """Compare methods of fault diagnosis, on thirteen plants.
 
     Each method learns from the same records, and its threshold is set by
     the same healthy ones; a method of your own is one file.

@@ -10,6 +10,8 @@ from statistics import median
 import numpy as np
 
 from gateway_arena.contract import SAMPLES, SETTLE, Array, Found, Plant, Record
+from gateway_fdi.structure.isolability import isolability_of_model
+from gateway_fdi.structure.model import Model
 
 #: A fault is named if its probability is above this.
 NAMED = 0.5
@@ -29,6 +31,7 @@ class Row:
         delay: median from onset to alarm [samples].
         delay_s: the same [s].
         true: mean probability of the true fault at the end; 0 where nothing is detected. NaN: it names no faults.
+        group: the same of all faults together that the equations cannot tell from it.
         wrong: of the detected runs those in which another fault is named at the end.
         healthy: runs without a fault.
         false: of these with an alarm.
@@ -36,6 +39,7 @@ class Row:
         roc: its points, shape (points, 2): false alarms, detections.
         us: CPU of a sample [us].
         missed: fault -> runs in which it is not detected.
+        limit: score above which it alarms.
     """
 
     plant: str
@@ -47,6 +51,7 @@ class Row:
     delay: float = math.nan
     delay_s: float = math.nan
     true: float = math.nan
+    group: float = math.nan
     wrong: int = 0
     healthy: int = 0
     false: int = 0
@@ -54,11 +59,20 @@ class Row:
     roc: tuple[tuple[float, float], ...] = ()
     us: float = math.nan
     missed: tuple[tuple[str, int], ...] = ()
+    limit: float = math.inf
 
     @classmethod
     def refused_by(cls, plant: str, method: str, why: str) -> Row:
         """Return the row of a method that cannot be used on a plant."""
         return cls(plant, method, why)
+
+
+def diagnoses(model: Model, faults: Sequence[str]) -> list[list[int]]:
+    """Return for each fault the places of those that the structure cannot tell from it, itself among them."""
+    found = isolability_of_model(model)
+    both = found.confused & found.confused.T & found.detectable & found.detectable[:, None]
+    place = [found.faults.index(fault) for fault in faults]
+    return [[k for k, j in enumerate(place) if i == j or both[i, j]] for i in place]
 
 
 def threshold(largest: Array, false_alarm: float) -> float:
@@ -99,7 +113,8 @@ def judged(
     """
     validated, fine, bad = found
     limit = threshold(np.array([one.score[SETTLE:].max() for one in validated]), false_alarm)
-    faults, delays, early, wrong, true = list(plant.sizes), [], 0, 0, []
+    faults, delays, early, wrong, true, group = list(plant.sizes), [], 0, 0, [], []
+    alike = diagnoses(plant.model, faults) if any(one.weights is not None for one in bad) else []
     missed = dict.fromkeys(faults, 0)
     for record, one in zip(faulty, bad, strict=True):
         alarms = np.flatnonzero(one.score[SETTLE:] > limit) + SETTLE
@@ -111,6 +126,7 @@ def judged(
         if one.weights is not None:
             weights, own = one.weights[-1], faults.index(record.fault)
             true.append(float(weights[own]) if seen else 0.0)
+            group.append(float(weights[alike[own]].sum()) if seen else 0.0)
             wrong += seen and bool((np.delete(weights, own) > NAMED).any())
     middle = SAMPLES // 2
     curve = roc(
@@ -120,8 +136,8 @@ def judged(
     delay = median(delays) if delays else math.nan
     return Row(
         plant.name, method, "", len(faulty), len(delays), early, delay, delay * plant.period_s,
-        float(np.mean(true)) if true else math.nan, wrong, len(healthy),
+        float(np.mean(true)) if true else math.nan, float(np.mean(group)) if group else math.nan, wrong, len(healthy),
         sum(bool((one.score[SETTLE:] > limit).any()) for one in fine),
         float(np.trapezoid([y for _, y in curve], [x for x, _ in curve])), curve,
-        missed=tuple((fault, count) for fault, count in missed.items() if count),
+        missed=tuple((fault, count) for fault, count in missed.items() if count), limit=limit,
     )  # fmt: skip

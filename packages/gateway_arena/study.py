@@ -18,6 +18,8 @@ from gateway_arena.plants import NAMES, plant
 from gateway_arena.plants.engine import Engine
 from gateway_arena.plants.tennessee import NAME as TENNESSEE
 from gateway_arena.plants.tennessee import is_there
+from gateway_arena.plants.valve import ValvePlant
+from gateway_arena.scenarios import ScenarioRow, judged_scenarios, plain, table
 from gateway_arena.score import Row, threshold
 from gateway_arena.trial import records, trial
 from gateway_fdi.errors import InputError
@@ -40,6 +42,7 @@ def _table(rows: Sequence[Row], title: str) -> Table:
             "delay\n[s]": lambda row: _number(row.delay_s),
             "delay\n[samples]": lambda row: _number(row.delay, 0),
             "P of the\ntrue fault": lambda row: _number(row.true),
+            "P of its\ngroup": lambda row: _number(row.group),
             "wrong\nname": lambda row: "-" if math.isnan(row.true) else row.wrong,
             "false\nalarms": lambda row: f"{row.false}/{row.healthy}",
             "ROC\narea": lambda row: _number(row.auc, 3),
@@ -67,6 +70,7 @@ def _plants(names: Sequence[str], data: Path | None) -> list[Plant]:
     if not names and data is None and not is_there():
         say(f"{TENNESSEE} is left out: pip install tep-studio")
         names = [name for name in NAMES if name != TENNESSEE]
+    names = [each for name in names for each in name.split(",")]
     wanted = names if names or data is not None else NAMES
     return [*(plant(name) for name in wanted), *([] if data is None else [Engine(data)])]
 
@@ -82,6 +86,7 @@ def arena(
     size: float,
     false_alarm: float,
     seed: int,
+    scenarios: int,
     data: Path | None,
     plot: Path | None,
     json: bool,
@@ -95,7 +100,8 @@ def arena(
     names = tuple(methods or METHODS)
     for name in names:
         method(name)
-    rows = []
+    rows: list[Row] = []
+    of_scenarios: list[ScenarioRow] = []
     for each in _plants(plants, data):
         say(f"{each.name} ({each.source}): {len(each.sizes)} faults ...")
         if isinstance(each, Engine):
@@ -103,14 +109,20 @@ def arena(
             _enough(len(given.validated), false_alarm, "--data")
         else:
             given = records(each, seed, runs=runs, healthy=healthy, train=train, off=off, size=size)
-        rows += [trial(name, method(name), each, given, false_alarm) for name in names]
+        fitted = {name: method(name) for name in names}
+        mine = [trial(name, made, each, given, false_alarm) for name, made in fitted.items()]
+        rows += mine
+        if isinstance(each, ValvePlant) and scenarios:
+            judges = {row.method: (fitted[row.method], row.limit) for row in mine if not row.refused}
+            of_scenarios = judged_scenarios(each, judges, scenarios, seed, off)
     if plot:
         from gateway_arena.figure import draw  # noqa: PLC0415 - drawing is slow to load
 
         draw(rows, plot)
     if json:
         given_as = {"first_seed": seed, "false_alarm": false_alarm, "off": off, "size": size, "train": train}
-        print_json({"study": "arena", **given_as, "rows": [_plain(row) for row in rows]})
+        found = {"rows": [_plain(row) for row in rows], "scenarios": [plain(row) for row in of_scenarios]}
+        print_json({"study": "arena", **given_as, **found})
         return 0
     console = wide_console()
     told = f"seeds from {seed}, {false_alarm:.0%} false alarms, parameters off {off:.0%}, faults times {size:g}"
@@ -121,5 +133,7 @@ def arena(
         elif row.missed:
             told = ", ".join(f"{fault} {count}" for fault, count in row.missed)
             console.print(f"{row.plant}: {row.method} did not detect {told}")
+    for name in dict.fromkeys(row.method for row in of_scenarios):
+        console.print(table(of_scenarios, name, f"seeds from {seed}, parameters off {off:.0%}"))
     console.print("early: alarms before the fault; P: probability at the end, 0 where nothing is detected")
     return 0

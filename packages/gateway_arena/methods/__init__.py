@@ -18,6 +18,7 @@ from gateway_fdi.errors import InputError, nearest
 #: Name -> place; ours first.
 METHODS = {
     "structural": "structural:Structural",
+    "courses": "courses:Courses",
     "pi_bank": "bank:Bank",
     "fixed": "structural:Fixed",
     "pca": "learned:Pca",
@@ -42,7 +43,7 @@ def method(name: str) -> Method:
         module, _, kind = METHODS[name].partition(":")
         if module == "learned":
             need("arena", "methods that learn from data", key="--method")
-        elif module == "structural":
+        elif module in ("structural", "courses"):
             need("structure", "residuals of equations", key="--method")
         made: Method = getattr(import_module(f"{__name__}.{module}"), kind)()
         return made

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gateway_arena.contract import Array, Found, NotForThisPlantError, Plant, Record
+from gateway_arena.contract import SAMPLES, Array, Found, NotForThisPlantError, Plant, Record
+from gateway_arena.indexes import Bools
 from gateway_arena.methods.accumulated import Accumulated, settled
 from gateway_fdi import FAILED, PASSED, Component, Diagnoser, GatewayError, Link, Sized, Test, residuals
 
@@ -29,7 +30,12 @@ class Structural:
     Which tests fire is not enough: a small fault fires some of its tests only, which is the pattern of another one. So
     the Diagnoser gets the residuals' means and what each fault leaves in each for 1 of its size, 0 where the structure
     says so: one size has to fit all. Something that is no fault of the model is always among the causes.
+
+    Attributes:
+        every: samples from one explanation to the next.
     """
+
+    every = EVERY
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
         """Derive the residuals, and learn what is typical of each.
@@ -69,14 +75,18 @@ class Structural:
         computed = self._computed(record)
         norms = np.stack([self._norms(residual, k) for k, residual in enumerate(computed)], 1)
         weights = np.zeros((len(norms), len(self._faults)))
-        for end in range(EVERY, len(norms) + 1, EVERY):
-            if (norms[end - 1] > 1.0).any():
-                weights[end - 1 : end - 1 + EVERY] = self._causes(record, computed, norms[:end])
+        for end in range(self.every, len(norms) + 1, self.every):
+            if self._fired(norms[:end]).any():
+                weights[end - 1 : end - 1 + self.every] = self._causes(record, computed, norms[:end])
         return Found(norms.max(1), weights)
+
+    def _fired(self, norms: Array) -> Bools:
+        """Return the tests that fire now, shape (tests,)."""
+        return np.asarray(norms[-1] > 1.0)
 
     def _causes(self, record: Record, computed: Sequence[Array], norms: Array) -> Array:
         """Return the probability of each fault at the end of some samples, in which a test has fired."""
-        end, failed = len(norms), norms[-1] > 1.0
+        end, failed = len(norms), self._fired(norms)
         begun = min(self._begun(column) for column in norms.T[failed])
         window = slice(max(begun, end - WINDOW), end)
         means = np.array([residual[window].mean() for residual in computed])
@@ -91,7 +101,8 @@ class Structural:
         for names, probability in diagnoser.causes():
             weights[[self._faults.index(name) for name in names if name]] += probability
         alike = weights > weights.max() / APART
-        weights[alike] = weights[alike].mean()
+        if alike.any():
+            weights[alike] = weights[alike].mean()
         return weights
 
     def _links(self, k: int) -> list[Link]:
@@ -100,16 +111,15 @@ class Structural:
 
     def _gains(self, record: Record, begun: int, window: slice, means: Array, noise: Array) -> list[dict[str, float]]:
         """Return the gain of each fault in each residual's mean: first the slope, then that of the size it gives."""
-        end = window.stop
-        values = dict(zip(self._knowns, record.values[:end].T, strict=True))
+        first, end = max(window.stop - SAMPLES, 0), window.stop
+        times, values = record.t_s[first:end], dict(zip(self._knowns, record.values[first:end].T, strict=True))
+        window, begun = slice(window.start - first, end - first), max(begun - first, 0)
         found = [dict.fromkeys(set(self._faults) - set(residual.faults), 0.0) for residual in self._residuals]
         for fault in self._faults:
             sees = [k for k, residual in enumerate(self._residuals) if fault in residual.faults]
             size = SMALL
             for _ in range(2):
-                courses = (
-                    self._residuals[k].gain(fault, record.t_s[:end], values, size=size, since=begun) for k in sees
-                )
+                courses = (self._residuals[k].gain(fault, times, values, size=size, since=begun) for k in sees)
                 gains = np.array([course[window].mean() for course in courses])
                 if not np.isfinite(gains).all():
                     break
@@ -119,6 +129,8 @@ class Structural:
                 if not scaled.any():
                     break
                 size = float(scaled @ (means[sees] / noise[sees]) / (scaled @ scaled))
+                if size == 0.0:
+                    break
         return found
 
 

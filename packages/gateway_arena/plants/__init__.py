@@ -7,10 +7,12 @@ from gateway_arena.plants.gallery import GALLERY, GalleryPlant
 from gateway_arena.plants.solved import SOLVED, SolvedPlant
 from gateway_arena.plants.tennessee import NAME as TENNESSEE
 from gateway_arena.plants.tennessee import TennesseePlant
+from gateway_arena.plants.turbo import TurboPlant
+from gateway_arena.plants.valve import ValvePlant
 from gateway_fdi.errors import InputError, nearest
 
 #: Names of the plants, in the table's order.
-NAMES = (*SOLVED, *GALLERY, TENNESSEE)
+NAMES = (*SOLVED, *GALLERY, TurboPlant.name, ValvePlant.name, TENNESSEE)
 
 
 def plant(name: str) -> Plant:
@@ -23,4 +25,6 @@ def plant(name: str) -> Plant:
         raise InputError(f"the plants are {', '.join(NAMES)}{nearest(name, NAMES)}", key="--plant", value=name)
     if name == TENNESSEE:
         return TennesseePlant()
+    if name in (TurboPlant.name, ValvePlant.name):
+        return TurboPlant() if name == TurboPlant.name else ValvePlant()
     return SolvedPlant(name) if name in SOLVED else GalleryPlant(name)

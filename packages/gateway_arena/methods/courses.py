@@ -1,0 +1,97 @@
+"""Ours: the residuals of the structural model, and which fault's course fits theirs with one size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from gateway_arena.contract import SAMPLES, Array, Plant, Record
+from gateway_arena.indexes import Bools
+from gateway_arena.methods.accumulated import settled
+from gateway_arena.methods.structural import APART, GAIN_ERROR, MORE, OTHER, SMALL, Structural
+
+#: Samples that are explained at most, and their parts; iterations for a fault's size, and share at which it stays.
+WINDOW, PARTS, ITERATIONS, STAYS = 480, 12, 6, 0.02
+#: A test counts above the largest T over J of healthy records by this factor, and above the least one.
+BAR, LEAST = 1.2, 0.05
+
+
+class Courses(Structural):
+    """As :class:`Structural`, but a size has to fit the residuals of each part of a window, not their means alone.
+
+    A leak and a sensor's gain can leave the same mean; along a drive, with other pressures, they leave other courses.
+    The likelihoods are Gaussian, of mean residuals of the parts; something that is no fault of the model fits all.
+    """
+
+    def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
+        """Derive the residuals, and learn what is typical of each and of its means."""
+        super().fit(plant, healthy, faulty)
+        length = WINDOW // PARTS
+        runs = [self._computed(record) for record in healthy]
+        means = [
+            np.concatenate([np.convolve(settled(run[k]), np.full(length, 1 / length), "valid") for run in runs])
+            for k in range(len(self._residuals))
+        ]
+        self._noise = MORE * np.sqrt([np.mean(each**2) for each in means])
+        norms = [[settled(self._norms(run[k], k)).max() for run in runs] for k in range(len(self._residuals))]
+        self._bars = np.maximum(BAR * np.array(norms).max(1), LEAST)
+
+    def _fired(self, norms: Array) -> Bools:
+        """Return the tests that fired within the window: what a drive hides now, it has shown before."""
+        return np.asarray((norms[-WINDOW:] > self._bars).any(0))
+
+    def _causes(self, record: Record, computed: Sequence[Array], norms: Array) -> Array:
+        """Return the probability of each fault at the end of some samples, in which a test has fired."""
+        end = len(norms)
+        first = np.argmax(norms > self._bars, 0)[self._fired(norms)]
+        begun = min(self._begun(column[: k + 1]) for column, k in zip(norms.T[self._fired(norms)], first, strict=True))
+        start = min(max(begun, end - WINDOW), end - PARTS)
+        edges = np.linspace(start, end, PARTS + 1).astype(int)[:-1]
+        lengths = np.diff(edges, append=end)
+
+        def parts(course: Array) -> Array:
+            return np.asarray(np.add.reduceat(course[:end], edges) / lengths)
+
+        means = np.array([parts(residual) for residual in computed])
+        noise = self._noise[:, None] * np.sqrt(WINDOW / PARTS / lengths)
+        first = max(end - SAMPLES, 0)
+        times, since = record.t_s[first:end], max(begun - first, 0)
+        values = dict(zip(self._knowns, record.values[first:end].T, strict=True))
+
+        def gains(fault: str, size: float) -> Array:
+            found = np.zeros(means.shape)
+            for k, residual in enumerate(self._residuals):
+                if fault in residual.faults:
+                    course = np.zeros(end)
+                    course[first:] = residual.gain(fault, times, values, size=size, since=since)
+                    found[k] = parts(course)
+            return found
+
+        unlike = [self._unlike(means, noise, partial(gains, fault)) for fault in self._faults]
+        unlike.append(means.size - 2.0 * np.log(OTHER))
+        weights = np.exp(-0.5 * (np.array(unlike) - min(unlike)))
+        weights /= weights.sum()
+        named: Array = weights[:-1]
+        alike = named > named.max() / APART
+        if alike.any():
+            named[alike] = named[alike].mean()
+        return named
+
+    @staticmethod
+    def _unlike(means: Array, noise: Array, gains: Callable[[float], Array]) -> float:
+        """Return the squared distance of a fault with its best size, by noise and errors of gains."""
+        size = SMALL
+        for _ in range(ITERATIONS):
+            gain = gains(size)
+            if not np.isfinite(gain).all() or not gain.any():
+                return np.inf
+            before, variance = size, noise**2 + (GAIN_ERROR * gain * size) ** 2
+            size = float((gain * means / variance).sum() / (gain**2 / variance).sum())
+            if size == 0.0:
+                return np.inf
+            if abs(size - before) < STAYS * abs(size):
+                break
+        variance = noise**2 + (GAIN_ERROR * gain * size) ** 2
+        return float(((means - gain * size) ** 2 / variance).sum())

@@ -1,0 +1,277 @@
+"""A turbocharged petrol engine: filter, compressor, intercooler, throttle, cylinders, turbine, wastegate; 11 faults.
+
+Plant and faults are those of Ng, Frisk, Krysander, Eriksson, "A realistic simulation testbed of a turbocharged spark
+ignited engine system", IEEE Control Systems Magazine 40(2), 2020. The equations are derived again from [1] Eriksson,
+"Modeling and control of turbocharged SI and DI engines", Oil & Gas Science and Technology 62(4), 2007, whose mean value
+model that is; [2] Heywood, "Internal combustion engine fundamentals", 1988, has orifices, torque and friction. The
+parameters are our own, for an engine of the same size; nothing of the testbed's code or data is here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
+from gateway_arena.plants.solved import onset_of, touches, without_slopes
+from gateway_fdi.common.resources import shipped
+from gateway_fdi.jit import Record as Fields
+from gateway_fdi.jit import f8, f8s, kernel, means, zeros
+from gateway_fdi.structure.file import load_model
+
+#: Time between two samples, and the solver's step [s].
+PERIOD_S, STEPS = 0.1, 50
+#: Fault -> text, size, unit.
+FAULTS = {
+    "fp_af": ("clogged air filter", 8.0, "times the resistance more"),
+    "fC_vol": ("volumetric efficiency", 0.08, "of it lost"),
+    "fW_af": ("hole behind the air filter", 100.0, "mm2"),
+    "fW_c": ("hole behind the compressor", 10.0, "mm2"),
+    "fW_ic": ("hole behind the intercooler", 10.0, "mm2"),
+    "fW_th": ("hole behind the throttle", 5.0, "mm2"),
+    "fx_th": ("throttle", 4.0, "mm2 more than told"),
+    "fyp_ic": ("sensor of the intercooler's pressure", 0.2, "of it more"),
+    "fyp_im": ("sensor of the intake's pressure", 0.19, "of it more"),
+    "fyT_ic": ("sensor of the intercooler's temperature", -20.0, "K"),
+    "fyW_af": ("sensor of the air flow", 0.2, "of it more"),
+}
+#: Commands, then sensors: areas [mm2], shares, [rad/s]; temperatures [K], pressures [kPa], flow [g/s], torque [Nm].
+KNOWNS = (
+    "A_th", "u_wg", "w_e", "yT_c", "yp_c", "yT_ic", "yp_ic", "yT_im", "yp_im", "yW_af", "yTq", "yp_em",
+)  # fmt: skip
+#: Noise of the sensors.
+NOISE = (0.0, 0.0, 0.0, 0.5, 0.3, 0.5, 0.3, 0.5, 0.2, 0.2, 1.0, 0.5)
+#: States: mass and temperature of six volumes from the air filter to the exhaust; speed of the turbine [rad/s].
+VOLUMES = 6
+
+
+class Parameters(Fields):
+    """Parameters, SI units; those of the structural model have its names, in its units."""
+
+    H_af: f8 = means("resistance of the air filter")
+    H_ic: f8 = means("of the intercooler")
+    H_es: f8 = means("of the exhaust")
+    D_c: f8 = means("diameter of the compressor [m]")
+    Phi: f8 = means("largest flow parameter of the compressor")
+    Psi: f8 = means("largest head parameter")
+    e_c: f8 = means("largest efficiency of the compressor")
+    e_ic: f8 = means("effectiveness of the intercooler")
+    c_vol: f8 = means("volumetric efficiency")
+    V_d: f8 = means("displacement [m3]")
+    e_ig: f8 = means("indicated efficiency")
+    k_t: f8 = means("flow of the turbine")
+    e_t: f8 = means("efficiency of the turbine")
+    J: f8 = means("inertia of the turbine [kg m2]")
+
+
+#: Their values.
+VALUES = {
+    "H_af": 3e8, "H_ic": 1e9, "H_es": 4e8, "D_c": 0.058, "Phi": 0.125, "Psi": 2.2, "e_c": 0.78, "e_ic": 0.8,
+    "c_vol": 0.92, "V_d": 1.8e-3, "e_ig": 0.36, "k_t": 0.016, "e_t": 0.68, "J": 3.5e-5,
+}  # fmt: skip
+#: Surroundings [Pa], [K]; gas constants and heats of air and exhaust [J/kg/K]; stoichiometric ratio.
+P_A, T_A = 101_300.0, 298.0
+
+
+@kernel
+def orifice(area: float, p1: float, p2: float, t: float) -> float:
+    """Return the flow of air through an orifice [kg/s], [2]: choked below a ratio of 0.53, linear above 0.95."""
+    ratio, sign = p2 / p1, 1.0
+    if ratio > 1.0:
+        ratio, sign, p1 = 1.0 / ratio, -1.0, p2
+    edge = min(ratio, 0.95)
+    edge = max(edge, 0.5283)
+    psi = math.sqrt(7.0 * (edge ** (2.0 / 1.4) - edge ** (2.4 / 1.4)))
+    if ratio > 0.95:
+        psi *= (1.0 - ratio) / 0.05
+    return sign * area * p1 / math.sqrt(287.0 * t) * psi
+
+
+@kernel
+def resisted(h: float, p1: float, p2: float, t: float) -> float:
+    """Return the flow through a resistance [kg/s], [1]: with the root of the difference, linear below 1 kPa."""
+    drop = p1 - p2
+    root = math.sqrt(drop) if drop > 1000.0 else drop / math.sqrt(1000.0)
+    return math.sqrt(p1 / (h * t)) * root
+
+
+@kernel
+def slopes(x: f8s, d: f8s, y: f8s, c: Parameters, u: f8s, f: f8s) -> None:
+    """Compute slopes and what sensors would show without noise.
+
+    Args:
+        x: states, shape (13,): masses, temperatures, speed.
+        d: their slopes, changed.
+        y: of the sensors, shape (9,), SI units, changed.
+        c: parameters.
+        u: area of the throttle [m2], wastegate [1], engine's speed [rad/s], shape (3,).
+        f: of the faults, shape (11,); areas in m2.
+    """
+    p_a, t_a = 101300.0, 298.0
+    r_e = 290.0
+    p_af = x[0] * 287.0 * x[6] / 0.01
+    p_c = x[1] * 287.0 * x[7] / 0.005
+    p_ic = x[2] * 287.0 * x[8] / 0.005
+    p_im = x[3] * 287.0 * x[9] / 0.002
+    p_em = x[4] * r_e * x[10] / 0.0025
+    p_t = x[5] * r_e * x[11] / 0.02
+    w_t = max(x[12], 1000.0)
+    # flows: filter, compressor [1], intercooler, throttle, cylinders [1]
+    w_af = resisted(c.H_af * (1.0 + f[0]), p_a, p_af, t_a)
+    rps = w_t / (2.0 * math.pi)
+    ratio = max(p_c / p_af, 1.0)
+    rise = ratio ** (0.4 / 1.4) - 1.0
+    head = 1005.0 * x[6] * rise / (c.D_c * rps) ** 2 / c.Psi
+    phi = c.Phi * math.sqrt(max(1.0 - head * head, 1e-4))
+    w_c = phi * p_af / (287.0 * x[6]) * rps * c.D_c**3
+    e_c = max(c.e_c * (1.0 - ((phi / c.Phi - 0.6) / 0.8) ** 2), 0.3)
+    t_c = x[6] * (1.0 + rise / e_c)
+    w_ic = resisted(c.H_ic, p_c, p_ic, x[7])
+    t_ic = x[7] - c.e_ic * (x[7] - t_a) if w_ic > 0.0 else x[8]
+    w_th = orifice(u[0] + f[6], p_ic, p_im, x[8])
+    w_cyl = (
+        c.c_vol * (1.0 - f[1]) * (9.5 - (p_em / p_im) ** (1.0 / 1.3)) / 8.5
+        * c.V_d * u[2] / (4.0 * math.pi) * p_im / (287.0 * x[9])
+    )  # fmt: skip
+    # leaks
+    l_af = orifice(f[2], p_a, p_af, t_a)
+    l_c = orifice(f[3], p_c, p_a, x[7])
+    l_ic = orifice(f[4], p_ic, p_a, x[8])
+    l_th = orifice(f[5], p_a, p_im, t_a)
+    # exhaust: temperature rises with flow [1], turbine, wastegate
+    fuel = w_cyl / 15.1
+    w_e = w_cyl + fuel
+    t_e = 1000.0 + 3000.0 * w_e
+    back = min(p_t / p_em, 1.0)
+    w_tu = c.k_t * p_em / 1000.0 / math.sqrt(x[10]) * math.sqrt(max(1.0 - back**1.4, 1e-6))
+    w_wg = orifice(3e-4 * u[1], p_em, p_t, x[10])
+    cooled = c.e_t * (1.0 - back ** (0.3 / 1.3))
+    t_t = x[10] * (1.0 - cooled * w_tu / max(w_tu + w_wg, 1e-6))
+    w_es = resisted(c.H_es, p_t, p_a, x[11])
+    power = w_tu * 1256.0 * x[10] * cooled - w_c * 1005.0 * (t_c - x[6])
+    d[12] = (power / w_t - 1e-6 * w_t) / c.J
+    flows_in = (w_af + l_af, w_c, w_ic, w_th + l_th, w_e, w_tu + w_wg)
+    flows_out = (w_c, w_ic + l_c, w_th + l_ic, w_cyl, w_tu + w_wg, w_es)
+    warm = (t_a, t_c, t_ic, x[8], t_e, t_t)
+    for k in range(6):
+        kappa = 1.4 if k < 4 else 1.3
+        d[k] = flows_in[k] - flows_out[k]
+        # energy of an open volume [2]: what comes in brings kappa times its temperature
+        d[6 + k] = (flows_in[k] * (kappa * warm[k] - x[6 + k]) - flows_out[k] * (kappa - 1.0) * x[6 + k]) / x[k]
+    # torque [2]: indicated, less pumping and friction
+    gross = c.e_ig * 4.4e7 * fuel / max(u[2], 10.0)
+    friction = (9e4 + 1.2e2 * u[2]) * c.V_d / (4.0 * math.pi)
+    y[0], y[1], y[2], y[3], y[4] = x[7], p_c, x[8] + f[9], p_ic * (1.0 + f[7]), x[9]
+    y[5], y[6] = p_im * (1.0 + f[8]), w_af * (1.0 + f[10])
+    y[7], y[8] = gross - (p_em - p_im) * c.V_d / (4.0 * math.pi) - friction, p_em
+
+
+@kernel
+def simulate(rows: f8s, c: Parameters, drive: f8s, sizes: f8s, onset: int, work: f8s) -> None:
+    """Fill in the exact values of the known variables.
+
+    The throttle follows the pressure that the torque wants, by a PI-controller on its sensor; so does the wastegate.
+
+    Args:
+        rows: of samples, shape (n, 12), in the units of :data:`KNOWNS`.
+        c: parameters.
+        drive: engine's speed [rad/s] and pressure of the intake that is wanted [Pa], shape (n + 1, 2).
+        sizes: of the faults, shape (11,).
+        onset: first sample with them.
+        work: zeros, shape (9, 13); the states at the end are its first row.
+    """
+    h = 0.1 / 50
+    x, y, u, f = work[0], work[1], work[2], work[3]
+    a, b, e, g, s = work[4], work[5], work[6], work[7], work[8]
+    volume = (0.01, 0.005, 0.005, 0.002, 0.0025, 0.02)
+    for k in range(6):
+        x[6 + k] = 298.0 if k < 4 else 1000.0
+        x[k] = 101300.0 * volume[k] / ((287.0 if k < 4 else 290.0) * x[6 + k])
+    x[12] = 5000.0
+    held, opened = 0.1, 0.5
+    u[2] = drive[0, 0]
+    slopes(x, a, y, c, u, f)
+    for k in range(len(rows)):
+        for j in range(11):
+            f[j] = sizes[j] if k >= onset else 0.0
+        for m in range(50):
+            part = m / 50
+            u[2] = drive[k, 0] + part * (drive[k + 1, 0] - drive[k, 0])
+            wanted = drive[k, 1] + part * (drive[k + 1, 1] - drive[k, 1])
+            if m % 5 == 0:
+                miss = (wanted - y[5]) / 1e5
+                held = min(max(held + 0.01 * miss * 0.6, 0.01), 1.0)
+                u[0] = 1e-3 * min(max(held + 0.3 * miss, 0.005), 1.0)
+                over = (y[3] - max(wanted + 8e3, 104e3)) / 1e5
+                opened = min(max(opened + 0.01 * over * 2.0, 0.0), 1.0)
+                u[1] = min(max(opened + over, 0.0), 1.0)
+                if m == 0:
+                    row = rows[k]
+                    row[0], row[1], row[2] = 1e6 * u[0], u[1], u[2]
+                    slopes(x, a, y, c, u, f)
+                    row[3], row[4], row[5], row[6], row[7] = y[0], y[1] / 1e3, y[2], y[3] / 1e3, y[4]
+                    row[8], row[9], row[10], row[11] = y[5] / 1e3, 1e3 * y[6], y[7], y[8] / 1e3
+            slopes(x, a, y, c, u, f)
+            for i in range(13):
+                s[i] = x[i] + 0.5 * h * a[i]
+            slopes(s, b, y, c, u, f)
+            for i in range(13):
+                s[i] = x[i] + 0.5 * h * b[i]
+            slopes(s, e, y, c, u, f)
+            for i in range(13):
+                s[i] = x[i] + h * e[i]
+            slopes(s, g, y, c, u, f)
+            for i in range(13):
+                x[i] += h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * e[i] + g[i])
+
+
+def drive_of(seed: int) -> Array:
+    """Return a drive, shape (n + 1, 2): speeds and pressures that change within some seconds, then stay for some."""
+    rng = np.random.default_rng([seed, 5])
+    at, points = 0.0, []
+    while at < SAMPLES * PERIOD_S + 1.0:
+        speed, stays = rng.uniform(150.0, 380.0), rng.uniform(2.0, 6.0)
+        level = (speed, rng.uniform(45e3, 80e3 + 30e3 * (speed - 150.0) / 230.0))
+        points += [(at, *level), (at + stays, *level)]
+        at += stays + rng.uniform(3.0, 8.0)
+    t, speeds, pressures = np.array(points).T
+    times = np.arange(SAMPLES + 1) * PERIOD_S
+    return np.stack([np.interp(times, t, speeds), np.interp(times, t, pressures)], 1)
+
+
+class TurboPlant:
+    """The engine as the arena takes it, on random drives."""
+
+    name, source, period_s = "turbo", "turbocharged engine; Ng, Frisk, Krysander, Eriksson 2020", PERIOD_S
+    commands: tuple[str, ...] = KNOWNS[:3]
+    knowns: tuple[str, ...] = KNOWNS
+    noise: tuple[float, ...] = NOISE
+    sizes: Mapping[str, str] = {f: f"{text}, {size:g} {unit}" for f, (text, size, unit) in FAULTS.items()}
+
+    def __init__(self) -> None:
+        self.model = load_model(shipped("models/turbo.toml"))
+        self.touches: Mapping[str, str] = touches(self.model)
+
+    def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
+        """Return a run (:class:`gateway_arena.contract.Plant`)."""
+        onset = onset_of(seed) if fault else SAMPLES
+        rng = np.random.default_rng(seed)
+        c = zeros(1, Parameters)[0]
+        for name, value in VALUES.items():
+            c[name] = value * (1.0 + off * rng.choice([-1.0, 1.0]))
+        sizes = np.array([size * each * (1e-6 if unit.startswith("mm2") else 1.0) for _, each, unit in FAULTS.values()])
+        sizes[[name != fault for name in FAULTS]] = 0.0
+        rows = np.zeros((SAMPLES, len(KNOWNS)))
+        simulate(rows, c, drive_of(seed), sizes, onset, np.zeros((9, 13)))
+        shown = rows + rng.normal(size=rows.shape) * np.array(NOISE)
+        return Record(np.arange(float(SAMPLES)) * PERIOD_S, shown, fault, onset)
+
+    def dynamics(self, command: Array) -> Dynamics:
+        """Refuse (:func:`gateway_arena.plants.solved.without_slopes`).
+
+        Raises:
+            NotForThisPlantError: always.
+        """
+        return without_slopes()
