@@ -121,6 +121,10 @@ def test_equal_parts_are_seen_as_one():
     seen = see(np.tile([1000.0] * 9 + [3000.0], 12))
     assert seen is not None
     assert seen.wheel == "12-2"
+    assert str(seen).endswith("; or that two or three times a turn, which pulses do not tell)")
+    assert str(see(np.tile([1000.0] * 15 + [3000.0], 12))).endswith(
+        "; or that two times a turn, which pulses do not tell)"
+    )
 
 
 def test_a_pattern_of_three_pulses_is_a_wheel_after_many_even_turns():

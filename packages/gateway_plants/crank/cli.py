@@ -22,7 +22,7 @@ def convert_teeth(
 ) -> None:
     """Convert a capture of a crank sensor into CAN frames.
 
-    The frames are those of dbc/crank.dbc.
+    The frames are those of dbc/crank/crank.dbc.
     """
 
 

@@ -1,4 +1,4 @@
-"""The trigger wheel in a log: the intervals of tooth frames (dbc/crank.dbc), and the wheel that they show."""
+"""The trigger wheel in a log: the intervals of tooth frames (dbc/crank/crank.dbc), and the wheel that they show."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
+from gateway_plants.crank.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
 from gateway_plants.crank.wheel_told import Watch, told
 
 #: Messages that carry intervals: intervals of a frame, and the signals that are needed.

@@ -21,7 +21,7 @@ _KNOWN = {
 _RUN = re.compile(r"(?:(\d+)\*)?(\d+(?:\.\d+)?)")
 
 #: Pulses that a wheel can have: one of equal pitches, and one with a gap.
-MOST_TEETH, MOST_GAPPED = 360, 128
+MOST_TEETH, MOST_GAPPED = 360, 180
 #: A wheel of fewer pulses is laid out over several turns, of at least so many pulses together; so is one of equal
 #: pitches with fewer than the third.
 FEW, LAID_OUT, FEW_EVEN = 4, 8, 12
@@ -103,7 +103,7 @@ class Wheel:
         * ``4-2``: Mazda's, with teeth 70 and 110 degrees apart, twice a turn.
         * ``12+1``: 12 teeth and one more halfway between two of them.
         * ``24``, ``24-0``: 24 equal pitches, no gap. 1 to 360.
-        * ``29*1,3`` or ``1,1,2.5,...``: the pitches themselves, ``n*pitch`` for runs.
+        * ``29*1,3`` or ``1,1,2.5,...``: the pitches themselves, ``n*pitch`` for runs, in any unit (degrees).
 
         Raises:
             ValueError: anything else, or a wheel of more pulses than :data:`MOST_GAPPED` (of equal pitches
@@ -129,8 +129,8 @@ class Wheel:
                 pitches += [float(run[2])] * int(run[1] or 1)
         if not pitches or min(pitches) <= 0:
             raise ValueError(f"{text!r}: a wheel has at least one pulse, and all pitches above zero")
-        if len(set(pitches)) == 1:
-            pitches = [1.0] * len(pitches)
+        unit = _unit(pitches)
+        pitches = [pitch / unit for pitch in pitches]
         most = MOST_TEETH if len(set(pitches)) == 1 else MOST_GAPPED
         if len(pitches) > most:
             raise ValueError(
@@ -139,6 +139,19 @@ class Wheel:
         largest = max(range(len(pitches)), key=lambda k: pitches[k])
         turned = pitches[largest + 1 :] + pitches[: largest + 1]
         return cls(text, tuple(turned))
+
+
+def _unit(pitches: list[float]) -> float:
+    """Return the pitch that most pulses have; of two as frequent, and of no common measure, the mean of all.
+
+    One is the unit where no other pitch is more frequent: they are given in pitches.
+    """
+    most = max(pitches.count(pitch) for pitch in set(pitches))
+    if pitches.count(1.0) == most:
+        return 1.0
+    unit = min(pitch for pitch in set(pitches) if pitches.count(pitch) == most)
+    common = 2 * most > len(pitches) or all((2 * pitch / unit) % 1 == 0 for pitch in pitches)
+    return unit if common else sum(pitches) / len(pitches)
 
 
 def _wheel(value: object) -> Wheel:

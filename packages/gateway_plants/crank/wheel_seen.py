@@ -71,7 +71,7 @@ DOUBTED = 5
 #: Turns that another wheel needs in a row to take the place of one that was claimed for as many and more.
 STUBBORN = 8
 #: Regular pulses in a row that no gap lies between: then there is none.
-EVEN = 2 * MOST_GAPPED
+EVEN = 256
 
 
 class Seen(Record):

@@ -13,6 +13,10 @@ from gateway_plants.crank import wheel_pairs
 from gateway_plants.crank.wheel import Wheel
 from gateway_plants.crank.wheel_seen import EVEN, Seen, restart, watch
 
+#: How often a turn a pattern may come (Nissan's VQ has that of 12-2 three times), and pitches of a turn up to which
+#: there are such wheels.
+_OFTEN, MOST_PARTS = {"two": 2, "three": 3}, 36
+
 
 @dataclass(frozen=True)
 class WheelSeen:
@@ -36,7 +40,9 @@ class WheelSeen:
     def __str__(self) -> str:
         if not self.pitches:
             return f"no gap seen in {self.even} pulses: all pitches are equal, and how many a turn has is not told"
-        return f"{self.wheel} ({len(self.pitches)} pulses a turn, {self.turns} turns)"
+        often = [word for word, times in _OFTEN.items() if times * sum(self.pitches) <= MOST_PARTS]
+        part = f"; or that {' or '.join(often)} times a turn, which pulses do not tell" if often else ""
+        return f"{self.wheel} ({len(self.pitches)} pulses a turn, {self.turns} turns{part})"
 
 
 class Watch:

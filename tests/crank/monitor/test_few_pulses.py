@@ -44,10 +44,11 @@ def driven(
     gone=(),
     ripple=(),
     events=None,
+    late_ns=0,
 ):
     """Drive an engine whose first pulse is any; returns failed faults, what was sent, and tooth and speed then.
 
-    ``events`` takes those of faults.
+    ``events`` takes those of faults. By ``late_ns`` the cam is late in the second half of the time.
     """
     print(f"seed {seed}")
     w, rng = Wheel.parse(real or wheel), np.random.default_rng([seed, 44])
@@ -60,6 +61,7 @@ def driven(
     frames = tooth_frames(times, form)
     if cam:
         at, levels = turned_cam(cam, speed, seconds, ripple) if w.pulses >= 12 else cam_edges(cam, speed, seconds)
+        at = at + np.where(at > seconds * 5e8, late_ns, 0)
         frames = np.concatenate([frames, cam_frames(times, at[at > times[0]], levels[at > times[0]])])
         frames = frames[np.argsort(frames["t_ns"], kind="stable")]
     monitor = MonitorInstance(
@@ -151,6 +153,18 @@ def test_a_tooth_is_named_where_the_cam_tells_it(wheel, tolerance, tooth):
     assert set(monitor_failed) <= {"missed_pulse", "cam_correlation"}  # one edge may come before the pulse is known
     assert values[-1]["SyncState"] == (PROVEN if tooth >= 0 else SPEED_ONLY)
     assert values[-1]["Corrections"] == 1
+
+
+def test_a_cam_that_moves_does_not_take_the_place_with_it():
+    """By 20 degrees, more than its tolerance: no pulse was missed, so the count is right, and the cam is told."""
+    failed, values, teeth, _ = driven(
+        "24", "fd", cam=FOUR, tolerance=7.0, speed=((0, 1500),), seed=3, ripple=[(2.0, 0.02, 1.0)], late_ns=2_222_222
+    )
+    assert set(failed) == {"cam_correlation"}
+    proven = [value["SyncState"] == PROVEN for value in values]
+    assert np.mean(proven[len(proven) // 2 :]) > 0.95
+    wrong = [p and value["ToothIndex"] != tooth % 24 for p, value, tooth in zip(proven, values, teeth, strict=True)]
+    assert not any(wrong)
 
 
 def rippled(wheel, rpm, turns, rng, ripple):

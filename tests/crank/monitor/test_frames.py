@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from amount import SMALL, amount
 
+from gateway import api
 from gateway.bus.frames import payload
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
@@ -209,3 +210,20 @@ def test_bus_loss_from_the_first_frame_is_not_blamed_on_the_sensor(form):
         assert failed == [], seed
         states = [SYNC.decode(payload(frame), decode_choices=False)["SyncState"] for frame in sent]
         assert CONFIRMED in states, seed
+
+
+@pytest.mark.skipif(not COMPILED, reason="seconds of frames")
+def test_a_base_frame_whose_crc_is_wrong_counts_no_pulses():
+    """A bit of PulseCnt flipped in three of ten: "frames_lost" was told of the bus, as nothing checked CTW_BASE."""
+    rng = np.random.default_rng(71)
+    frames = tooth_frames(tooth_times(Wheel.parse("60-2"), [(0, 1500.0)], 6.0, rng=rng), "classic")
+    print("seed 71")
+    base = np.flatnonzero(frames["can_id"] == 0x701)[5:]
+    damaged = base[rng.random(len(base)) < 0.3]
+    bits = rng.integers(16, size=len(damaged))
+    frames["data"][damaged, 2 + bits // 8] ^= (1 << bits % 8).astype(np.uint8)
+    lost = (frames["can_id"] == 0x700) & (rng.random(len(frames)) < 0.05)
+    with api.open("gateway.toml").session() as session:
+        events = session.feed(frames[~lost], bus="powertrain")
+    failed = {event["fault"] for event in events if event.get("result") == "failed"}
+    assert failed == {"powertrain.CTW_PT4.counter", "powertrain.CTW_BASE.crc"}

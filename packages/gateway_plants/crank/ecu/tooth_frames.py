@@ -1,4 +1,4 @@
-"""Pulse trains into the frames of dbc/crank.dbc: what an ECU, or a logger, would send."""
+"""Pulse trains into the frames of dbc/crank/crank.dbc: what an ECU, or a logger, would send."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
 from gateway.signals.framed import frames_of, merged
-from gateway.signals.tooth_codec import encode_intervals
 from gateway_bench.vecu.databases import message_of
+from gateway_plants.crank.tooth_codec import encode_intervals
 
 Format = Literal["classic", "fd"]
 DATABASE = "dbc/crank.dbc"

@@ -36,7 +36,7 @@ from gateway_plants.crank.monitor.place import (
 from gateway_plants.crank.monitor.silence import broken_silence, fall_silent
 from gateway_plants.crank.monitor.turns import decided, turned, turned_back
 from gateway_plants.crank.pulse_tracking import profile
-from gateway_plants.crank.pulse_tracking.acquisition import WINDOW, restart, seek
+from gateway_plants.crank.pulse_tracking.acquisition import restart, seek
 from gateway_plants.crank.pulse_tracking.branching import MOST_MISSED
 from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS, RING, Limits, Pulses, plain, short, take
 from gateway_plants.crank.pulse_tracking.tracker import (
@@ -328,7 +328,7 @@ def _seek(s: State, c: Const, y: float) -> None:
     if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y, s.tracker.variance):
         s.reversal.stood = 1
         restart(s.search)
-    index = seek(s.search, c.logs, c.repeats, y)
+    index = seek(s.search, c.logs, c.repeats, c.window, y)
     if index >= 0 and (c.even == 0 or s.search.variance < MOST_UNEVEN):
         se = s.search
         begin(s.tracker, index, se.period, se.growth, se.variance)
@@ -342,7 +342,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.profile.clean = 0
         s.profile.turn_us = 0.0
         anchor.restart(s.anchor)
-        s.sure = 1 if anchor.shows(s.anchor, c.anchor, index, WINDOW) else 0
+        s.sure = 1 if anchor.shows(s.anchor, c.anchor, index, c.window) else 0
 
 
 @kernel

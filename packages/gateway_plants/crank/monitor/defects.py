@@ -91,6 +91,18 @@ def take(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
 
 
 @kernel
+def learn(de: Defects, pulses: int, tooth: int, net: int, number: int) -> None:
+    """Take a fault of a place that is proven, with the arguments of :func:`take`.
+
+    Faults that come again are kept when another one comes. They are given up after two turns without them.
+    """
+    if take(de, pulses, tooth, net, number) or (de.turns > 0 and number - de.pulses[0] <= 2 * pulses):
+        return
+    clear(de)
+    _add(de, pulses, tooth, net, number)
+
+
+@kernel
 def _add(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
     """Add a fault of the first turn; returns whether it is one of these."""
     k = int(de.count)

@@ -65,6 +65,7 @@ class NoGap(Record):
     """Evidence of a gap that never comes."""
 
     teeth: f8 = means("teeth")
+    polarity: f8 = means("1: the pulses are those of the wheel with the sensor's polarity reversed")
     widest: f8 = means("largest interval / its neighbours")
     speed: f8 = means(unit="rpm")
 
@@ -110,7 +111,7 @@ class Damaged(Record):
     """Evidence of a tooth that is not where it belongs."""
 
     tooth: f8 = means("tooth")
-    off: f8 = means("later than the others say", "pitch")
+    off: f8 = means("later than the others say; 1 and more: so many are missing", "pitch")
     speed: f8 = means(unit="rpm")
 
 
@@ -256,7 +257,7 @@ FAULTS = (
     Fault(
         "damaged_tooth",
         "P0336-07",
-        "a tooth is farther from its place than any engine moves it: bent, chipped or not of this wheel",
+        "a tooth is far from its place, or missing in each turn: bent, chipped, broken off, or of another wheel",
         labels(Damaged),
         Debounce(failed_after=3, passed_after=10),
         tested="tooth away from its place [pitch]",
@@ -301,6 +302,8 @@ _WHEEL = Blame("wheel", "plant")
 #: What each fault blames. Lost frames are not named: their sender and all before it may be at fault.
 BLAMES = {
     **{fault.name: (_SENSOR,) for fault in FAULTS[:CRANK_FAULTS] if fault.name != "reversed"},
+    # A broken tooth fails these, too, in the turns before it is known; sensors that drop a pulse are far more frequent.
+    **dict.fromkeys(("missed_pulse", "added_pulse"), (_SENSOR, _WHEEL._replace(share=0.01))),
     "reversed": (Blame("engine", "plant"),),
     "runout": (_WHEEL,),
     "cam_correlation": (_CAM, Blame("timing", "plant"), _SENSOR._replace(share=0.2)),

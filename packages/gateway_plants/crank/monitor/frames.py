@@ -1,4 +1,4 @@
-"""Tooth frames (dbc/crank.dbc) into intervals: which pulses a frame brings, and which were lost with others.
+"""Tooth frames (dbc/crank/crank.dbc) into intervals: which pulses a frame brings, and which were lost with others.
 
 A frame that is lost on the bus is known by its counter: its pulses were there, unseen. In CTW_PT4 the
 number of pulses of a lost frame is known only when it was full; CTW_BASE puts it right. CTW_FD27 tells its first
@@ -10,11 +10,11 @@ however long: what it means is told by the speed before it.
 
 from __future__ import annotations
 
-from gateway.signals.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
 from gateway_fdi.jit import kernel
 from gateway_plants.crank.monitor import adaptive, noise, phase, place
 from gateway_plants.crank.monitor.faults import Reports
 from gateway_plants.crank.monitor.records import CLASSIC_INTERVALS, Const, Inputs, State
+from gateway_plants.crank.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
 
 
 @kernel

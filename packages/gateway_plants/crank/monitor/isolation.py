@@ -7,6 +7,7 @@ from gateway_fdi.jit import kernel
 from gateway_plants.crank.monitor import anchor, defects, noise, rival, runout, turns, waiting, wrong_wheel
 from gateway_plants.crank.monitor.faults import (
     ADDED,
+    DAMAGED,
     DOUBLED,
     MISSED,
     NO_GAP,
@@ -23,6 +24,7 @@ from gateway_plants.crank.monitor.place import (
     BY_CAM,
     CONFIRMED,
     NEVER,
+    NOT_TOLD,
     TENTATIVE,
     Const,
     State,
@@ -177,6 +179,8 @@ def decide(s: State, c: Const, out: Reports) -> None:
     s.corrections += missed - added
     s.uneven = s.teeth if missed != added else s.uneven
     own = defects.knows(s.defects, tooth, missed - added)
+    if s.phase == CONFIRMED and missed != added:
+        _learn(s, c, tooth, missed - added, own, out)
     missed, added = max(missed, 0), max(added, 0)
     s.recent_missed += 0 if own else missed
     s.recent_added += 0 if own else added
@@ -190,7 +194,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
         s.burst_missed = 0
         s.burst_added = 0
         s.burst_tooth = tooth
-    s.decided = s.teeth
+    s.decided = s.decided if own else s.teeth
     s.burst_missed += missed
     s.burst_added += added
     if s.phase == CONFIRMED:
@@ -220,6 +224,29 @@ def _tell_noise(s: State, c: Const, out: Reports) -> None:
     s.burst.told = s.teeth
     e = report(out, NOISE, True, s.burst_added, noise.BURST).noise
     e.count, e.tooth, e.speed = s.burst_added, tooth_of(s, c, s.burst_tooth), speed(s, c)
+
+
+@kernel
+def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) -> None:
+    """Learn what comes again in each turn; a tooth that is missing so is the wheel's.
+
+    A pulse too many is not: ignition comes at the same angle as well.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        tooth: at which pulses were missed or added.
+        net: pulses missed less those added.
+        own: whether it is known to come again.
+        out: record of Out.
+    """
+    if own and s.teeth - s.decided > c.pulses - TOGETHER:  # nothing else is missing or added in this turn
+        s.recent_missed = 0
+        s.recent_added = 0
+    defects.learn(s.defects, c.pulses, tooth, net, s.teeth)
+    if own and net > 0 and s.placed > NOT_TOLD and c.turns == 1 and s.defects.turns >= SURE:
+        d = report(out, DAMAGED, True, net, turns.BENT).damaged
+        d.tooth, d.off, d.speed = tooth_of(s, c, tooth), net, speed(s, c)
 
 
 @kernel
@@ -369,6 +396,7 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
 def place_by_cam(s: State, c: Const, number: int) -> None:
     """Put the index of a wheel of equal pitches on by so many teeth: it is told by the cam then."""
     s.placed = BY_CAM
+    s.uneven = NEVER
     if number == 0:
         return
     shift(s.tracker, c.pulses, number)
@@ -444,7 +472,7 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         return
     waiting.note(wa, s.y2, s.y1, y)
     if c.even == 0:
-        waiting.look(wa, s.anchor, c.anchor, c.pulses, c.repeats)
+        waiting.look(wa, s.anchor, c.anchor, c.turned, c.polar == 1, c.pulses, c.repeats)
     patience = PATIENCE * c.pulses + PATIENCE_PULSES
     if wa.pulses < patience or (wa.pulses > patience and wa.pulses % c.pulses != 0):
         return
@@ -455,11 +483,19 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         d.share, d.teeth = share, s.teeth
     elif c.even == 1:
         pass  # it has no gap that could be missing
+    elif fires and c.polar == 1 and waiting.polarity(wa):
+        _tell_gap(s, c, out, 1.0)
     elif _open(s, c) and wa.pulses < LONG_PATIENCE * patience:
         return
     elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
-        g = report(out, NO_GAP, True, wa.widest, c.gap).no_gap
-        g.teeth, g.widest = s.teeth, wa.widest
+        _tell_gap(s, c, out, 0.0)
     else:
         return
     waiting.clear(wa)
+
+
+@kernel
+def _tell_gap(s: State, c: Const, out: Reports, polarity: float) -> None:
+    """Report that the gap never comes; 1: as reversed polarity makes it."""
+    g = report(out, NO_GAP, True, s.waiting.widest, c.gap).no_gap
+    g.teeth, g.widest, g.polarity = s.teeth, s.waiting.widest, polarity

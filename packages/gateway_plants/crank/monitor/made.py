@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway_fdi.jit import Record, f8s, i4, i4s, kernel, means
-from gateway_plants.crank.wheel import MOST_GAPPED, Wheel
+from gateway_plants.crank.wheel import Wheel
 from gateway_plants.crank.wheel_seen import WHOLE, Seen
 
 #: Wheels that are made, as their pulses show them.
@@ -22,7 +22,7 @@ MADE = (
     "24+1", "12-1", "12-2", "12-3", "12+1", "8-1", "6-1", "5-1",
 )  # fmt: skip
 #: Of them that can have as many pitches as one wheel, or a part of them; and the sum of their pulses.
-MOST, ROOM = 12, 4 * MOST_GAPPED
+MOST, ROOM = len(MADE), sum(Wheel.parse(text).pulses for text in MADE)
 #: Two turns have the same number of pitches within this.
 SAME = 0.01
 

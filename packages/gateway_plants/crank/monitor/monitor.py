@@ -25,7 +25,6 @@ from gateway.monitors.contract import (
     Readout,
     Signal,
 )
-from gateway.signals.tooth_codec import LONGEST_LONG_US
 from gateway_fdi.jit import kernel
 from gateway_plants.crank.monitor import cam, frames, isolation, phase, place, rival, wrong_wheel
 from gateway_plants.crank.monitor.faults import BLAMES, FAULTS, Evidence
@@ -38,6 +37,7 @@ from gateway_plants.crank.monitor.records import (
     State,
 )
 from gateway_plants.crank.pulse_tracking.profile import FEWEST, MOST_SHARE
+from gateway_plants.crank.tooth_codec import LONGEST_LONG_US
 from gateway_plants.crank.wheel import WheelText
 
 #: Longest interval of CTW_FD27: 16 bits of 0.5 us << 7 [us].
@@ -47,7 +47,8 @@ LONGEST_FD_US = 65535 * 64
 UNEVEN = 0.25
 #: Pitches since the last pulse from which on a pulse may have been missed before the edge.
 OVERDUE = 1.2
-#: Edges of the cam in a row that contradict the place that the cam has told, and end it.
+#: Edges of the cam in a row that contradict the place that the cam has told, and end it, unless no pulse was missed or
+#: added since: then the count is the stronger witness.
 CONTRADICTED = 3
 #: Largest tooth that the message carries; one beyond it is shown as this.
 MOST_INDEX = 255
@@ -283,7 +284,7 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
         return  # the pulse before it may be one that was missed
     slack = _slack(c, f, u.cam_delay)
     cam.edge(s.cam, c.cam, _degrees(c, f, tooth, u.cam_delay), at // c.fast.teeth, int(u.cam_level), slack, out)
-    if f.placed == place.BY_CAM and s.cam.misfits >= CONTRADICTED:
+    if f.placed == place.BY_CAM and s.cam.misfits >= CONTRADICTED and f.uneven != place.NEVER:
         place.displace(f)
         phase.restart(s.phase)
         cam.forget(s.cam)

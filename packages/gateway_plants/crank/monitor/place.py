@@ -5,13 +5,14 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1
 from gateway_plants.crank.monitor import anchor, defects, made, noise, rival, waiting
 from gateway_plants.crank.monitor.faults import RESIDUALS, Shape
 from gateway_plants.crank.monitor.reversal import Reversal
 from gateway_plants.crank.monitor.runout import ALLOWED, ALLOWED_RPM, FIRING_RPM, Law
-from gateway_plants.crank.pulse_tracking.acquisition import Search, restart
+from gateway_plants.crank.pulse_tracking.acquisition import Search, restart, window_of
 from gateway_plants.crank.pulse_tracking.hypotheses import RING
 from gateway_plants.crank.pulse_tracking.profile import (
     MOST_ORDERS,
@@ -71,6 +72,7 @@ class Const(Record):
     rest: f8 = means("process noise of the growth that ripple needs while it is not learned, by its amplitude squared")
     proof_us: f8 = means("longest turn by which a place is proven", "us")
     repeats: i4 = means("pulses after which the pattern repeats")
+    window: i4 = means("intervals that are compared with the pattern to find the place")
     acceleration: f8 = means("that the engine can have", "pitch/s^2")
     ripple: f8 = means("growth that torsional ripple can have", "1/pitch")
     unlearned: f8 = means("process noise of the growth while ripple is not learned")
@@ -87,6 +89,8 @@ class Const(Record):
     firing_us: f8 = means("time of a pitch at the least speed of an engine that fires", "us")
     wheel: LearnedWheel = means("what the profile knows of the wheel")
     made: made.Const = means("wheels that are made")
+    turned: anchor.Const = means("the gap as an anchor in the pulses that reversed polarity makes")
+    polar: u1 = means("1: these are others than the wheel's")
     anchor: anchor.Const = means("the gap as an anchor")
     logs: Annotated[f8s, MOST_TEETH] = means("logarithms of the pitches")
     slack: Annotated[f8s, MOST_TEETH] = means("variance of the pitches while they are not learned", "pitch^2")
@@ -138,7 +142,7 @@ class State(Record):
     unclean: i4 = means("revolutions in a row with a defect")
     doubted: i8 = means("pulse at which a proven place was doubted")
     named: i8 = means("pulse at which pulses were last reported")
-    uneven: i8 = means("pulse at which pulses were last found missed or added")
+    uneven: i8 = means("pulse at which pulses were last found missed or added, since the cam told the place")
     speed_rpm: f8 = means("speed of the last turn", "rpm")
     slowest_rpm: f8 = means("slowest speed so far; 0: none", "rpm")
     fastest_rpm: f8 = means("fastest speed so far", "rpm")
@@ -170,6 +174,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.pulses, c.teeth, c.turns, c.turn = count, wheel.pulses, wheel.tiles, wheel.turn
     c.even = wheel.even
     c.repeats = wheel.repeats
+    c.window = window_of(pitches, wheel.repeats)
     c.acceleration = acceleration / 60 * wheel.turn
     few = wheel.tiles > 1
     c.ripple = RIPPLE * 2 * (wheel.turn / 2 if few else 2) * (2 * np.pi / wheel.turn)
@@ -187,6 +192,7 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.firing_us = 60e6 / (FIRING_RPM * wheel.turn)
     c.turning_us = 1e6 / np.sqrt(2 * BRAKE * c.acceleration * 2.0)
     anchor.prepare(c.anchor, pitches)
+    _prepare_polarity(c, pitches)
     if wheel.tiles == 1:
         made.prepare(c.made, wheel)
     c.seen = wheel.tiles == 1 and wheel.repeats >= LEAST_PULSES and bool(np.all(pitches * 2 % 1 == 0))
@@ -217,6 +223,14 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     s.uneven = NEVER
     s.burst.told = NEVER
     s.reversal.index = -1
+
+
+def _prepare_polarity(c: Const, pitches: NDArray[np.float64]) -> None:
+    """Fill what the sensor shows with its wires exchanged: pulses in the middle between teeth, not at their middle."""
+    between = (pitches + np.roll(pitches, -1)) / 2
+    anchor.prepare(c.turned, between)
+    same = any(np.allclose(np.roll(between, k), pitches, atol=0.1) for k in range(len(pitches)))
+    c.polar = c.turns == 1 and not c.even and not same
 
 
 def _changes(amplitude: float, order: float, wheel: Wheel) -> float:

@@ -22,6 +22,8 @@ SHORT = 0.45
 LEVEL = 0.55
 #: Share of the contrasts that are small in an even turn.
 EVEN = 0.6
+#: The longest interval of a turn over its shortest, below which all are alike.
+ALIKE = 1.5
 #: What is found of a turn: it cannot be told; an even turn that is not one of this wheel.
 UNDECIDED, AGAINST = -1, -2
 
@@ -38,6 +40,9 @@ class Waiting(Record):
     moved: i4 = means("turns that showed another place")
     shifted: i4 = means("moved ones that were even")
     against: i4 = means("turns that speak against the wheel")
+    alike: i4 = means("turns whose intervals are all alike")
+    turned: i4 = means("turns that show the wheel as reversed polarity does, not itself, at the same place as before")
+    turned_place: i4 = means("place that these show")
 
 
 @kernel
@@ -52,6 +57,9 @@ def clear(wa: Waiting) -> None:
     wa.moved = 0
     wa.shifted = 0
     wa.against = 0
+    wa.alike = 0
+    wa.turned = 0
+    wa.turned_place = UNDECIDED
 
 
 @kernel
@@ -75,7 +83,9 @@ def turn_us(an: anchor.State, size: int, pulses: int) -> float:
 
 
 @kernel
-def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> None:
+def look(
+    wa: Waiting, an: anchor.State, c: anchor.Const, turned: anchor.Const, polar: bool, pulses: int, repeats: int
+) -> None:
     """Look at the last turn, when it is time.
 
     Where the first and the last contrast of a turn are not known, a look two pulses earlier each turn sees the gap
@@ -86,6 +96,13 @@ def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: i
         return
     found = _place(an, c, pulses, repeats)
     wa.turns += 1
+    wa.alike += 1 if _alike(an, c.length) else 0
+    if wa.turned_place >= 0:
+        wa.turned_place = (wa.turned_place + step) % repeats
+    if polar and found < 0:
+        other = _place(an, turned, pulses, repeats)
+        wa.turned += 1 if other >= 0 and other == wa.turned_place else 0
+        wa.turned_place = other if other >= 0 else wa.turned_place
     if wa.place >= 0:
         wa.place = (wa.place + step) % repeats
     if found == AGAINST:
@@ -103,8 +120,8 @@ def look(wa: Waiting, an: anchor.State, c: anchor.Const, pulses: int, repeats: i
 def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
     """Tell whether what was seen speaks against the wheel: no gap, or one that moves, in three turns of four.
 
-    At the starter's speed only even turns count: the ripple may be what moves. Of a wheel of few pulses nothing is told
-    then.
+    At the starter's speed only turns whose intervals are all alike, and even ones in which the gap moves, count: in
+    each compression of a weak battery's starter the gap may hide. Of a wheel of few pulses nothing is told then.
 
     Args:
         wa: record of Waiting.
@@ -113,8 +130,24 @@ def contradicts(wa: Waiting, fires: bool, pulses: int) -> bool:
     """
     if not fires and pulses < anchor.FEW:
         return False
-    against = wa.against + (wa.moved if fires else wa.shifted)
+    against = wa.against + wa.moved if fires else wa.alike + wa.shifted
     return bool(wa.same == 0 and 4 * against >= 3 * (wa.turns - 1))
+
+
+@kernel
+def polarity(wa: Waiting) -> bool:
+    """Tell whether the turns show the wheel as reversed polarity does; a look hides the gap half the time."""
+    return bool(wa.same == 0 and 3 * wa.turned >= wa.turns)
+
+
+@kernel
+def _alike(an: anchor.State, size: int) -> bool:
+    """Tell whether the intervals that are known are all alike: there is no gap at all."""
+    low, high = np.inf, 0.0
+    for k in range(size):
+        if an.intervals[k] > 0.0:
+            low, high = min(low, an.intervals[k]), max(high, an.intervals[k])
+    return bool(high < ALIKE * low)
 
 
 @kernel

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.signals.tooth_codec import (
+from gateway_plants.crank.tooth_codec import (
     LONGEST_LONG_US,
     LONGEST_US,
     OVERFLOW_CODE,

@@ -1,0 +1,48 @@
+"""Wheels that nobody chose: a sample of what bench/crank_judge.py judges."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+from amount import amount
+
+from gateway_fdi.jit import COMPILED
+from gateway_plants.crank.monitor.monitor import Params, _facts
+from gateway_plants.crank.wheel import Wheel
+
+compiled = pytest.mark.skipif(not COMPILED, reason="statistics need the compiled kernels")
+PATH = Path(__file__).parents[3] / "bench/crank_judge.py"
+
+
+@pytest.fixture(scope="module")
+def judge():
+    spec = importlib.util.spec_from_file_location("crank_judge", PATH)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["crank_judge"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@compiled
+def test_wheels_at_random_synchronise_within_six_turns_and_prove_no_wrong_tooth(judge):
+    """1 to 4 gaps of 2 to 4 pitches, 4 to 180 pulses, in pitches, scaled, in degrees; 36-2-2 never synchronised."""
+    seed = 70
+    print("seed", seed)
+    rows = [row for k in range(amount(1000, 40, 10)) if (row := judge.one_wheel((seed, k)))]
+    assert len(rows) > 0.8 * amount(1000, 40, 10)
+    assert [row for row in rows if row[1] > judge.FOUND or row[2] or row[3]] == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("70,110,70,110", "57*6,18", "27*12,36", "10*30,60", "27*2,6", "57*0.5,1.5"),
+        *("72-1", "72-2", "120-2", "120+1"),
+    ],
+)
+def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
+    """They ended in an IndexError of `gateway check`."""
+    assert _facts(Params(wheel=text))
+    wheel = Wheel.parse(text)
+    assert wheel.pitches.count(1.0) > wheel.pulses / 2 or sum(wheel.pitches) == pytest.approx(wheel.pulses)
