@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -57,9 +58,14 @@ class InputError(GatewayError):
 
     def within(self, file: str | Path | None) -> InputError:
         """Return the same error, found in a file, unless it names one already."""
-        if self.file is not None or file is None:
-            return self
-        return InputError(self.message, file=file, line=self.line, key=self.key, value=self.value)
+        return self if self.file is not None or file is None else self.replace(file=file)
+
+    def replace(self, **changed: Any) -> InputError:
+        """Return the same error, of the same cause, with other arguments."""
+        of_this = {name: getattr(self, name) for name in ("message", "file", "line", "key", "value")}
+        made = InputError(**{**of_this, **changed})
+        made.__cause__ = self.__cause__
+        return made
 
     def __str__(self) -> str:
         place = self.file or ""
@@ -113,7 +119,7 @@ def under(key: str, value: object = None, *, whole: bool | None = None) -> Itera
     except InputErrors as errors:
         raise InputErrors([_under(error, key, value, whole) for error in errors.errors]) from errors
     except InputError as error:
-        raise _under(error, key, value, whole) from error
+        raise _under(error, key, value, whole) from error.__cause__ or error
 
 
 @contextmanager
@@ -138,7 +144,7 @@ def _under(error: InputError, key: str, value: object, whole: bool) -> InputErro
         return error
     path = key if whole else ".".join(part for part in (key, error.key) if part) or None
     shown = value if error.value in (None, "") else error.value
-    return InputError(error.message, file=error.file, line=error.line, key=path, value=shown)
+    return error.replace(key=path, value=shown)
 
 
 class Gathered:

@@ -179,7 +179,8 @@ def _made(model: Model, choice: ResidualChoice, name: str, *, differentiate: boo
     try:
         from gateway_fdi.structure.generator.loading import residual_generator  # noqa: PLC0415 - slow, and an extra
     except ImportError as error:
-        raise InputError("code of equations needs sympy: pip install 'ecu-gateway[structure]'", value=name) from error
+        told = "code of equations needs sympy: pip install '.[structure]' in the checkout"
+        raise InputError(told, value=name) from error
     return residual_generator(model, choice.equations, choice.consistency, name=name, differentiate=differentiate)
 
 

@@ -22,16 +22,15 @@ def exceeded_once(maxima: NDArray[np.float64], blocks: float, floor: float = 0.0
     Args:
         maxima: of each block, shape (at least 1,).
         blocks: that number; it may be above that of the maxima.
-        floor: mean excess at least: the resolution of what is measured.
+        floor: mean excess above the tail's threshold at least: the resolution of what is measured.
         heavy: the tail may be heavier than an exponential one.
     """
     count = max(LEAST, int(SHARE * len(maxima)))
     ordered = np.sort(maxima)
     threshold = float(ordered[max(len(ordered) - count - 1, 0)])
     excess = ordered[max(len(ordered) - count, 0) :] - threshold
-    mean = max(float(excess.mean()), floor)
+    mean, shape = max(float(excess.mean()), floor), shape_of(excess) if heavy else 0.0
     farther = float(np.log(max(count / len(ordered) * blocks, 1.0)))
-    shape = shape_of(excess) if heavy else 0.0
     if shape > 0.0:
         return threshold + mean * (1.0 - shape) * float(np.expm1(shape * farther)) / shape
     return threshold + mean * farther

@@ -42,7 +42,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: not readable, not UTF-8, or not TOML (see :func:`parse_toml`).
     """
     try:
-        text = path.read_bytes().decode("utf-8")
+        text = path.read_bytes().decode("utf-8-sig")  # Notepad begins a file with a mark
     except OSError as error:
         raise InputError(error.strerror or str(error), file=path) from error
     except UnicodeDecodeError as error:
@@ -64,8 +64,9 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
         raise _too_deep(path, *_deep_place(text)) from None
     except tomllib.TOMLDecodeError as error:
         found = _PLACE.search(str(error))
-        line = int(found[1]) if found else text.count("\n") + 1
-        raise InputError(_PLACE.sub("", str(error)).strip(), file=path, line=line) from error
+        line = int(found[1]) if found else text.rstrip().count("\n") + 1
+        key, message = _cured(_PLACE.sub("", str(error)).strip(), (text.splitlines() or [""])[line - 1])
+        raise InputError(message, file=path, line=line, key=key) from error
     except ValueError as error:  # a number of thousands of digits
         digits = re.search(r"\d[\d_]{4000}", text)
         place = text.count("\n", 0, digits.start()) + 1 if digits else None
@@ -74,6 +75,38 @@ def parse_toml(text: str, path: Path | None = None) -> dict[str, Any]:
         if _is_too_deep(value):
             raise _too_deep(path, key, None)
     return data
+
+
+#: Beginning of an error of tomllib -> words that help.
+_CURES = (
+    ("Invalid value", "no value of TOML: a text is in quotes, a number has a point, true and false have no capital"),
+    ("Expected '=' after", "a line is KEY = VALUE, or a table's [NAME]"),
+    ("Invalid statement", "no line of TOML: it is KEY = VALUE, [NAME], or a comment after #"),
+    ("Cannot overwrite", "this key or table is here twice; tables of a list have two brackets each, [[NAME]]"),
+    ("Cannot declare", "this table is here twice; tables of a list have two brackets each, [[NAME]]"),
+    ("Cannot mutate", "this table is complete already: write the key where it began"),
+    ("Cannot redefine", "this key is a table or a value already"),
+    ("Duplicate inline", "this key is twice in a table of one line"),
+    ("Unclosed", "a bracket is missing at the end"),
+    ("Expected newline", "one value a line: what stands behind it belongs in quotes, or after #"),
+    ("Expected ']'", "a bracket is missing at the end of the table's name"),
+    ("Unterminated", "a quote is missing at the end of the text"),
+    ("Expected \"'\"", "a quote is missing at the end of the text"),
+    ("Illegal character", "a quote is missing at the end of the text, or a character that text cannot have"),
+    ("Unescaped", "a backslash in a text: write it twice, or the text in single quotes"),
+    ("Invalid initial character", "no name of a key: letters, digits, _ and -, or quotes"),
+    ("Found invalid character", "no name of a key: letters, digits, _ and -, or quotes"),
+    ("Invalid date", "no date: 2026-11-29, or 2026-11-29T12:00:00Z"),
+)  # fmt: skip
+_KEY_OF_LINE = re.compile(r"""\s*([\w."'-]+)\s*(?:=|$)""")
+
+
+def _cured(said: str, line: str) -> tuple[str | None, str]:
+    """Return the key that a line of TOML is about, and what is to be written, where tomllib is known to say this."""
+    found = _KEY_OF_LINE.match(line)
+    cure = next((cure for begin, cure in _CURES if said.startswith(begin)), "")
+    shown = " ".join(line.split())[:60]
+    return found[1] if found else None, f"{shown!r}: {cure}" if cure else f"{shown!r}: {said}"
 
 
 def _too_deep(path: Path | None, key: str | None, line: int | None) -> InputError:
@@ -229,8 +262,46 @@ def _explained(
         text = f"there are {', '.join(known)}{nearest(given, known)}"
         return f"{key}.{tag}", text, value.get(tag)
     if kind == "literal_error" and isinstance(value, str):
-        message += nearest(value, _expected(detail))
-    return key, message, value
+        known = _expected(detail)
+        return key, f"there are {', '.join(known)}{nearest(value, known)}", value
+    return key, _in_words(kind, detail.get("ctx", {})) or message, value
+
+
+#: Kind of pydantic's error -> words with its context.
+_WORDS = {
+    "int_parsing": "a whole number: write it without a unit and without quotes, as 500000",
+    "int_type": "a whole number: write it without quotes, as 500000",
+    "int_from_float": "a whole number",
+    "float_parsing": "a number: write it without a unit and without quotes, as 0.5",
+    "float_type": "a number: write it without quotes, as 0.5",
+    "finite_number": "a finite number",
+    "bool_parsing": "true or false",
+    "bool_type": "true or false",
+    "string_type": "a text: write it in quotes",
+    "path_type": "the name of a file: write it in quotes",
+    "greater_than": "a number above {gt}",
+    "greater_than_equal": "a number of {ge} at least",
+    "less_than": "a number below {lt}",
+    "less_than_equal": "a number of {le} at most",
+    "string_too_short": "a text of {min_length} characters at least",
+    "string_too_long": "a text of {max_length} characters at most",
+    "string_pattern_mismatch": "a text of the form {pattern}",
+    "too_short": "a list of {min_length} at least; there are {actual_length}",
+    "too_long": "a list of {max_length} at most; there are {actual_length}",
+    "multiple_of": "a multiple of {multiple_of}",
+}
+#: From there on a whole limit is told in hex, too.
+_HEX_FROM = 256
+
+
+def _in_words(kind: str, context: dict[str, Any]) -> str:
+    """Return an error of pydantic in words for people, "": it has none here."""
+    told = {
+        name: f"{limit:g}" if isinstance(limit, float) else f"{limit} (0x{limit:X})"
+        if isinstance(limit, int) and limit >= _HEX_FROM else str(limit)
+        for name, limit in context.items()
+    }  # fmt: skip
+    return _WORDS.get(kind, "").format_map(told)
 
 
 #: Errors that say no more than that something is of another kind.

@@ -9,6 +9,7 @@ from amount import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway_fdi import Residual
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
 from gateway_fdi.jit import zeros
@@ -16,7 +17,7 @@ from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.generator.loading import residual_generator
 from gateway_fdi.structure.generator.solving import solve
 from gateway_fdi.structure.generator.symbols import Symbols
-from gateway_fdi.structure.model import Equation, Loop, Model, Solvable
+from gateway_fdi.structure.model import Equation, Loop, Model, ResidualChoice, Solvable
 from gateway_fdi.structure.relation import Expression, Relation
 from gateway_fdi.structure.sequence import Kind, Step, Structure
 
@@ -337,3 +338,18 @@ def test_depth_is_refused():
     for text in ("-" * 100_000 + "a", "(" * 500 + "a" + ")" * 500, "a" + "**a" * 50_000, "\0"):
         with pytest.raises(ValueError, match="is no expression"):
             Expression.parse(text)
+
+
+def test_a_parameter_may_be_called_as_a_type_of_records():
+    """The benchmark DAMADICS has faults f1 to f19."""
+    written = {
+        "unknown": {"x": {}},
+        "known": {"y": {}, "z": {}},
+        "parameter": {"f8": {"value": 2.0}, "means": {"value": 1.0}},
+        "equation": {
+            "e1": {"relation": "z = f8 * x", "unique": ["x"]},
+            "e2": {"relation": "y = means * x", "unique": ["x"]},
+        },
+    }
+    residual = Residual(load_model(written), ResidualChoice(("e1", "e2"), "e2"))
+    assert residual.run([0.0, 1.0], {"y": [3.0, 3.0], "z": [4.0, 6.0]}) == pytest.approx([1.0, 0.0], abs=1e-12)

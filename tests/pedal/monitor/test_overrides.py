@@ -54,13 +54,13 @@ type = "redundant_pair"
     ("line", "key", "says"),
     [
         ("noise_mv = 3", "monitor[0].noise_mv", "did you mean noise_mV"),
-        ("noise_mV = -1", "monitor[0].noise_mV", "greater than or equal to 0"),
-        ("lag_ms = 50", "monitor[0].lag_ms", "less than or equal to 12"),
+        ("noise_mV = -1", "monitor[0].noise_mV", "a number of 0 at least"),
+        ("lag_ms = 50", "monitor[0].lag_ms", "a number of 12 at most"),
         ('preset = "brakes"', "monitor[0].preset", "did you mean brake"),
         ("channel = [{ at_rest = 4.5 }, {}]", "monitor[0].channel[0]", "no slope"),
         ("channel = [{ att_rest = 1 }, {}]", "monitor[0].channel[0].att_rest", "did you mean at_rest"),
         ("channel = [{}, {}, {}]", "monitor[0].channel[2].signal", "missing"),
-        ("period_ms = 0", "monitor[0].period_ms", "greater than 0"),
+        ("period_ms = 0", "monitor[0].period_ms", "a number above 0"),
     ],
 )
 def test_check_names_a_wrong_parameter_by_its_key(tmp_path, line, key, says):

@@ -29,7 +29,7 @@ def refused(path):
         ("parameters = { r = 1 }", ["monitor[0].parameters.r", "did you mean R"]),
         ("start = { omga = 1 }", ["monitor[0].start.omga", "did you mean omega"]),
         ("nu = { e2 = 1 }", ["monitor[0].nu.e2", "the tests are e1, e1_2, e5, e5_2"]),
-        ("thresholds = { e1 = 0 }", ["monitor[0].thresholds.e1", "greater than 0"]),
+        ("thresholds = { e1 = 0 }", ["monitor[0].thresholds.e1", "a number above 0"]),
         ('active = "omeg > 50"', ["monitor[0].active", "the names are u, i, w", "did you mean omega"]),
         ('active = "T > 1"', ["monitor[0].active", "the names are u, i, w, I, omega"]),
         ('active = "omega"', ["monitor[0].active", "true or false"]),

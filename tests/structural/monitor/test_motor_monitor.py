@@ -159,11 +159,12 @@ def test_each_fault_has_its_name(tmp_path, fault, size):
     checked = [k for k in words if k.startswith("residual of")]
     assert len(checked) == 2
     ((label, told),) = [(k, v) for k, v in words.items() if k.startswith("size of")]
-    assert label.startswith(f"size of {fault}, ")
+    text = {"f_R": "winding's resistance", "f_b": "bearing's friction", "f_i": "current's", "f_w": "speed's"}[fault]
+    assert label.startswith(f"size of the fault: the {text}")
     assert told == pytest.approx(size, rel=0.05)
     shown = run.gateway.engine.readout()["motor"]
     assert shown[f"size_{fault}"] == pytest.approx(size, rel=0.05)
-    assert all(" = " in k for k in checked)
+    assert all(k.startswith("residual of test ") for k in checked)
 
 
 @compiled

@@ -104,7 +104,7 @@ def test_what_ages_within_its_bound_has_no_code_and_a_jump_has(tmp_path):
     [
         ("uncertain = { q = 0.1 }", r"uncertain.q = 'q': the parameters are L, R, k, b, J"),
         ('uncertain = { R = "much" }', r'uncertain.R = .*write a share as "5 %"'),
-        ("uncertain = { R = 2.0 }", r"uncertain.R = .*less than 1"),
+        ("uncertain = { R = 2.0 }", r"uncertain.R = .*a number below 1"),
         ("sensors = { x = { gain = 0.1 } }", r"sensors.x = 'x': the known variables are u, i, w"),
         ('sensors = { i = { bias = "-1 A" } }', r"sensors.i.bias = .*write a size above 0 with its unit"),
         ('sensors = { i = { lag = "80 ms" } }', r"sensors.i.lag = .*period_ms = 10 a lag of at most 70 ms"),

@@ -23,10 +23,14 @@ FEED, FEED_SLOPE = "feed_", "feed_slope_"
 SLOPES, HOLD, DEAD = "slopes_", "hold_", "dead_"
 
 
+#: Names that the records of a residual generator are written with.
+_WRITTEN = ("Annotated", "f8", "f8s", "means")
+
+
 def field_name(name: str) -> str:
     """Return the name of a record's field: one that records of NumPy do not have already."""
     name = identifier(name)
-    return f"{name}_" if hasattr(np.record, name) or keyword.iskeyword(name) else name
+    return f"{name}_" if hasattr(np.record, name) or keyword.iskeyword(name) or name in _WRITTEN else name
 
 
 def fill(

@@ -40,6 +40,7 @@ from gateway.monitors.contract import (
     Sampled,
     report,
 )
+from gateway.monitors.evidence import words_of
 from gateway_fdi import run_length, stopping
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, labels, means
 from gateway_fdi.quantiles import chi2_above
@@ -169,7 +170,7 @@ def _faults(p: Params) -> tuple[Fault, ...]:
         )
     ]
     for k, part in enumerate(p.output, start=1):
-        text = f"{part.name} is not what the observer expects"
+        text = f"{words_of(part.name)} is not what the observer expects"
         found.append(
             Fault(
                 f"innovation_{part.name}",

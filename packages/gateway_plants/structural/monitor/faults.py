@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gateway.monitors.contract import TOGETHER, VAGUE, Blame, Debounce, Fault
+from gateway.monitors.evidence import as_bits, as_digits, words_of
 from gateway_fdi.masks import unpack
 from gateway_fdi.structure.model import Model
 from gateway_plants.structural.monitor.decision import AS_BITS, TWO_DIGITS
@@ -23,7 +24,7 @@ _MOST_NAME = 60
 
 _FOUND = Debounce(failed_after=1, passed_after=1)
 #: What a verdict rests on.
-_LARGEST = "largest test statistic / its threshold"
+_LARGEST = "largest test against its limit [times]"
 
 
 def names_of(plan: Plan) -> tuple[str, ...]:
@@ -79,30 +80,40 @@ def _labels(model: Model, plan: Plan, what: Shown) -> tuple[str, ...]:
     for k in what.tests:
         test = plan.tests[k]
         unit = f" [{test.unit}]" if test.unit else ""
-        found += [f"residual of {test.name}, {equations_in_words(model, test)}{unit}", f"T over J of {test.name}"]
+        found += [
+            f"residual of test {_short(test)}, {_checked(model, test)}{unit}",
+            f"test {_short(test)} against its limit [times]",
+        ]
     faults = list(plan.measured)
-    found += [f"size of {faults[k]}, {_size_in_words(model, faults[k])}" for k in what.meters]
-    if len(plan.tests) <= AS_BITS:
-        bits = ", ".join(f"{test.name} {1 << k}" for k, test in enumerate(plan.tests))
-        fired = f"tests that have fired ({bits})"
-    else:
-        fired = "tests that have fired, the first ones, three digits each, as gateway check numbers them"
-    if len(plan.faults) <= TWO_DIGITS:
-        places = ", ".join(f"{k + 1} {fault}" for k, fault in enumerate(plan.faults))
-        ranked = f"faults that explain them, likeliest first, two digits each ({places})"
-    else:
-        ranked = "faults that explain them, likeliest first, three digits each, as gateway check numbers them"
-    return (*found, fired, ranked)
+    found += [f"size of the fault: {_size_in_words(model, faults[k])}" for k in what.meters]
+    bits, two = len(plan.tests) <= AS_BITS, len(plan.faults) <= TWO_DIGITS
+    fired, ranked = "tests that have fired", "faults that explain them, likeliest first"
+    names = [_text(model, fault) for fault in plan.faults]
+    return (
+        *found,
+        as_bits(fired, [_short(test) for test in plan.tests]) if bits else as_digits(f"first {fired}", (), 3),
+        as_digits(ranked, names, 2) if two else as_digits(ranked, (), 3),
+    )
+
+
+def _short(test: Test) -> str:
+    """Return the name of a test for people."""
+    return test.name.replace("_", "/")
+
+
+def _checked(model: Model, test: Test) -> str:
+    """Return what a test checks, for people; ``gateway check`` has the equations."""
+    check = model.by_name[test.consistency]
+    return check.text or words_of(check.name)
 
 
 def _size_in_words(model: Model, fault: str) -> str:
-    """Return what the size of a fault is: its text, where it stands, and its unit."""
+    """Return what the size of a fault is: its text, or where it stands, and its unit."""
     (where,) = (e for e in model.equations if fault in e.faults)
     quantity = model.quantities.get(fault)
     unit = f" [{quantity.unit}]" if quantity is not None and quantity.unit not in ("", "1") else ""
-    relation = f", in {where.relation.text}" if where.relation is not None else ""
     text = _text(model, fault)
-    return f"{text if text != fault else where.name}{relation}{unit}"
+    return f"{text if text != fault else words_of(where.name)}{unit}"
 
 
 def faults_of(model: Model, plan: Plan, codes: dict[str, str]) -> tuple[Fault, ...]:
@@ -123,9 +134,7 @@ def faults_of(model: Model, plan: Plan, codes: dict[str, str]) -> tuple[Fault, .
             text, kind = f"{words}: the tests cannot tell these apart", "62"
         else:
             text, kind = words, "64"
-        checks = "; ".join(
-            f"{plan.tests[k].name} checks {equations_in_words(model, plan.tests[k])}" for k in what.tests
-        )
+        checks = "; ".join(f"test {_short(plan.tests[k])} checks {_checked(model, plan.tests[k])}" for k in what.tests)
         remedy = f"{f'look at {words}' if faults else 'look at what the fired tests have in common'}; {checks}"
         labels = _labels(model, plan, what)
         found.append(Fault(name, f"{codes[name]}-{kind}", text, labels, _FOUND, remedy=remedy, tested=_LARGEST))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from gateway.monitors.contract import TOGETHER, VAGUE, Blame, Debounce, Fault
+from gateway.monitors.evidence import as_bits, as_digits
 
 #: Faults by their place: those of the structural model in its order, and what is not isolated.
 BATTERY, INVERTER, EFFICIENCY, RESISTANCE, SENSOR, UNISOLATED = range(6)
@@ -15,7 +16,7 @@ STRUCTURAL = ("f_b_sc", "f_pe", "f_em_eta", "f_em_R", "f_em_U_sens")
 _FOUND = Debounce(failed_after=1, passed_after=10)
 
 #: What a verdict rests on.
-_LARGEST = "largest test statistic / its threshold"
+_LARGEST = "largest test against its limit [times]"
 
 #: Manufacturer's powertrain codes; failure types of SAE J2012-DA.
 _ROWS = (
@@ -30,12 +31,12 @@ _ROWS = (
 
 def faults_of(tests: tuple[str, ...]) -> tuple[Fault, ...]:
     """Return what these tests can report, with its evidence."""
-    places = ", ".join(f"{name} is {1 << k}" for k, name in enumerate(tests))
+    names = ("battery", "inverter", "efficiency of the machine", "resistance of the machine", "voltage sensor")
     evidence = (
-        *(f"T_norm of {name}" for name in tests),
-        f"tests that have fired ({places})",
-        "faults that explain them, likeliest first (1 battery, 2 inverter, 3 efficiency, 4 resistance, 5 sensor)",
-        "error of the machine's torque as motor, T7's estimate",
+        *(f"test {name} against its limit [times]" for name in tests),
+        as_bits("tests that have fired", tests),
+        as_digits("faults that explain them, likeliest first", names, 1),
+        "error of the machine's torque as motor, estimated by test T7",
     )
     return tuple(Fault(name, dtc, text, evidence, _FOUND, tested=_LARGEST) for name, dtc, text in _ROWS)
 

@@ -29,6 +29,7 @@ from gateway.monitors.contract import (
     Warnings,
     report,
 )
+from gateway.monitors.evidence import words_of
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel, labels, means
 from gateway_plants.linear.model_set import alignment, decision
 from gateway_plants.linear.monitor import plant as linear_plant
@@ -90,22 +91,22 @@ _SIZE = "size of the fault"
 
 
 def _faults(p: Params) -> tuple[Fault, ...]:
-    left = tuple(f"innovation of {name}" for name in p.sensor_names)
+    left = tuple(f"innovation of {words_of(name)}" for name in p.sensor_names)
     evidence = (*labels(Evidence)[:2], *left)
     found = [
         Fault(
             "unexplained",
             "C1B10-62",
-            "sensors contradict each other in a way that no single sensor and no actuator explains",
+            "sensors contradict each other; neither one sensor nor one actuator explains it",
             evidence,
             _FOUND,
         )
     ]
     for k, part in enumerate(p.input, start=1):
-        text = f"actuator {part.name}: does something else than it is commanded"
+        text = f"actuator {words_of(part.name)}: does something else than it is commanded"
         found.append(Fault(f"actuator_{part.name}", part.dtc or f"C1B1{k}-64", text, evidence, _FOUND, tested=_SIZE))
     for k, sensor in enumerate(p.output, start=1):
-        text = f"sensor {sensor.name}: contradicts the others"
+        text = f"sensor {words_of(sensor.name)}: contradicts the others"
         found.append(Fault(f"sensor_{sensor.name}", sensor.dtc or f"C1B2{k}-64", text, evidence, _FOUND, tested=_SIZE))
     return tuple(found)
 
