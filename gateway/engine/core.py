@@ -413,6 +413,11 @@ class Engine:
         kept = min(int(row["misfits"]), SAMPLES)
         return index, [row["samples"][k].tobytes()[: int(row["lengths"][k])] for k in range(kept)]
 
+    def rule_of(self, row: int) -> int:
+        """Return the fault of the rule of a message's checksum, by the message's row; -1: it has none."""
+        checks = self.tables.checks
+        return next((fault for fault, k in self._rules.items() if checks[k]["row"] == row), -1)
+
     def rules(self) -> dict[str, int]:
         """Return the digests of the checksums' rules, by the ids of the faults that doubt them."""
         checks = self.tables.checks

@@ -270,11 +270,13 @@ def hold(d: Any, t_ns: int) -> None:
         d.since_ns = max(d.since_ns, t_ns)
         d.direction = NOT_TESTED
         d.deadline_ns = NEVER
+        _remember(d)
     if d.gated == 1 and d.resets == 1:
         d.counter = 0
         d.verdict = NOT_TESTED
         d.episode = 0
         d.triggered = 0
+        d.missed = 1
 
 
 @kernel

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, FD, FRAME
 from gateway.monitors.contract import Emission
+from gateway.signals.columns import insert
 from gateway.signals.decode import SIGNAL
-from gateway.signals.encode import insert
 from gateway.signals.protection import protection
 from gateway.signals.protection.own import own_protection
 from gateway.signals.protection.protection import ProtectionConst, protect

@@ -47,8 +47,8 @@ ACTIVITY = 12
 #: Frames of a bus get lost, or no more: ``value`` is their share, ``threshold`` that from which on it is told.
 LOSSY = 13
 
-#: A message of a bus that sleeps never had its length since it came (``fault`` is its row, ``value`` the length now,
-#: ``threshold`` the one of its check [byte]), or on such a bus its rate (frames in the window of its limit, negative).
+#: A message of a bus that sleeps never was as its check says since it came: ``fault`` is its row, ``result`` the kind
+#: of the check (``communication.FAULTS``), ``value`` what it is now, ``threshold`` the limit of the check.
 OTHER = 14
 
 #: Slips of a monitor's author that the loop puts right, as bits of ``slips`` of its handler.

@@ -40,6 +40,9 @@ TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE, EARLY, SECOND = range(8)
 #: How a message comes: it does; it has not yet since its bus woke; its time is over, and others may stop, too (see
 #: ``activity``); it is missing.
 COMES, NOT_YET, STOPPED, MISSING = range(4)
+#: A timeout has CYCLES cycles at most. A frame is missing in a gap of more than MISSES cycles. People write timeouts of
+#: fewer cycles: the mean of the FIRST gaps of a message is then its cycle.
+CYCLES, MISSES, FIRST = 5.0, 1.5625, 16
 
 #: Verdict on a frame: its data may be used.
 ACCEPT = 0
@@ -233,13 +236,18 @@ class CheckState(Record):
     asleep: u1 = means("whether its time was over while all slept")
     coming: u1 = means("COMES, NOT_YET, STOPPED or MISSING")
     overdue_ns: i8 = means("when its time was over, where it STOPPED", "ns")
+    wide_ns: i8 = means("a frame is missing in a gap of more", "ns")
+    first: i4 = means("gaps of which wide_ns is made, at most FIRST")
+    span_ns: i8 = means("time of these together", "ns")
     last_counter: i8 = means("alive counter of the last frame")
     passed: i8 = means("frames whose checksum was right since the rule was proven")
     weighed: u8 = means("hash of the last right payload before the rule was proven")
     proof: i4 = means("what speaks for the rule of the checksum, -PROVEN to PROVEN", "half bit")
     longest: i4 = means("length of its longest frame", "byte")
     fitted: u1 = means("whether a frame had the one length that it may have")
-    told: u1 = means("whether it is told that its sender has another software")
+    signs: u1 = means("kinds of check, a bit each, by which its sender has another software")
+    told: u1 = means("those of them that are told")
+    counts: u1 = means("whether its alive counter rose as it should since it came")
     unread: i4 = means("frames rejected since the counter was last read")
     misfits: i4 = means("frames whose checksum was wrong before the rule was proven")
     seen: u1 = means("1: last_counter is known")
@@ -259,13 +267,17 @@ _COUNTER = ("protection.has_counter", "protection.counter", "protection.modulus"
 
 #: Each state of a check, and the constants it is counted in: a reload keeps it where these are as they were.
 COUNTED_IN: Mapping[tuple[str, ...], tuple[str, ...]] = {
-    ("deadline_ns", "silent_ns", "losses", "parked_ns", "parks", "asleep", "coming", "overdue_ns"): ("timeout_ns",),
+    (
+        "deadline_ns", "silent_ns", "losses", "parked_ns", "parks", "asleep", "coming", "overdue_ns",
+        "wide_ns", "first", "span_ns",
+    ): ("timeout_ns",),
     ("last_counter", "unread", "seen", "other_counter", "other_seen", "odd", "twice"): _COUNTER,
     ("left", "at", "filled", "stamps", "content", "wraps", "crowded", "last_ns", "blamed", "before"): (
         "most_ns", "stride", "slots",
     ),
     ("longest",): ("length",),
-    ("fitted", "told"): ("only_length",),
+    ("fitted",): ("only_length",),
+    ("signs", "told", "counts"): (),
     ("silent_sources",): ("timeout_ns",),
     ("passed", "weighed", "proof", "misfits", "samples", "lengths"): ("rule",),
     ("fresh", "trial", "sought", "synced"): ("rule",),
@@ -303,6 +315,8 @@ _NEAR: tuple[str, ...] = (
     "deadline_ns",
 )
 _NEAR += (
+    "wide_ns",
+    "first",
     "silent_ns",
     "losses",
     "coming",
@@ -447,6 +461,7 @@ def fill(
     row["wake_ns"] = round(max(p.timeout_ms or 0, wake_ms if p.wake_ms is None else p.wake_ms) * 1e6)
     row["cycle_ns"] = round((p.cycle_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
+    row["wide_ns"] = round(MISSES / CYCLES * row["timeout_ns"])
     row["rule"] = protection.digest(asked, message.frame_id)
     row["presence"] = row["sync"] = -1
     for ref in _deciding(check, message, asked):

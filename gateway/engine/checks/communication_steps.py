@@ -15,6 +15,7 @@ from gateway.engine.checks.communication import (
     COMES,
     COUNTER,
     CRC,
+    FIRST,
     IN_PART,
     LENGTH,
     MISFITS,
@@ -40,10 +41,11 @@ from gateway.engine.checks.senders_steps import (
     is_doubtful,
     is_lost_with_others,
     is_news,
-    is_other,
     keep_stamp,
+    may_lose,
 )
 from gateway.engine.checks.silence import park
+from gateway.engine.checks.software import ENOUGH, is_other
 from gateway.engine.gate import sleeps
 from gateway.engine.results import not_tested, report_result, store_evidence
 from gateway.engine.timers import arm
@@ -244,6 +246,9 @@ def keep_misfit(
     c.lengths[at] = length
     c.misfits = min(c.misfits + 1, 1 << 20)
     if c.proof == -PROVEN and c.misfits >= MISFITS:
+        if c.protection.secured == 0 and is_other(T, t_ns, c, RULE, ENOUGH, received, computed):
+            not_tested(T, t_ns, c.fault[RULE])
+            return
         place = report_result(T, t_ns, c.fault[RULE], True, received, computed)
         store_evidence(T, c.fault[RULE], place, 0, float(c.misfits))
         store_evidence(T, c.fault[RULE], place, 1, received)
@@ -267,11 +272,18 @@ def counter_fits(T: Any, t_ns: int, c: Any, words: Any) -> bool:
         step = follow(T, t_ns, c, received, step)
     # The counters of rejected frames went by unread; those frames were not lost.
     jumped = step < 0 or step > p.max_step + c.unread
-    if step >= 0 and (jumped or step == 0) and is_lost_with_others(T, t_ns, c, step):
-        T.clock[0].missed += max(step - 1, 0)
+    wrong = jumped or step == 0
+    if not wrong and c.seen == 1:
+        c.counts = 1
+    never = wrong and c.counts == 0 and not may_lose(T, t_ns, c)
+    # One that stands still is no sign: a fault of before the start does that, too.
+    other = never and is_other(T, t_ns, c, COUNTER, 1 if jumped else 0, float(step), float(p.max_step))
+    lost = wrong and step >= 0 and is_lost_with_others(T, t_ns, c, step)
+    T.clock[0].missed += max(step - 1, 0) if lost else 0
+    if other or lost:
         not_tested(T, t_ns, c.fault[COUNTER])
     else:
-        place = accuse(T, t_ns, c, COUNTER, jumped or step == 0, float(step), float(p.max_step))
+        place = accuse(T, t_ns, c, COUNTER, wrong, float(step), float(p.max_step))
         store_evidence(T, c.fault[COUNTER], place, 0, float(step))
         store_evidence(T, c.fault[COUNTER], place, 1, float(c.last_counter))
         store_evidence(T, c.fault[COUNTER], place, 2, float(received))
@@ -370,7 +382,7 @@ def report_arrival(T: Any, t_ns: int, c: Any, length: int) -> None:
         wrong = is_odd_length(c, length)
         if not wrong:
             c.fitted = 1
-        elif c.only_length > 0 and c.fitted == 0 and is_other(T, t_ns, c, length, c.only_length):
+        elif c.only_length > 0 and c.fitted == 0 and is_other(T, t_ns, c, LENGTH, ENOUGH, length, c.only_length):
             not_tested(T, t_ns, c.fault[LENGTH])
             return
         place = accuse(T, t_ns, c, LENGTH, wrong, length, c.only_length if c.only_length > 0 else c.length)
@@ -433,7 +445,7 @@ def note_arrival(T: Any, t_ns: int, c: Any, words: Any) -> None:
         moved_ns = deadline_ns - before_ns
         if c.coming != COMES:
             come(T, t_ns, c)
-        elif moved_ns > (c.timeout_ns >> 2) + (c.timeout_ns >> 4) or moved_ns < c.timeout_ns >> 4:
+        elif moved_ns > c.wide_ns or moved_ns < c.timeout_ns >> 4 or c.first < FIRST:
             note_gap(T, t_ns, c, moved_ns)
         c.deadline_ns = deadline_ns
         c.silent_ns = 0

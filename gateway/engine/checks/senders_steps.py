@@ -6,9 +6,9 @@ from typing import Any
 
 from gateway.engine.checks.activity import is_lossy
 from gateway.engine.checks.communication import COUNTER, CRC, EARLY, SECOND
+from gateway.engine.checks.software import FIRST_NS, is_other
 from gateway.engine.debounce import is_settled
-from gateway.engine.events import OTHER
-from gateway.engine.results import announce, not_tested, report_result, store_evidence
+from gateway.engine.results import not_tested, report_result, store_evidence
 from gateway_fdi.jit import kernel
 
 #: Most evidence of a frame that continues the other count [bit]; one that continues its own takes 1 back. A frame after
@@ -62,22 +62,6 @@ def clears_sender(T: Any, t_ns: int, c: Any, failed: bool) -> bool:
 
 
 @kernel
-def is_other(T: Any, t_ns: int, c: Any, value: float, limit: float) -> bool:
-    """Take that a message never was as its check says since it came; returns whether its ECU has another software.
-
-    A fault, or a stranger, begins at some time. On a bus that does not sleep nothing was learned, and nothing is known.
-    """
-    if c.bus >= T.health.shape[0] - 1 or T.health[c.bus].settle_ns == 0:
-        return False
-    h = T.health[c.bus]
-    h.other |= value > 0.0
-    if h.other == 1 and c.told == 0:
-        c.told = 1
-        announce(T, t_ns, OTHER, c.row, c.bus, value, limit)
-    return bool(h.other == 1)
-
-
-@kernel
 def begin_window(c: Any) -> None:
     """Begin the window again: frames were not heard, or came late together."""
     c.left, c.at, c.filled = 1, 0, 0
@@ -112,17 +96,26 @@ def note_window(T: Any, c: Any, span_ns: int) -> None:
 
 
 @kernel
+def may_lose(T: Any, t_ns: int, c: Any) -> bool:
+    """Return whether frames of a message's bus get lost, or nobody knows yet."""
+    if c.bus >= T.health.shape[0] - 1:
+        return False
+    h = T.health[c.bus]
+    return bool((h.settle_ns > 0 and t_ns < h.joined_ns + FIRST_NS) or is_lossy(t_ns, h))
+
+
+@kernel
 def is_lost_with_others(T: Any, t_ns: int, c: Any, step: int) -> bool:
     """Note that a counter jumped; returns whether frames of other messages of the bus are missing, too.
 
     Then they were lost on the bus, or by who recorded it, and its sender is not accused. Where frames get lost all the
-    time a counter may come round, too (step 0).
+    time a counter may come round, too (step 0). In the first time of a bus that sleeps nobody knows.
     """
     if c.bus >= T.health.shape[0] - 1:
         return False
     h = T.health[c.bus]
-    if is_lossy(h) or step == 0:
-        return bool(is_lossy(h))
+    if step == 0 or may_lose(T, t_ns, c):
+        return bool(may_lose(T, t_ns, c))
     if h.jumper != c.row:
         h.others_ns, h.jumper = h.jumped_ns, c.row
     h.jumped_ns = t_ns
@@ -150,7 +143,7 @@ def keep_stamp(T: Any, t_ns: int, c: Any) -> None:
     elif span_ns < c.most_ns:
         judge_rate(T, t_ns, c, span_ns)
     elif at == 0:
-        c.wraps += 1
+        c.wraps += 0 if may_lose(T, t_ns, c) else 1  # it had its rate; where frames get lost nobody knows
         note_window(T, c, span_ns)
         d = T.debounces[c.fault[EARLY]]
         if c.crowded == 1 or c.wraps & 7 == 0 or T.clock[0].held == 1 or d.gated == 1 or not is_settled(d):
@@ -167,7 +160,7 @@ def judge_rate(T: Any, t_ns: int, c: Any, span_ns: int) -> None:
         c.steady, c.filled = 0, 1
         c.stamps[0], c.at = t_ns, 1 if c.slots > 1 else 0
     rate = most * (c.most_ns / max(span_ns, 1))
-    if failed and c.wraps == 0 and is_other(T, t_ns, c, -rate, float(most)):
+    if failed and c.wraps == 0 and is_other(T, t_ns, c, EARLY, 1, rate, float(most)):
         not_tested(T, t_ns, c.fault[EARLY])
         return
     place = report_result(T, t_ns, c.fault[EARLY], failed, rate, float(most))

@@ -75,7 +75,7 @@ def park(T: Any, due: int, c: Any) -> bool:
     if c.bus >= T.health.shape[0] - 1:
         return False
     h = T.health[c.bus]
-    if h.quiet_ns == 0 or due - h.heard_ns <= h.gap_ns or h.bad & ~(1 << SILENT) != 0:
+    if h.quiet_ns == 0 or due - h.heard_ns <= h.gap_ns or int(h.bad) & ~(1 << SILENT) != 0:
         return False
     if c.parks >= MOST_PARKS and h.silence != WHOLE:
         return False

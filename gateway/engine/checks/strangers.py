@@ -31,6 +31,7 @@ class Stranger(Record):
     elsewhere: u1 = means("number of another bus that knows it, and one; 0: none does")
     can_id: u4 = means("identifier, with EXTENDED")
     count: i8 = means("frames since the start")
+    woke: u1 = means("whether it came while the bus woke")
     tell: i8 = means("count at which it is told next")
     first_ns: i8 = means("its first frame", "ns")
     word: u8 = means("first 8 bytes of its first payload")

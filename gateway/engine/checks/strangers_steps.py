@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from gateway.engine.checks.bus_health import NONE, UNKNOWN, heal_later
+from gateway.engine.checks.bus_health import NONE, UNKNOWN, WAKING, heal_later
+from gateway.engine.checks.software import note_new
 from gateway.engine.events import STRANGER
 from gateway.engine.results import announce, report_result, store_evidence
 from gateway.engine.timers import arm
@@ -47,7 +48,10 @@ def on_stranger(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: An
     if s.count == 0:
         s.bus, s.can_id, s.length, s.first_ns, s.word = bus, can_id, length, t_ns, words[0]
         s.elsewhere, s.tell = known_elsewhere(T, bus, can_id), 1
+        s.woke = 1 if h.activity == WAKING else 0
     s.count += 1
+    if s.woke == 1:
+        note_new(T, t_ns, h, s)
     if s.count >= s.tell:
         s.tell *= 10
         announce(T, t_ns, STRANGER, place, bus, float(s.count), 0.0)
