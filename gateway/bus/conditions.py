@@ -13,12 +13,13 @@ too long, at the time of that step: bytes 1 to 7 are a digest of its name.
 
 from __future__ import annotations
 
+import re
 from hashlib import blake2b
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import ERROR, Frames, empty, put
+from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, Frames, single
 
 # Classes of errors: bits of the identifier.
 TX_TIMEOUT, LOST_ARBITRATION, CONTROLLER, PROTOCOL = 0x001, 0x002, 0x004, 0x008
@@ -29,9 +30,30 @@ RESTARTED, COUNTERS = 0x100, 0x200
 RX_OVERFLOW, TX_OVERFLOW, RX_WARNING, TX_WARNING = 0x01, 0x02, 0x04, 0x08
 RX_PASSIVE, TX_PASSIVE, ACTIVE = 0x10, 0x20, 0x40
 
+#: Chip status of ASC -> counter of errors from which on it is so, byte 1 by the transmit and by the receive counter.
+CHIP_STATES = {
+    "error passive": (128, TX_PASSIVE, RX_PASSIVE),
+    "warning level": (96, TX_WARNING, RX_WARNING),
+    "error active": (0, ACTIVE, ACTIVE),
+}
+
 #: Conditions: frames come, none can come, some were lost in a queue; the wall clock was set; a monitor's step took too
 #: long.
 RUNNING, LOST, LOSS, STEPPED, OVERTIME = 1, 2, 3, 4, 5
+
+#: An error frame in a text format that has no place for its classes.
+_EXACT = re.compile(rb"SocketCAN ?= ?([0-9A-F]{8})#([0-9A-F]*)")
+
+
+def exact(can_id: int, data: bytes) -> str:
+    """Return an error frame as our writers of text have it behind what the format has."""
+    return f"SocketCAN = {can_id & ~EXTENDED:08X}#{data.hex().upper()}"
+
+
+def exact_in(line: bytes) -> tuple[int, bytes] | None:
+    """Return the classes and data that :func:`exact` has put into a line; None: it has none."""
+    found = _EXACT.search(line)
+    return None if found is None else (int(found[1], 16) & ID_MASK, bytes.fromhex(found[2].decode()))
 
 
 def condition_frame(t_ns: int, bus: int, condition: int, lost: int = 0) -> Frames:
@@ -43,10 +65,8 @@ def condition_frame(t_ns: int, bus: int, condition: int, lost: int = 0) -> Frame
         condition: RUNNING, LOST or LOSS.
         lost: LOSS: frames lost.
     """
-    frame = empty(1)
     data = bytes([condition, 0, 0, 0]) + min(lost, 0xFFFFFFFF).to_bytes(4, "little")
-    put(frame, 0, t_ns, ERROR, data, bus=bus)
-    return frame
+    return single(t_ns, ERROR, data, bus=bus)
 
 
 def step_frame(t_ns: int, step_us: int) -> Frames:
@@ -56,9 +76,7 @@ def step_frame(t_ns: int, step_us: int) -> Frames:
         t_ns: when it was noticed [ns].
         step_us: by how much, forward positive [us].
     """
-    frame = empty(1)
-    put(frame, 0, t_ns, ERROR, bytes([STEPPED]) + step_us.to_bytes(7, "little", signed=True))
-    return frame
+    return single(t_ns, ERROR, bytes([STEPPED]) + step_us.to_bytes(7, "little", signed=True))
 
 
 def overtime_frame(t_ns: int, name: str) -> Frames:
@@ -68,9 +86,7 @@ def overtime_frame(t_ns: int, name: str) -> Frames:
         t_ns: of the step [ns].
         name: of the monitor.
     """
-    frame = empty(1)
-    put(frame, 0, t_ns, ERROR, bytes([OVERTIME]) + name_digest(name))
-    return frame
+    return single(t_ns, ERROR, bytes([OVERTIME]) + name_digest(name))
 
 
 def name_digest(name: str) -> bytes:

@@ -146,6 +146,13 @@ def put(
     data[length:] = 0
 
 
+def single(t_ns: int, can_id: int, payload: bytes, *, bus: int = 0, flags: int = 0) -> Frames:
+    """Return a batch of one frame (see :func:`put`)."""
+    frames = empty(1)
+    put(frames, 0, t_ns, can_id, payload, bus=bus, flags=flags)
+    return frames
+
+
 def payload(frame: np.void) -> bytes:
     """Return the payload of one frame, ``length`` bytes; a remote frame has none."""
     return b"" if int(frame["can_id"]) & REMOTE else bytes(frame["data"][: int(frame["length"])])

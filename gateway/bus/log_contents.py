@@ -63,7 +63,7 @@ def contents(
     *,
     asked: Sequence[str] = (),
     damage: InputError | None = None,
-    foreign: bool = False,
+    foreign: str = "",
     allow_empty: bool = False,
     allow_cut: bool = False,
 ) -> Contents:
@@ -75,7 +75,7 @@ def contents(
         channels: channel -> bus index, as the reader had it.
         asked: channels that were joined to buses by hand.
         damage: what ended reading.
-        foreign: the configuration knows none of its identifiers.
+        foreign: how many of its identifiers the configuration knows, where these are too few; "": enough.
         allow_empty: a log without a frame of a configured bus is no error.
         allow_cut: nor is one that is cut off.
     """
@@ -111,7 +111,8 @@ def contents(
         _refuse(made, InputError(text, file=reader.path), allowed=allow_empty)
     elif foreign:
         made.state = "foreign" if made.state == "whole" else made.state
-        text = "of another vehicle: the databases of the configuration know none of its identifiers; nothing was judged"
+        text = f"of another vehicle: the databases of the configuration know {foreign} of its identifiers"
+        text += "; nothing was judged"
         _refuse(made, InputError(text, file=reader.path), allowed=False)
     else:
         made.notes += _notes(made, names, channels)

@@ -105,5 +105,6 @@ def damage(error: Exception, path: Path, frames: int) -> InputError:
         return error
     if isinstance(error, EOFError):  # all of our decompressors
         return CutOffError(f"cut off after frame {frames}: the compressed file ends", file=path)
-    text = " ".join(str(error).split()) or type(error).__name__
+    said = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    text = " ".join(said.split()) or type(error).__name__
     return InputError(f"damaged after frame {frames}: {text}", file=path)

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from datetime import UTC, tzinfo
 from pathlib import Path
 from types import TracebackType
-from typing import Self, cast
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from gateway.bus.readers.text import BOM, Lines, TextReader
 from gateway.bus.readers.trc import Trc
 from gateway.bus.writers import WRITERS, Sink
 from gateway.common.extras import need
-from gateway.common.plugins import Registry
+from gateway.common.plugins import Registry, accept_callable
 from gateway_fdi.errors import InputError
 
 #: Suffix -> what it is.
@@ -46,21 +46,12 @@ FORMATS = {
 _EXTRAS = {".mf4": ("mf4", "MF4 logs"), ".parquet": ("parquet", "logs in Parquet")}
 
 
-def _accepted(found: object, name: str) -> Callable[[Path], Reader]:
-    if not callable(found):
-        raise InputError(f"no class of readers, but {type(found).__name__}", value=name)
-    return cast("Callable[[Path], Reader]", found)
-
-
 #: Suffix -> reader of another package's format; it may be one that we have.
-READERS: Registry[Callable[[Path], Reader]] = Registry("gateway.readers", _accepted)
+READERS: Registry[Callable[[Path], Reader]] = Registry("gateway.readers", accept_callable)
 
-#: Formats of lines.
+#: Readers, which tell their format by a log's first bytes; of several that fit the suffix decides, else the first.
+_BINARY: dict[str, Any] = {".blf": Blf, ".mf4": Mf4, ".parquet": Parquet}
 _LINES: dict[str, type[Lines]] = {".trc": Trc, ".asc": Asc, ".csv": Csv, ".log": Candump}
-_BINARY: dict[str, Callable[[Path], Reader]] = {".blf": Blf, ".mf4": Mf4, ".parquet": Parquet}
-#: How formats are told by a log's first bytes; of several that fit the suffix decides, else the first.
-_SNIFFS: dict[str, Callable[[bytes], bool]] = {".blf": Blf.sniff, ".mf4": Mf4.sniff, ".parquet": Parquet.sniff}
-_SNIFFS |= {suffix: lines.sniff for suffix, lines in _LINES.items()}
 #: Bytes by which a format is told.
 _FIRST = 1 << 16
 #: Frames of a batch at most.
@@ -96,7 +87,8 @@ def _maker(name: str, first: bytes, path: Path) -> tuple[str, Callable[[Path], R
         path: for errors.
     """
     suffix, first = Path(name).suffix.lower(), first.removeprefix(BOM)
-    fitting = [own for own in _BINARY if _SNIFFS[own](first)] or [own for own in _LINES if _SNIFFS[own](first)]
+    fitting = [own for own, reader in _BINARY.items() if reader.sniff(first)]
+    fitting = fitting or [own for own, lines in _LINES.items() if lines.sniff(first)]
     if suffix in READERS:
         made = READERS[suffix]
         sniff = getattr(made, "sniff", None)
@@ -107,8 +99,7 @@ def _maker(name: str, first: bytes, path: Path) -> tuple[str, Callable[[Path], R
     suffix = _known(suffix, path, read=True)
     if suffix in _BINARY:
         return FORMATS[suffix], _BINARY[suffix]
-    lines = _LINES[suffix]
-    return FORMATS[suffix], lambda path: TextReader(path, lines(path))
+    return FORMATS[suffix], lambda path: TextReader(path, _LINES[suffix](path))
 
 
 def _first(path: Path, member: str = "") -> bytes:
@@ -129,6 +120,9 @@ class LogReader:
         channels: interface or channel in the file -> bus index; None puts all on bus 0. Frames of others are left
             out, and counted. Numbers count from 0 in all formats: ``0`` is CANalyzer's channel 1.
         zone: of the dates in headers of ASC, BLF and TRC, which have none.
+
+    Raises:
+        InputError: unknown format or unreadable file; while reading: what ends it early.
 
     Attributes:
         formats: of the file, or of each log in an archive.
@@ -215,10 +209,12 @@ class LogReader:
 
     def _placed(self, frames: Frames, channel: NDArray[np.int64]) -> Frames:
         """Count the frames of each channel, and leave out those of no bus."""
-        frames["can_id"] = of_bus(frames["can_id"])
-        bare = (frames["can_id"] & (ERROR | ID_MASK) == ERROR) & (frames["length"] == 0)
-        if bare.any():  # the error frame of a logger that knows no classes
-            frames["can_id"][bare], frames["length"][bare] = ERROR | PROTOCOL | BUS_ERROR, 8
+        errors = np.flatnonzero(frames["can_id"] & ERROR)
+        if len(errors):
+            ids = of_bus(frames["can_id"][errors])
+            bare = (ids & (ERROR | ID_MASK) == ERROR) & (frames["length"][errors] == 0)
+            frames["can_id"][errors] = np.where(bare, ERROR | PROTOCOL | BUS_ERROR, ids)
+            frames["length"][errors[bare]] = 8  # the error frame of a logger that knows no classes
         known = self._names.known
         now = np.bincount(channel, minlength=len(known))
         counts = now.copy()
@@ -237,15 +233,8 @@ class LogReader:
         return frames if kept.all() else chosen(frames, kept)
 
 
-def read_log(
-    path: Path, *, chunk: int = CHUNK, channels: Mapping[str, int] | None = None, zone: tzinfo = UTC
-) -> LogReader:
-    """Open a log for reading (see :class:`LogReader`).
-
-    Raises:
-        InputError: unknown format or unreadable file; while reading: what ends it early.
-    """
-    return LogReader(path, chunk=chunk, channels=channels, zone=zone)
+#: Opens a log for reading.
+read_log = LogReader
 
 
 def _sink(suffix: str, path: Path, interfaces: Mapping[int, str] | None) -> Sink:
@@ -308,6 +297,5 @@ class LogWriter:
         self.close()
 
 
-def open_writer(path: Path, *, interfaces: Mapping[int, str] | None = None) -> LogWriter:
-    """Open a log for writing (see :class:`LogWriter`)."""
-    return LogWriter(path, interfaces=interfaces)
+#: Opens a log for writing.
+open_writer = LogWriter

@@ -17,7 +17,7 @@ from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, FD_LENGTHS, FRAME, REMO
 from gateway_fdi.jit import COMPILED, Record, Same, bound, i8, kernel, means, u1, u4, u8s
 
 #: Number of identifiers that are kept apart; more are counted only.
-IDENTIFIERS = 1024
+IDENTIFIERS = 2048
 #: A power of two, so that the table of identifiers stays half empty.
 _PLACES = 2 * IDENTIFIERS
 
@@ -223,8 +223,8 @@ def count_frames(
         seen: shape (a power of two,) of Seen.
         bits: room for 640 bits.
         codes: DLC of each length.
-        crcs: what each byte makes of the CRC, as classical_bits takes it.
-        stuffing: what each byte makes of a run, as classical_bits takes it.
+        crcs: as classical_bits takes it.
+        stuffing: as classical_bits takes it.
         used: shape (1,), how many places of ``seen`` are taken.
         frames: shape (n,) of FRAME.
         cells: the same batch as uint64, shape (n, 10).

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.conditions import ACTIVE, BUS_OFF, CONTROLLER, RX_PASSIVE, RX_WARNING, TX_PASSIVE, TX_WARNING
+from gateway.bus.conditions import BUS_OFF, CHIP_STATES, CONTROLLER, exact
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, ID_MASK, OWN, REMOTE, Frames
 from gateway.bus.readers import blf
 from gateway.bus.readers.trc import EPOCH_DAYS
@@ -106,14 +106,10 @@ class _TextWriter(_Dated, ABC):
 
 def _state(can_id: int, data: bytes) -> str:
     """Return the chip status of an error frame as ASC has it, "" if it tells none."""
+    if can_id & BUS_OFF:
+        return "bus off"
     said = data[1] if can_id & CONTROLLER and len(data) > 1 else 0
-    told = {
-        "bus off": can_id & BUS_OFF,
-        "error passive": said & (RX_PASSIVE | TX_PASSIVE),
-        "warning level": said & (RX_WARNING | TX_WARNING),
-        "error active": said & ACTIVE,
-    }
-    return next((name for name, here in told.items() if here), "")
+    return next((name for name, (_, sent, heard) in CHIP_STATES.items() if said & (sent | heard)), "")
 
 
 class AscWriter(_TextWriter):
@@ -133,7 +129,7 @@ class AscWriter(_TextWriter):
         if can_id & ERROR:
             status = _state(can_id, data)
             event = f"CAN {channel} Status:chip status {status}" if status else f"{channel}  ErrorFrame"
-            return f"{stamp} {event}  SocketCAN = {can_id & ~EXTENDED:08X}#{data.hex().upper()}\n"
+            return f"{stamp} {event}  {exact(can_id, data)}\n"
         name = f"{can_id & ID_MASK:X}{'x' if can_id & EXTENDED else ''}"
         way, text = "Tx" if flags & OWN else "Rx", data.hex(" ").upper()
         if not flags & FD:
@@ -161,8 +157,7 @@ class TrcWriter(_TextWriter):
         """Return a line."""
         begin = f"{self._count:7d} {t_ns // 10**6:9d}.{t_ns % 10**6:06d}"
         if can_id & ERROR:
-            exact = f"SocketCAN={can_id & ~EXTENDED:08X}#{data.hex().upper()}"
-            return f"{begin} ER {bus + 1:<2d} {'-':>8} Rx -  5    04 00 00 00 00  {exact}\r\n"
+            return f"{begin} ER {bus + 1:<2d} {'-':>8} Rx -  5    04 00 00 00 00  {exact(can_id, data)}\r\n"
         kind = "RR" if can_id & REMOTE else "DT"
         if flags & FD:
             kind = {0: "FD", BRS: "FB", BRS | ESI: "FE", ESI: "BI"}[flags & (BRS | ESI)]

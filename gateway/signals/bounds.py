@@ -19,22 +19,19 @@ LONGEST = 1 << 16
 #: Suffix -> where a text has lengths of messages [byte], or places and lengths of signals [bit].
 _LENGTHS = {
     ".dbc": (
-        re.compile(r"^[ \t]*BO_[ \t]+\d+[ \t]+(?P<name>\w+)[ \t]*:[ \t]*(?P<byte>\d+)", re.M),
-        re.compile(r"^[ \t]*SG_[ \t]+(?P<name>\w+)[^:\n]*:[ \t]*(?P<bit>\d+)[ \t]*\|[ \t]*(?P<other>\d+)", re.M),
+        r"^[ \t]*BO_[ \t]+\d+[ \t]+(?P<name>\w+)[ \t]*:[ \t]*(?P<byte>\d+)",
+        r"^[ \t]*SG_[ \t]+(?P<name>\w+)[^:\n]*:[ \t]*(?P<bit>\d+)[ \t]*\|[ \t]*(?P<other>\d+)",
     ),
     ".kcd": (
-        re.compile(r"""<Message\b[^>]*?\blength\s*=\s*["'](?P<byte>\d+)"""),
-        re.compile(r"""<(?:Signal|Multiplex)\b[^>]*?\boffset\s*=\s*["'](?P<bit>\d+)"""),
-        re.compile(r"""<(?:Signal|Multiplex)\b[^>]*?\blength\s*=\s*["'](?P<bit>\d+)"""),
+        r"""<Message\b[^>]*?\blength\s*=\s*["'](?P<byte>\d+)""",
+        r"""<(?:Signal|Multiplex)\b[^>]*?\boffset\s*=\s*["'](?P<bit>\d+)""",
+        r"""<(?:Signal|Multiplex)\b[^>]*?\blength\s*=\s*["'](?P<bit>\d+)""",
     ),
     ".sym": (
-        re.compile(r"^[ \t]*(?:Len|DLC)[ \t]*=[ \t]*(?P<byte>\d+)", re.M),
-        re.compile(r"^[ \t]*(?:Var|Mux)[ \t]*=[^\n]*?(?P<bit>\d+),(?P<other>\d+)", re.M),
+        r"^[ \t]*(?:Len|DLC)[ \t]*=[ \t]*(?P<byte>\d+)",
+        r"^[ \t]*(?:Var|Mux)[ \t]*=[^\n]*?(?P<bit>\d+),(?P<other>\d+)",
     ),
-    ".arxml": (
-        re.compile(r"<FRAME-LENGTH>\s*(?P<byte>\d+)"),
-        re.compile(r"<(?:START-POSITION|LENGTH)>\s*(?P<bit>\d+)"),
-    ),
+    ".arxml": (r"<FRAME-LENGTH>\s*(?P<byte>\d+)", r"<(?:START-POSITION|LENGTH)>\s*(?P<bit>\d+)"),
 }
 
 
@@ -50,21 +47,17 @@ def refuse_lengths(text: str, suffix: str, file: Path) -> None:
         InputError: names line and length.
     """
     for pattern in _LENGTHS.get(suffix, ()):
-        for found in pattern.finditer(text):
+        most, what = LONGEST, f"a message has at most {LONGEST} bytes"
+        if "<bit>" in pattern:
+            most, what = LONGEST * 8, f"a signal lies within {LONGEST * 8} bits"
+        for found in re.finditer(pattern, text, re.MULTILINE):
             groups = found.groupdict()
-            bits = groups.get("byte") is None
-            most = LONGEST * 8 if bits else LONGEST
-            for number in (groups.get("byte"), groups.get("bit"), groups.get("other")):
-                if number is None or (len(number.lstrip("0")) <= len(str(most)) and int(number) <= most):
-                    continue
-                what = f"a signal lies within {most} bits" if bits else f"a message has at most {most} bytes"
-                raise InputError(
-                    what,
-                    file=file,
-                    line=text.count("\n", 0, found.start("bit" if bits else "byte")) + 1,
-                    key=groups.get("name"),
-                    value=number if len(number) > 15 else int(number),
-                )
+            name = groups.pop("name", None)
+            for number in filter(None, groups.values()):
+                if len(number.lstrip("0")) > len(str(most)) or int(number) > most:
+                    line = text.count("\n", 0, found.start("bit" if "<bit>" in pattern else "byte")) + 1
+                    value = number if len(number) > 15 else int(number)
+                    raise InputError(what, file=file, line=line, key=name, value=value)
 
 
 def refuse_scalings(messages: Iterable[Message], file: Path) -> None:

@@ -16,15 +16,7 @@ from gateway.signals.columns import put_column
 from gateway.signals.database import Database
 from gateway.signals.decode import decode
 from gateway.signals.payloads import columns, message_rows
-from gateway.signals.protection.protection import (
-    Protection,
-    ProtectionConst,
-    Tables,
-    fill,
-    protect,
-    protect_again,
-    sent_before,
-)
+from gateway.signals.protection.protection import Protection, compiled, protect, protect_again, sent_before
 from gateway.signals.tables import SignalRef, compile_plan
 
 Words = NDArray[np.uint64]
@@ -51,9 +43,7 @@ class ChangedMessage:
         found = database.message(message)
         self.can_id = found.frame_id | (EXTENDED if found.is_extended_frame else 0)
         self._plan = compile_plan([(bus, database)], [], messages=[(bus, message)], pgn=pgn)
-        tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
-        fill(rows[0], protection, tables)
-        self.protection, self.tables = rows.view(np.recarray)[0], tables.array()
+        self.protection, self.tables = compiled(protection)
         self._least = 0
 
     @property

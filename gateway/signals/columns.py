@@ -1,4 +1,4 @@
-"""Columns of physical values into payloads: many frames of one message at once."""
+"""Physical values into payloads, the reverse of :mod:`gateway.signals.decode`: one, or many frames at once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from gateway.signals.bits import mask_of, write_bits
 from gateway.signals.decode import FLOAT16, FLOAT32, FLOAT64, SIGNED
-from gateway.signals.encode import insert
 from gateway_fdi.jit import kernel
 
 #: Floating-point kinds of signals -> what NumPy calls their numbers, and their bits.
@@ -17,14 +16,34 @@ IEEE = {FLOAT16: ("<f2", "<u2"), FLOAT32: ("<f4", "<u4"), FLOAT64: ("<f8", "<u8"
 
 
 @kernel
+def insert(words: Any, s: Any, value: float) -> None:
+    """Put the value of one integer signal into a payload; its bits must be zero before.
+
+    A value outside what the signal can carry becomes the nearest that it can; NaN becomes raw 0. ``words`` and ``s``
+    are as of :func:`gateway.signals.bits.write_bits`.
+    """
+    most = ~np.uint64(0) >> np.uint64(64 - s.length)
+    low, high = 0.0, float(most)
+    if s.kind == SIGNED:
+        high = float(most >> np.uint64(1))
+        low = -high - 1.0
+    raw = np.rint((value - s.offset) / s.scale)
+    if np.isnan(raw):
+        raw = 0.0
+    raw = min(max(raw, low), high)
+    if raw < 0.0:
+        bits = np.uint64(np.int64(raw))
+    else:
+        # 2^64 - 1 is not a float64: values that round up to 2^64 are the largest value.
+        bits = np.uint64(raw) if raw < 2.0**64 else np.uint64(0xFFFFFFFFFFFFFFFF)
+    write_bits(words, s, bits)
+
+
+@kernel
 def insert_each(words: Any, s: Any, values: Any, there: Any) -> None:
     """Put a value of one integer signal into each payload that carries it; its bits must be zero before.
 
-    Args:
-        words: payloads, uint64, shape (frames, 8).
-        s: record of SIGNAL.
-        values: physical values, float64, shape (frames,).
-        there: which frames carry the signal, bool, shape (frames,).
+    Arguments as of :func:`put_column`.
     """
     for k in range(words.shape[0]):
         if there[k]:

@@ -9,6 +9,7 @@ from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from gateway.j1939.frame import group_of
 from gateway.j1939.transport import LONGEST as LONGEST_WOVEN
 from gateway.signals.bits import LONGEST
 from gateway.signals.bounds import refuse_lengths, refuse_scalings
@@ -17,7 +18,6 @@ from gateway.signals.dialect import mended, signals_said, text_of, without
 from gateway.signals.identity import (
     exact_name,
     exact_signals,
-    group_of,
     long_names,
     of_source,
     repair_references,
@@ -89,11 +89,10 @@ class Database:
         self._notes.append(f"several messages have the name {name}: {' and '.join(self._ambiguous[name])}")
 
     def _add(self, message: Message, file: Path) -> None:
-        exact = exact_signals(message)
-        self._messages[message.name] = exact.message
+        self._messages[message.name], joined = exact_signals(message)
         self._file_of[message.name] = file
-        if exact.joined:
-            self._joined[message.name] = exact.joined
+        if joined:
+            self._joined[message.name] = joined
 
     def _shadow(self) -> None:
         """Find the messages whose identifier another one has already."""
@@ -263,6 +262,8 @@ def _load(path: Path) -> list[Message]:
 
 
 def _parsed(text: str, suffix: str, path: Path) -> list[Message]:
+    if not text.strip():
+        raise InputError("the file is empty", file=path)
     refuse_lengths(text, suffix, path)
     try:
         found = _read(text, suffix)
@@ -270,7 +271,9 @@ def _parsed(text: str, suffix: str, path: Path) -> list[Message]:
         again = _mended(text, suffix, path)
         if again is None:
             said = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"not a good {suffix} file: {said}", file=path, line=_line_of(said, text)) from error
+            line = _line_of(said, text)
+            said = re.sub(r'DBC: "Invalid syntax at line \d+, column (\d+): "(.*)""', r"at column \1: \2", said)
+            raise InputError(f"not a good {suffix} file: {said}", file=path, line=line) from error
         found = again
     if not found:
         raise InputError("the file holds no CAN messages", file=path)

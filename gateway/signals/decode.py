@@ -269,14 +269,7 @@ def commit(row: int, messages: Any, signals: Any, values: Any, present: Any, mai
 
 @kernel
 def decode_whole(words: Any, m: Any, signals: Any, mailbox: Any) -> None:
-    """Decode a frame that is long enough into the mailbox.
-
-    Args:
-        words: payload, 8 little-endian uint64, zero beyond its length.
-        m: record of MESSAGE, a whole one.
-        signals: shape (signals,) of SIGNAL.
-        mailbox: float64, shape (slots,).
-    """
+    """Decode a frame that is long enough into the mailbox (float64, shape (slots,)); ``m``: record of a whole one."""
     first, slot = int(m.first), int(m.slot)
     for j in range(m.count):
         s = signals[np.uint64(first + j)]

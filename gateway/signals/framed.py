@@ -17,7 +17,7 @@ from gateway.bus.frames import EXTENDED, FD, Frames, empty
 from gateway.signals.columns import put_column
 from gateway.signals.protection.own import own_protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
-from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill, protect_all
+from gateway.signals.protection.protection import Protection, compiled, protect_all
 from gateway.signals.ranges import runs
 from gateway.signals.tables import signal_row
 from gateway_fdi.errors import InputError
@@ -111,9 +111,7 @@ def framed(
         protection: of the message.
         bus: index of its bus.
     """
-    tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
-    fill(rows[0], protection, tables)
-    protect_all(words, np.full(len(words), message.length), rows.view(np.recarray)[0], tables.array(), 0)
+    protect_all(words, np.full(len(words), message.length), *compiled(protection), 0)
     frames = empty(len(words))
     frames["t_ns"] = np.rint(t_ns).astype(np.int64)
     frames["can_id"] = message.frame_id | (EXTENDED if message.is_extended_frame else 0)

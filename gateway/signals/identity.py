@@ -8,10 +8,9 @@ multiplexer value as DBC writes it. Exact names can be written wherever a config
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from gateway.signals.ranges import Ranges, runs
 
@@ -33,40 +32,27 @@ _SAYS = (
 )  # fmt: skip
 
 
-class Exact(NamedTuple):
-    """A message whose signals have different names.
+def exact_signals(message: Message) -> tuple[Message, dict[str, tuple[Signal, ...]]]:
+    """Return a message whose signals of one name have exact names (itself if it has none of these), and such names.
 
-    Attributes:
-        message: of the database, its signals of one name renamed.
-        joined: name that several signals had -> these.
+    The latter are those that several signals had -> these signals, renamed.
     """
-
-    message: Message
-    joined: Mapping[str, tuple[Signal, ...]]
-
-
-def exact_signals(message: Message) -> Exact:
-    """Return a message whose signals of one name have exact names; one that has none of these as it is."""
-    count = Counter(signal.name for signal in message.signals)
-    if len(count) == len(message.signals):
-        return Exact(message, {})
-    taken = set(count)
-    named: dict[int, str] = {}
-    for name, several in count.items():
-        if several > 1:
-            mine = [signal for signal in message.signals if signal.name == name]
-            found = next(found for found in _names(name, mine) if len({*found} - taken) == several)
-            taken.update(found)
-            named |= {id(signal): exact for signal, exact in zip(mine, found, strict=True)}
-    signals, joined = [], dict[str, list["Signal"]]()
+    by_name: dict[str, list[Signal]] = {}
     for signal in message.signals:
-        if id(signal) in named:
-            own = renamed(signal, named[id(signal)])
-            joined.setdefault(signal.name, []).append(own)
-            signals.append(own)
-        else:
-            signals.append(signal)
-    return Exact(_with(message, signals), {name: tuple(each) for name, each in joined.items()})
+        by_name.setdefault(signal.name, []).append(signal)
+    if len(by_name) == len(message.signals):
+        return message, {}
+    taken, joined, own = set(by_name), dict[str, tuple["Signal", ...]](), dict[int, "Signal"]()
+    for name, mine in by_name.items():
+        if len(mine) > 1:
+            found = next(found for found in _names(name, mine) if len({*found} - taken) == len(mine))
+            taken.update(found)
+            joined[name] = tuple(map(renamed, mine, found))
+            own |= {id(signal): exact for signal, exact in zip(mine, joined[name], strict=True)}
+    made = copy(message)
+    made._signals = [own.get(id(signal), signal) for signal in message.signals]
+    made.refresh(strict=False)
+    return made, joined
 
 
 def _names(name: str, signals: Sequence[Signal]) -> Iterator[list[str]]:
@@ -79,14 +65,6 @@ def _names(name: str, signals: Sequence[Signal]) -> Iterator[list[str]]:
     while True:
         yield [f"{name}_{begin + k}" for k in range(len(signals))]
         begin += 1
-
-
-def _with(message: Message, signals: list[Signal]) -> Message:
-    """Return a copy of a message with other signals."""
-    own = copy(message)
-    own._signals = signals
-    own.refresh(strict=False)
-    return own
 
 
 def needs(signal: Signal) -> int:
@@ -134,12 +112,6 @@ def of_source(message: Message, can_id: int) -> Message:
     return own
 
 
-def group_of(can_id: int) -> int:
-    """Return the parameter group number of an identifier of 29 bits, without destination."""
-    group = can_id >> 8 & 0x3FFFF
-    return group & 0x3FF00 if can_id >> 16 & 0xFF < 240 else group
-
-
 def source_named(name: str) -> tuple[str, int] | None:
     """Return the message and the identifier that the exact name of a source has; None: it is none."""
     found = _OF_SOURCE.fullmatch(name)
@@ -171,16 +143,14 @@ def repair_references(messages: list[Message], text: str) -> list[Message]:
         messages: as cantools has read them.
         text: of the file.
     """
-    lost = [message for message in messages if not _references(message) <= {each.name for each in message.signals}]
-    long = long_names(text) if lost else {}
-    for message in lost:
-        number = message.frame_id | (_FLAG if message.is_extended_frame else 0)
-        for signal in message.signals:
-            key = number, signal.multiplexer_signal or ""
+    long: dict[tuple[int, str], str] = {}
+    for message in messages:
+        known = {None, *(signal.name for signal in message.signals)}
+        lost = [signal for signal in message.signals if signal.multiplexer_signal not in known]
+        long = long or (long_names(text) if lost else {})
+        for signal in lost:
+            key = message.frame_id | (_FLAG if message.is_extended_frame else 0), signal.multiplexer_signal or ""
             signal.multiplexer_signal = long.get(key, signal.multiplexer_signal)
-        message.refresh(strict=False)
+        if lost:
+            message.refresh(strict=False)
     return messages
-
-
-def _references(message: Message) -> set[str]:
-    return {signal.multiplexer_signal for signal in message.signals if signal.multiplexer_signal is not None}

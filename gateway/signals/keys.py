@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, WOVEN
+from gateway.j1939.frame import group_of
 from gateway.j1939.overheard import FAST
 from gateway.signals.bits import LONGEST
 from gateway.signals.containers import CONTAINED, Container, container_of
 from gateway.signals.database import Database
 from gateway.signals.decode import exact_key, hashed, pgn_key, source_key
-from gateway.signals.identity import ONE_SOURCE, group_of, needs
+from gateway.signals.identity import ONE_SOURCE, needs
 from gateway_fdi.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,12 +23,6 @@ if TYPE_CHECKING:
 
 #: J1939 source address of a database's message that any node may send: the null address.
 ANY_SOURCE = 0xFE
-
-
-def groups_of(ids: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Return the parameter group numbers of extended identifiers (SAE J1939-21), without destinations."""
-    groups = (ids >> 8) & 0x3FFFF
-    return np.where((ids >> 16) & 0xFF < 240, groups & 0x3FF00, groups)
 
 
 def by_pgn(message: Message, whole_bus: bool) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,20 +29,11 @@ def decode_all(
     there: Any,
     results: Any,
 ) -> int:
-    """Decode all frames of one message; returns how many have all their signals.
+    """Decode all frames of one message, as :func:`gateway.signals.decode.decode` does one; returns how many are OK.
 
-    Args:
-        words: payloads, uint64, shape (frames, 8), zero beyond their lengths.
-        lengths: int64, shape (frames,) [byte].
-        row: of the message.
-        messages: shape (messages,) of MESSAGE.
-        signals: shape (signals,) of SIGNAL.
-        mux_ids: int64, shape (ranges, 2), the multiplexer values of all signals.
-        values: float64, scratch for one frame.
-        present: uint8, scratch for one frame.
-        out: float64, shape (signals of the message, frames); takes what is in each frame.
-        there: uint8, of the same shape, 0 on entry; takes whether it is in there.
-        results: uint8, shape (frames,), takes what became of each frame: OK, TOO_SHORT, UNKNOWN_MUX.
+    ``words`` and ``lengths`` have a row a frame; ``values`` and ``present`` are scratch for one. ``out`` (float64) and
+    ``there`` (uint8, 0 on entry), shape (signals of the message, frames), take what is in each frame, and whether it
+    is; ``results`` (uint8) takes what became of each: OK, TOO_SHORT, UNKNOWN_MUX.
     """
     good = 0
     count = messages[row].count
@@ -58,16 +50,13 @@ def decode_all(
 
 @kernel
 def rows_of(cells: Any, keys: Any, rows: Any, out: Any) -> int:
-    """Look up the message of each frame.
+    """Look up the message of each frame; returns how many have one.
 
     Args:
         cells: frames as 64-bit words, shape (frames, 10).
         keys: of a decode plan.
         rows: of a decode plan.
         out: int16, shape (frames,), takes the row of each frame's message, -1: foreign, a remote or error frame.
-
-    Returns:
-        how many have one.
     """
     found = 0
     for k in range(cells.shape[0]):
@@ -158,6 +147,11 @@ def decode_payloads(words: NDArray[np.uint64], lengths: NDArray[np.int64], plan:
 def message_rows(frames: Frames, plan: DecodePlan) -> NDArray[np.int16]:
     """Return the row of each frame's message in a plan, -1: it has none; shape (frames,)."""
     return looked_up(frames, plan.keys, plan.rows)
+
+
+def among(frames: Frames, plan: DecodePlan, slots: Sequence[int]) -> NDArray[np.bool_]:
+    """Return which frames are of the messages of some mailbox slots, shape (n,)."""
+    return np.isin(message_rows(frames, plan), plan.slot_message[np.asarray(slots, np.intp)])
 
 
 def looked_up(frames: Frames, keys: NDArray[np.uint64], rows: NDArray[np.int32]) -> NDArray[np.int16]:

@@ -1,21 +1,17 @@
 """Multiplexer values as ranges: DBC writes ``SG_MUL_VAL_ ... 0-4294967295``, cantools keeps each number by itself.
 
-Wide ranges are taken out of the text before cantools reads it, and put back as :class:`Ranges`. The codecs of cantools
-get one number for all those that select the same signals, so that they decode any of them, too.
+Wide ranges are taken out of the text before cantools reads it, and put back as :class:`Ranges`.
 """
 
 from __future__ import annotations
 
 import re
-from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from copy import copy
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, overload
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
-    from cantools.database.can.signal import Signal
 
 #: A range of more numbers is wide.
 WIDE = 16
@@ -97,7 +93,7 @@ def widened(messages: Iterable[Message], wide: Wide, long: dict[tuple[int, str],
     """Give the signals of messages the ranges that were taken out of their file.
 
     Args:
-        messages: that can follow them (:mod:`gateway.signals.compact`).
+        messages: whose codecs can follow them (:mod:`gateway.signals.compact`).
         wide: the ranges.
         long: (identifier, name in the file) -> name of the signal, where that is another one.
     """
@@ -112,55 +108,3 @@ def widened(messages: Iterable[Message], wide: Wide, long: dict[tuple[int, str],
                 signal.multiplexer_ids = every  # type: ignore[assignment]
         if ranges:
             message.refresh(strict=False)
-
-
-def narrow_signals(signals: Sequence[Signal]) -> tuple[list[Signal], dict[str, list[int]]]:
-    """Return signals with the first number of each range that selects others than the one before.
-
-    Returns:
-        the signals, and by the name of a multiplexer these first numbers.
-    """
-    bounds: dict[str, set[int]] = {}
-    for signal in signals:
-        for low, high in runs(signal.multiplexer_ids or ()) if signal.multiplexer_signal else ():
-            bounds.setdefault(str(signal.multiplexer_signal), set()).update((low, high + 1))
-    for signal in signals:
-        if signal.name in bounds:
-            bounds[signal.name] |= {int(value) + more for value in signal.choices or {} for more in (0, 1)}
-    firsts = {name: sorted(those) for name, those in bounds.items()}
-    made = []
-    for signal in signals:
-        own = signal
-        if signal.multiplexer_signal in firsts and signal.multiplexer_ids:
-            own = copy(signal)
-            every = Ranges(runs(signal.multiplexer_ids))
-            own.multiplexer_ids = [first for first in firsts[signal.multiplexer_signal or ""] if first in every]
-        made.append(own)
-    return made, firsts
-
-
-class Branches(dict[int, Any]):
-    """Codecs of a multiplexer's branches, each under the first number that selects it.
-
-    Args:
-        branches: of them.
-        firsts: numbers from which on other signals are selected, in order.
-    """
-
-    def __init__(self, branches: dict[int, Any], firsts: list[int]) -> None:
-        super().__init__(branches)
-        self.firsts = firsts
-
-    def __missing__(self, value: int) -> Any:
-        at = bisect_right(self.firsts, value) - 1
-        if at < 0 or self.firsts[at] not in self:
-            raise KeyError(value)
-        return self[self.firsts[at]]
-
-
-def follow(codecs: Any, firsts: dict[str, list[int]]) -> None:
-    """Have codecs of narrowed signals (:func:`narrow_signals`) decode any number of their ranges."""
-    for name, branches in codecs["multiplexers"].items():
-        codecs["multiplexers"][name] = Branches(branches, firsts[name])
-        for branch in branches.values():
-            follow(branch, firsts)

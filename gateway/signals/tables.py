@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import EXTENDED, WOVEN, Frames
+from gateway.bus.frames import WOVEN
+from gateway.j1939.frame import group_of
 from gateway.j1939.transport import LONGEST as LONGEST_WOVEN
 from gateway.signals.bits import LONGEST, needed_by, place
 from gateway.signals.containers import Container
@@ -26,7 +27,7 @@ from gateway.signals.decode import (
     UNSIGNED,
 )
 from gateway.signals.identity import needs
-from gateway.signals.keys import ANY_SOURCE, by_pgn, can_id_of, containers_of, groups_of, is_woven, key_table
+from gateway.signals.keys import ANY_SOURCE, by_pgn, can_id_of, containers_of, is_woven, key_table
 from gateway.signals.ranges import Pairs, Ranges, runs
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED
@@ -120,7 +121,7 @@ class DecodePlan:
         A database that describes a group of J1939 for several sources names them.
         """
         ids = self.messages["can_id"]
-        keys = [(int(bus), int(group)) for bus, group in zip(self.messages["bus"], groups_of(ids), strict=True)]
+        keys = [(int(bus), int(group)) for bus, group in zip(self.messages["bus"], group_of(ids), strict=True)]
         count = Counter(key for key, group in zip(keys, self.by_pgn, strict=True) if group)
         return [
             int(can_id & 0xFF) if group and count[key] > 1 and can_id & 0xFF != ANY_SOURCE else -1
@@ -151,19 +152,6 @@ class DecodePlan:
         ids = {int(self.messages["can_id"][row]) for row in mine}
         ids |= {can_id for index, can_id in self.containers if index == bus}
         return sorted(can_id for can_id in ids if can_id & WOVEN != WOVEN)
-
-    def among(self, frames: Frames, slots: Sequence[int]) -> NDArray[np.bool_]:
-        """Return which frames are of the messages of some mailbox slots, shape (n,)."""
-        ids = frames["can_id"]
-        ids = np.where(ids & WOVEN == WOVEN, ids & ~np.uint32(WOVEN), ids)
-        mask = np.zeros(len(frames), np.bool_)
-        for row in {int(self.slot_message[slot]) for slot in slots}:
-            wanted = self.messages["can_id"][row]
-            same = ids == wanted
-            if self.by_pgn[row]:
-                same |= (ids & EXTENDED != 0) & (groups_of(ids) == groups_of(wanted))
-            mask |= same & (frames["bus"] == self.message_names[row][0])
-        return mask
 
 
 def _valid_range(signal: Signal) -> tuple[float, float]:

@@ -196,6 +196,23 @@ def test_a_csv_of_something_else_is_refused(tmp_path):
         read(tmp_path / "a.csv", "ID,Data Bytes\n0000021A,FE 36\n")
 
 
+@pytest.mark.parametrize(
+    ("head", "bad", "good"),
+    [
+        (
+            "timestamp,arbitration_id,extended,remote,error,dlc,data\n",
+            "1.5,0x123,0,0,0,2,AAEC\n",
+            "2.5,0x123,0,0,0,2,AAE=\n",
+        ),
+        ("Time Stamp,ID,Extended,Dir,Bus,LEN,D1\n", "10x2,21A,false,Rx,0,1,FE,\n", "2000,21A,false,Rx,0,1,FE,\n"),
+    ],
+    ids=["length", "stamp"],
+)
+def test_lines_of_csv_that_disagree_with_themselves_are_damaged(head, bad, good, tmp_path):
+    frames, reader = read(tmp_path / "a.csv", head + bad + good)
+    assert (len(frames), [one.line for one in reader.problems]) == (1, [2])
+
+
 def test_long_payloads_of_python_cans_csv_are_can_fd(tmp_path):
     head = "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
     frames, _ = read(tmp_path / "a.csv", head + "1.5,0x123,0,0,0,12,AAECAwQFBgcICQoL\n2.5,0x124,0,1,0,4,\n")

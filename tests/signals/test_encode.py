@@ -9,8 +9,8 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gateway.signals.columns import insert
 from gateway.signals.decode import SIGNAL
-from gateway.signals.encode import insert
 from gateway.signals.tables import encode_rows
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED

@@ -9,6 +9,7 @@ import pytest
 from gateway.bus.frames import EXTENDED, empty, put
 from gateway.signals.database import Database, load_database
 from gateway.signals.decode import hashed, lookup
+from gateway.signals.payloads import among
 from gateway.signals.tables import compile_plan
 from gateway_fdi.errors import InputError
 
@@ -156,6 +157,6 @@ def test_frames_of_some_messages_are_found_as_the_lookup_finds_them():
         slots = [plan.slot(0, "EEC1", "S"), plan.slot(0, "TSC1", "S")]
         rows = {plan.message(0, "EEC1"), plan.message(0, "TSC1")}
         wanted = [lookup(plan.keys, plan.rows, int(f["bus"]), int(f["can_id"])) in rows for f in frames]
-        assert plan.among(frames, slots).tolist() == wanted
+        assert among(frames, plan, slots).tolist() == wanted
         assert 20 < sum(wanted) < 380
-        assert not plan.among(frames, []).any()
+        assert not among(frames, plan, []).any()

@@ -25,17 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.conditions import (
-    ACTIVE,
-    BUS_ERROR,
-    BUS_OFF,
-    CONTROLLER,
-    PROTOCOL,
-    RX_PASSIVE,
-    RX_WARNING,
-    TX_PASSIVE,
-    TX_WARNING,
-)
+from gateway.bus import conditions
 from gateway.bus.frames import BRS, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames
 from gateway.bus.readers.batch import FLAGS, Batch, Names, error_frame
 from gateway.bus.readers.scan import (
@@ -50,6 +40,7 @@ from gateway.bus.readers.scan import (
     fd_length,
     is_digit,
     line_end,
+    next_word,
     number,
     set_length,
     skip,
@@ -68,7 +59,6 @@ _STATE = re.compile(
     rb"(?:ErrorFrame|Status:\s*chip status (error active|warning level|error passive|bus off))(.*)",
     re.IGNORECASE,
 )
-_EXACT = re.compile(rb"SocketCAN = ([0-9A-F]{8})#([0-9A-F]*)")  # as our writer has it
 _STAMP = re.compile(rb"\s*(-?)(\d+)\.(\d+)\s+(.*)")
 #: Lines that are known to be no frames, and lose nothing.
 _KNOWN = re.compile(
@@ -179,22 +169,17 @@ def flexible(text: Any, at: int, base: int, hexes: Any, error: Any, words: Any, 
     if end == at:
         return _WRONG
     can_id = identifier(text, at, end, base, hexes)
-    at = skip(text, end)
-    end = word_end(text, at)
+    at, end = next_word(text, end)
     if number(text, at, end, 10, hexes) < 0:  # the frame's name
-        at = skip(text, end)
-        end = word_end(text, at)
+        at, end = next_word(text, end)
     if end - at == 1 and text[at] == 49:
         flags |= BRS
-    at = skip(text, end)
-    end = word_end(text, at)
+    at, end = next_word(text, end)
     if end - at == 1 and text[at] == 49:
         flags |= ESI
-    at = skip(text, end)
-    end = word_end(text, at)
+    at, end = next_word(text, end)
     dlc = number(text, at, end, base, hexes)
-    at = skip(text, end)
-    end = word_end(text, at)
+    at, end = next_word(text, end)
     wanted = number(text, at, end, 10, hexes)
     at = skip(text, end)
     if can_id < 0 or dlc < 0 or not 0 <= wanted <= 64:
@@ -222,23 +207,11 @@ def flexible(text: Any, at: int, base: int, hexes: Any, error: Any, words: Any, 
 def scan_asc(
     text: Any, at: int, words: Any, data: Any, channel: Any, k: int, base: int, hexes: Any, marks: Any, clock: Any
 ) -> tuple[int, int, int, int, int]:
-    """Read lines into a batch.
+    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`).
 
-    Args:
-        text: lines, uint8.
-        at: where to begin.
-        words: the batch, uint64, shape (frames, 10).
-        data: the same as uint8, shape (frames, 80).
-        channel: takes the channel of each frame, counted from 0.
-        k: frames that are in already.
-        base: of identifiers and data, 10 or 16.
-        hexes: :data:`gateway.bus.readers.scan.HEX`.
-        marks: the letters of ``errorframe`` and ``canfd``, uint8.
-        clock: whether stamps count from the event before, the time of that, and what is added to each [ns].
-
-    Returns:
-        where the next line begins, lines read, frames that are in, state of the line there, whether the last frame
-        had fewer bytes than it said.
+    Args of its own: ``base`` of identifiers and data, 10 or 16. ``marks``: the letters of ``errorframe`` and ``canfd``.
+    ``clock``: whether stamps count from the event before, the time of that, and what is added to each [ns]. It returns,
+    too, whether the last frame had fewer bytes than it said.
     """
     error, fd = marks[:10], marks[10:]
     lines, short = 0, 0
@@ -259,14 +232,12 @@ def scan_asc(
         if relative:
             t_ns += clock[1]
         made = _NOTHING
-        i = skip(text, i)
-        end = word_end(text, i)
+        i, end = next_word(text, i)
         place = number(text, i, end, 10, hexes)
         if place >= 0:
             made = classic(text, skip(text, end), base, hexes, words, data[k], k, t_ns)
         elif end - i == 5 and begins(text, i, fd) and text[i] == 67:
-            i = skip(text, end)
-            end = word_end(text, i)
+            i, end = next_word(text, end)
             place = number(text, i, end, 10, hexes)
             if place >= 0:
                 made = flexible(text, skip(text, end), base, hexes, error, words, data[k], k, t_ns)
@@ -300,11 +271,7 @@ def date_ns(text: str, zone: tzinfo = UTC) -> int:
 
 
 class Asc(Lines):
-    """Lines of ASC.
-
-    Args:
-        path: for errors.
-    """
+    """Lines of ASC."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -328,7 +295,7 @@ class Asc(Lines):
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
         """Read lines."""
         at, lines, batch.count, status, self._short = scan_asc(
-            text, at, batch.words, batch.data, batch.channel, batch.count, self._base, HEX, self._marks, self._clock
+            text, at, *batch.room, self._base, HEX, self._marks, self._clock
         )
         return at, lines, status
 
@@ -406,17 +373,13 @@ def state_of(status: bytes | None, rest: bytes) -> tuple[int, bytes]:
         status: chip status; None: an error frame on the bus.
         rest: what follows.
     """
-    if exact := _EXACT.search(rest):
-        return int(exact[1], 16) & ID_MASK, bytes.fromhex(exact[2].decode())
+    if exact := conditions.exact_in(rest):
+        return exact
     if status is None:
-        return PROTOCOL | BUS_ERROR, b""
+        return conditions.PROTOCOL | conditions.BUS_ERROR, b""
     counters = _COUNTERS.search(rest)
     transmit, receive = (min(int(text), 255) for text in counters.groups()) if counters else (0, 0)
-    limit, sent, heard = {
-        b"warning level": (96, TX_WARNING, RX_WARNING),
-        b"error passive": (128, TX_PASSIVE, RX_PASSIVE),
-        b"error active": (0, ACTIVE, ACTIVE),
-    }.get(status.lower(), (0, 0, 0))
+    limit, sent, heard = conditions.CHIP_STATES.get(status.decode().lower(), (0, 0, 0))
     where = (sent if transmit >= limit else 0) | (heard if receive >= limit else 0) or sent | heard
-    classes = CONTROLLER if where else BUS_OFF
+    classes = conditions.CONTROLLER if where else conditions.BUS_OFF
     return classes, bytes([0, where, 0, 0, 0, 0, transmit, receive])

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from datetime import UTC, tzinfo
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import ERROR, FRAME, Frames, empty, put
+from gateway.bus.frames import ERROR, FRAME, Frames, single
 from gateway_fdi.errors import InputError
 
 #: 64-bit words of a frame.
@@ -19,8 +20,6 @@ WORDS = FRAME.itemsize // 8
 _WIDEST = 100_000
 #: Channel of a frame whose log names none.
 NO_CHANNEL = -(1 << 40)
-#: Byte of a frame where its payload begins.
-DATA = FRAME.itemsize - 64
 #: Kinds of places that give no frame, which are counted apart.
 _MOST_KINDS = 40
 #: Where the second word has flags and length.
@@ -48,6 +47,8 @@ def placed(channel: NDArray[np.int64], names: Names) -> NDArray[np.int64]:
     if not len(channel):
         return channel
     low, high = int(channel.min()), int(channel.max())
+    if low == high:  # as of nearly every log
+        return np.full(len(channel), _place(low, names))
     if high - low > _WIDEST:
         numbers, inverse = np.unique(channel, return_inverse=True)
         return np.array([_place(number, names) for number in numbers.tolist()], np.int64)[inverse]
@@ -61,11 +62,14 @@ def _place(number: int, names: Names) -> int:
     return names.place("none" if number == NO_CHANNEL else str(number))
 
 
+def bytes_of(frames: Frames) -> NDArray[np.uint8]:
+    """Return a view of frames as bytes, shape (n, 80); a payload begins at byte 16."""
+    return frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)
+
+
 def error_frame(batch: Batch, t_ns: int, classes: int, data: bytes, channel: int) -> None:
     """Append an error frame (linux/can/error.h): its classes, and up to 8 bytes."""
-    frames = empty(1)
-    put(frames, 0, t_ns, ERROR | classes, data.ljust(8, b"\0"))
-    batch.put(frames, np.array([channel], np.int64))
+    batch.put(single(t_ns, ERROR | classes, data.ljust(8, b"\0")), channel)
 
 
 class Batch:
@@ -87,7 +91,7 @@ class Batch:
     def _renew(self) -> None:
         self._frames = np.empty(self.size, FRAME)
         self.words: NDArray[np.uint64] = self._frames.view(np.uint64).reshape(self.size, WORDS)
-        self.data: NDArray[np.uint8] = self._frames.view(np.uint8).reshape(self.size, FRAME.itemsize)
+        self.data = bytes_of(self._frames)
         self.channel = np.empty(self.size, np.int64)
         self.count = 0
 
@@ -96,12 +100,17 @@ class Batch:
         """Whether there is room for no more."""
         return self.count == self.size
 
+    @property
+    def room(self) -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.int64], int]:
+        """Words, data, channel and count, as a kernel takes them."""
+        return self.words, self.data, self.channel, self.count
+
     def last(self) -> Any:
         """Return the last frame."""
         return self._frames[self.count - 1]
 
-    def put(self, frames: Frames, channel: NDArray[np.int64]) -> None:
-        """Append frames; there must be room for them."""
+    def put(self, frames: Frames, channel: NDArray[np.int64] | int) -> None:
+        """Append frames, of one channel or each of its own; there must be room for them."""
         end = self.count + len(frames)
         self._frames[self.count : end] = frames
         self.channel[self.count : end] = channel
@@ -175,6 +184,22 @@ class PassedOver:
 
     def __len__(self) -> int:
         return sum(one.count for one in self.kinds.values())
+
+
+class BinaryReader:
+    """A reader of a format of bytes.
+
+    Args:
+        path: the file.
+
+    Attributes:
+        zone: of the dates in its header.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self.passed_over = path, PassedOver()
+        self.origin_ns = 0
+        self.zone: tzinfo = UTC
 
 
 class Reader(Protocol):

@@ -32,7 +32,7 @@ from gateway.bus.conditions import (
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE
 from gateway.bus.log_source import OBJECT as MOST
 from gateway.bus.log_source import CutOffError, compression_of, damage, pull
-from gateway.bus.readers.batch import Batch, Names, PassedOver, Read, placed
+from gateway.bus.readers.batch import Batch, BinaryReader, Names, Read, placed
 from gateway.bus.readers.scan import begin_frame, byte, set_length
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
@@ -86,8 +86,14 @@ def long(raw: Any, at: int) -> int:
 
 
 @kernel
-def put_payload(raw: Any, at: int, count: int, words: Any, row: Any, k: int, length: int) -> None:
-    """Copy a payload, ``count`` of whose ``length`` bytes are there; the others are zero."""
+def put_frame(
+    raw: Any, at: int, name: int, flags: int, dlc: int, count: int, length: int, words: Any, row: Any, k: int, t_ns: int
+) -> None:
+    """Make a frame of an identifier with its flags; of its ``length`` bytes ``count`` are there, others are zero."""
+    begin_frame(words, k, t_ns, (name & ID_MASK) | (name & (EXTENDED | REMOTE | ERROR)), flags)
+    if name & REMOTE:
+        set_length(words, k, min(dlc, 8))
+        return
     for j in range(count):
         row[16 + j] = raw[at + j]
     set_length(words, k, length)
@@ -111,57 +117,42 @@ def blf_object(raw: Any, at: int, kind: int, size: int, header: int, t_ns: int, 
     Returns:
         its channel, counted from 1; -1: no frame; -2: a payload above 64 bytes.
     """
+    name = long(raw, at + 4) & ~(REMOTE | ERROR) if size >= 8 else 0
     if kind in (CAN_MESSAGE, CAN_MESSAGE2) and size >= 16:
-        flags = byte(raw, at + 2)
-        name = long(raw, at + 4)
-        can_id = (name & ID_MASK) | (name & EXTENDED) | (REMOTE if flags & 0x80 else 0)
-        begin_frame(words, k, t_ns, can_id, OWN if flags & 1 else 0)
-        count = min(byte(raw, at + 3), 8)
-        put_payload(raw, at + 8, 0 if flags & 0x80 else count, words, row, k, count)
+        bits, count = byte(raw, at + 2), min(byte(raw, at + 3), 8)
+        name |= REMOTE if bits & 0x80 else 0
+        put_frame(raw, at + 8, name, OWN if bits & 1 else 0, count, count, count, words, row, k, t_ns)
         return half(raw, at)
     if kind == CAN_ERROR_EXT and size >= 32:
-        name = long(raw, at + 16)
-        count = min(byte(raw, at + 10), 8)
-        if long(raw, at + 4) | byte(raw, at + 8) or not (name & ID_MASK or count):  # of a real controller
-            begin_frame(words, k, t_ns, ERROR | PROTOCOL | BUS_ERROR, 0)
-            set_length(words, k, 8)
+        name, count = long(raw, at + 16) & ~(REMOTE | ERROR), min(byte(raw, at + 10), 8)
+        if not (long(raw, at + 4) | byte(raw, at + 8)) and (name & ID_MASK or count):  # of SocketCAN, by python-can
+            put_frame(raw, at + 24, name | ERROR, 0, 0, count, count, words, row, k, t_ns)
             return half(raw, at)
-        begin_frame(words, k, t_ns, (name & ID_MASK) | (name & EXTENDED) | ERROR, 0)  # of SocketCAN, by python-can
-        put_payload(raw, at + 24, count, words, row, k, count)
-        return half(raw, at)
-    if (kind == CAN_ERROR and size >= 4) or (kind == CAN_FD_ERROR_64 and size >= 16):
-        begin_frame(words, k, t_ns, ERROR | PROTOCOL | BUS_ERROR, 0)
+    least = 4 if kind == CAN_ERROR else 32 if kind == CAN_ERROR_EXT else 16
+    if kind in (CAN_ERROR, CAN_FD_ERROR_64, CAN_ERROR_EXT) and size >= least:
+        begin_frame(words, k, t_ns, ERROR | PROTOCOL | BUS_ERROR, 0)  # of a real controller
         set_length(words, k, 8)
-        return half(raw, at) if kind == CAN_ERROR else byte(raw, at)
+        return byte(raw, at) if kind == CAN_FD_ERROR_64 else half(raw, at)
     if kind in (DRIVER_ERROR, DRIVER_ERROR_EXT) and size >= 8:
         put_state(raw, at + 2, words, row, k, t_ns)
         return half(raw, at)
     if kind == CAN_FD_MESSAGE and size >= 84:
-        flags, bits = byte(raw, at + 2), byte(raw, at + 13)
-        name = long(raw, at + 4)
-        own = OWN if flags & 1 else 0
-        fd = (FD | (BRS if bits & 2 else 0) | (ESI if bits & 4 else 0)) if bits & 1 else 0
-        begin_frame(words, k, t_ns, (name & ID_MASK) | (name & EXTENDED) | (REMOTE if flags & 0x80 else 0), fd | own)
-        count = min(byte(raw, at + 14), 64)
-        if flags & 0x80:
-            set_length(words, k, min(byte(raw, at + 3), 8))
-        else:
-            put_payload(raw, at + 20, count, words, row, k, count)
+        bits, own, count = byte(raw, at + 13), byte(raw, at + 2), min(byte(raw, at + 14), 64)
+        flags = (FD | (BRS if bits & 2 else 0) | (ESI if bits & 4 else 0)) if bits & 1 else 0
+        flags |= OWN if own & 1 else 0
+        name |= REMOTE if own & 0x80 else 0
+        put_frame(raw, at + 20, name, flags, byte(raw, at + 3), count, count, words, row, k, t_ns)
         return half(raw, at)
     if kind == CAN_FD_MESSAGE_64 and size >= 40:
-        bits, name = long(raw, at + 12), long(raw, at + 4)
-        own = OWN if raw[at + 34] else 0
-        fd = (FD | (BRS if bits & 0x2000 else 0) | (ESI if bits & 0x4000 else 0)) if bits & 0x1000 else 0
-        begin_frame(words, k, t_ns, (name & ID_MASK) | (name & EXTENDED) | (REMOTE if bits & 0x10 else 0), fd | own)
-        valid = byte(raw, at + 2)
+        bits, valid = long(raw, at + 12), byte(raw, at + 2)
         if valid > 64:
             return -2
-        if bits & 0x10:
-            set_length(words, k, min(byte(raw, at + 1), 8))
-        else:
-            other = byte(raw, at + 35)  # where data of another kind begin, counted from the object's begin
-            count = min(valid, other - header - 40 if other else size - 40)
-            put_payload(raw, at + 40, max(0, min(count, size - 40)), words, row, k, valid)
+        flags = (FD | (BRS if bits & 0x2000 else 0) | (ESI if bits & 0x4000 else 0)) if bits & 0x1000 else 0
+        flags |= OWN if raw[at + 34] else 0
+        name |= REMOTE if bits & 0x10 else 0
+        other = byte(raw, at + 35)  # where data of another kind begin, counted from the object's begin
+        count = max(0, min(valid, other - header - 40 if other else size - 40, size - 40))
+        put_frame(raw, at + 40, name, flags, byte(raw, at + 1), count, valid, words, row, k, t_ns)
         return byte(raw, at)
     return -1
 
@@ -170,17 +161,10 @@ def blf_object(raw: Any, at: int, kind: int, size: int, header: int, t_ns: int, 
 def scan_blf(
     raw: Any, at: int, words: Any, data: Any, channel: Any, k: int, start: int, others: Any
 ) -> tuple[int, int, int]:
-    """Read objects into a batch.
+    """Read objects into a batch, which is that of :attr:`gateway.bus.readers.batch.Batch.room`.
 
-    Args:
-        raw: unpacked bytes, uint8.
-        at: where to begin.
-        words: the batch, uint64, shape (frames, 10).
-        data: the same as uint8, shape (frames, 80).
-        channel: takes the channel of each frame, counted from 0.
-        k: frames that are in already.
-        start: of the log [ns].
-        others: int64, takes the number of objects of each type that are no frames; the last is of all higher types.
+    Args of its own: ``raw``: unpacked bytes, uint8. ``start`` of the log [ns]. ``others``: int64, takes the number of
+    objects of each type that are no frames; the last is of all higher types.
 
     Returns:
         where the next object begins, frames that are in, why it stops.
@@ -237,18 +221,11 @@ def _named(batch: Batch, names: Names) -> Read:
     return frames, placed(channel, names)
 
 
-class Blf:
-    """Reads BLF (see :class:`gateway.bus.readers.batch.Reader`).
-
-    Args:
-        path: for errors, and for its size.
-    """
+class Blf(BinaryReader):
+    """Reads BLF (see :class:`gateway.bus.readers.batch.Reader`)."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
-        self.passed_over = PassedOver()
-        self.origin_ns = 0
-        self.zone: tzinfo = UTC
+        super().__init__(path)
         self._others = np.zeros(_TYPES, np.int64)
         self._held = b""  # pulled, but not yet looked at
         self._gap = False  # whether something was lost before what is yielded next
@@ -272,9 +249,7 @@ class Blf:
             array = np.frombuffer(block, np.uint8)
             at, why = 0, FULL
             while why != MORE:
-                at, batch.count, why = scan_blf(
-                    array, at, batch.words, batch.data, batch.channel, batch.count, self._start, self._others
-                )
+                at, batch.count, why = scan_blf(array, at, *batch.room, self._start, self._others)
                 if why in (LOST, LONG):
                     what = "no object where one should be" if why == LOST else "a payload above 64 bytes"
                     self.passed_over.add(what, f"after frame {frames + batch.count}")

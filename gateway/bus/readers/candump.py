@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames, empty, put
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames, single
 from gateway.bus.readers.batch import FLAGS, Batch, Names
 from gateway.bus.readers.scan import (
     ASK,
@@ -40,10 +40,10 @@ from gateway.bus.readers.scan import (
     decimal,
     hex_pairs,
     line_end,
+    next_word,
     number,
     set_length,
     skip,
-    word_end,
 )
 from gateway.bus.readers.text import Lines
 from gateway_fdi.jit import kernel
@@ -144,22 +144,7 @@ def body(text: Any, at: int, hexes: Any, words: Any, row: Any, k: int, t_ns: int
 def scan_candump(
     text: Any, at: int, words: Any, data: Any, channel: Any, k: int, names: Any, lengths: Any, hexes: Any
 ) -> tuple[int, int, int, int]:
-    """Read lines into a batch.
-
-    Args:
-        text: lines, uint8.
-        at: where to begin.
-        words: the batch, uint64, shape (frames, 10).
-        data: the same as uint8, shape (frames, 80).
-        channel: takes the place of each frame's interface.
-        k: frames that are in already.
-        names: of interfaces, see :func:`name_place`.
-        lengths: of them.
-        hexes: :data:`gateway.bus.readers.scan.HEX`.
-
-    Returns:
-        where the next line begins, lines read, frames that are in, state of the line there.
-    """
+    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`); names as :func:`name_place` has them."""
     lines, place = 0, 0
     while at < text.shape[0] and k < words.shape[0]:
         i = skip(text, at)
@@ -172,8 +157,7 @@ def scan_candump(
         t_ns, i, digits = decimal(text, i + 1, 9)
         if t_ns < 0 or digits > 9 or text[i] != 41 or text[i + 1] > 32:
             return at, lines, k, ASK
-        i = skip(text, i + 1)
-        end = word_end(text, i)
+        i, end = next_word(text, i + 1)
         if end == i or end - i > names.shape[1]:
             return at, lines, k, BAD
         place = name_place(text, i, end, names, lengths, place)
@@ -199,11 +183,7 @@ def cut_short(frame: np.void, before: Frames) -> bool:
 
 
 class Candump(Lines):
-    """Lines of candump.
-
-    Args:
-        path: for errors.
-    """
+    """Lines of candump."""
 
     numbered = False
     good = '"(seconds) interface ID#DATA", or as candump prints it with -t'
@@ -230,9 +210,7 @@ class Candump(Lines):
 
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
         """Read lines."""
-        at, lines, batch.count, status = scan_candump(
-            text, at, batch.words, batch.data, batch.channel, batch.count, self._names, self._lengths, HEX
-        )
+        at, lines, batch.count, status = scan_candump(text, at, *batch.room, self._names, self._lengths, HEX)
         return at, lines, status
 
     def asked(self, line: bytes, names: Names, batch: Batch) -> int:
@@ -285,9 +263,7 @@ class Candump(Lines):
                 return BAD
         if t_ns is None or len(data) != count or count > 64 or (can_id & REMOTE and count > 8):
             return BAD
-        frames = empty(1)
-        put(frames, 0, t_ns, can_id, data, flags=flags)
-        batch.put(frames, np.array([names.place(name.decode("ascii", "backslashreplace"))], np.int64))
+        batch.put(single(t_ns, can_id, data, flags=flags), names.place(name.decode("ascii", "backslashreplace")))
         return DONE
 
     def _stamp_ns(self, text: str) -> int | None:

@@ -1,12 +1,12 @@
 """CSV: a line a frame, as its header says.
 
-python-can's has its payload in base64, and a kernel of its own::
+python-can's has its payload in base64::
 
     timestamp,arbitration_id,extended,remote,error,dlc,data
     1483389946.197,0x00dadada,1,0,0,6,WzQyLCA5XQ==
 
 Its stamps are float seconds; those of a recorder that counts microseconds are restored
-(:func:`gateway.bus.frames.nanoseconds`), nine digits are nanoseconds. Others are read by the names of their columns
+(:func:`gateway.bus.frames.nanoseconds`), nine digits are nanoseconds. All are read by the names of their columns
 (:data:`ROLES`), e.g. SavvyCAN's (GVRET) and that of CANedge's converter::
 
     Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, nanoseconds
 from gateway.bus.log_source import LINE
-from gateway.bus.readers.batch import FLAGS, LENGTH, NO_CHANNEL, Batch
+from gateway.bus.readers.batch import FLAGS, NO_CHANNEL, Batch
 from gateway.bus.readers.scan import BAD, DONE, HEX, begin_frame, byte, decimal, line_end, number, set_length
 from gateway.bus.readers.text import Lines, shown
 from gateway_fdi.errors import InputError
@@ -40,41 +40,37 @@ for _value, _character in enumerate(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnop
 #: Doubles near stamps this large [ns] are too far apart for more than microseconds (gateway.bus.frames.nanoseconds).
 _COARSE = 10**15
 _PYTHON_CAN = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
-#: Columns of a map, in the order of the kernel's ``place``.
-TIME, ID, DATA, LEN, EXT, DIR, BUS, EDL, BRS_AT, ESI_AT, RTR, ERR = range(12)
+#: Roles of columns; NOTHING: none of these. The last ones are flags.
+NOTHING = -1
+TIME, ID, DATA, LEN, BUS, EXT, DIR, EDL, BRS_AT, ESI_AT, RTR, ERR = range(12)
+#: How a log is written: what separates fields, the unit of stamps, the layout of the payload, the number of the first
+#: channel, the last column that a line must have, and a bit for each role that a column has.
+SEPARATOR, UNIT, LAYOUT, FIRST, LAST, KNOWN = range(6)
 #: Names of each of these columns, letters and digits in lower case; of several the first that is there.
 ROLES = (
     ("timestampepoch", "timestamp", "time", "times", "timestamps", "timesec"),
     ("id", "identifier", "canid", "arbitrationid"),
     ("databytes", "data", "d0", "d1", "data0", "data1", "byte0", "byte1", "b0", "b1"),
     ("datalength", "len", "length", "dlc"),
+    ("bus", "buschannel", "channel", "chn", "chan"),
     ("extended", "ide", "ext"),
     ("dir", "direction", "rxtx"),
-    ("bus", "buschannel", "channel", "chn", "chan"),
     ("edl", "fd", "fdf"),
     ("brs",),
     ("esi",),
     ("rtr", "remote"),
     ("error",),
 )
-#: Columns of a line at most.
-_MOST = 96
+#: How a payload is written: in one field, a field a byte, in base64.
+JOINED, APART, ENCODED = range(3)
 #: No bus carries a frame in less than this on average, not even several together [us]: a classic one has 47 bits at
 #: least, so 47 us at 1 Mbit/s.
 _LEAST_GAP_US = 15
 
 
 @kernel
-def field_end(text: Any, at: int) -> int:
-    """Return where a field ends: at a comma or the line's end."""
-    while text[at] != 44 and text[at] > 32:
-        at += 1
-    return at
-
-
-@kernel
 def base64(text: Any, at: int, sixes: Any, row: Any) -> tuple[int, int]:
-    """Read a payload; returns its bytes, -1 if it is none, and where it ends."""
+    """Return how many bytes a payload in base64 has, which go into the frame; -1: it is none; and where it ends."""
     count, bits, value = 0, 0, 0
     while sixes[text[at]] < 64:
         value = ((value << 6) | byte(sixes, text[at])) & 0xFFFFFF
@@ -92,225 +88,127 @@ def base64(text: Any, at: int, sixes: Any, row: Any) -> tuple[int, int]:
 
 
 @kernel
-def csv_line(text: Any, at: int, hexes: Any, sixes: Any, words: Any, row: Any, k: int) -> int:
-    """Read a line into a frame; returns where its payload ends, -1 if it is bad."""
-    t_ns, i, digits = decimal(text, at, 9)
-    if t_ns < 0 or digits < 0 or text[i] != 44:
-        return -1
-    if t_ns >= _COARSE and digits < 9:
-        t_ns = (t_ns + 500) // 1000 * 1000
-    at = i + 1
-    end = field_end(text, at)
+def ends(text: Any, at: int, separator: int) -> bool:
+    """Return whether a word ends at a place: at what separates fields, a blank, a quote, or the line's end."""
+    return bool(text[at] == separator or text[at] <= 34)
+
+
+@kernel
+def field_number(text: Any, at: int, separator: int, base: int, hexes: Any) -> tuple[int, int]:
+    """Return the number of a field, -1: it is none; and where it ends."""
     if text[at] == 48 and text[at + 1] in (120, 88):  # 0x
         at += 2
-    can_id = number(text, at, end, 16, hexes)
-    if can_id < 0:
-        return -1
-    can_id &= ID_MASK
-    for flag in (EXTENDED, REMOTE, ERROR):
-        if text[end] != 44:
-            return -1
-        at = end + 1
-        end = field_end(text, at)
-        if end - at == 1 and text[at] == 49:
-            can_id |= flag
-    if text[end] != 44:
-        return -1
-    at = end + 1
-    end = field_end(text, at)
-    dlc = number(text, at, end, 10, hexes)
-    if dlc < 0 or text[end] != 44:
-        return -1
-    begin_frame(words, k, t_ns, can_id, 0)
-    length, at = base64(text, end + 1, sixes, row)
-    if length < 0:
-        return -1
-    if can_id & REMOTE:
-        for j in range(length):
-            row[16 + j] = 0
-        length = min(dlc, 8)
-    flags = FD if length > 8 else 0
-    words[k, 1] |= (np.uint64(length) << np.uint64(LENGTH)) | (np.uint64(flags) << np.uint64(FLAGS))
-    return at
+    end = at
+    while not ends(text, end, separator):
+        end += 1
+    return number(text, at, end, base, hexes), end
 
 
 @kernel
-def scan_csv(
-    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, hexes: Any, sixes: Any
-) -> tuple[int, int, int, int]:
-    """Read lines into a batch.
-
-    Args:
-        text: lines, uint8.
-        at: where to begin.
-        words: the batch, uint64, shape (frames, 10).
-        data: the same as uint8, shape (frames, 80).
-        channel: takes NO_CHANNEL for each frame: the format has none.
-        k: frames that are in already.
-        hexes: :data:`gateway.bus.readers.scan.HEX`.
-        sixes: :data:`BASE64`.
-
-    Returns:
-        where the next line begins, lines read, frames that are in, state of the line there.
-    """
-    lines = 0
-    while at < text.shape[0] and k < words.shape[0]:
-        i = csv_line(text, at, hexes, sixes, words, data[k], k)
-        if i < 0:
-            return at, lines, k, BAD
-        channel[k] = NO_CHANNEL
-        at = line_end(text, i)
-        lines += 1
-        k += 1
-    return at, lines, k, DONE
-
-
-@kernel
-def is_set(text: Any, at: int) -> bool:
-    """Return whether a field says yes: 1, true, yes, Tx."""
-    return bool(text[at] == 49 or (text[at] | 32) in (116, 121))
-
-
-@kernel
-def column_bytes(
-    text: Any, begin: Any, end: Any, count: int, field: int, apart: int, most: int, hexes: Any, row: Any
-) -> int:
-    """Read a payload of one field, or of a field a byte; returns how many bytes, -1: one is none."""
-    length, i = 0, begin[min(field, count - 1)]
-    while field < count and length < most:
-        if i >= end[field]:
-            field += 1
-            if apart == 0 or field >= count:
-                break
-            i = begin[field]
+def field_bytes(text: Any, at: int, separator: int, count: int, most: int, hexes: Any, row: Any) -> int:
+    """Read bytes behind the first ``count`` ones; returns how many there are then, -1: one is none."""
+    while count < most and (text[at] == 32 or not ends(text, at, separator)):
+        if text[at] == 32 or (text[at] == 48 and text[at + 1] in (120, 88)):
+            at += 1 if text[at] == 32 else 2
             continue
-        if text[i] == 32 or (text[i] == 48 and text[i + 1] in (120, 88)):
-            i += 1 if text[i] == 32 else 2
-            continue
-        high, low = byte(hexes, text[i]), byte(hexes, text[i + 1])
-        single = i + 1 >= end[field]
+        high, low = byte(hexes, text[at]), byte(hexes, text[at + 1])
+        single = ends(text, at + 1, separator)
         if high > 15 or (low > 15 and not single):
             return -1
-        row[16 + length] = high if single else high * 16 + low
-        length += 1
-        i += 2
-    return length
+        row[16 + count] = high if single else high * 16 + low
+        count += 1
+        at += 1 if single else 2
+    return count
 
 
 @kernel
-def column_says(text: Any, begin: Any, column: int) -> bool:
-    """Return whether a column is there, and says yes."""
-    return bool(column >= 0 and is_set(text, begin[column]))
-
-
-@kernel
-def column_flags(text: Any, begin: Any, place: Any, length: int) -> int:
-    """Return the flags of a frame."""
-    flags = OWN if column_says(text, begin, place[DIR]) else 0
-    if length > 8 or column_says(text, begin, place[EDL]):
-        flags |= FD
-        flags |= BRS if column_says(text, begin, place[BRS_AT]) else 0
-        flags |= ESI if column_says(text, begin, place[ESI_AT]) else 0
-    return flags
-
-
-@kernel
-def columns_line(
-    text: Any, begin: Any, end: Any, count: int, place: Any, how: Any, hexes: Any, words: Any, row: Any, k: int
-) -> int:
-    """Read the fields of a line into a frame; returns its channel, -2: it is damaged."""
-    for j in range(place.shape[0]):
-        if place[j] >= count and j != DATA:  # a frame without bytes may have no such field
-            return -2
-    t_ns, at, _ = decimal(text, begin[place[TIME]], how[1])
-    at = begin[place[ID]]
-    if text[at] == 48 and text[at + 1] in (120, 88):  # 0x
-        at += 2
-    can_id = number(text, at, end[place[ID]], 16, hexes)
-    if t_ns < 0 or not 0 <= can_id <= ID_MASK:
-        return -2
-    if is_set(text, begin[place[EXT]]) if place[EXT] >= 0 else can_id > 0x7FF:
+def finished(can_id: int, wanted: int, length: int, said: int, how: Any, words: Any, row: Any, k: int) -> bool:
+    """Complete a frame by what its line says; returns whether it is one."""
+    if not 0 <= can_id <= ID_MASK or length < 0 or wanted > 64:
+        return False
+    if said >> EXT & 1 or (how[KNOWN] >> EXT & 1 == 0 and can_id > 0x7FF):
         can_id |= EXTENDED
-    can_id |= REMOTE if column_says(text, begin, place[RTR]) else 0
-    can_id |= ERROR if column_says(text, begin, place[ERR]) else 0
-    wanted = -1
-    if place[LEN] >= 0:
-        wanted = number(text, begin[place[LEN]], end[place[LEN]], 10, hexes)
-        if not 0 <= wanted <= 64:
-            return -2
-    begin_frame(words, k, t_ns, can_id, 0)
-    most = 64 if wanted < 0 else wanted
-    length = column_bytes(text, begin, end, count, place[DATA], how[2], most, hexes, row)
-    if length < 0:
-        return -2
+    can_id |= (REMOTE if said >> RTR & 1 else 0) | (ERROR if said >> ERR & 1 else 0)
     if can_id & REMOTE:
         for j in range(length):
             row[16 + j] = 0
         length = min(max(wanted, 0), 8)
-    elif wanted >= 0 and length != wanted:
-        return -2
-    flags = column_flags(text, begin, place, length)
-    words[k, 1] |= np.uint64(flags) << np.uint64(FLAGS)
+    elif how[KNOWN] >> LEN & 1 and length != wanted:
+        return False
+    flags = OWN if said >> DIR & 1 else 0
+    if length > 8 or said >> EDL & 1:
+        flags |= FD | (BRS if said >> BRS_AT & 1 else 0) | (ESI if said >> ESI_AT & 1 else 0)
+    words[k, 1] = np.uint64(can_id) | np.uint64(flags) << np.uint64(FLAGS)
     set_length(words, k, length)
-    if place[BUS] < 0:
-        return NO_CHANNEL
-    bus = number(text, begin[place[BUS]], end[place[BUS]], 10, hexes)
-    return bus - how[3] if bus >= 0 else -2
+    return True
 
 
 @kernel
-def scan_columns(
-    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, place: Any, how: Any, hexes: Any, ends: Any
+def csv_line(
+    text: Any, at: int, hexes: Any, sixes: Any, roles: Any, how: Any, words: Any, row: Any, k: int
+) -> tuple[int, int]:
+    """Read a line into a frame; returns its channel, -2: it is damaged; and where the line ends."""
+    separator, field, said = how[SEPARATOR], 0, 0
+    t_ns, can_id, wanted, length, bus = -1, -1, -1, 0, -1
+    begin_frame(words, k, 0, 0, 0)
+    while text[at] != 10:
+        while text[at] == 32 or text[at] == 34:
+            at += 1
+        role = roles[field] if field < roles.shape[0] else NOTHING
+        if role >= EXT:
+            said |= (text[at] == 49 or (text[at] | 32) in (116, 121)) << role  # 1, true, yes, Tx
+        elif role == TIME:
+            t_ns, at, digits = decimal(text, at, how[UNIT])
+            if not ends(text, at, separator):
+                return -2, at
+            if how[LAYOUT] == ENCODED and t_ns >= _COARSE and digits < 9:
+                t_ns = (t_ns + 500) // 1000 * 1000
+        elif role == ID:
+            can_id, at = field_number(text, at, separator, 16, hexes)
+        elif role == LEN:
+            wanted, at = field_number(text, at, separator, 10, hexes)
+        elif role == BUS:
+            bus, at = field_number(text, at, separator, 10, hexes)
+        elif role == DATA and how[LAYOUT] == ENCODED:
+            length, at = base64(text, at, sixes, row)
+        elif role == DATA and length >= 0:
+            length = field_bytes(text, at, separator, length, 64 if wanted < 0 else wanted, hexes, row)
+        field += 1
+        while text[at] != separator and text[at] != 10:
+            at += 1
+        at += 1 if text[at] == separator else 0
+    if field <= how[LAST] or t_ns < 0 or not finished(can_id, wanted, length, said, how, words, row, k):
+        return -2, at
+    words[k, 0] = np.uint64(t_ns)
+    if how[KNOWN] >> BUS & 1 == 0:
+        return NO_CHANNEL, at
+    return bus - how[FIRST] if bus >= 0 else -2, at
+
+
+@kernel
+def scan_csv(
+    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, hexes: Any, sixes: Any, roles: Any, how: Any
 ) -> tuple[int, int, int, int]:
-    """Read lines of a map into a batch.
+    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`).
 
-    Args:
-        text: lines, uint8.
-        at: where to begin.
-        words: the batch, uint64, shape (frames, 10).
-        data: the same as uint8, shape (frames, 80).
-        channel: takes the channel of each frame, counted from 0.
-        k: frames that are in already.
-        place: number of each column, -1: there is none; in the order of :data:`ROLES`.
-        how: what separates fields, 10 to the power of what makes a stamp ns, whether each byte is a field, number of
-            the first channel.
-        hexes: :data:`gateway.bus.readers.scan.HEX`.
-        ends: scratch, int64, shape (2, fields): where each begins and ends.
-
-    Returns:
-        where the next line begins, lines read, frames that are in, state of the line there.
+    ``sixes`` is :data:`BASE64`; ``roles`` and ``how`` are of :func:`_mapped`.
     """
     lines = 0
     while at < text.shape[0] and k < words.shape[0]:
-        i, count = at, 0
-        while text[i] != 10 and count < ends.shape[1]:
-            while text[i] == 32 or text[i] == 34:
-                i += 1
-            ends[0, count] = i
-            while text[i] != how[0] and text[i] != 10 and text[i] != 13 and text[i] != 34:
-                i += 1
-            ends[1, count] = i
-            count += 1
-            while text[i] != how[0] and text[i] != 10:
-                i += 1
-            if text[i] == how[0]:
-                i += 1
-        if count == 0:
-            at = line_end(text, i)
-            lines += 1
-            continue
-        found = columns_line(text, ends[0], ends[1], count, place, how, hexes, words, data[k], k)
-        if found == -2:
-            return at, lines, k, BAD
-        channel[k] = found
-        at = line_end(text, i)
+        if text[at] != 10:
+            found, end = csv_line(text, at, hexes, sixes, roles, how, words, data[k], k)
+            if found == -2:
+                return at, lines, k, BAD
+            channel[k] = found
+            k += 1
+            at = end
+        at += 1
         lines += 1
-        k += 1
     return at, lines, k, DONE
 
 
 def _mapped(line: bytes, more: Sequence[bytes] = ()) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Return the places of a header's columns, and how they are written; None: it is no header of frames.
+    """Return the role of each column of a header, and how its log is written; None: it is no header of frames.
 
     Args:
         line: the header.
@@ -326,8 +224,16 @@ def _mapped(line: bytes, more: Sequence[bytes] = ()) -> tuple[NDArray[np.int64],
     unit = _unit([row[place[TIME]].strip(' "') for row in rows if place[TIME] < len(row)])
     bus = names[place[BUS]] if place[BUS] >= 0 else ""
     first = 1 if bus == "buschannel" or (bus == "channel" and fields[place[BUS] :][:1] != ["0"]) else 0
-    apart = names[place[DATA]] not in ("data", "databytes")
-    return np.array(place, np.int64), np.array([ord(separator), unit, apart, first], np.int64)
+    layout = JOINED if names[place[DATA]] in ("data", "databytes") else APART
+    if line.startswith(_PYTHON_CAN):
+        unit, layout = 9, ENCODED
+    roles = [place.index(column) if column in place else NOTHING for column in range(len(names))]
+    if layout == APART:  # bytes go on to the end, also in columns that have no name
+        roles = [DATA if column >= place[DATA] and role == NOTHING else role for column, role in enumerate(roles)]
+        roles += [DATA] * max(64 + place[DATA] - len(roles), 0)
+    last = max(column for role, column in enumerate(place) if role != DATA)  # a frame without bytes may have no DATA
+    known_roles = sum(1 << role for role, column in enumerate(place) if column >= 0)
+    return np.array(roles, np.int64), np.array([ord(separator), unit, layout, first, last, known_roles], np.int64)
 
 
 def _unit(stamps: Sequence[str]) -> int:
@@ -351,67 +257,51 @@ class Csv(Lines):
         path: for errors.
     """
 
+    good = "its fields as the header has them"
+
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._header = 0
-        self._map: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
-        self._ends = np.zeros((2, _MOST), np.int64)
+        self._map = _mapped(_PYTHON_CAN) or ()
 
     @staticmethod
     def sniff(first: bytes) -> bool:
         """Return whether one of the first lines is a header that we know."""
-        return any(line.startswith(_PYTHON_CAN) or _mapped(line) for line in first.splitlines()[:20])
+        return any(_mapped(line) for line in first.splitlines()[:20])
 
     def begin(self, first: bytes) -> None:
-        """Look for the header.
+        """Look for the header; a log without one is python-can's.
 
         Raises:
             InputError: it is none that we know.
         """
         lines = first[:LINE].splitlines()
         for k, line in enumerate(lines[:20]):
-            self._header = k + 1
-            if line.startswith(_PYTHON_CAN):
+            mapped = _mapped(line, lines[k + 1 : -1] or lines[k + 1 :])
+            if mapped:
+                self._header, self._map = k + 1, mapped
                 return
-            if mapped := _mapped(line, lines[k + 1 : -1] or lines[k + 1 :]):
-                self._map = mapped
-                return
-        self._header = 0
         if lines and len(lines[0]) < LINE and not lines[0][:1].isdigit():
             known = f"{_PYTHON_CAN.decode()}, or columns of a time, an identifier and data by their names"
             raise InputError(f"no CSV of frames that we know ({known})", file=self._path, line=1, value=shown(lines[0]))
-
-    @property
-    def good(self) -> str:  # type: ignore[override]
-        """The fields of a line."""
-        return _PYTHON_CAN.decode() if self._map is None else "its fields as the header has them"
 
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
         """Read lines."""
         if self._header:
             self._header -= 1
             return int(line_end(text, at)), 1, DONE
-        room = batch.words, batch.data, batch.channel, batch.count
-        if self._map is not None:
-            at, lines, batch.count, status = scan_columns(text, at, *room, *self._map, HEX, self._ends)
-            return at, lines, status
-        at, lines, batch.count, status = scan_csv(text, at, *room, HEX, BASE64)
+        at, lines, batch.count, status = scan_csv(text, at, *batch.room, HEX, BASE64, *self._map)
         if status == BAD and (again := _plain(bytes(text[at : line_end(text, at)]))) is not None:
             one = np.frombuffer(again, np.uint8)
-            _, _, batch.count, status = scan_csv(
-                one, 0, batch.words, batch.data, batch.channel, batch.count, HEX, BASE64
-            )
+            _, more, batch.count, status = scan_csv(one, 0, *batch.room, HEX, BASE64, *self._map)
             if status == DONE:
-                at, lines = int(line_end(text, at)), lines + 1
+                at, lines = int(line_end(text, at)), lines + more
         return at, lines, status
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Return whether the last line is cut: it is no frame, or one with fewer bytes than it says."""
+        """Return whether the last line is cut: it is no frame."""
         del before
-        if frame is None or self._map is not None:
-            return frame is None and self._header == 0 and not line.startswith(_PYTHON_CAN)
-        words = line.split(b",")
-        return not int(frame["can_id"]) & REMOTE and int(frame["length"]) != int(words[5])
+        return frame is None and self._header == 0 and not line.startswith(_PYTHON_CAN)
 
 
 def _plain(line: bytes) -> bytes | None:

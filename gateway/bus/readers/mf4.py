@@ -22,12 +22,12 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage
-from gateway.bus.readers.batch import DATA, NO_CHANNEL, Names, PassedOver, Read, placed
+from gateway.bus.readers.batch import NO_CHANNEL, BinaryReader, Names, Read, bytes_of, placed
+from gateway.bus.readers.scan import scatter
 from gateway.common.archives import unpacked, whole, zstd_decompressor
 from gateway_fdi.errors import InputError
-from gateway_fdi.jit import kernel
 
 #: Header of a block: mark, length, number of links; where the first one is.
 _BLOCK, _FIRST = struct.Struct("<4s4xQQ"), 64
@@ -178,30 +178,12 @@ def _frames(found: Any, kind: str, begin_ns: int) -> tuple[Frames, NDArray[np.in
     return frames, np.broadcast_to(channel.astype(np.int64), count)
 
 
-@kernel
-def put_rows(data: Any, lengths: Any, rows: Any, first: int) -> int:
-    """Copy payloads that lie in the rows of a table into frames; returns how many bytes.
-
-    Args:
-        data: bytes, shape (frames, width).
-        lengths: of each payload, at most the width.
-        rows: frames as bytes, shape (frames, 80), zero where payloads go.
-        first: byte of a frame where its payload goes.
-    """
-    copied = 0
-    for k in range(rows.shape[0]):
-        for j in range(lengths[k]):
-            rows[k, first + j] = data[k, j]
-        copied += lengths[k]
-    return copied
-
-
 def _put_payloads(frames: Frames, data: NDArray[np.uint8], lengths: NDArray[Any]) -> None:
     """Put payloads into frames, whose bytes beyond them stay zero."""
     width = min(data.shape[1], 64)
     lengths = np.clip(lengths.astype(np.int64), 0, width)
-    rows = frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)
-    put_rows(np.ascontiguousarray(data), lengths, rows, DATA)
+    begins = np.arange(len(frames)) * data.shape[1]
+    scatter(np.ascontiguousarray(data).reshape(-1), begins, lengths, bytes_of(frames))
     frames["length"] = np.where(frames["can_id"] & REMOTE, 0, lengths)
 
 
@@ -246,17 +228,8 @@ def _joined(groups: list[_Group], names: Names) -> Iterator[Read]:
         yield frames, placed(np.where(channel == NO_CHANNEL, channel, channel - first), names)
 
 
-class Mf4:
-    """Reads MF4 (see :class:`gateway.bus.readers.batch.Reader`).
-
-    Args:
-        path: the file, which asammdf maps.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.passed_over = PassedOver()
-        self.origin_ns = 0
+class Mf4(BinaryReader):
+    """Reads MF4 (see :class:`gateway.bus.readers.batch.Reader`); asammdf maps the file."""
 
     @staticmethod
     def sniff(first: bytes) -> bool:

@@ -24,13 +24,13 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FRAME, ID_MASK, OWN, REMOTE, Frames, empty
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of
-from gateway.bus.readers.batch import DATA, Names, PassedOver, Read
+from gateway.bus.readers.batch import BinaryReader, Names, Read, bytes_of
+from gateway.bus.readers.scan import scatter
 from gateway.common.archives import whole
 from gateway.common.parquet import longest_of, opened
 from gateway_fdi.errors import InputError, nearest
-from gateway_fdi.jit import kernel
 
 #: Columns that must be there, and those that may be.
 NEEDED = ("t", "id", "data")
@@ -39,28 +39,6 @@ FLAGS = {"fd": FD, "brs": BRS, "esi": ESI, "own": OWN}
 _MAGIC = b"PAR1"
 #: Bytes of a payload at most.
 MOST = 64
-
-
-@kernel
-def scatter(raw: Any, ends: Any, rows: Any, first: int) -> int:
-    """Copy payloads that lie one after the other into frames.
-
-    Args:
-        raw: bytes.
-        ends: where each begins, and where the last one ends, shape (frames + 1,).
-        rows: frames as bytes, shape (frames, 80), zero where payloads go.
-        first: byte of a frame where its payload goes.
-
-    Returns:
-        the first frame whose payload is longer than 64 bytes, -1: none.
-    """
-    for k in range(rows.shape[0]):
-        begin, count = ends[k], ends[k + 1] - ends[k]
-        if count > 64 or count < 0:
-            return k
-        for j in range(count):
-            rows[k, first + j] = raw[begin + j]
-    return -1
 
 
 def is_frame_log(path: Path) -> bool:
@@ -74,17 +52,8 @@ def is_frame_log(path: Path) -> bool:
         return path.stem.endswith(".frames")  # as we name them; its errors are told when it is read
 
 
-class Parquet:
-    """Reads Parquet (see :class:`gateway.bus.readers.batch.Reader`).
-
-    Args:
-        path: the file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.passed_over = PassedOver()
-        self.origin_ns = 0
+class Parquet(BinaryReader):
+    """Reads Parquet (see :class:`gateway.bus.readers.batch.Reader`)."""
 
     @staticmethod
     def sniff(first: bytes) -> bool:
@@ -119,26 +88,20 @@ class Parquet:
         Raises:
             InputError: one that must be there is missing, or has another type.
         """
-        import pyarrow as pa  # noqa: PLC0415 - an extra
-
         has = list(schema.names)
         for name in NEEDED:
             if name not in has:
                 known = f"it has {', '.join(has[:12])}{', ...' if len(has) > 12 else ''}"
                 text = f"no such column; a log of frames has {', '.join(NEEDED)}, {known}{nearest(name, has)}"
                 raise InputError(text, file=self._path, key=name)
-        kinds = {"t": _is_time, "id": pa.types.is_integer, "data": _is_bytes, "channel": _is_channel}
-        kinds |= dict.fromkeys((*FLAGS_OF_ID, *FLAGS), pa.types.is_boolean)
         told = {"t": "a timestamp, or int64 nanoseconds", "id": "a whole number", "channel": "text or a whole number"}
-        found = []
-        for name, fits in kinds.items():
-            if name not in has:
-                continue
+        told["data"] = "binary, or a list of bytes"
+        found = [name for name in (*NEEDED, "channel", *FLAGS_OF_ID, *FLAGS) if name in has]
+        for name in found:
             kind = schema.field(name).type
-            if not fits(kind):
-                wanted = told.get(name, "binary, or a list of bytes" if name == "data" else "boolean")
-                raise InputError(f"this column is {wanted}", file=self._path, key=name, value=str(kind))
-            found.append(name)
+            if not _fits(name, kind):
+                text = f"this column is {told.get(name, 'boolean')}"
+                raise InputError(text, file=self._path, key=name, value=str(kind))
         return found
 
     def _frames(self, columns: Mapping[str, Any], before: int) -> Frames:
@@ -163,14 +126,14 @@ class Parquet:
         self._put_payloads(frames, columns["data"], before)
         for name, flag in FLAGS_OF_ID.items():
             if name in columns:
-                can_id |= np.where(_booleans(columns[name]), np.uint32(flag), np.uint32(0))
+                can_id |= np.where(columns[name].to_numpy(zero_copy_only=False), np.uint32(flag), np.uint32(0))
         frames["can_id"] = can_id
         flags = np.zeros(count, np.uint8)
         if "fd" not in columns:
             flags |= np.where(frames["length"] > 8, np.uint8(FD), np.uint8(0))
         for name, flag in FLAGS.items():
             if name in columns:
-                flags |= np.where(_booleans(columns[name]), np.uint8(flag), np.uint8(0))
+                flags |= np.where(columns[name].to_numpy(zero_copy_only=False), np.uint8(flag), np.uint8(0))
         frames["flags"] = flags
         return frames
 
@@ -218,42 +181,31 @@ class Parquet:
             ends = np.frombuffer(places, np.int64 if wide else np.int32)[column.offset :][: len(column) + 1]
             raw = np.frombuffer(content, np.uint8) if content is not None else np.zeros(0, np.uint8)
         ends = ends.astype(np.int64)
-        rows = frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)
-        long = scatter(raw, ends, rows, DATA)
+        counts = np.diff(ends)
+        long = scatter(raw, ends[:-1], counts, bytes_of(frames))
         if long >= 0:
             text = f"a payload above 64 bytes, in row {before + long}"
-            raise InputError(text, file=self._path, key="data", value=int(ends[long + 1] - ends[long]))
-        frames["length"] = np.diff(ends)
+            raise InputError(text, file=self._path, key="data", value=int(counts[long]))
+        frames["length"] = counts
 
 
-def _is_time(kind: Any) -> bool:
-    import pyarrow as pa  # noqa: PLC0415 - an extra
+def _fits(name: str, kind: Any) -> bool:
+    """Return whether a column may be of a type of pyarrow."""
+    from pyarrow import types  # noqa: PLC0415 - an extra
 
-    return bool(pa.types.is_timestamp(kind) or pa.types.is_int64(kind))
-
-
-def _is_bytes(kind: Any) -> bool:
-    import pyarrow as pa  # noqa: PLC0415 - an extra
-
-    if pa.types.is_list(kind) or pa.types.is_large_list(kind):
-        return bool(pa.types.is_uint8(kind.value_type))
-    if pa.types.is_dictionary(kind):
-        kind = kind.value_type
-    if pa.types.is_fixed_size_binary(kind) and kind.byte_width > MOST:
-        return False
-    return bool(pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_fixed_size_binary(kind))
-
-
-def _is_channel(kind: Any) -> bool:
-    import pyarrow as pa  # noqa: PLC0415 - an extra
-
-    plain = kind.value_type if pa.types.is_dictionary(kind) else kind
-    return bool(pa.types.is_string(plain) or pa.types.is_large_string(plain) or pa.types.is_integer(plain))
-
-
-def _booleans(column: Any) -> NDArray[np.bool_]:
-    found: NDArray[np.bool_] = column.to_numpy(zero_copy_only=False)
-    return found
+    if name == "t":
+        return bool(types.is_timestamp(kind) or types.is_int64(kind))
+    if name == "id":
+        return bool(types.is_integer(kind))
+    if name not in ("data", "channel"):
+        return bool(types.is_boolean(kind))
+    if name == "data" and (types.is_list(kind) or types.is_large_list(kind)):
+        return bool(types.is_uint8(kind.value_type))
+    plain = kind.value_type if types.is_dictionary(kind) else kind
+    if name == "channel":
+        return bool(types.is_string(plain) or types.is_large_string(plain) or types.is_integer(plain))
+    fixed = types.is_fixed_size_binary(plain) and plain.byte_width <= MOST
+    return bool(fixed or types.is_binary(plain) or types.is_large_binary(plain))
 
 
 def _channels(batch: Any, count: int, names: Names) -> NDArray[np.int64]:

@@ -2,6 +2,10 @@
 
 ``text`` is bytes that end with a newline; no function goes beyond it. Characters are numbers: 10 newline, 32 blank,
 46 ``.``, 48 ``0``, 57 ``9``.
+
+The kernel of a format, ``scan_asc`` etc., takes ``text`` (uint8), the place ``at`` where to begin, the batch as
+:attr:`gateway.bus.readers.batch.Batch.room` has it, :data:`HEX`, and what its format needs. It ends where the batch is
+full, and returns where the next line begins, lines read, frames that are in, and the state of the line there.
 """
 
 from __future__ import annotations
@@ -51,6 +55,13 @@ def word_end(text: Any, at: int) -> int:
 
 
 @kernel
+def next_word(text: Any, at: int) -> tuple[int, int]:
+    """Return where the next word of a line begins, and where it ends."""
+    at = skip(text, at)
+    return at, word_end(text, at)
+
+
+@kernel
 def line_end(text: Any, at: int) -> int:
     """Return where the next line begins."""
     while text[at] != 10:
@@ -92,8 +103,7 @@ def decimal(text: Any, at: int, places: int) -> tuple[int, int, int]:
     """
     begin, value = at, 0
     while 48 <= text[at] <= 57:
-        if at - begin < 12:
-            value = value * 10 + (byte(text, at) - 48)
+        value = value * 10 + (byte(text, at) - 48)
         at += 1
     if at == begin or at - begin > 11 or value > _MOST_SECONDS:
         return -1, at, -1
@@ -102,15 +112,15 @@ def decimal(text: Any, at: int, places: int) -> tuple[int, int, int]:
             value *= 10
         return value, at, -1
     at += 1
-    digits, up = 0, 0
-    while 48 <= text[at] <= 57:
-        digit = byte(text, at) - 48
-        if digits < places:
-            value = value * 10 + digit
-        elif digits == places and digit >= 5:
-            up = 1
-        digits += 1
+    begin, up = at, 0
+    while at - begin < places and 48 <= text[at] <= 57:
+        value = value * 10 + (byte(text, at) - 48)
         at += 1
+    if at - begin == places and 53 <= text[at] <= 57:
+        up = 1
+    while 48 <= text[at] <= 57:
+        at += 1
+    digits = at - begin
     for _ in range(digits, places):
         value *= 10
     return value + up, at, digits
@@ -204,3 +214,24 @@ def hex_pairs(text: Any, at: int, most: int, hexes: Any, row: Any) -> tuple[int,
         row[16 + count] = high * 16 + low
         count += 1
         at += 2
+
+
+@kernel
+def scatter(raw: Any, begins: Any, counts: Any, rows: Any) -> int:
+    """Copy payloads that lie in one array into frames.
+
+    Args:
+        raw: bytes.
+        begins: where each payload begins, shape (frames,).
+        counts: its bytes, shape (frames,).
+        rows: frames as bytes, shape (frames, 80), zero where payloads go.
+
+    Returns:
+        the first frame whose payload is longer than 64 bytes, -1: none.
+    """
+    for k in range(rows.shape[0]):
+        if not 0 <= counts[k] <= 64:
+            return k
+        for j in range(counts[k]):
+            rows[k, 16 + j] = raw[begins[k] + j]
+    return -1

@@ -22,20 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.conditions import (
-    ACTIVE,
-    BUS_ERROR,
-    BUS_OFF,
-    CONTROLLER,
-    COUNTERS,
-    PROTOCOL,
-    RX_OVERFLOW,
-    RX_PASSIVE,
-    RX_WARNING,
-    TX_OVERFLOW,
-    TX_PASSIVE,
-    TX_WARNING,
-)
+from gateway.bus import conditions
+from gateway.bus.conditions import RX_OVERFLOW, RX_PASSIVE, RX_WARNING, TX_OVERFLOW, TX_PASSIVE, TX_WARNING
 from gateway.bus.frames import BRS, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames
 from gateway.bus.readers.batch import Batch, Names, error_frame
 from gateway.bus.readers.scan import (
@@ -76,7 +64,6 @@ _CODES |= {0x40: RX_OVERFLOW, 0x80: TX_OVERFLOW, 0x40000: RX_PASSIVE | TX_PASSIV
 _OFF = 0x10
 #: Kind of an error, as PEAK has it in the place of the identifier -> byte 2 of an error frame: bit, form, stuff.
 _ERRORS = {1: 0x01, 2: 0x02, 4: 0x04}
-_EXACT = re.compile(rb"SocketCAN=([0-9A-F]{8})#([0-9A-F]*)")  # as our writer has it
 _STARTS = re.compile(rb"\s*\d+\)?\s+\d")
 #: Result of a line that is no frame: an event, or damaged.
 _NO_FRAME, _BAD = -2, -3
@@ -175,22 +162,9 @@ def trc_line(
 def scan_trc(
     text: Any, at: int, words: Any, data: Any, channel: Any, k: int, place: Any, start: int, hexes: Any, begin: Any
 ) -> tuple[int, int, int, int]:
-    """Read lines into a batch.
+    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`).
 
-    Args:
-        text: lines, uint8.
-        at: where to begin.
-        words: the batch, uint64, shape (frames, 10).
-        data: the same as uint8, shape (frames, 80).
-        channel: takes the bus of each frame, counted from 0.
-        k: frames that are in already.
-        place: of the columns, see :func:`trc_line`.
-        start: of the log [ns].
-        hexes: :data:`gateway.bus.readers.scan.HEX`.
-        begin: scratch, int64, where words begin.
-
-    Returns:
-        where the next line begins, lines read, frames that are in, state of the line there.
+    ``place`` and ``start`` are those of :func:`trc_line`; ``begin`` is scratch, int64: where words begin.
     """
     lines = 0
     while at < text.shape[0] and k < words.shape[0]:
@@ -219,11 +193,7 @@ def scan_trc(
 
 
 class Trc(Lines):
-    """Lines of TRC.
-
-    Args:
-        path: for errors.
-    """
+    """Lines of TRC."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -249,9 +219,7 @@ class Trc(Lines):
     def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
         """Read lines."""
         start = 0 if self._version == "1.0" else self._start
-        at, lines, batch.count, status = scan_trc(
-            text, at, batch.words, batch.data, batch.channel, batch.count, self._place, start, HEX, self._begin
-        )
+        at, lines, batch.count, status = scan_trc(text, at, *batch.room, self._place, start, HEX, self._begin)
         return at, lines, status
 
     def asked(self, line: bytes, names: Names, batch: Batch) -> int:
@@ -291,17 +259,21 @@ class Trc(Lines):
             data = bytes.fromhex(b"".join(words[first : first + int(words[place[LENGTH]])]).decode())
         except ValueError:
             return BAD
-        if exact := _EXACT.search(line):
-            found = int(exact[1], 16) & ID_MASK, bytes.fromhex(exact[2].decode())
+        if exact := conditions.exact_in(line):
+            found = exact
         elif kind in (b"Warng", b"ST"):
             code = int.from_bytes(data, "big")
-            said = ACTIVE if code == 0 else sum({_CODES[bit] for bit in _CODES if code & bit})
-            found = (BUS_OFF if code & _OFF else 0) | (CONTROLLER if said else 0), bytes([0, said])
+            said = conditions.ACTIVE if code == 0 else sum({_CODES[bit] for bit in _CODES if code & bit})
+            found = (
+                (conditions.BUS_OFF if code & _OFF else 0) | (conditions.CONTROLLER if said else 0),
+                bytes([0, said]),
+            )
         elif kind in (b"Error", b"ER"):
             which = words[place[ID]]
-            found = PROTOCOL | BUS_ERROR, bytes([0, 0, _ERRORS.get(int(which, 16) if which.isalnum() else 0, 0)])
+            where = _ERRORS.get(int(which, 16) if which.isalnum() else 0, 0)
+            found = conditions.PROTOCOL | conditions.BUS_ERROR, bytes([0, 0, where])
         elif kind == b"EC" and len(data) >= 2:
-            found = COUNTERS, bytes([0, 0, 0, 0, 0, 0, data[1], data[0]])
+            found = conditions.COUNTERS, bytes([0, 0, 0, 0, 0, 0, data[1], data[0]])
         else:
             return PASSED
         error_frame(batch, t_ns, *found, channel)

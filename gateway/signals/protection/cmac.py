@@ -116,16 +116,7 @@ def substituted(a: Any, b: Any, c: Any, d: Any, table: Any) -> Any:
 
 @kernel(inlined=False)
 def encrypted(a: Any, b: Any, c: Any, d: Any, key: Any, table: Any) -> Any:
-    """Return a block's four columns, uint64, after AES-128.
-
-    Args:
-        a: first column of the block, of 32 bits; ``b``, ``c``, ``d``: the others.
-        b: second.
-        c: third.
-        d: fourth.
-        key: as of :func:`key_table`.
-        table: as of :func:`rounds_table`.
-    """
+    """Return a block's four columns, uint64, after AES-128; of :func:`key_table` and :func:`rounds_table`."""
     a ^= key[0]
     b ^= key[1]
     c ^= key[2]

@@ -6,7 +6,7 @@ implementation autosar-e2e has it, which the tests compare with frame by frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,68 +72,62 @@ def _p01(h: Header) -> Protection:
     return Protection(checksum, field_at(h.offset, 8), counter, constants)
 
 
-def _listed(h: Header) -> Protection:
-    """CRC8H2F in byte 0, counter 0..15 in the low nibble of byte 1; then one byte of the list by the counter."""
-    checksum = Checksum(KNOWN["crc8_autosar"], by_counter=tuple(h.data_ids))
-    return Protection(checksum, field_at(h.offset, 8), Counter(field_at(h.offset + 1, 4), 16, max_step=h.max_delta))
-
-
-def _p04(h: Header) -> Protection:
-    """Length 16, counter 16, data id 32, CRC32P4; most significant byte first."""
-    constants = [
-        (field_at(h.offset, 16, big=True), h.length, "length"),
-        (field_at(h.offset + 4, 32, big=True), h.data_id, "data id"),
-    ]
-    counter = Counter(field_at(h.offset + 2, 16, big=True), 1 << 16, max_step=h.max_delta)
-    return Protection(Checksum(KNOWN["crc32_autosar"]), field_at(h.offset + 8, 32, big=True), counter, constants)
-
-
-def _p05(h: Header) -> Protection:
-    """CRC16, least significant byte first, counter 8; the data id goes in after the payload, low byte first."""
-    checksum = Checksum(KNOWN["crc16_ccitt_false"], after=(h.low, h.high))
-    counter = Counter(field_at(h.offset + 2, 8), 256, max_step=h.max_delta)
-    return Protection(checksum, field_at(h.offset, 16), counter)
-
-
-def _p06(h: Header) -> Protection:
-    """CRC16, length 16, most significant byte first, counter 8; the data id goes in after it, high byte first."""
-    checksum = Checksum(KNOWN["crc16_ccitt_false"], after=(h.high, h.low))
-    counter = Counter(field_at(h.offset + 4, 8), 256, max_step=h.max_delta)
-    constants = [(field_at(h.offset + 2, 16, big=True), h.length, "length")]
-    return Protection(checksum, field_at(h.offset, 16, big=True), counter, constants)
-
-
-def _p07(h: Header) -> Protection:
-    """CRC64, length 32, counter 32, data id 32; most significant byte first."""
-    constants = [
-        (field_at(h.offset + 8, 32, big=True), h.length, "length"),
-        (field_at(h.offset + 16, 32, big=True), h.data_id, "data id"),
-    ]
-    counter = Counter(field_at(h.offset + 12, 32, big=True), 1 << 32, max_step=h.max_delta)
-    return Protection(Checksum(KNOWN["crc64_xz"]), field_at(h.offset, 64, big=True), counter, constants)
-
-
 @dataclass(frozen=True)
 class Profile:
-    """A profile: maker of its protection, length of its header, keys that it needs."""
+    """A profile.
 
-    make: Callable[[Header], Protection]
+    Attributes:
+        header: its length [byte].
+        crc: its polynomial.
+        field: first byte of the CRC in the header, and its bits.
+        counter: the same, of the counter, which has all values of its bits.
+        length, data_id: the same, of header fields that are always the message's length and data id; None: none.
+        big: most significant byte first.
+        listed: a byte of the list of data ids goes in after the payload, by the counter.
+        after: of the data id's low and high byte those that go in after the payload, in this order.
+        modes: of P01 and P11, which have rules of their own.
+        data_id_bits: of the data id.
+        offset_may_differ: whether the header may lie elsewhere than at the begin.
+    """
+
     header: int
-    modes: tuple[str, ...] = ()
+    crc: Crc
+    field: tuple[int, int] = (0, 8)
+    counter: tuple[int, int] = (1, 4)
+    length: tuple[int, int] | None = None
+    data_id: tuple[int, int] | None = None
+    big: bool = False
     listed: bool = False
+    after: str = ""
+    modes: tuple[str, ...] = ()
     data_id_bits: int = 16
     offset_may_differ: bool = True
 
+    def make(self, h: Header) -> Protection:
+        """Return the protection of a message."""
 
+        def at(place: tuple[int, int]) -> Any:
+            return field_at(h.offset + place[0], place[1], big=self.big and place[1] > 8)
+
+        fields = ((self.length, h.length, "length"), (self.data_id, h.data_id, "data id"))
+        constants = [(at(place), value, name) for place, value, name in fields if place is not None]
+        after = tuple({"low": h.low, "high": h.high}[one] for one in self.after.split())
+        checksum = Checksum(self.crc, after=after, by_counter=tuple(h.data_ids) if self.listed else ())
+        counter = Counter(at(self.counter), 1 << self.counter[1], max_step=h.max_delta)
+        return Protection(checksum, at(self.field), counter, constants)
+
+
+_AUTOSAR8, _CCITT = KNOWN["crc8_autosar"], KNOWN["crc16_ccitt_false"]
+_AUTOSAR32, _XZ = KNOWN["crc32_autosar"], KNOWN["crc64_xz"]
 PROFILES = {
-    "P01": Profile(_p01, 2, ("both", "alternating", "low", "nibble")),
-    "P02": Profile(_listed, 2, listed=True, offset_may_differ=False),
-    "P04": Profile(_p04, 12, data_id_bits=32),
-    "P05": Profile(_p05, 3),
-    "P06": Profile(_p06, 5),
-    "P07": Profile(_p07, 20, data_id_bits=32),
-    "P11": Profile(_p01, 2, ("both", "nibble")),
-    "P22": Profile(_listed, 2, listed=True),
+    "P01": Profile(2, _J1850_FROM_ZERO, modes=("both", "alternating", "low", "nibble")),
+    "P02": Profile(2, _AUTOSAR8, listed=True, offset_may_differ=False),
+    "P04": Profile(12, _AUTOSAR32, (8, 32), (2, 16), (0, 16), (4, 32), big=True, data_id_bits=32),
+    "P05": Profile(3, _CCITT, (0, 16), (2, 8), after="low high"),
+    "P06": Profile(5, _CCITT, (0, 16), (4, 8), (2, 16), big=True, after="high low"),
+    "P07": Profile(20, _XZ, (0, 64), (12, 32), (8, 32), (16, 32), big=True, data_id_bits=32),
+    "P11": Profile(2, _J1850_FROM_ZERO, modes=("both", "nibble")),
+    "P22": Profile(2, _AUTOSAR8, listed=True),
 }
 
 
@@ -157,7 +151,7 @@ def protection_of(name: str, header: Header) -> Protection:
         raise InputError(f"{name} has {', '.join(profile.modes)}", key="data_id_mode", value=header.mode)
     if not 0 <= header.data_id < 1 << profile.data_id_bits:
         raise InputError(f"{name}'s data id has {profile.data_id_bits} bits", key="data_id", value=header.data_id)
-    made = profile.make(header)
+    made = _p01(header) if profile.modes else profile.make(header)
     return Protection(
         made.checksum, made.field, made.counter, made.constants, strict=True, window=header.window, name=name
     )

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gateway.signals.bits import Field, mask_of, place
+from gateway.signals.bits import field_of, mask_of
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import KNOWN
 from gateway.signals.protection.e2e import PROFILES
 from gateway.signals.protection.judge import FRAME_CONSTANT, FRAME_OK, judge_frame
 from gateway.signals.protection.params import COUNTERS, E2eCheck, signal_of
-from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill
+from gateway.signals.protection.protection import Counter, Protection, compiled
 from gateway.signals.protection.rules import RULES, Frame
 from gateway_fdi.errors import InputError
 
@@ -42,10 +42,8 @@ def _candidates(message: Message) -> Iterator[tuple[str, Checksum]]:
 def _judged(asked: Protection, payloads: Sequence[bytes]) -> list[tuple[int, int, int]]:
     """Return what :func:`judge_frame` says of each payload."""
     words = [np.frombuffer(data.ljust(64, b"\0"), "<u8").copy() for data in payloads]
-    tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
-    fill(rows[0], asked, tables)
-    row, crcs = rows.view(np.recarray)[0], tables.array()
-    return [judge_frame(each, len(data), row, crcs) for each, data in zip(words, payloads, strict=True)]
+    made = compiled(asked)
+    return [judge_frame(each, len(data), *made) for each, data in zip(words, payloads, strict=True)]
 
 
 def differing(asked: Protection, payloads: Sequence[bytes]) -> list[str]:
@@ -82,9 +80,7 @@ def fitting(message: Message, field: np.void, payloads: Sequence[bytes]) -> list
     counter = None
     try:
         signal = signal_of(message, None, COUNTERS, "counter")
-        at = np.zeros(1, Field.dtype)[0]
-        place(at, signal.start, signal.length, big=signal.byte_order == "big_endian")
-        counter = Counter(at, 1 << signal.length)
+        counter = Counter(field_of(signal), 1 << signal.length)
     except InputError:
         pass  # then no rule with a list of data ids can fit
     assert mask_of(field)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.signals.bits import field_of
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import KNOWN
-from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill
+from gateway.signals.protection.protection import Counter, Protection, compiled
 from gateway_fdi.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,6 +53,4 @@ def own_protection(message: Message, *, crc: str = CRC, counter: str | None = CO
 @cache
 def prepared(message: Message, crc: str, counter: str | None) -> tuple[Any, NDArray[np.uint64]]:
     """Return what the kernel ``protect`` wants of a message: its record, and the tables of the CRCs."""
-    tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
-    fill(rows[0], own_protection(message, crc=crc, counter=counter), tables)
-    return rows.view(np.recarray)[0], tables.array()
+    return compiled(own_protection(message, crc=crc, counter=counter))

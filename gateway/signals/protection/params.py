@@ -103,7 +103,7 @@ class CrcCheck(StrictModel):
             return KNOWN[self.algorithm]
         return Crc(self.width, self.poly, self.init, self.refin, self.refout, self.xorout)
 
-    def checksum(self) -> Checksum:
+    def checksum(self, _: Message | None = None) -> Checksum:
         """Return what is computed."""
         first, last = self.over or (0, None)
         given = self.data_id
@@ -328,29 +328,21 @@ def protection_for(message: Message, asked: ProtectionParams) -> Protection:
         with under("secoc"):
             return asked.secoc.protection(message)
     counter = None if asked.counter is None else _counter(message, asked.counter)
-    for table in ("crc", "checksum"):
-        over = getattr(getattr(asked, table), "over", None)
-        if over is not None and over[1] > message.length:
-            raise InputError(f"{message.name} has {message.length} bytes", key=f"{table}.over", value=list(over))
-    if asked.crc is not None:
-        signal = signal_of(message, asked.crc.signal, CHECKSUMS, "CRC", "crc")
-        if signal.length != asked.crc.crc.width:
-            text = f"the CRC has {asked.crc.crc.width} bits, its signal {signal.length}"
-            raise InputError(text, key="crc.signal", value=signal.name)
-        checksum: Checksum = asked.crc.checksum()
-        if checksum.by_counter and counter is None:
+    given: CrcCheck | SumCheck | None = asked.crc or asked.checksum
+    if given is None:
+        return Protection(counter=counter)
+    table, what, rule = ("checksum", "checksum", asked.checksum.rule) if asked.checksum else ("crc", "CRC", "")
+    if given.over is not None and given.over[1] > message.length:
+        raise InputError(f"{message.name} has {message.length} bytes", key=f"{table}.over", value=list(given.over))
+    signal = signal_of(message, given.signal, CHECKSUMS, what, table)
+    checksum = given.checksum(message)
+    if checksum.crc is not None and checksum.crc.width != signal.length:
+        text = f"{rule or 'the CRC'} has {checksum.crc.width} bits, its signal {signal.length}"
+        raise InputError(text, key=f"{table}.signal", value=signal.name)
+    if checksum.by_counter and counter is None:
+        if asked.crc is not None:
             raise InputError("a data id by_counter needs the counter", key="crc.data_id", value="by_counter")
-        name = asked.crc.algorithm if asked.crc.width is None else f"crc{asked.crc.width}"
-        return Protection(checksum, field_of(signal), counter, name=name)
-    if asked.checksum is not None:
-        signal = signal_of(message, asked.checksum.signal, CHECKSUMS, "checksum", "checksum")
-        checksum = asked.checksum.checksum(message)
-        if checksum.crc is not None and checksum.crc.width != signal.length:
-            text = f"{asked.checksum.rule} has {checksum.crc.width} bits, its signal {signal.length}"
-            raise InputError(text, key="checksum.signal", value=signal.name)
-        if checksum.by_counter and counter is None:
-            counter = _counter(
-                message, CounterCheck(signal=signal_of(message, None, COUNTERS, "counter", "counter").name)
-            )
-        return Protection(checksum, field_of(signal), counter, name=asked.checksum.rule)
-    return Protection(counter=counter)
+        counter = _counter(message, CounterCheck(signal=signal_of(message, None, COUNTERS, "counter", "counter").name))
+    if asked.crc is not None:
+        rule = asked.crc.algorithm if asked.crc.width is None else f"crc{asked.crc.width}"
+    return Protection(checksum, field_of(signal), counter, name=rule)

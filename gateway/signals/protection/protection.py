@@ -190,6 +190,13 @@ def fill(row: Any, asked: Protection, tables: Tables) -> None:
     row["owned"] = np.frombuffer(mask.to_bytes(64, "little"), "<u8")
 
 
+def compiled(asked: Protection) -> tuple[Any, NDArray[np.uint64]]:
+    """Return a protection as the kernels want it: its record, and its tables."""
+    tables, rows = Tables(), np.zeros(1, ProtectionConst.dtype)
+    fill(rows[0], asked, tables)
+    return rows.view(np.recarray)[0], tables.array()
+
+
 @kernel
 def counter_of(words: Any, p: Any) -> int:
     """Return a payload's alive counter, 0 where it has none."""
@@ -236,14 +243,9 @@ def protect(words: Any, length: int, counter: int, p: Any, tables: Any) -> None:
 
 @kernel
 def protect_all(words: Any, lengths: Any, p: Any, tables: Any, sent: int) -> None:
-    """Protect frames of one message that are sent one after the other.
+    """Protect frames of one message that are sent one after the other, the first after ``sent`` others.
 
-    Args:
-        words: payloads, uint64, shape (frames, 8).
-        lengths: int64, shape (frames,) [byte].
-        p: record of :class:`ProtectionConst`.
-        tables: of the CRCs.
-        sent: how many were sent before.
+    Of ``words`` and ``lengths``, int64 [byte], each row is a frame's; else as :func:`protect`.
     """
     for k in range(words.shape[0]):
         protect(words[k], lengths[k], sent + k, p, tables)
@@ -267,13 +269,8 @@ def sent_before(words: Any, p: Any, least: int) -> int:
 def protect_again(words: Any, lengths: Any, where: Any, p: Any, tables: Any, least: int) -> int:
     """Protect frames of one message that were changed, each with the counter that it has.
 
-    Args:
-        words: payloads, uint64, shape (frames, 8).
-        lengths: int64, shape (frames,) [byte].
-        where: uint8, shape (frames,), 0: the frame stays as it is.
-        p: record of :class:`ProtectionConst`.
-        tables: of the CRCs.
-        least: as of :func:`sent_before`, of the frame before these; returned is that of the last one.
+    Arguments as of :func:`protect_all`; ``where``, uint8, is 0 for a frame that stays as it is. ``least`` is that of
+    :func:`sent_before`, of the frame before these; returned is that of the last one.
     """
     for k in range(words.shape[0]):
         if where[k] != 0 or p.secured == 1:
