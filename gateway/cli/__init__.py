@@ -11,17 +11,18 @@ import gc
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from gateway.cli.commands import Commands, does, group
-from gateway.cli.failure import DEBUG, ended_by, install_hooks
+from gateway.cli.failure import DEBUG, STOPPED, ended_by, install_hooks, stopped
 from gateway.cli.options import (
     LOG_HELP,
     ConfigArgument,
     ConfigOption,
     EcuOption,
+    Every,
     FailOnDtc,
     HtmlOption,
     Json,
@@ -44,7 +45,6 @@ app = typer.Typer(
     help="Diagnostic gateway for ECUs on CAN buses: it finds faults, stores them, and reports their DTCs on the bus.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
 faults_app = typer.Typer(help="Read and clear a fault memory.", no_args_is_help=True, rich_markup_mode=None)
 fleet_app = group("fleet", "Run the logs of many cars through the monitors.")
@@ -361,6 +361,7 @@ def replay(
     jobs: Annotated[
         int, typer.Option("--jobs", "-j", min=0, help="Number of processes for several logs; 0: one per core.")
     ] = 1,
+    every: Every = False,
     json: JsonEvents = False,
     fail_on_dtc: FailOnDtc = False,
 ) -> None:
@@ -451,6 +452,7 @@ def check(
         str | None,
         typer.Option(metavar="FAULT", help="Print what a failure of this fault's test blames, and its pass clears."),
     ] = None,
+    listed: Annotated[bool, typer.Option("--all", help="List each fault and code, however many there are.")] = False,
     json: Json = False,
 ) -> None:
     """Check a configuration and list all its errors."""
@@ -460,7 +462,16 @@ def check(
         raise typer.Exit(explain(config, why, json=json))
     from gateway.cli.check import check as work
 
-    raise typer.Exit(work(config, schema_wanted=schema, json=json))
+    raise typer.Exit(work(config, schema_wanted=schema, listed=listed, json=json))
+
+
+@app.command()
+@does("gateway.cli.schema:schema")
+def schema(
+    kind: Annotated[str, typer.Argument(help="Kind of the file: gateway, scenario, model.")] = "gateway",
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the schemas of all kinds here.")] = None,
+) -> None:
+    """Print the JSON Schema of a kind of file, for editors."""
 
 
 @app.command("new-monitor")
@@ -515,6 +526,14 @@ def doctor(
     """
 
 
+@faults_app.command("summary")
+@does("gateway.cli.faults:summarize")
+def faults_summary(
+    memory: MemoryOption = None, config: ConfigArgument = None, every: Every = False, json: Json = False
+) -> None:
+    """Show the verdict, the causes with their symptoms by ECU, and what was not judged."""
+
+
 @faults_app.command("list")
 @does("gateway.cli.faults:list_faults")
 def faults_list(
@@ -522,6 +541,7 @@ def faults_list(
     config: ConfigArgument = None,
     json: Json = False,
     ecu: Annotated[str | None, typer.Option(help="DTCs of another ECU, by its name; all: of all.")] = None,
+    every: Every = False,
 ) -> None:
     """List the DTCs of a fault memory."""
 
@@ -532,6 +552,7 @@ def faults_show(
     dtc: Annotated[str, typer.Argument(help="DTC, e.g. P0336-39.")],
     memory: MemoryOption = None,
     config: ConfigArgument = None,
+    every: Every = False,
     json: Json = False,
 ) -> None:
     """Show one DTC: status bits, freeze frames, evidence."""
@@ -565,7 +586,9 @@ def faults_verify(memory: MemoryOption = None, config: ConfigArgument = None, js
 
 @faults_app.command("near-misses")
 @does("gateway.cli.faults:near_misses")
-def faults_near_misses(memory: MemoryOption = None, config: ConfigArgument = None, json: Json = False) -> None:
+def faults_near_misses(
+    memory: MemoryOption = None, config: ConfigArgument = None, every: Every = False, json: Json = False
+) -> None:
     """List how often faults came close to failing, and how close."""
 
 
@@ -627,5 +650,19 @@ def main() -> None:
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(0)
+    except SystemExit as ended:
+        sys.exit(_code_of(ended))
     except Exception as error:
         sys.exit(ended_by(error))
+
+
+def _code_of(ended: SystemExit) -> Any:
+    """Return the exit code of a command that has ended: 0, if a pipe's reader had enough."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python writes the rest at its end
+        return 0
+    if type(sys.stdout).__name__ == "PacifyFlushWrapper":  # typer's copy of click puts it there, and says 1
+        return 0
+    return stopped() if ended.code == STOPPED else ended.code

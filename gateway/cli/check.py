@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,10 +28,12 @@ from gateway_fdi.errors import InputError, InputErrors, each_of
 
 #: Columns that are left for a name after the codes given out for it, of 80.
 _MOST_OF_NAME = 65
+#: Lines about faults and codes that are printed without being asked for; kinds of faults of one monitor.
+MOST_LISTED, MOST_KINDS = 50, 4
 
 
-def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
-    """Check a configuration; returns the exit code."""
+def check(config_path: Path | None, *, schema_wanted: bool, json: bool, listed: bool = False) -> int:
+    """Check a configuration; returns the exit code. Above :data:`MOST_LISTED` lines it counts, unless all is listed."""
     if schema_wanted:
         print_json(schema(), indent=2)
         return 0
@@ -79,22 +82,48 @@ def check(config_path: Path | None, *, schema_wanted: bool, json: bool) -> int:
             }
         )
     else:
-        print(f"{path}: good. {len(config.bus)} bus(es), {len(config.monitor)} monitor(s), faults:")
-        for fault in faults:
-            print(f"  {fault['dtc']}  {fault['fault']}: {fault['description']}")
-        if codes:
-            print("codes given out (of messages: missing, and wrong):")
-        for name, given in codes.items():
-            print(f"  {' '.join(given):<11}  {_shortened(name)}")
-        for text in notes:
-            print(f"taken: {text}")
+        print(f"{path}: good. {len(config.bus)} bus(es), {len(config.monitor)} monitor(s), {len(faults)} faults")
+        for text in warnings:
+            print(f"warning: {text}")
+        is_short = not listed and len(faults) + len(codes) + len(notes) > MOST_LISTED
+        for text in _counted(path, faults, codes, notes) if is_short else _listed(faults, codes, notes):
+            print(text)
         for text in asked_of(config):
             print(text)
         for name, lines in (told | reached).items():
             print(f"{name}:", *lines, sep="\n  ")
-        for text in warnings:
-            print(f"warning: {text}")
     return 0
+
+
+def _listed(faults: list[dict[str, str]], codes: dict[str, tuple[str, ...]], notes: list[str]) -> Iterator[str]:
+    """Yield each fault, each code given out, and each thing that was taken, one line each."""
+    for fault in faults:
+        yield f"  {fault['dtc']}  {fault['fault']}: {fault['description']}"
+    if codes:
+        yield "codes given out (of messages: missing, and wrong):"
+    for name, given in codes.items():
+        yield f"  {' '.join(given):<11}  {_shortened(name)}"
+    for text in notes:
+        yield f"taken: {text}"
+
+
+def _counted(
+    path: Path, faults: list[dict[str, str]], codes: dict[str, tuple[str, ...]], notes: list[str]
+) -> Iterator[str]:
+    """Yield how many faults of each kind each bus and each monitor has, and how many codes were given out."""
+    kinds: dict[str, Counter[str]] = defaultdict(Counter)
+    for fault in faults:
+        owner, _, kind = fault["fault"].partition(".")
+        kinds[owner][kind.rpartition(".")[2]] += 1
+    for owner, count in kinds.items():
+        common = {kind: number for kind, number in count.most_common(MOST_KINDS) if number > 1}
+        rest = count.total() - sum(common.values())
+        parts = [f"{kind} {number}" for kind, number in common.items()]
+        yield f"  {count.total():>5}  {_shortened(owner)}: {', '.join([*parts, *([f'others {rest}'] if rest else [])])}"
+    of = [
+        f"{number} {text}" for number, text in ((len(codes), "codes given out"), (len(notes), "things taken")) if number
+    ]
+    yield f"Each fault{', '.join(['', *of])}: gateway check {path} --all"
 
 
 def _reached(config: Config) -> tuple[dict[str, list[str]], list[str]]:
@@ -116,7 +145,7 @@ def asked_of(config: Config) -> Iterator[str]:
     for ecu in config.ecu:
         bus = config.bus[config.bus_index(ecu.bus)]
         silent = "; the bus is only listened to: nothing is asked" if bus.listen_only else ""
-        reads = [f"{read.name} every {read.every_ms:g} ms" for read in ecu.read]
+        reads = [f"{read.name} {read.told}" for read in ecu.read]
         dtcs = [] if ecu.dtcs is None else [f"DTCs ({ecu.dtc_protocol}) every {ecu.dtcs.every_s:g} s"]
         place = ecu.place
         ids = f"0x{place.request & ID_MASK:X}, 0x{place.response & ID_MASK:X}"

@@ -7,14 +7,16 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from importlib import import_module
-from typing import Any, ClassVar, get_args
+from typing import Annotated, Any, ClassVar, get_args
 
 import typer
-from typer.core import TyperGroup, TyperOption
+from typer.core import TyperGroup
+from typer.models import ArgumentInfo
 
+from gateway.cli.failure import asked_for
 from gateway.common.plugins import Registry
 from gateway.common.trust import trust_all
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import InputError, InputErrors
 
 
 def _accepted(found: object, name: str) -> typer.Typer | Callable[..., Any]:
@@ -26,12 +28,20 @@ def _accepted(found: object, name: str) -> typer.Typer | Callable[..., Any]:
 #: Commands of other packages, by name.
 OTHERS: Registry[typer.Typer | Callable[..., Any]] = Registry("gateway.commands", _accepted)
 
-#: The order in which ``gateway --help`` lists commands; others follow by name.
-ORDER = (
-    "demo", "run", "serve", "watch", "mqtt", "request", "simulate", "control", "report", "structure", "learn", "import",
-    "survey", "calibrate", "fit", "bus", "record", "replay", "decode", "plot", "check", "example", "new-monitor",
-    "trust", "warmup", "doctor", "faults", "convert", "fleet", "evaluate",
-)  # fmt: skip
+#: Section of ``gateway --help``, with an example -> its commands, in order; others follow by name in the last one.
+SECTIONS = {
+    "Run (gateway run gateway.toml --serve)": (
+        "demo", "run", "serve", "watch", "request", "record", "mqtt", "check", "trust", "doctor", "schema", "warmup",
+    ),
+    "Car (gateway learn car.dbc drive.log -o car.toml)": (
+        "learn", "replay", "decode", "plot", "convert", "survey", "import", "fleet",
+    ),
+    "Faults (gateway faults list)": ("faults", "report"),
+    "Bench (gateway simulate scenarios/crank/crank_missed_tooth.toml)": ("example", "simulate", "control", "bus"),
+    "Research (gateway evaluate cause)": ("evaluate", "calibrate", "fit", "structure", "new-monitor"),
+    "Others": (),
+}  # fmt: skip
+ORDER = tuple(name for names in SECTIONS.values() for name in names)
 
 
 def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:
@@ -45,20 +55,30 @@ def _command(found: typer.Typer | Callable[..., Any], name: str) -> Any:
     return made
 
 
-def _trust_all(_context: Any, _option: Any, wanted: bool) -> None:
+def _trust_all(wanted: bool) -> None:
     if wanted:
         trust_all()
+
+
+def _only_trust(
+    trust: Annotated[
+        bool,
+        typer.Option(
+            "--trust",
+            help="Run all code that the files name, without asking (gateway trust).",
+            callback=_trust_all,
+            expose_value=False,
+        ),
+    ] = False,
+) -> None:
+    """Take the option that other commands get. typer makes it: the class of options changes with its versions."""
 
 
 def _trusting(command: Any) -> Any:
     """Give a command the option that takes all code that its files name."""
     several = command is None or isinstance(command, TyperGroup) or command.name == "trust"
     if not several and not any("--trust" in option.opts for option in command.params):
-        text = "Run all code that the files name, without asking (gateway trust)."
-        option = TyperOption(
-            param_decls=["--trust"], is_flag=True, default=False, expose_value=False, callback=_trust_all, help=text
-        )
-        command.params.append(option)
+        command.params += [option for option in _command(_only_trust, "").params if "--trust" in option.opts]
     return command
 
 
@@ -85,6 +105,21 @@ class Commands(TyperGroup):
             return sorted(names)
         first = [name for name in ORDER if name in names]
         return [*first, *sorted(names.difference(first))]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands, of ``gateway`` by sections."""
+        if self.words:
+            super().format_commands(ctx, formatter)
+            return
+        there = self.list_commands(ctx)
+        for title, names in SECTIONS.items():
+            mine = names or [name for name in there if name not in ORDER]
+            found = [(name, self.get_command(ctx, name)) for name in mine if name in there]
+            room = formatter.width - 6 - max((len(name) for name in there), default=0)
+            rows = [(name, one.get_short_help_str(room)) for name, one in found if one is not None and not one.hidden]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command, None if there is none."""
@@ -117,18 +152,34 @@ def does(place: str, **renamed: str) -> Callable[[Callable[..., None]], Callable
     """
 
     def decorated(command: Callable[..., None]) -> Callable[..., None]:
+        words = {name: _written(name, form) for name, form in command.__annotations__.items() if name != "return"}
         lists = [name for name, form in command.__annotations__.items() if "list[" in str(get_args(form)[:1])]
 
         @wraps(command)
         def call(**given: Any) -> None:
             given |= {name: () for name in lists if given[name] is None}
             module, _, function = place.partition(":")
-            work = getattr(import_module(module), function)
-            raise typer.Exit(work(**{renamed.get(name, name): value for name, value in given.items()}))
+            try:
+                work = getattr(import_module(module), function)
+                code = work(**{renamed.get(name, name): value for name, value in given.items()})
+            except BrokenPipeError:
+                raise
+            except (InputError, InputErrors, OSError) as error:
+                raise asked_for(error, {words[name]: value for name, value in given.items()}) from error
+            raise typer.Exit(code)
 
         return call
 
     return decorated
+
+
+def _written(name: str, form: Any) -> str:
+    """Return an option or argument as people write it."""
+    _, info = get_args(form)
+    flags = [flag for flag in info.param_decls or () if flag.startswith("--")]
+    if isinstance(info, ArgumentInfo):
+        return name
+    return flags[0] if flags else f"--{name.replace('_', '-')}"
 
 
 def group(name: str, text: str, renamed: dict[str, str] | None = None) -> typer.Typer:

@@ -243,7 +243,7 @@ def doctor(
             print(f"{_WORDS.get(kind, kind)} {name} of another package: {wrong or 'usable'}")
     for extra, package in extras.items():
         if package is None:
-            print(f"no {missing(extra)}: pip install 'ecu-gateway[{extra}]' for {PURPOSES[extra]}")
+            print(f"no {missing(extra)}: pip install '.[{extra}]' in the checkout, for {PURPOSES[extra]}")
     if bench:
         for one in MEASURES.values():
             one.tell(measured)

@@ -8,6 +8,7 @@ from gateway.cli.lines import number, wrapped
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.remedy import WHEN, severity_names
 from gateway.faults.status import Status
+from gateway.monitors.evidence import in_words, stands_for_names
 
 #: Significant digits of evidence in short form.
 FEW = 3
@@ -30,7 +31,8 @@ def others(evidence: Mapping[str, float | None], tested: str, digits: int = 6) -
     """Yield the other values of the evidence, each with its name and unit."""
     for name, value in evidence.items():
         if name not in ("value", "threshold", tested):
-            yield f"{name} {number(value, digits)}"
+            told = number(value, digits)
+            yield ": ".join(in_words(name, value, told)) if stands_for_names(name) else f"{name} {told}"
 
 
 def few(evidence: Mapping[str, float | None], tested: str, width: int) -> str:

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 from gateway.cli.dtc_words import advice, against, others
 from gateway.cli.lines import HANG, Lines, number
 from gateway.cli.present import print_json
+from gateway.faults.cases import MOST_NAMED
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.status import Status
+from gateway.faults.summary import WHOLE, counted, folded, in_lines
 
 #: Causes that are less probable are not printed.
 LEAST_TOLD = 0.01
+#: Time for which DTCs that are like the one before wait for each other: that one is told in full, these in short [ns].
+TOGETHER_NS = 1_000_000_000
+#: Lines about monitors, and codes in a row, that a summary has.
+MOST_MONITORS, MOST_CODES = 6, 10
+#: Changes of a DTC -> colour.
+SET, CONFIRMED, HEALED = "SET", "confirmed", "healed"
+_COLOURS = {SET: "bold red", CONFIRMED: "bold red", HEALED: "green"}
 #: Columns of the names of a DTC's parts.
 _LABEL = 10
+#: Key of a DTC's status before, which the printer adds.
+_BEFORE = "before"
 
 
 class EventPrinter:
@@ -24,58 +37,123 @@ class EventPrinter:
         as_json: JSON Lines instead of text.
         start_ns: time stamp that people see as zero.
         log: name of the log that they are of, for each line of JSON; None: there is one log, which needs no name.
+        every: print each DTC, and each fault of a cause, by itself, however many are alike.
 
     Attributes:
         failures: how many DTCs were set.
         definition: id of a fault -> its definition, for its meaning and what to do; None: not known.
+        ecus: ECU that sends the message of a test, by the fault's id without its last part.
     """
 
-    def __init__(self, *, as_json: bool, start_ns: int = 0, log: str | None = None) -> None:
-        self._json = as_json
+    def __init__(self, *, as_json: bool, start_ns: int = 0, log: str | None = None, every: bool = False) -> None:
+        self._json, self._every = as_json, every
         self._more = {} if log is None else {"log": log}
         self.start_ns = start_ns
         self.failures = 0
         self.definition: Callable[[str], FaultDefinition | None] = lambda fault: None
+        self.ecus: Mapping[str, str] = {}
         self._explained: set[str] = set()
+        self._kept: list[dict[str, Any]] = []  # DTCs that wait for others
+        self._kind: tuple[str, str] = ("", "")  # of the latest DTC: what became of it, and what its fault shows
+        self._told_ns, self._kept_s = 0, 0.0
+        self._causes: dict[tuple[str, ...], frozenset[str]] = {}  # told explanations, and of which faults
         self._statuses: dict[str, int] = {}
-        self._before = 0  # status of the DTC that is printed
         self._advised: dict[str, str] = {}
         self._lines = Lines()
 
     def __call__(self, event: dict[str, Any]) -> None:
         """Print one event."""
         if event["event"] == "dtc":
-            self._before, self._statuses[event["fault"]] = self._statuses.get(event["fault"], 0), event["status"]
-            self.failures += bool(event["status"] & Status.TEST_FAILED) and not self._only_confirmed(event)
+            before, self._statuses[event["fault"]] = self._statuses.get(event["fault"], 0), event["status"]
+            event = {**event, _BEFORE: before}
+            self.failures += self._word(event) == SET
         if self._json:
-            print_json({**event, **self._more})
+            print_json({k: v for k, v in event.items() if k != _BEFORE} | self._more)
         elif (shown := getattr(self, f"_on_{event['event']}", None)) is not None:  # others are for programs
+            if event["event"] == "diagnosis" and not self._every:
+                event = {**event, "groups": [group for group in event["groups"] if self._is_news(group)]}
+                if not event["groups"]:
+                    return
+            if event["event"] != "dtc":
+                self.flush()
+            elif not self._every and self._waits(event):
+                return
             shown(event)
 
-    def _only_confirmed(self, event: dict[str, Any]) -> bool:
+    def _waits(self, event: dict[str, Any]) -> bool:
+        """Keep a DTC if one of its kind was told right before; those that follow are told together."""
+        definition = self.definition(event["fault"])
+        kind = (self._word(event), "" if definition is None else definition.description.partition(": ")[0])
+        if kind != self._kind or event["t_ns"] - self._told_ns > TOGETHER_NS:
+            self.flush()
+            self._kind, self._told_ns = kind, event["t_ns"]
+            return False
+        if not self._kept:
+            self._told_ns, self._kept_s = event["t_ns"], time.monotonic()
+        self._kept.append(event)
+        return True
+
+    def look(self) -> None:
+        """Tell what waits, if nothing has come for a while that would have it told."""
+        if self._kept and time.monotonic() - self._kept_s > TOGETHER_NS / 1e9:
+            self.flush()
+
+    def flush(self) -> None:
+        """Tell the DTCs that wait: a few by their names and values, more by ECU and kind."""
+        kept, self._kept = self._kept, []
+        if len(kept) <= (1 if self._kind[0] == HEALED else MOST_NAMED):
+            for event in kept:
+                self._head(event)
+                if self._kind[0] == SET:
+                    definition = self.definition(event["fault"])
+                    text = against(event["evidence"], "" if definition is None else definition.tested)
+                    self._part("evidence", text, style="dim")
+            return
+        mark, lost = f"DTC {self._kind[0]}", sum(not event["stored"] for event in kept)
+        text = "; ".join(self._folded(event["fault"] for event in kept))
+        until = f", until {(kept[-1]['t_ns'] - self.start_ns) / 1e9:.4f} s{f'; {lost} NOT STORED' if lost else ''}"
+        self._lines.print(
+            f"{self._time(kept[0])}  {mark}  likewise {text}{until}", mark=mark, colour=_COLOURS[self._kind[0]]
+        )
+
+    def _word(self, event: Mapping[str, Any]) -> str:
+        """Return what became of a DTC."""
+        if not event["status"] & Status.TEST_FAILED:
+            return HEALED
+        return CONFIRMED if self._is_only_confirmed(event) else SET
+
+    def _folded(self, faults: Iterable[str]) -> list[str]:
+        """Return faults for people: a few by their names, more by ECU and kind."""
+        named = list(faults)
+        if self._every or len(named) <= MOST_NAMED:
+            return [", ".join(named)]
+        return [each.text for each in folded([self._entry(fault) for fault in named], self.ecus)]
+
+    def _entry(self, fault: str) -> dict[str, Any]:
+        definition = self.definition(fault)
+        told = ("", "") if definition is None else (str(definition.dtc), definition.description)
+        return {"fault": fault, "dtc": told[0], "description": told[1]}
+
+    def _is_only_confirmed(self, event: Mapping[str, Any]) -> bool:
         """Return whether a DTC failed before: its confirmation has waited for its explanation."""
-        risen = event["status"] & ~self._before
-        return bool(self._before & Status.TEST_FAILED and risen & Status.CONFIRMED_DTC)
+        return bool(event[_BEFORE] & Status.TEST_FAILED and event["status"] & ~event[_BEFORE] & Status.CONFIRMED_DTC)
 
     def _time(self, event: dict[str, Any]) -> str:
         return f"{(event['t_ns'] - self.start_ns) / 1e9:10.4f} s"
 
     def _on_dtc(self, event: dict[str, Any]) -> None:
-        failed = bool(event["status"] & Status.TEST_FAILED)
-        if self._only_confirmed(event):
-            mark = f"DTC {event['dtc']} confirmed"
-            self._lines.print(f"{self._time(event)}  {mark}  {event['fault']}", mark=mark, colour="bold red")
-            return
-        colour, word = ("bold red", "SET") if failed else ("green", "healed")
-        mark = f"DTC {event['dtc']} {word}"
-        lost = "" if event["stored"] else "  NOT STORED"
-        self._lines.print(
-            f"{self._time(event)}  {mark}  {event['fault']}{lost}{self._aside(event)}", mark=mark, colour=colour
-        )
-        if failed:
+        self._head(event)
+        if self._word(event) == SET:
             self._explain(event)
-        if status := self._status(event):
-            self._part("status", status)
+            if status := self._status(event):
+                self._part("status", status)
+
+    def _head(self, event: dict[str, Any]) -> None:
+        word = self._word(event)
+        mark, lost = f"DTC {event['dtc']} {word}", "" if event["stored"] else "  NOT STORED"
+        self._lines.print(
+            f"{self._time(event)}  {mark}  {event['fault']}{lost}{self._aside(event)}", mark=mark, colour=_COLOURS[word]
+        )
 
     def _explain(self, event: dict[str, Any]) -> None:
         """Print the meaning of a DTC that was set, its evidence, and what to do; fixed parts only once."""
@@ -113,7 +191,8 @@ class EventPrinter:
     def _on_diagnosis(self, event: dict[str, Any]) -> None:
         for group in event["groups"]:
             mark = "cause" if group["cause"] else "not isolated"
-            self._lines.print(f"{self._time(event)}  {mark}  of {', '.join(group['failed'])}", mark=mark, colour="bold")
+            of = "; ".join(self._folded(group["failed"]))
+            self._lines.print(f"{self._time(event)}  {mark}  of {of}", mark=mark, colour="bold")
             for one in group["causes"]:
                 if one["probability"] >= LEAST_TOLD:
                     self._part(f"{100 * one['probability']:.3g} %", " and ".join(one["components"]) or "false alarm")
@@ -122,13 +201,24 @@ class EventPrinter:
             if group["apart_by"] and not group["cause"]:
                 self._part("apart by", ", ".join(group["apart_by"][:3]))
 
+    def _is_news(self, group: Mapping[str, Any]) -> bool:
+        """Return whether a diagnosis says more than that figures have changed, or that faults come or heal."""
+        failed, proven = frozenset(group["failed"]), group["cause"] is not None
+        likeliest = (str(proven), *group["causes"][0]["components"])
+        healing = not proven and any(key[0] == str(True) and failed < known for key, known in self._causes.items())
+        news = not healing and not failed & self._causes.get(likeliest, frozenset())
+        if not healing:
+            self._causes[likeliest] = failed
+        return news
+
     def _on_symptoms(self, event: dict[str, Any]) -> None:
         mark = f"symptoms {event['state']}"
         by = f"  by {' and '.join(event['cause'])}" if event["cause"] else ""
-        self._lines.print(f"{self._time(event)}  {mark}  {', '.join(event['faults'])}{by}", mark=mark, colour="bold")
+        faults = "; ".join(self._folded(event["faults"]))
+        self._lines.print(f"{self._time(event)}  {mark}  {faults}{by}", mark=mark, colour="bold")
 
     def _on_stored(self, event: dict[str, Any]) -> None:
-        self._lines.print(f"{self._time(event)}  stored  {', '.join(event['faults'])}")
+        self._lines.print(f"{self._time(event)}  stored  {'; '.join(self._folded(event['faults']))}")
 
     def _on_ecu_dtc(self, event: dict[str, Any]) -> None:
         mark = f"ECU {event['ecu']}"
@@ -137,12 +227,12 @@ class EventPrinter:
 
     def _on_security(self, event: dict[str, Any]) -> None:
         mark = f"security {event['kind']}"
-        data = "  ".join(f"{name} {value}" for name, value in event["context"].items())
+        data = "  ".join(f"{name.replace('_', ' ')} {value}" for name, value in event["context"].items())
         text = f"{event['sensor']}, {event['count']} times  {data}".rstrip()
         self._lines.print(f"{self._time(event)}  {mark}  {text}", mark=mark, colour="bold red")
 
     def _on_clear(self, event: dict[str, Any]) -> None:
-        gone = ", ".join(event["faults"]) or "no entry was there"
+        gone = "; ".join(self._folded(event["faults"])) or "no entry was there"
         self._lines.print(f"{self._time(event)}  cleared: {gone}")
 
     def _on_monitor_off(self, event: dict[str, Any]) -> None:
@@ -158,8 +248,9 @@ class EventPrinter:
         self._lines.print(f"{self._time(event)}  short frames  {told}", mark="short frames", colour="bold")
 
     def _on_other_software(self, event: dict[str, Any]) -> None:
-        of = f"{event['bus']}.{event['message']}"
-        text = f"{of}: {event['what']} {event['now']:g}, as checked {event['learned']:g}, ever since it came"
+        of, what = f"{event['bus']}.{event['message']}", event["what"]
+        text = f"{of}: {what} {event['now']:g}, as checked {event['learned']:g}, ever since it came"
+        text = f"{of}: it never came" if what == "timeout" else text
         self._lines.print(f"{self._time(event)}  other software  {text}", mark="other software", colour="bold")
 
     def _on_activity(self, event: dict[str, Any]) -> None:
@@ -168,7 +259,7 @@ class EventPrinter:
 
     def _on_lossy(self, event: dict[str, Any]) -> None:
         mark = f"bus {event['bus']} loses {'frames' if event['lossy'] else 'no more frames'}"
-        text = f"about {100 * event['share']:.2g} % did not come: the bus, the host or the recorder loses them"
+        text = f"about {number(100 * event['share'], 2)} % did not come: the bus, the host or the recorder loses them"
         self._lines.print(f"{self._time(event)}  {mark}  {text if event['lossy'] else ''}".rstrip(), mark=mark)
 
     def _on_source(self, event: dict[str, Any]) -> None:
@@ -179,7 +270,7 @@ class EventPrinter:
 
     def _on_reporter(self, event: dict[str, Any]) -> None:
         mark = f"reporter {event['reporter']} {event['state']}"
-        faults = f"; {', '.join(event['faults'])}" if event["faults"] else ""
+        faults = f"; {'; '.join(self._folded(event['faults']))}" if event["faults"] else ""
         colour = "green" if event["state"] == "back" else "bold red"
         self._lines.print(f"{self._time(event)}  {mark}  {event['reason']}{faults}", mark=mark, colour=colour)
 
@@ -223,25 +314,34 @@ class EventPrinter:
 
     def _on_summary(self, event: dict[str, Any]) -> None:
         print_ = self._lines.print
+        print_(event["title"], mark=event["title"], colour="bold green" if event["verdict"] == WHOLE else "bold")
+        for line in in_lines(event, self._clock, every=self._every):
+            print_(f"  {line}", hang=6)
         print_(
             f"{event['frames']} frames, {event['decoded']} decoded, {event['events']} events"
             f" in {event['seconds']:.3f} s ({event['frames_per_s']:,.0f} frames/s)"
         )
-        for name, values in event["monitors"].items():
+        monitors = event["monitors"]
+        for name, values in islice(monitors.items(), None if self._every else MOST_MONITORS):
             print_(f"{name}: " + readings(values), hang=2)
+        if not self._every and len(monitors) > MOST_MONITORS:
+            print_(f"{counted(len(monitors) - MOST_MONITORS, 'more monitor')}")
         odd = {k: v for k, v in event["counters"].items() if v and k not in {"frames", "decoded"}}
         if odd:
             print_("counters: " + readings(odd), hang=2)
         for name, counts in event["buses"].items():
             if counts:
                 print_(f"bus {name}: " + readings(counts), hang=2)
-        for case in event["causes"]:
-            if case["proven"]:
-                explained = f"explains {', '.join(case['faults'])}"
-                print_(f"cause: {case['text']}  {explained}", mark="cause", colour="bold", hang=7)
-        print_("DTCs: " + (", ".join(event["dtcs"]) or "none"), hang=6)
+        print_("DTCs: " + (self._codes(event["dtcs"]) or "none"), hang=6)
+
+    def _codes(self, dtcs: Sequence[str]) -> str:
+        few = self._every or len(dtcs) <= MOST_CODES
+        return ", ".join(dtcs) if few else f"{len(dtcs)}, {min(dtcs)} ... {max(dtcs)}"
+
+    def _clock(self, t_ns: int) -> str:
+        return f"{(t_ns - self.start_ns) / 1e9:.4f} s"
 
 
 def readings(values: dict[str, float]) -> str:
-    """Return numbers with their names."""
-    return "  ".join(f"{name} {number(value)}" for name, value in values.items())
+    """Return numbers with their names, as words."""
+    return "  ".join(f"{name.replace('_', ' ')} {number(value)}" for name, value in values.items())

@@ -8,17 +8,22 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gateway.cli.lines import Lines
 from gateway.cli.present import find_config, print_json, say, status_text, table_of, wide_console
 from gateway.config.load import load_config
 from gateway.faults import service
-from gateway.faults.cases import cases_of, named, percent
+from gateway.faults.cases import MOST_NAMED, cases_of, named, percent
 from gateway.faults.explained import CAUSE, HELD, OPEN, WAITING
 from gateway.faults.lock import is_unsaved
 from gateway.faults.remedy import WHEN
+from gateway.faults.summary import folded, in_lines, summary_of
+from gateway.monitors.evidence import in_words
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+#: Faults that a list has where not all are asked for.
+MOST_LISTED = 20
 #: Columns from which a list has the descriptions, too.
 WIDE = 120
 
@@ -63,8 +68,28 @@ def _say_if_behind(path: Path) -> None:
         )
 
 
-def list_faults(config: Path | None, *, memory: Path | None, json: bool, ecu: str | None = None) -> int:
-    """List the entries, or the DTCs of another ECU ("all": of all); returns the exit code."""
+def summarize(config: Path | None, *, memory: Path | None, json: bool, every: bool = False) -> int:
+    """Print the verdict, the causes and what was not judged; returns the exit code."""
+    path = _path(config, memory)
+    _say_if_behind(path)
+    found = service.summary(path).as_dict()
+    if json:
+        print_json(found)
+        return 0
+    lines = Lines()
+    lines.print(found["title"], mark=found["title"], colour="bold")
+    for line in in_lines(found, _second, every=every):
+        lines.print(f"  {line}", hang=6)
+    return 0
+
+
+def list_faults(
+    config: Path | None, *, memory: Path | None, json: bool, ecu: str | None = None, every: bool = False
+) -> int:
+    """List the entries, or the DTCs of another ECU ("all": of all); returns the exit code.
+
+    Of symptoms that are alike the first is listed, and the others are counted, unless ``every`` one is wanted.
+    """
     if ecu is not None:
         return _list_ecu_dtcs(ecu, config, memory=memory, json=json)
     path = _path(config, memory)
@@ -73,13 +98,20 @@ def list_faults(config: Path | None, *, memory: Path | None, json: bool, ecu: st
     if json:
         print_json(entries)
         return 0
-    console = wide_console()
+    console, lines = wide_console(), Lines()
     wide = console.width >= WIDE
+    if entries:
+        print(summary_of(entries).title)
     console.print(_entries((), wide=wide, titles=True) if entries else "no DTCs")
     for case in cases_of(entries):
         if case.text:
             print(case.text)
-        console.print(_entries(case.entries, wide=wide, below=bool(case.text), folds=case.proven))
+        kinds = [] if every else [kind for kind in folded(case.entries) if len(kind.faults) > MOST_NAMED]
+        alike = {fault for kind in kinds for fault in kind.faults} - {case.entries[0]["fault"]}
+        shown = [entry for entry in case.entries if entry["fault"] not in alike]
+        console.print(_entries(shown, wide=wide, below=bool(case.text), folds=case.proven))
+        for kind in kinds:
+            lines.print(f"  in all {kind.text}", hang=6)
     if service.overflowed(path):
         print("the memory was full: entries of less important faults gave way")
     if (restarts := service.restarts(path)).get("in_a_row"):
@@ -101,12 +133,19 @@ def _list_ecu_dtcs(ecu: str, config: Path | None, *, memory: Path | None, json: 
         table.add_row(
             each["ecu"], each["dtc"], f"0x{each['status']:02X}", "there" if each["there"] else "went",
             str(each["came"]), f"{_second(each['first_ns'])}\n{_second(each['last_ns'])}",
-            "\n".join(f"{name}: {data}" for name, data in each["snapshots"].items()),
+            "\n".join(line for kind, data in each["snapshots"].items() for line in _of_snapshots(kind, data)),
         )  # fmt: skip
     others = ", ".join(sorted({each["ecu"] for each in known}))
     hint = f"; the ECUs with DTCs are {others}" if others else ""
     wide_console().print(table if found else f"no DTCs of other ECUs{hint}")
     return 0
+
+
+def _of_snapshots(kind: str, data: str) -> list[str]:
+    """Return data of another ECU's DTC: as they came, and the values of snapshots by OBD on UDS."""
+    from gateway.answers.snapshots import snapshots_in_words  # noqa: PLC0415 - most lists need no decoder
+
+    return [f"{kind}: {data}", *(snapshots_in_words(bytes.fromhex(data)) if kind == "1904" else [])]
 
 
 def _entries(
@@ -145,7 +184,7 @@ def _state(entry: Mapping[str, Any]) -> str:
     return " confirmed" if entry["confirmed"] else f" {entry['hold']}" if entry["hold"] else ""
 
 
-def _show_cause(path: Path, entry: Mapping[str, Any]) -> None:
+def _show_cause(path: Path, entry: Mapping[str, Any], *, every: bool) -> None:
     """Print what explains an entry, and the others that it explains."""
     cause = entry["cause"]
     if cause is None:
@@ -169,13 +208,17 @@ def _show_cause(path: Path, entry: Mapping[str, Any]) -> None:
     held = {HELD: "; held: not confirmed for that", WAITING: "; its confirmation waits"}.get(entry["hold"], "")
     print(f"its part    {part}{stands}{held}")
     (case,) = [c for c in cases_of(service.list_entries(path)) if any(e["dtc"] == entry["dtc"] for e in c.entries)]
-    for other in case.entries:
-        if other["dtc"] != entry["dtc"]:
-            print(f"  with      {other['dtc']}  {other['fault']}")
+    others = [other for other in case.entries if other["dtc"] != entry["dtc"]]
+    if len(others) > MOST_LISTED and not every:
+        for kind in folded(others):
+            Lines().print(f"  with      {kind.text}", hang=12)
+        return
+    for other in others:
+        print(f"  with      {other['dtc']}  {other['fault']}")
 
 
-def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool) -> int:
-    """Show one entry; returns the exit code."""
+def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool, every: bool = False) -> int:
+    """Show one entry, with ``every`` other that its cause explains by itself; returns the exit code."""
     path = _path(config, memory)
     _say_if_behind(path)
     entry = service.show(path, dtc)
@@ -183,7 +226,7 @@ def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool
         print_json(entry)
         return 0
     print(f"{entry['dtc']}  {entry['fault']}")
-    _show_cause(path, entry)
+    _show_cause(path, entry, every=every)
     if entry["description"] is not None:
         print(f"what        {entry['description']}")
         print(f"severity    {entry['severity']}: {WHEN[entry['severity']]}")
@@ -193,7 +236,8 @@ def show_fault(dtc: str, config: Path | None, *, memory: Path | None, json: bool
     print(f"first, last {_time(entry['first_ns'])}, {_time(entry['last_ns'])}")
     print("evidence of the latest failure")
     for name, value in entry["evidence"].items():
-        print(f"  {name:20} {'-' if value is None else format(value, '.6g')}")
+        label, text = in_words(name, value, "-" if value is None else format(value, ".6g"))
+        print(f"  {label:40} {text}")
     if entry["inputs"]:
         print("inputs of its monitor then")
         for name, value in entry["inputs"].items():
@@ -234,17 +278,19 @@ def verify(config: Path | None, *, memory: Path | None, json: bool) -> int:
     return 0 if found["whole"] else 1
 
 
-def near_misses(config: Path | None, *, memory: Path | None, json: bool) -> int:
-    """List faults that came near a failure; returns the exit code."""
+def near_misses(config: Path | None, *, memory: Path | None, json: bool, every: bool = False) -> int:
+    """List faults that came near a failure, the first ones or ``every`` one; returns the exit code."""
     found = service.near_misses(_path(config, memory))
     if json:
         print_json(found)
         return 0
     table = table_of("DTC", "fault", "near misses", "greatest detection counter")
-    for entry in found:
+    for entry in found if every else found[:MOST_LISTED]:
         table.add_row(entry["dtc"], entry["fault"], str(entry["near_misses"]), str(entry["peak_fdc"]))
     table.columns[0].no_wrap = True
     wide_console().print(table if found else "nothing came near a failure")
+    if len(found) > MOST_LISTED and not every:
+        print(f"{len(found) - MOST_LISTED} more (--all)")
     return 0
 
 

@@ -6,12 +6,11 @@ import asyncio
 from collections.abc import Sequence
 from pathlib import Path
 
+from gateway.cli.broker import broker_of
 from gateway.cli.present import find_config, say
 from gateway.cli.serve import socket_of
-from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.host.process import call_at_end
-from gateway_fdi.errors import InputError
 
 
 def mqtt(
@@ -28,26 +27,18 @@ def mqtt(
     ca: Path | None,
 ) -> int:
     """Tell a broker until a signal comes; returns the exit code. Arguments as the command has them."""
-    need("mqtt", "brokers")
-    from gateway.serve.mqtt import BrokerSettings, publish  # noqa: PLC0415 - of an extra
+    found = broker_of(broker, user=user, password_file=password_file, tls=tls, ca=ca)
+    from gateway.serve.mqtt import Published, publish  # noqa: PLC0415 - of an extra
 
-    host, _, port = broker.partition(":")
-    if not host or not ((port.isdigit() and 0 < int(port) < 65536) or not port):
-        raise InputError("HOST or HOST:PORT", key="BROKER", value=broker)
     config = load_config(find_config(config_path))
-    try:
-        password = "" if password_file is None else password_file.read_text(encoding="utf-8").strip()
-    except OSError as error:
-        raise InputError(error.strerror or str(error), file=password_file) from error
-    number = int(port) if port else (8883 if tls else 1883)
-    settings = BrokerSettings(host, number, base, tuple(signals), rate, user, password, tls, ca)
+    told = Published(base, tuple(signals), rate)
     place = status or socket_of(config)
 
     async def work() -> None:
         stop = asyncio.Event()
         call_at_end(asyncio.get_running_loop(), stop.set)
         say(f"telling {broker} of {place}")
-        await publish(place, settings, config.name, stop)
+        await publish(place, found, told, config.name, stop)
 
     asyncio.run(work())
     return 0

@@ -60,6 +60,8 @@ def new_monitor(name: str, folder: Path | None, method: str | None = None, *, pl
             continue
         target = place / _renamed(f"{_NAMES[0]}.py" if source.name == _PLAIN else source.name, name)
         text = _NAME.sub(_NAMES[0], source.read_text()) if plain else source.read_text()
+        if source.suffix == ".toml":
+            text = f"#:schema {'gateway' if source.stem == 'gateway' else 'scenario'}.schema.json\n{text}"
         target.write_text(_renamed(text, name))
         written.append(target.name)
     add_own(place.glob("*.py"))

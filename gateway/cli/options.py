@@ -10,6 +10,7 @@ import typer
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document, on one line, instead of text.")]
 JsonEvents = Annotated[bool, typer.Option("--json", help="Print JSON Lines, one event per line, instead of text.")]
+Every = Annotated[bool, typer.Option("--all", help="Print each fault by itself, however many are alike.")]
 FailOnDtc = Annotated[bool, typer.Option("--fail-on-dtc", help="Exit with code 1 if a DTC was set.")]
 _CONFIG_HELP = "Configuration file; default: gateway.toml in this folder, or else the shipped one."
 ConfigArgument = Annotated[Path | None, typer.Argument(help=_CONFIG_HELP)]

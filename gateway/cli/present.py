@@ -65,11 +65,14 @@ def say_unless_stored(stored: bool, memory: Path | None) -> int:
 
 
 def find_config(path: Path | None) -> Path:
-    """Return the configuration to use: the given one, gateway.toml here, or the shipped."""
+    """Return the configuration to use: the given one, gateway.toml here, or the shipped, and tell of that."""
     if path is not None:
         return beside_or_shipped(Path(), path)
     here = Path("gateway.toml")
-    return here if here.exists() else shipped("gateway.toml")
+    if here.exists():
+        return here
+    say("no gateway.toml in this folder: the shipped bench of a crankshaft is used; another one: -c FILE")
+    return shipped("gateway.toml")
 
 
 def find_shipped(name: Path, folder: str, kind: str) -> Path:

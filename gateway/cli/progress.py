@@ -6,6 +6,7 @@ import sys
 import time
 from typing import Any
 
+from gateway.cli.failure import on_stop
 from gateway_fdi.common import progress
 
 #: Time between two lines where no terminal is [s].
@@ -76,10 +77,13 @@ class LogsDone:
 
     Args:
         what: they are, if no logs.
+        goes_on: whether the same command leaves out what is done.
     """
 
-    def __init__(self, what: str = "logs") -> None:
+    def __init__(self, what: str = "logs", *, goes_on: bool = False) -> None:
         self._what = what
+        again = "goes on with the others" if goes_on else "begins again"
+        on_stop(lambda: f"{self._done} {what} are done; the same command {again}")
         self._begun_s = self._said_s = time.monotonic()
         self._done = self._frames = 0
         self._terminal = sys.stderr.isatty()

@@ -49,6 +49,7 @@ def replay(
     series: Path | None = None,
     plot: Path | None = None,
     chosen: Sequence[str] = (),
+    every: bool = False,
     json: bool,
     fail_on_dtc: bool,
     junit: Path | None = None,
@@ -67,14 +68,14 @@ def replay(
     path = find_config(config_path)
     config = _configured(path, monitor, trace=trace)
     watched = Watched(series, plot, chosen)
-    printer = EventPrinter(as_json=json, log=str(log) if among else None)
+    printer = EventPrinter(as_json=json, log=str(log) if among else None, every=every)
     recorded = Log(log, config, maps)
     parts = prepare(config, path, extra=chosen)
     if not allow_empty:
         recorded.refuse_foreign(parts.databases)
     injectors = injectors_of(config, parts, injections, seed)
     gateway = Gateway(config, memory, file=path, parts=parts, lasting=True)
-    printer.definition = gateway.catalogue.get
+    printer.definition, printer.ecus = gateway.catalogue.get, gateway.senders
     gateway.listen(printer)
     failures = _Failures(printer, gateway)
     try:

@@ -15,7 +15,7 @@ from gateway.config.load import load_config
 from gateway.servers.uds.nrc import Nrc
 from gateway_fdi.errors import GatewayError, InputError
 
-#: How long a gateway is waited for [s].
+#: How long the answer of a gateway that runs is waited for [s].
 PATIENCE_S = 5.0
 
 
@@ -44,24 +44,23 @@ def _words(asked: str, answer: bytes) -> str:
 
 
 async def _ask(place: Path, ecu: str, requests: Sequence[str]) -> list[list[str]]:
-    from gateway.serve.link import Refused, StatusLink  # noqa: PLC0415 - few want it
+    from gateway.serve.link import Refused, StatusLink, absence  # noqa: PLC0415 - few want it
 
-    reached, why = asyncio.Event(), ""
+    tried, why = asyncio.Event(), "it does not answer"
 
     def on_link(connected: bool, reason: str) -> None:
         nonlocal why
         why = reason
-        if connected:
-            reached.set()
+        tried.set()
 
     link = StatusLink(place, lambda message, block: None, on_link)
     work = asyncio.create_task(link.run())
     tester = f"request-{os.getpid()}"
     try:
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(reached.wait(), PATIENCE_S)
-        if not reached.is_set():
-            raise GatewayError(f"no gateway: {why}")
+            await asyncio.wait_for(tried.wait(), PATIENCE_S)
+        if why:
+            raise GatewayError(absence(why))
 
         async def answers(asked: str) -> list[str]:
             """Ask in one form after the other, until one is not refused."""

@@ -130,7 +130,13 @@ def run(
         def definition(fault: str) -> FaultDefinition | None:
             return daemon.gateway.catalogue.get(fault)  # of the gateway that runs: a reload makes another
 
-        printer.definition = definition
+        printer.definition, printer.ecus = definition, daemon.gateway.senders
+        end = ending.after(duration)
+
+        def ends() -> bool:
+            printer.look()
+            return end()
+
         if serve and status is not None:
             stack.callback(PageProcess(status, port).close)
         if hasattr(signal, "SIGHUP"):
@@ -140,7 +146,7 @@ def run(
         with real_time() if realtime else nullcontext(True) as may:
             if not may:
                 log.warning("--realtime: not granted; it needs root or LimitRTPRIO=1, and Linux")
-            daemon.run(ending.after(duration))
+            daemon.run(ends)
         printer(daemon.gateway.summary(time.monotonic() - begun))
         lost = say_unless_stored(daemon.gateway.stored, daemon.gateway.store.path)
     if lost:

@@ -103,6 +103,11 @@ class PageProcess:
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL)  # noqa: S603 - our own command
         threading.Thread(target=self._watch, name="page", daemon=True).start()
 
+    @property
+    def ended(self) -> bool:
+        """Whether the page is there no more."""
+        return self._process.poll() is not None
+
     def _watch(self) -> None:
         code = self._process.wait()
         if not self._ending:

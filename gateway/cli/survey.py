@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.answers.layout import Address, j1979
+from gateway.answers.monitor_tests import Result
 from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import EXTENDED, ID_MASK, empty
 from gateway.bus.uri import open_bus
@@ -128,6 +129,11 @@ def _words(told: Said) -> Iterator[tuple[str, str]]:
     yield from told.parts.items()
 
 
+def _known(result: Result) -> dict[str, Any]:
+    """Return a result of a test; None: a number whose scaling nobody knows."""
+    return {name: None if value != value else value for name, value in result._asdict().items()}  # noqa: PLR0124 - NaN
+
+
 def _facts(found: Found) -> dict[str, Any]:
     return {
         "frames_heard": found.frames,
@@ -143,6 +149,7 @@ def _facts(found: Found) -> dict[str, Any]:
                 "obd": told.speaks,
                 "pids": told.pids,
                 "monitors": told.monitors,
+                "tests": {f"{monitor:02X}": [_known(one) for one in tests] for monitor, tests in told.tests.items()},
                 "dtcs": [{"dtc": dtc, "status": status} for dtc, status in told.dtcs.items()],
             }
             for place, told in _ecus(found)
@@ -166,6 +173,8 @@ def _say(found: Found, facts: dict[str, Any]) -> None:
             lines.print(f"{place.name}  {words}: {said}", hang=4)
         for dtc, status in told.dtcs.items():
             lines.print(f"{place.name}  DTC {dtc}  status 0x{status:02X}", hang=4)
+        for monitor, tests in told.tests.items():
+            lines.print(f"{place.name}  monitor {monitor:02X}: {'; '.join(map(str, tests))}", hang=4)
         silent = [f"{service:02X}" for service, known in told.services.items() if known is None]
         if silent:
             lines.print(f"{place.name}  no answer to {' '.join(silent)}: not known whether it has them", hang=4)

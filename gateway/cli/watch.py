@@ -5,18 +5,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gateway.cli.present import find_config, print_json, say
+from gateway.cli.present import find_config, print_json
 from gateway.cli.serve import socket_of
 from gateway.config.load import load_config
-from gateway.faults.cases import Case, cases_of, named
+from gateway.faults.cases import MOST_NAMED, Case, briefly_named, cases_of
 from gateway.faults.explained import HELD
 from gateway.faults.status import Status
+from gateway.faults.summary import MOST_CASES, folded
 from gateway.host.process import call_at_end
+from gateway_fdi.errors import GatewayError
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
 
     from gateway.serve.hub import Hub
 
-#: Pace of the screen, and how long a gateway is waited for where it is shown once [s].
+#: Pace of the screen, and how long a gateway's state is waited for where it is shown once [s].
 DRAW_S, PATIENCE_S = 0.25, 5.0
 #: Tests that are shown, and characters of a bar, of which two thirds are up to the limit.
 NEAREST, WIDTH = 14, 30
@@ -54,13 +56,17 @@ async def _watch(place: Path, *, once: bool, json: bool) -> int:
 
 
 async def _show_once(hub: Hub, *, json: bool) -> int:
+    from gateway.serve.hub import NOT_YET  # noqa: PLC0415 - few want it
+    from gateway.serve.link import absence  # noqa: PLC0415
+
     for _ in range(round(PATIENCE_S / 0.1)):
         await asyncio.sleep(0.1)
         if hub.connected and hub.buses and hub.latest:
             break
+        if not hub.connected and hub.reason != NOT_YET:
+            break
     if not hub.connected:
-        say(f"no gateway: {hub.reason}")
-        return 2
+        raise GatewayError(absence(hub.reason))
     if json:
         print_json(told(hub))
     else:
@@ -120,7 +126,8 @@ def _head(hub: Hub) -> Text:
     if not hub.connected:
         line.append(f"not reached: {hub.reason}", style="bold red")
     elif cases:
-        line.append(f"{len(cases)} now: " + "; ".join(_briefly(case) for case in cases), style="bold red")
+        more = f"; {len(cases) - MOST_CASES} more" if len(cases) > MOST_CASES else ""
+        line.append(f"{len(cases)} now: " + "; ".join(map(_briefly, cases[:MOST_CASES])) + more, style="bold red")
     else:
         line.append("no faults now", style="green")
     if hub.connected and hub.hello.get("ended"):  # an older gateway does not say it
@@ -145,8 +152,9 @@ def _table(title: str, *columns: str) -> Table:
 def _briefly(case: Case) -> str:
     """Return a case for the first line: its cause if that is proven, else the DTCs that fail."""
     if case.proven:
-        return named(case.components)
-    return ", ".join(entry["dtc"] for entry in case.entries if entry["status"] & Status.TEST_FAILED)
+        return briefly_named(case.components)
+    codes = [entry["dtc"] for entry in case.entries if entry["status"] & Status.TEST_FAILED]
+    return ", ".join(codes[:MOST_NAMED]) + (f" and {len(codes) - MOST_NAMED} more" if len(codes) > MOST_NAMED else "")
 
 
 def _dtcs(hub: Hub) -> Group:
@@ -158,22 +166,28 @@ def _dtcs(hub: Hub) -> Group:
     parts: list[Text | Table] = [Text("\nCauses and trouble codes", style="bold")]
     if not cases:
         parts.append(Text("none"))
-    for case in cases:
+    ecus = {fault["monitor"]: fault.get("ecu", "") for fault in hub.hello["faults"]}
+    for case in cases[:MOST_CASES]:
         if case.text:
             parts.append(Text(case.text, style=("bold red" if case.failing else "yellow") if case.proven else "yellow"))
-        parts.append(_case(case, fdc))
+        kinds = [kind for kind in folded(case.entries, ecus) if len(kind.faults) > MOST_NAMED]
+        alike = {fault for kind in kinds for fault in kind.faults} - {case.entries[0]["fault"]}
+        parts.append(_case([entry for entry in case.entries if entry["fault"] not in alike], case, fdc))
+        parts += [Text(f"  in all {kind.text}", style="dim") for kind in kinds]
+    if len(cases) > MOST_CASES:
+        parts.append(Text(f"{len(cases) - MOST_CASES} more causes and faults (gateway faults list)"))
     return Group(*parts)
 
 
-def _case(case: Case, fdc: Mapping[str, int]) -> Table:
-    """Return the entries of a case; symptoms below the one that stands for it, indented."""
+def _case(entries: Sequence[Mapping[str, Any]], case: Case, fdc: Mapping[str, int]) -> Table:
+    """Return entries of a case; symptoms below the one that stands for it, indented."""
     from rich.table import Table  # noqa: PLC0415 - slow to load
 
     made = Table(box=None, pad_edge=False, show_header=False)
     for width in (12, None, 7, 4, 4, 9):
         made.add_column(width=width, no_wrap=width is not None, overflow="fold", ratio=None if width else 1)
     made.expand = True
-    for k, entry in enumerate(case.entries):
+    for k, entry in enumerate(entries):
         failing = entry["status"] & Status.TEST_FAILED
         state = "[bold red]failing[/]" if failing else "[yellow]stored[/]"
         indent = "  " * bool(case.text) + "  " * bool(k and case.proven)

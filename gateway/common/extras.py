@@ -11,6 +11,8 @@ from gateway_fdi.errors import InputError
 EXTRAS = {
     "arena": "sklearn",
     "auth": "cryptography",
+    "bench": "pytest",
+    "car": "fastdigest",
     "fleet": "distributed",
     "fmu": "fmpy",
     "mf4": "asammdf",
@@ -23,14 +25,21 @@ EXTRAS = {
     "zst": "backports.zstd",
 }
 #: Extra -> what its features import besides.
-_BESIDES = {"fleet": ("cryptography",), "notebook": ("duckdb", "matplotlib", "pandas", "pyarrow")}
+_BESIDES = {
+    "bench": ("udsoncan",),
+    "car": ("cryptography", "paho.mqtt"),
+    "fleet": ("cryptography", "duckdb", "fastdigest", "paho.mqtt", "pyarrow"),
+    "notebook": ("duckdb", "matplotlib", "pandas", "pyarrow"),
+}
 #: Package -> what Python itself has of it, from some version on.
 _BUILT_IN = {"backports.zstd": "compression.zstd"}
 #: Extra -> what people get with it.
 PURPOSES = {
     "arena": "methods that learn from data (gateway evaluate arena)",
     "auth": "testers' certificates (UDS 0x29)",
-    "fleet": "many logs on many machines (gateway fleet)",
+    "bench": "benches in pytest (pytest, udsoncan)",
+    "car": "a car of a fleet (gateway fleet join)",
+    "fleet": "many logs on many machines, and fleets on the road (gateway fleet)",
     "fmu": 'FMUs as plants (type = "fmu")',
     "mf4": "MF4 logs",
     "mqtt": "brokers (gateway mqtt)",
@@ -77,8 +86,21 @@ def need(extra: str, feature: str, *, file: str | Path | None = None, key: str |
         InputError: it is not installed; says how to install it.
     """
     if package := missing(extra):
-        raise InputError(
-            f"{feature} need {package}: pip install 'ecu-gateway[{extra}]'",
-            file=file,
-            key=key,
-        )
+        raise InputError(_install(feature, package, extra), file=file, key=key)
+
+
+def _install(feature: str, package: str, extra: str) -> str:
+    return f"{feature} need {package}: pip install '.[{extra}]' in the checkout"
+
+
+#: Packages that come with others of an extra.
+_WITH = {"dask": "fleet", "prometheus_client": "serve", "starlette": "serve", "uvicorn": "serve"}
+
+
+def extra_with(module: str) -> str:
+    """Return what to do about a module that is not there: the extra that brings it; "": none does."""
+    for extra, package in (*EXTRAS.items(), *((extra, each) for extra, of in _BESIDES.items() for each in of)):
+        if f"{module}.".startswith(f"{package}.") or package.startswith(f"{module}."):
+            return _install(PURPOSES[extra], module, extra)
+    top = module.partition(".")[0]
+    return _install(PURPOSES[_WITH[top]], module, _WITH[top]) if top in _WITH else ""

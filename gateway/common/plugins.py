@@ -11,7 +11,7 @@ from functools import cache
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, distribution, entry_points
 from importlib.util import find_spec
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from gateway.common import trust
 from gateway.plugin import API, DOORS, Plugin
@@ -123,6 +123,17 @@ def _load(place: str) -> object:
         if not hasattr(found, part):
             raise InputError(f"{module} has no {name}", value=place)
         found = getattr(found, part)
+    return found
+
+
+def accept_callable(found: object, name: str) -> Any:
+    """Return a function or a class of another package, for a :class:`Registry` of these.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not callable(found):
+        raise InputError(f"no function, but {type(found).__name__}", value=name)
     return found
 
 

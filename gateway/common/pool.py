@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from tempfile import TemporaryDirectory
 from typing import Any, Generic, Protocol, TypeVar
 
+from gateway.common import postponed
 from gateway.common.extras import need
-from gateway.host.process import processors
+from gateway.host.process import children_that_go_on, processors
 from gateway_fdi.errors import GatewayError, InputError
 
 #: How often a task that was under way when a worker died is tried alone.
@@ -166,9 +167,12 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
     if address is None:
         # A worker that dies takes one suspect along; this module does the rest (see above).
         # Its profiler keeps what each worker did in each second: 50 kB a second that a log takes.
+        # On a busy machine its new start takes longer than Dask waits before it gives it up for good.
         settings: dict[str, Any] = {
+            "distributed.deploy.lost-worker-timeout": "1d",
             "distributed.scheduler.allowed-failures": 0,
             "distributed.worker.profile.enabled": False,
+            "distributed.worker.preload": [postponed.__name__, *dask.config.get("distributed.worker.preload")],
         }
         if workers.dashboard is None:
             # Servers of HTTP are there all the same, and anybody on this machine can ask them.
@@ -178,20 +182,21 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
         need("fleet", "workers on this machine")
         stack.enter_context(dask.config.set(settings))
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        address = stack.enter_context(
-            LocalCluster(
-                n_workers=workers.count,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                security=Security.temporary(),
-                # Without a dashboard there is still a server, whose usual port another program may have.
-                dashboard_address=f"127.0.0.1:{workers.dashboard or 0}",
-                scheduler_kwargs={"dashboard": workers.dashboard is not None},
-                silence_logs=logging.CRITICAL,
-                local_directory=stack.enter_context(TemporaryDirectory(prefix="gateway-fleet-")),
+        with children_that_go_on():
+            address = stack.enter_context(
+                LocalCluster(
+                    n_workers=workers.count,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    security=Security.temporary(),
+                    # Without a dashboard there is still a server, whose usual port another program may have.
+                    dashboard_address=f"127.0.0.1:{workers.dashboard or 0}",
+                    scheduler_kwargs={"dashboard": workers.dashboard is not None},
+                    silence_logs=logging.CRITICAL,
+                    local_directory=stack.enter_context(TemporaryDirectory(prefix="gateway-fleet-")),
+                )
             )
-        )
     try:
         client = stack.enter_context(Client(address, timeout=f"{PATIENCE_S:.0f}s", set_as_default=False))
         client.wait_for_workers(1, timeout=PATIENCE_S)

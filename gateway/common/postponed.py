@@ -40,3 +40,8 @@ def postpone() -> None:
     """Let the modules of :data:`NAMES` wait for their use; those that are loaded already stay as they are."""
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Finder())
+
+
+def dask_setup(_worker: object) -> None:
+    """Do so in a worker of Dask that preloads this module."""
+    postpone()

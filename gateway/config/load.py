@@ -17,12 +17,13 @@ from pydantic import Field, ValidationError
 from gateway.common.trust import beside
 from gateway.common.uncollected import uncollected
 from gateway.config.cross_check import cross_check
+from gateway.config.limits import with_limits
 from gateway.config.model import Config
 from gateway.faults.settings import FaultOverride
 from gateway.servers.identifiers import DidParams
 from gateway_fdi.common.resources import beside_or_shipped
 from gateway_fdi.common.tomlfile import StrictModel, input_errors, load, read_toml
-from gateway_fdi.errors import InputError, InputErrors
+from gateway_fdi.errors import InputError, InputErrors, nearest
 
 
 class CatalogueFile(StrictModel):
@@ -34,6 +35,7 @@ class CatalogueFile(StrictModel):
 
 #: Prefix of the variables of the environment that override the file, and the separator of their levels.
 _PREFIX, _BETWEEN = "GATEWAY_", "__"
+_ENVIRONMENT = "the environment"
 
 
 def _with_catalogues(config: Config, folder: Path) -> Config:
@@ -67,10 +69,31 @@ def _with_catalogues(config: Config, folder: Path) -> Config:
 
 
 def _environment_says_something() -> bool:
-    """Return whether a variable of the environment overrides a key of the configuration."""
-    names = (name.upper() for name in os.environ)
-    keys = {name.removeprefix(_PREFIX).split(_BETWEEN)[0] for name in names if name.startswith(_PREFIX)}
-    return any(name.upper() in keys for name in Config.model_fields)
+    """Return whether a variable of the environment overrides a key of the configuration.
+
+    Raises:
+        InputError: one of several levels names no table that there is.
+    """
+    keys = {name.upper() for name in Config.model_fields}
+    named = {name: name.upper().removeprefix(_PREFIX).split(_BETWEEN) for name in os.environ if _is_ours(name)}
+    for name, levels in named.items():
+        if len(levels) > 1 and levels[0] not in keys:
+            text = f"no table of the configuration is called {levels[0].lower()}{nearest(levels[0], keys)}"
+            raise InputError(text, file=_ENVIRONMENT, key=name)
+    return any(levels[0] in keys for levels in named.values())
+
+
+def _is_ours(name: str) -> bool:
+    return name.upper().startswith(_PREFIX)
+
+
+def _of_environment(error: InputError) -> InputError:
+    """Return an error of a key as one of the environment, if it comes from there and not from the file."""
+    levels = (error.key or "").split(".")
+    names = [_PREFIX + _BETWEEN.join(levels[:depth]).upper() for depth in range(len(levels), 0, -1)]
+    given = {name.upper(): name for name in os.environ if _is_ours(name)}
+    found = next((given[name] for name in names if name in given), None)
+    return error if found is None else error.replace(file=_ENVIRONMENT, key=found)
 
 
 @cache
@@ -106,8 +129,8 @@ def _overridden(data: dict[str, Any], path: Path | None) -> Config:
     try:
         return _with_environment()(**data)
     except SettingsError as error:  # a variable that is no JSON where a table belongs
-        text = f"the environment: {error}: {error.__cause__ or 'not readable'}"
-        raise InputError(text, file=path) from error
+        text = f"{error}: {error.__cause__ or 'not readable'}"
+        raise InputError(text, file=_ENVIRONMENT) from error
 
 
 @uncollected()
@@ -123,7 +146,7 @@ def load_config(path: str | Path, without: Collection[tuple[int, str]] = ()) -> 
         InputErrors: every key that is wrong.
     """
     path = Path(path)
-    data: dict[str, Any] = read_toml(path)
+    data: dict[str, Any] = with_limits(read_toml(path))
     for place, key in without:
         data["monitor"][place].pop(key, None)
     return config_of(data, path)
@@ -143,7 +166,8 @@ def config_of(data: dict[str, Any], path: Path | None, folder: Path | None = Non
     try:
         config = _overridden(data, path) if _environment_says_something() else Config(**data)
     except ValidationError as error:
-        raise input_errors(error, path, data=data, model=Config) from error
+        found = input_errors(error, path, data=data, model=Config).errors
+        raise InputErrors([_of_environment(each) for each in found]) from error
     return placed(config, path, folder)
 
 

@@ -13,6 +13,7 @@ from gateway.clients.params import AskParams, EcuParams
 from gateway.engine.checks import bus_health, communication
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.depends.params import DiagnosisParams
+from gateway.faults.fleet import FleetParams
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.reported import ReportParams
 from gateway.faults.settings import ConditionSettings, CycleSettings, FaultOverride
@@ -222,6 +223,7 @@ class Config(StrictModel):
         None, description="how the vehicle is used: distance, running time, performance ratios of monitors"
     )
     status: StatusConfig | None = Field(None, description="a unix socket for gateway serve and gateway watch")
+    fleet: FleetParams | None = Field(None, description="the fleet that the car is in; none: nothing waits for one")
     report: ReportParams | None = Field(None, description="a unix socket on which other processes report test results")
     record: RingParams | None = Field(
         None, description="an always-on recording of all frames; none: nothing is recorded"

@@ -5,10 +5,12 @@ The builder (``gateway.runtime.assemble``) asks for no name again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gateway.answers.layout import AnswerLayout, layouts_for, layouts_of_obd, read_layouts
@@ -102,7 +104,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
         InputError, InputErrors: a database, message, signal or key function that is wrong.
     """
     answers = answer_buses(config)
-    databases = (*load_databases(config), *(bus.database for bus in answers))
+    databases = (*load_databases(config, keyed=True), *(bus.database for bus in answers))
     types = [monitor_of(entry) for entry in config.monitor]
     readouts = {entry.name: monitor.readout for entry, (monitor, _) in zip(config.monitor, types, strict=True)}
     names = Names(config, dict(enumerate(databases)), readouts)
@@ -146,18 +148,41 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
     )
 
 
-def load_databases(config: Config) -> tuple[Database, ...]:
+def load_databases(config: Config, *, keyed: bool = False) -> tuple[Database, ...]:
     """Load the databases of every bus.
+
+    Args:
+        config: with the buses.
+        keyed: they are of a configuration's file: a database that is not there is an error of its key.
 
     Raises:
         InputError, InputErrors: every database that cannot be loaded.
     """
     loaded, wrong = [], Gathered()
-    for bus in config.bus:
-        with wrong:
+    for k, bus in enumerate(config.bus):
+        with wrong, _missing_file(f"bus[{k}].database") if keyed else nullcontext():
             loaded.append(load_database(bus.database))
     wrong.check()
     return tuple(loaded)
+
+
+@contextmanager
+def _missing_file(key: str) -> Iterator[None]:
+    """Have a file that is not there be an error of the key that names it, with the files of like names.
+
+    Raises:
+        InputError: the error raised within.
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.file is None or error.key is not None:
+            raise
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise error.replace(message=f"{error.message} (named by {key})") from error.__cause__
+        path = Path(error.file)
+        there = [each.name for each in path.parent.iterdir()] if path.parent.is_dir() else []
+        raise InputError(f"No such file or directory{nearest(path.name, there)}", key=key, value=error.file) from error
 
 
 def answer_buses(config: Config) -> tuple[AnswerBus, ...]:
@@ -184,13 +209,12 @@ def answer_buses(config: Config) -> tuple[AnswerBus, ...]:
 
 def _find_asked(config: Config, names: Names) -> None:
     """Find the signals that say when ECUs are asked."""
+    conditions = [
+        (read.when, f"ecu[{k}].read[{at}]") for k, ecu in enumerate(config.ecu) for at, read in enumerate(ecu.read)
+    ]
+    conditions += [(ecu.dtcs.when, f"ecu[{k}].dtcs") for k, ecu in enumerate(config.ecu) if ecu.dtcs is not None]
     _each(
-        names.find,
-        (
-            (condition.signal, f"ecu[{k}].dtcs.when[{j}].signal")
-            for k, ecu in enumerate(config.ecu)
-            for j, condition in enumerate(() if ecu.dtcs is None else ecu.dtcs.when)
-        ),
+        names.find, ((one.signal, f"{key}.when[{j}].signal") for when, key in conditions for j, one in enumerate(when))
     )
 
 

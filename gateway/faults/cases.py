@@ -11,6 +11,9 @@ from typing import Any, NamedTuple
 from gateway.faults.explained import CAUSE, OPEN
 from gateway.faults.status import Status
 
+#: Components, and DTCs of one kind, that are named one by one; of more some are, and the rest is counted.
+MOST_NAMED = 3
+
 
 class Case(NamedTuple):
     """A cause and the entries that it explains.
@@ -37,8 +40,8 @@ class Case(NamedTuple):
         if not self.probability:
             return ""
         if self.proven:
-            return f"{named(self.components)} ({percent(self.probability)})"
-        told = [f"{named(one['components'])} {percent(one['probability'])}" for one in self.ranked]
+            return f"{briefly_named(self.components)} ({percent(self.probability)})"
+        told = [f"{briefly_named(one['components'])} {percent(one['probability'])}" for one in self.ranked]
         return "not isolated: " + ", ".join(told)
 
     @property
@@ -61,6 +64,12 @@ class Case(NamedTuple):
 def named(components: Sequence[str]) -> str:
     """Return components for people."""
     return " and ".join(components) or "false alarm"
+
+
+def briefly_named(components: Sequence[str]) -> str:
+    """Return components for people, of many the first ones and how many more there are."""
+    rest = len(components) - MOST_NAMED
+    return f"{', '.join(components[:MOST_NAMED])} and {rest} more" if rest > 0 else named(components)
 
 
 def percent(probability: float) -> str:

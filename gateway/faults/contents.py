@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.faults import chain, journal_file, rollback, rows
+from gateway.faults import outgoing as queue
 from gateway.faults.interventions import Intervention
 from gateway.faults.journal_file import LastVerdict
 from gateway.faults.lock import is_kept
@@ -84,6 +85,22 @@ class Contents(ABC):
         """Return the DTCs of other ECUs."""
         with self._reading() as db:
             return rows.read_ecu_dtcs(db)
+
+    def outgoing(self, after: int = 0, most: int = -1) -> list[queue.Outgoing]:
+        """Return events for the fleet that wait, in order.
+
+        Args:
+            after: number of a row; only later ones.
+            most: how many; -1: all.
+        """
+        with self._reading() as db:
+            found = db.execute(f"{queue.SELECT} WHERE number > ? ORDER BY number LIMIT ?", (after, most))
+            return [queue.read(*row) for row in found]
+
+    def tally(self) -> queue.Tally:
+        """Return how many events for the fleet there were, wait and were given up."""
+        with self._reading() as db:
+            return queue.tally(db)
 
     def facts(self) -> dict[str, int]:
         """Return numbers by name."""

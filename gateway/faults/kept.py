@@ -24,6 +24,7 @@ from gateway.faults.interventions import Intervention
 from gateway.faults.journal import Journal
 from gateway.faults.lock import InUseError, is_in_place, is_marked, take_lock
 from gateway.faults.mishaps import Mishap, Mishaps
+from gateway.faults.outgoing import Outgoing
 from gateway.faults.place import Place
 from gateway.faults.records import Changes, Cycle, Permanent, Record, Recording
 from gateway.faults.rollback import LastLink
@@ -71,6 +72,7 @@ class KeptStore(Store):
         self._suspect = False  # whether the file must be looked at before it is written again
         self._mishaps = Mishaps()
         self._recordings: list[Recording] = []  # of a file that is gone, for the next one
+        self._events: list[Outgoing] = []  # likewise, of the fleet's queue
         self._unsaved = False
         self._unread = False  # whether there is a file that could not be read when this began
         gone = path is not None and not path.exists() and is_marked(path)
@@ -330,6 +332,8 @@ class KeptStore(Store):
                 everything = replace(
                     everything,
                     recordings=[*self._recordings, *everything.recordings],
+                    outgoing=[*self._events, *everything.outgoing],
+                    outgoing_bytes=max(everything.outgoing_bytes, sum(len(event.body) for event in self._events)),
                     kept_recordings=max(everything.kept_recordings, _most_of_one(self._recordings)),
                 )
             Store.save(self, everything)
@@ -340,13 +344,14 @@ class KeptStore(Store):
             self.detached = reason
             raise StoreError(path, reason) from error
         self._suspect = False
-        self._recordings = []
+        self._recordings, self._events = [], []
         self._count_recordings()
 
     def _leave(self, path: Path) -> None:
         """Give up a file that is damaged, gone, or replaced; its recordings are kept for the next one."""
         with suppress(InputError):
             self._recordings = self._own_recordings() if any(self._place.overwritten) else self.recordings()
+            self._events = [] if any(self._place.overwritten) else self.outgoing()
         self._recordings_lost = max(self._recorded - len(self._recordings), 0)
         self._place.keep_from_copying()
         self._close_reader()
@@ -401,7 +406,7 @@ class KeptStore(Store):
         except DamagedError as error:
             found = salvage(path)
             self._mishaps.damaged(path, error, found)
-            self._recordings = self._recordings or found.recordings
+            self._recordings, self._events = self._recordings or found.recordings, self._events or found.outgoing
             self._connect()
             return True
         return False
@@ -473,7 +478,7 @@ class KeptStore(Store):
             self._db.executescript(script)
         with self.transaction():
             rows.write(self._db, found.changes())
-        self._recordings = self._recordings or found.recordings
+        self._recordings, self._events = self._recordings or found.recordings, self._events or found.outgoing
         self.detached, self._suspect = reason, True
 
     # Where the file is

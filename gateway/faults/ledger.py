@@ -10,11 +10,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import dataclass
+from operator import add
 from typing import Any
 
 from gateway.faults.beside import Work, Writer
 from gateway.faults.interventions import DONE, Intervention, Interventions
 from gateway.faults.outage import Outage
+from gateway.faults.outgoing import Outgoing, Tally, fitting
 from gateway.faults.permanent import PermanentDtcs
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
 from gateway.faults.status import PASSED
@@ -46,6 +48,10 @@ def _joined(first: Changes, then: Changes) -> Changes:
         kept_interventions=then.kept_interventions or first.kept_interventions,
         cleared=[*first.cleared, *then.cleared],
         ecu_dtcs={**first.ecu_dtcs, **then.ecu_dtcs},
+        outgoing=[*first.outgoing, *then.outgoing],
+        arrived={*first.arrived, *then.arrived},
+        dropped=Tally(*map(add, first.dropped, then.dropped)),
+        outgoing_bytes=then.outgoing_bytes,
     )
 
 
@@ -95,6 +101,7 @@ class Ledger:
         self._new: set[str] = set()  # records that the store does not have
         self._touched = set(self.records)
         self._more = False  # whether anything waits beside records
+        self._outgoing_bytes = 0  # of events for the fleet that are not written
         self._buses: Sequence[Mapping[str, Any]] | None = None
         self._described: Mapping[str, Description] = {}
         self._stored: dict[str, Record] = {}
@@ -121,6 +128,7 @@ class Ledger:
         kept = self._pending.kept_recordings
         self._pending, self._more = old._pending, old._more
         self._pending.kept_recordings = kept
+        self._outgoing_bytes = old._outgoing_bytes
         self._buses, self._described = old._buses, old._described
         self.outage, self.commits = old.outage, old.commits
 
@@ -240,6 +248,17 @@ class Ledger:
             self._pending.ecu_dtcs = {**self._pending.ecu_dtcs, **changed}
             self._more = True
         return events
+
+    def note_outgoing(self, events: Sequence[Outgoing], arrived: Iterable[int], most: int) -> None:
+        """Note events for the fleet, and which have arrived there, for a queue of this size [byte]."""
+        self._pending.outgoing, self._pending.outgoing_bytes = [*self._pending.outgoing, *events], most
+        self._pending.arrived = {*self._pending.arrived, *arrived}
+        self._outgoing_bytes += sum(len(event.body) for event in events)
+        if self._outgoing_bytes > most:  # bounded, also while nothing can be written
+            self._pending.outgoing, gone = fitting(self._pending.outgoing, most)
+            self._pending.dropped = Tally(*map(add, self._pending.dropped, gone))
+            self._outgoing_bytes -= gone.dropped_bytes
+        self._more = True
 
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Note how the buses do."""
@@ -387,7 +406,7 @@ class Ledger:
     def _start_anew(self) -> None:
         self._dirty = set()
         self._pending = Changes(kept_recordings=self._pending.kept_recordings)
-        self._more = False
+        self._more, self._outgoing_bytes = False, 0
 
     # Writing beside
 
@@ -434,6 +453,7 @@ class Ledger:
         except StoreError as error:
             self.outage.failed(write.t_ns, error.reason)
             self._pending = _joined(write.changes, self._pending)
+            self._outgoing_bytes = sum(len(event.body) for event in self._pending.outgoing)
             self._dirty |= {record.id for record in write.changes.records} | write.changes.statuses.keys()
             self._more = True
         else:

@@ -23,6 +23,7 @@ from gateway.faults.entries import DtcChange, Foreseen
 from gateway.faults.event_memory import EventMemory
 from gateway.faults.explained import HELD, Cause
 from gateway.faults.failures import Snapshot, failure_of, finite
+from gateway.faults.fleet import FleetParams, FleetQueue
 from gateway.faults.interventions import Intervention
 from gateway.faults.journal_file import name_of
 from gateway.faults.ledger import Ledger
@@ -61,6 +62,7 @@ class FaultMemory(Readable):
         statistics: of the faults' debounce.
         usage: signals of the vehicle's use; None: there are none.
         ahead: whether others see what is not written yet.
+        fleet: that the car is in; None: in none.
 
     Attributes:
         cycles: operation cycles.
@@ -68,6 +70,7 @@ class FaultMemory(Readable):
         performance: how often monitors have run.
         usage: how far and how long the vehicle was driven.
         recovered: verdicts that an earlier process told, and did not come to write.
+        fleet: events that wait for the fleet.
     """
 
     def __init__(
@@ -80,6 +83,7 @@ class FaultMemory(Readable):
         statistics: Statistics | None = None,
         usage: UsageParams | None = None,
         ahead: bool = False,
+        fleet: FleetParams | None = None,
     ) -> None:
         self.catalogue = catalogue
         self._statistics = statistics
@@ -92,6 +96,7 @@ class FaultMemory(Readable):
         self._entries = EventMemory(self._held, self._definitions, catalogue, size)
         self.cycles = OperationCycles(self._held, self._definitions, self._entries, self.fold_statistics)
         self.restarts = Restarts(self._held, self.cycles)
+        self.fleet = FleetQueue(self._held, fleet)
         asked = usage or UsageParams()
         self.usage = Usage(self._held, distances=bool(asked.speed or asked.odometer), times=bool(asked.running))
         self.performance = Performance(self._held, self.cycles, catalogue, asked.counted_cycle)
@@ -175,6 +180,7 @@ class FaultMemory(Readable):
             self._entries.prestore(definition.id, FreezeFrame(0, event.t_ns, content))
         elif kind == QUALIFIED_FAILED:
             self._entries.fail(definition, record, failure_of(definition, event, snapshot))
+            self.fleet.judged(definition.id)
         else:
             record.status = int(transition.on_passed(old))
             self._entries.give_up(record)
@@ -430,6 +436,14 @@ class FaultMemory(Readable):
     def keep_freshness(self, rule: str, least: int) -> None:
         """Keep the least freshness value that is new, of 64 bits, with the next commit."""
         self._held.set_fact(f"freshness.{rule}", least - (least >> 63 << 64))
+
+    def spoken(self, ecu: str) -> int:
+        """Return the number of the protocol that another ECU answered; 0: it is not known."""
+        return self._held.fact(f"speaks.{ecu}")
+
+    def keep_spoken(self, ecu: str, number: int) -> None:
+        """Keep the number of the protocol that another ECU answers, with the next commit."""
+        self._held.set_fact(f"speaks.{ecu}", number)
 
     def fold_statistics(self) -> None:
         """Take over what the debounce has counted since the last time."""

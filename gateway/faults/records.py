@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from operator import attrgetter
 from typing import Any, NamedTuple
 
 from gateway.faults.explained import Cause
 from gateway.faults.interventions import Intervention
+from gateway.faults.outgoing import Outgoing, Tally
 from gateway.faults.status import Cycles, Status
 from gateway.faults.vehicle import EcuDtc
 
@@ -128,6 +129,10 @@ class Description(NamedTuple):
     remedy: str
 
 
+#: Nothing went before it was written.
+NOTHING_DROPPED = Tally(0, 0, 0, 0)
+
+
 @dataclass
 class Changes:
     """Contents of one commit; everything in it is durable together.
@@ -148,6 +153,8 @@ class Changes:
         described: what faults are called, for readers without the configuration.
         cleared: DTCs or groups that were cleared, in order.
         ecu_dtcs: DTCs of other ECUs that changed, by ECU and DTC; None: one that gave way.
+        outgoing: events for the fleet; ``arrived``: numbers of those that have arrived there; ``dropped``: what went
+            before it was written; ``outgoing_bytes``: of events that may wait.
     """
 
     records: Sequence[Record] = ()
@@ -165,6 +172,10 @@ class Changes:
     kept_interventions: Sequence[int] = ()
     cleared: Sequence[int] = ()
     ecu_dtcs: Mapping[tuple[str, str], EcuDtc | None] = field(default_factory=dict)
+    outgoing: Sequence[Outgoing] = ()
+    arrived: Collection[int] = ()
+    dropped: Tally = NOTHING_DROPPED
+    outgoing_bytes: int = 0
 
     @property
     def of_verdicts(self) -> bool:
@@ -172,7 +183,7 @@ class Changes:
         if self.permanent is not None or self.buses is not None:
             return False
         rare = (self.cycles, self.answered, self.recordings, self.identifiers, self.described, self.cleared)
-        return not any((*rare, self.interventions, self.kept_interventions, self.ecu_dtcs))
+        return not any((*rare, self.interventions, self.kept_interventions, self.ecu_dtcs, self.outgoing, self.arrived))
 
     @property
     def faults(self) -> int:

@@ -9,6 +9,7 @@ from dataclasses import astuple, fields
 from operator import attrgetter
 from typing import Any, NamedTuple
 
+from gateway.faults import outgoing
 from gateway.faults.explained import HOLDS, Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.records import Changes, FreezeFrame, Record
@@ -120,6 +121,8 @@ def write(db: sqlite3.Connection, changes: Changes) -> Written:
         )
     if changes.ecu_dtcs:
         _write_ecu_dtcs(db, changes.ecu_dtcs)
+    if changes.outgoing or changes.arrived or changes.dropped.dropped:
+        outgoing.write(db, changes.outgoing, changes.arrived, changes.outgoing_bytes, changes.dropped)
     gone = _write_interventions(db, changes) if changes.interventions or changes.kept_interventions else []
     if changes.buses is not None:
         _write_buses(db, changes.buses)

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from gateway.faults import chain, rows
+from gateway.faults import chain, outgoing, rows
 from gateway.faults.interventions import PROTOCOLS, Intervention
 from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
 from gateway.faults.rollback import generation_of
@@ -49,8 +49,8 @@ class Salvage:
     """Rows that were read.
 
     Attributes:
-        records, cycles, permanent, recordings, identifiers, facts, interventions, ecu_dtcs: as a :class:`Store` gives
-            them.
+        records, cycles, permanent, recordings, identifiers, facts, interventions, ecu_dtcs, outgoing: as a
+            :class:`Store` gives them.
         head: digest of the last link of its chain, b"": not known.
         generation: of the file, 0: not known.
         recovered: rows read.
@@ -65,6 +65,7 @@ class Salvage:
     facts: dict[str, int] = field(default_factory=dict)
     interventions: list[Intervention] = field(default_factory=list)
     ecu_dtcs: list[EcuDtc] = field(default_factory=list)
+    outgoing: list[outgoing.Outgoing] = field(default_factory=list)
     head: bytes = b""
     generation: int = 0
     recovered: int = 0
@@ -82,6 +83,8 @@ class Salvage:
             facts=self.facts,
             interventions={each.number: each for each in self.interventions},
             ecu_dtcs={each.key: each for each in self.ecu_dtcs},
+            outgoing=self.outgoing,
+            outgoing_bytes=sum(len(event.body) for event in self.outgoing),
         )
 
 
@@ -169,6 +172,8 @@ def _read(db: sqlite3.Connection) -> Salvage:
         found.generation = generation_of(db)
     if "ecu_dtc" in tables:
         found.ecu_dtcs = list(_rows(db, found, rows.SELECT_ECU_DTCS, "ecu_dtc", rows.read_ecu_dtc))
+    if "outgoing" in tables:
+        found.outgoing = list(_rows(db, found, outgoing.SELECT, "outgoing", outgoing.read))
     return found
 
 

@@ -148,8 +148,25 @@ INSERT INTO generation SELECT (random() & 0x3FFFFFFFFFFFFFFF) | 1;
 ALTER TABLE link ADD COLUMN version INTEGER NOT NULL DEFAULT 8;
 """
 
+# Events on their way to the fleet, and how many there were. They are copies, and not links of the chain.
+_TENTH = """
+CREATE TABLE outgoing (
+    number INTEGER PRIMARY KEY,
+    id TEXT NOT NULL,
+    t_ns INTEGER NOT NULL,
+    detail INTEGER NOT NULL,
+    limits INTEGER NOT NULL,
+    body TEXT NOT NULL
+);
+CREATE INDEX outgoing_detail ON outgoing (detail DESC, number);
+CREATE TABLE outgoing_tally (
+    last INTEGER NOT NULL, bytes INTEGER NOT NULL, dropped INTEGER NOT NULL, dropped_bytes INTEGER NOT NULL
+);
+INSERT INTO outgoing_tally VALUES (0, 0, 0, 0);
+"""
+
 #: Scripts that bring a file from version k to k + 1.
-MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH, _SEVENTH, _EIGHTH, _NINTH)
+MIGRATIONS = (_FIRST, _SECOND, _THIRD, _FOURTH, _FIFTH, _SIXTH, _SEVENTH, _EIGHTH, _NINTH, _TENTH)
 #: First version that has a chain.
 CHAINED = 6
 

@@ -14,6 +14,7 @@ from gateway.faults.catalogue import Catalogue
 from gateway.faults.clearing import AskedClear
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import Entry, entry_of
+from gateway.faults.fleet import LIMITS
 from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.ledger import OVERFLOW
 from gateway.faults.lock import InUseError, is_kept, is_unsaved
@@ -23,6 +24,7 @@ from gateway.faults.remedy import severity_names
 from gateway.faults.restarts import last_restart
 from gateway.faults.status import Status
 from gateway.faults.store import OutdatedError, Store, last_links
+from gateway.faults.summary import NO_RESULT, Summary, summary_of
 from gateway.faults.vehicle import EcuDtc
 from gateway.host.process import user_in_words
 from gateway_fdi.errors import GatewayError, InputError
@@ -80,6 +82,20 @@ def list_entries(path: Path) -> list[dict[str, Any]]:
         return entries_in(store, store.load(), stored=not is_unsaved(path))
 
 
+def summary(path: Path) -> Summary:
+    """Return verdict and causes of a fault memory, and how many tests have no result in this operation cycle.
+
+    Raises:
+        InputError: there is none at this path.
+    """
+    with closing(open_reader(path)) as store:
+        records = store.load()
+        entries = entries_in(store, records, stored=not is_unsaved(path))
+        known = store.descriptions()
+    done = {record.id for record in records if not record.status & Status.NOT_COMPLETED_THIS_CYCLE}
+    return summary_of(entries, tests=len(known), not_judged=[NO_RESULT] * len(known.keys() - done))
+
+
 def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list[dict[str, Any]]:
     """Return the entries of an open fault memory.
 
@@ -89,7 +105,7 @@ def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list
         stored: whether the file has all that is known.
     """
     permanent = {entry.fault for entry in store.permanent()}
-    recorded = store.recorded()
+    recorded, facts = store.recorded(), store.facts()
     told = store.descriptions()
     return [
         {
@@ -97,6 +113,7 @@ def entries_in(store: Store, records: Sequence[Record], *, stored: bool) -> list
             **_told(told.get(record.id)),
             "permanent": record.id in permanent,
             "recordings": recorded.get(record.id, 0),
+            "limits": facts.get(f"{LIMITS}{record.id}", 0),
             "stored": stored,
         }
         for record in records

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,11 @@ class Pdu:
         return number | EXTENDED
 
 
+def group_of(can_id: Any) -> Any:
+    """Return the parameter group number of an identifier of 29 bits, or of an array of them, without destination."""
+    return can_id >> 8 & (0x3FFFF - 0xFF * ((can_id >> 16 & 0xFF) < 240))
+
+
 def read_pdu(frame: np.void) -> Pdu:
     """Return an extended frame as a PDU."""
     return pdu_of(int(frame["can_id"]), payload(frame))
@@ -44,15 +50,8 @@ def read_pdu(frame: np.void) -> Pdu:
 
 def pdu_of(can_id: int, data: bytes) -> Pdu:
     """Return a frame of an identifier of 29 bits as a PDU."""
-    number, source = (can_id >> 8) & 0x3FFFF, can_id & 0xFF
-    to_one = (number >> 8) & 0xFF < 240
-    return Pdu(
-        number & 0x3FF00 if to_one else number,
-        source,
-        number & 0xFF if to_one else GLOBAL,
-        data,
-        (can_id >> 26) & 7,
-    )
+    to_one = can_id >> 16 & 0xFF < 240
+    return Pdu(group_of(can_id), can_id & 0xFF, can_id >> 8 & 0xFF if to_one else GLOBAL, data, can_id >> 26 & 7)
 
 
 def to_frames(pdus: list[Pdu], bus: int, t_ns: int) -> Frames:

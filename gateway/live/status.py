@@ -49,7 +49,7 @@ TICK_S, BUSES_S, MESSAGES_S = 0.05, 0.5, 1.0
 #: No detection counter is this.
 _NEVER_TOLD = 999
 #: Identifiers that are shown.
-MOST_MESSAGES = 512
+MOST_MESSAGES = 2048
 
 log = get_logger(__name__)
 

@@ -7,6 +7,8 @@
 | ``settings`` | ``dtcs``, ``receive``, ``send``: true or false | as services 0x85 and 0x28 |
 | ``present`` | | keeps what this reader has switched off, as tester present (0x3E) |
 | ``values`` | ``signals``: full names | latest values |
+| ``post`` | ``events``: of the kinds :data:`POSTED` | keeps events for the fleet |
+| ``arrived`` | ``numbers``: of rows of the fleet's queue | takes events away that have arrived at the fleet |
 | ``request`` | ``tester``: a name, ``ecu``: "self" or that of an ``[[ecu]]``, ``uds``: hex digits | asks by UDS |
 
 ``request`` is answered with ``uds``: the answers as a list of hex digits, when they are there; 0x78 is not among them.
@@ -35,6 +37,7 @@ from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.interventions import Intervention
 from gateway.host.process import NOBODY, user
 from gateway.runtime.app import Gateway
+from gateway.runtime.contract import DETAIL, told_to_fleet, wrong
 from gateway.servers.authority import WATCH_NS, Holder, Refusal, local_intervention
 from gateway.servers.local import SELF
 from gateway.servers.uds.params import S3_MS
@@ -47,11 +50,17 @@ _KEYS = {
     "settings": {"dtcs", "receive", "send", *_FORCE},
     "present": set(),
     "values": {"signals"},
+    "post": {"events"},
+    "arrived": {"numbers"},
     "request": {"tester", "ecu", "uds"},
 }
+#: Commands of a reader that only looks, or that keeps what others do.
+_LOOKS = ("values", "post", "arrived")
 _WANTED = f'a command is {{"do": ...}}, one of {", ".join(_KEYS)}'
 #: Signals that one command may ask for.
 MOST_SIGNALS = 256
+#: Kinds of events that another process may have kept for the fleet; numbers in one command at most.
+POSTED, MOST_NUMBERS = ("statistics", "recording", "campaign"), 4096
 #: Longest ``by`` and ``why`` [characters].
 MOST_LETTERS = 80
 #: Name of a tester.
@@ -157,7 +166,7 @@ class Commands:
             if asked["do"] == "request":
                 self._request(asked, session, reader)
                 return None
-            if asked["do"] != "values":  # a reader that only looks keeps nothing
+            if asked["do"] not in _LOOKS:  # a reader that only looks keeps nothing
                 session.until_s = self._now_s + self._s3_s
             return {"ok": True, **getattr(self, f"_{asked['do']}")(asked, session)}
         except GatewayError as error:
@@ -293,6 +302,26 @@ class Commands:
             if name not in known:
                 raise InputError(f"no such signal is decoded{nearest(name, known)}", key="signals", value=name)
         return {"values": {name: self._gateway.engine.value(known[name]) for name in names}}
+
+    def _post(self, asked: dict[str, Any], _session: _Session) -> dict[str, Any]:
+        events = asked.get("events")
+        if self._gateway.config.fleet is None:
+            raise InputError("the gateway's configuration has no table [fleet]", key="events")
+        if not isinstance(events, list):
+            raise InputError("a list of events", key="events")
+        for event in events:
+            if reason := wrong(event) or ("" if event["event"] in POSTED else "the gateway tells these itself"):
+                raise InputError(reason, key="events")
+        for event in events:
+            self._gateway.memory.fleet.post(event, detail=told_to_fleet(event) == DETAIL)
+        return {}
+
+    def _arrived(self, asked: dict[str, Any], _session: _Session) -> dict[str, Any]:
+        numbers = asked.get("numbers")
+        if not isinstance(numbers, list) or len(numbers) > MOST_NUMBERS or not all(type(n) is int for n in numbers):
+            raise InputError(f"a list of at most {MOST_NUMBERS} numbers", key="numbers")
+        self._gateway.memory.fleet.arrived(numbers)
+        return {}
 
 
 class RefusedError(GatewayError):

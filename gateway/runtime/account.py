@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gateway.answers.pages import AnswerBus
@@ -10,8 +10,11 @@ from gateway.clients.asking import Asking
 from gateway.common.fence import Fence
 from gateway.config.model import Config
 from gateway.engine.core import Engine
+from gateway.engine.depends.parts import Seen
 from gateway.faults.catalogue import Catalogue, as_dict
+from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
+from gateway.faults.status import Status
 from gateway.runtime.explainer import Explainer
 from gateway.runtime.reports import Reports
 from gateway.runtime.security import Security
@@ -79,3 +82,36 @@ def unread(config: Config, answers: Sequence[AnswerBus]) -> list[str]:
             names = [read.name for read in ecu.read if read.key not in lengths and read.pgn is None]
             found += [f"ecu[{k}]: no layout of {', '.join(names)}: answers are only counted"] if names else []
     return found
+
+
+#: Why a test has no result in an operation cycle, for people.
+NEVER_CAME, SWITCHED_OFF = "a message of theirs never came", "their monitor is switched off"
+NOT_MET, TOO_LITTLE = "their conditions were not met for long enough", "too little came for a result"
+
+
+def not_judged(
+    engine: Engine, memory: FaultMemory, depends: Mapping[str, Sequence[Seen]], buses: Sequence[str]
+) -> Iterator[str]:
+    """Yield why, for each test without a result in this operation cycle.
+
+    Args:
+        engine: that has run.
+        memory: has the status bytes.
+        depends: fault id -> what its test sees.
+        buses: names of the buses.
+    """
+    tables = engine.tables
+    names = [f"message {buses[bus]}.{name}" for bus, name in engine.plan.message_names]
+    silent = {name for name, row in zip(names, tables.vectors, strict=False) if row["arrived_ns"] < 0}
+    off = {
+        instance.name for instance, row in zip(engine.monitors, tables.handlers, strict=False) if row["off"]
+    }  # fmt: skip
+    for slot, row in zip(engine.faults, tables.debounces, strict=False):
+        if not memory.status_now(slot.id) & Status.NOT_COMPLETED_THIS_CYCLE:
+            continue
+        if slot.id.partition(".")[0] in off:
+            yield SWITCHED_OFF
+        elif any(seen.component.name in silent for seen in depends.get(slot.id, ())):
+            yield NEVER_CAME
+        else:
+            yield NOT_MET if row["conditions"] else TOO_LITTLE

@@ -14,22 +14,20 @@ from gateway.common.uncollected import uncollected
 from gateway.engine.adopt import adopt
 from gateway.engine.checks.silence import sender_of
 from gateway.faults.beside import Writer
-from gateway.faults.cases import cases_of
 from gateway.faults.hung import hung_beside
 from gateway.faults.interventions import Intervention
 from gateway.faults.journal import NO_JOURNAL
 from gateway.faults.journal_steps import Journalled
 from gateway.faults.restarts import Restart
 from gateway.faults.service import as_dict
-from gateway.runtime.account import bus_errors, counters, description, signal_slots, unread
+from gateway.faults.summary import Summary, summary_of
+from gateway.runtime.account import bus_errors, counters, description, not_judged, signal_slots, unread
 from gateway.runtime.outbox import Listener
 from gateway.runtime.passage import Passage
 from gateway.runtime.told import summary_event
 from gateway.runtime.upkeep import PATIENCE_S
-from gateway.servers.dtc_frame import message_of
 from gateway.signals.database import Database
 from gateway_fdi.common.log import get_logger
-from gateway_fdi.common.resources import shipped
 
 log = get_logger(__name__)
 
@@ -227,11 +225,6 @@ class Gateway(Passage):
         return self.parts.databases
 
     @property
-    def dtc_frame_id(self) -> int:
-        """Identifier of the DTC frame."""
-        return int(message_of(shipped("dbc/gateway.dbc")).frame_id)
-
-    @property
     def notes(self) -> tuple[str, ...]:
         """Choices where the configuration leaves them to the databases, one line each."""
         return self.parts.notes
@@ -282,5 +275,21 @@ class Gateway(Passage):
             buses=bus_errors(self.config, self.engine),
             monitors=self.engine.readout(),
             dtcs=[str(entry.dtc) for entry in self.memory.entries()],
-            causes=[case.as_dict() for case in cases_of([as_dict(entry) for entry in self.memory.entries()])],
+            found=self.found(),
         )
+
+    def found(self) -> Summary:
+        """Return verdict, causes and what was not judged."""
+        entries = self.memory.entries()
+        described = {entry.fault: self.catalogue.get(entry.fault) for entry in entries}
+        return summary_of(
+            [
+                as_dict(entry) | {"description": definition.description if definition else None}
+                for entry, definition in zip(entries, described.values(), strict=True)
+            ],
+            ecus=self.senders,
+            tests=len(self.catalogue),
+            not_judged=not_judged(
+                self.engine, self.memory, self.parts.depends, [bus.name for bus in self.config.buses]
+            ),
+        )  # fmt: skip

@@ -415,8 +415,7 @@ def asking_of(
         may_ask: whether a bus may be asked now, by its index.
         fence: counts exceptions that answers cause.
     """
-    meets = control.meets
-    made = ecus_of(config, parts.answers, lambda of: schedule_of(of, lambda: of.dtcs is None or meets(of.dtcs.when)))
+    made = ecus_of(config, parts.answers, lambda of: schedule_of(of, control.meets))
     rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
     bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}
     return Asking(made, rates, may_ask, _dm1_of(config), bus_of, fence, woven_of(parts.engine.plan))

@@ -86,6 +86,7 @@ class Causes:
         self._tests = [k for k, slot in enumerate(engine.faults) if slot.id in used]
         slots = [engine.faults[k] for k in self._tests]
         delays = _delays(engine, checks)
+        self._timeouts = {k for k, slot in enumerate(engine.faults) if slot.id.endswith(".timeout")}
         exact = {check.name for check in checks}
         inner = {name: each for tests in self._behind for name, each in tests.seen.items()}
         whole = [*(seen[slot.id] for slot in slots), *inner.values()]
@@ -106,6 +107,7 @@ class Causes:
         self._silent = {fault: bus for bus, fault in enumerate(silent) if fault >= 0}
         self._told: list[tuple[object, ...]] = []
         self._looks = self._failing = 0
+        self._looked_ns = -NEVER
         self._heeded, self._skipped_ns = False, NEVER
         self._followed = False  # whether faults have failed whose tests go on to change, without an event
         self._reset = False  # whether tests have been reset since the last look, of which no event tells
@@ -123,6 +125,8 @@ class Causes:
             failed, t_ns = kind == QUALIFIED_FAILED, wall_ns - offset_ns
             while (due := self._engine.pause_ns) < t_ns:  # of timers in a silence
                 self.look(due)
+            if not failed and self._is_unseen(fault, t_ns):
+                self.look(t_ns)
             if fault in self._place:
                 self._diagnoser.update(self._engine.faults[fault].id, FAILED if failed else PASSED, t_ns)
                 self._failing += failed
@@ -135,6 +139,12 @@ class Causes:
                 # It has passed again before anything was told; if it fails once more until then the look is due still.
                 self._failing, self._skipped_ns, self._engine.pause_ns = 0, self._engine.pause_ns, NEVER
         self._heed()
+
+    def _is_unseen(self, fault: int, t_ns: int) -> bool:
+        """Return whether a message that comes again was not looked at while it was missing: its ECU starts again."""
+        state, place = self._diagnoser.state, self._place.get(fault, -1)
+        missed = fault in self._timeouts and place >= 0 and state.verdict[place] == FAILED
+        return bool(missed and state.since[place] > self._looked_ns and t_ns - self._looked_ns >= PACE_NS)
 
     def _take_first_passes(self, events: Events, offset_ns: int) -> bool:
         """Take first passes where nothing has failed, all at once; returns False, and takes none, if there are others.
@@ -164,7 +174,7 @@ class Causes:
         Args:
             t_ns: now, of the engine's time.
         """
-        self._engine.pause_ns = NEVER
+        self._engine.pause_ns, self._looked_ns = NEVER, t_ns
         event = self._conclude(t_ns)
         if event is not None:
             self.tell(event)

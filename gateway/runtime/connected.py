@@ -84,6 +84,7 @@ class Connected:
             statistics=self.engine.fold_statistics,
             usage=config.usage,
             ahead=config.memory.tell == "first",
+            fleet=config.fleet,
         )
         self.controls = Controls(
             self.engine,

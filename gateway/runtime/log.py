@@ -20,6 +20,9 @@ from gateway.signals.database import Database
 from gateway.signals.payloads import looked_up
 from gateway_fdi.errors import InputError
 
+#: One in HEARD identifiers of a log may be known by chance, and one in KNOWN of those that are known may be in it.
+HEARD, KNOWN = 4, 10
+
 
 class Log:
     """A log to be replayed; to be iterated over once.
@@ -32,7 +35,7 @@ class Log:
     Attributes:
         reader: of it.
         damage: what ended reading; None: nothing did.
-        foreign: whether it is of another vehicle (:meth:`refuse_foreign`).
+        foreign: how many of its identifiers are known, if it is of another vehicle; "": it is not.
 
     Raises:
         InputError: it cannot be read at all, or a map is wrong.
@@ -43,7 +46,7 @@ class Log:
         self._channels = channels_of(config, maps)
         self.reader = read_recording(path, self._channels, zone_of(config.clock.zone))
         self.damage: InputError | None = None
-        self.foreign = False
+        self.foreign = ""
 
     def __iter__(self) -> Iterator[Frames]:
         """Yield its frames, batch by batch, none of another vehicle; damage ends them and is kept."""
@@ -54,9 +57,10 @@ class Log:
             self.damage = error
 
     def refuse_foreign(self, databases: Sequence[Database]) -> None:
-        """Judge none of its frames if the configuration knows none of their identifiers: it is of another vehicle.
+        """Judge none of its frames if it is of another vehicle: the configuration knows hardly any of its identifiers.
 
-        It is read up to the first that is known.
+        Two vehicles share some by chance, one in HEARD of the log and one in KNOWN of the configuration. It is read
+        until there are more.
 
         Args:
             databases: of each bus.
@@ -66,12 +70,19 @@ class Log:
         pgn = {k for k, bus in enumerate(self._config.bus) if bus.match == "pgn"}
         known = [(k, bus.known, bus.groups) for k, bus in enumerate(bus_instances(self._config))]
         keys, rows = known_table([*enumerate(databases)], known, pgn)
-        rows = np.minimum(rows, 0)  # more may be known than rows have numbers
+        count, rows = int((rows >= 0).sum()), np.minimum(rows, 0)  # more may be known than rows have numbers
+        heard: tuple[set[tuple[int, int]], set[tuple[int, int]]] = (set(), set())
         with suppress(InputError):  # told when it is read again
-            for frames in read_recording(self.reader.path, self._channels, zone_of(self._config.clock.zone)):
-                if (looked_up(frames, keys, rows) >= 0).any():
+            for batch in read_recording(self.reader.path, self._channels, zone_of(self._config.clock.zone)):
+                frames = batch[batch["can_id"] & WOVEN == 0]
+                is_known = looked_up(frames, keys, rows) >= 0
+                for found, some in zip(heard, (frames[~is_known], frames[is_known]), strict=True):
+                    found.update(np.unique(some[["bus", "can_id"]]).tolist())
+                total, ours = sum(map(len, heard)), len(heard[1])
+                few = 0 < total >= HEARD * ours and count >= KNOWN * ours
+                self.foreign = (f"{ours} of {total}" if ours else "none") if few else ""
+                if ours and not few:
                     return
-                self.foreign = self.foreign or bool((frames["can_id"] & WOVEN == 0).any())
 
     @property
     def whole(self) -> bool:

@@ -22,6 +22,7 @@ from gateway.engine.core import Engine, Sink
 from gateway.faults.entries import DtcChange
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
+from gateway.runtime.contract import DETAIL, HERE, told_to_fleet
 from gateway.runtime.upkeep import NOTHING, Noted, Upkeep
 
 #: Takes one event of the JSON contract.
@@ -55,6 +56,7 @@ class Outbox:
         first: bool = False,
     ) -> None:
         self._own, self._send, self.first, self._engine = own, send, first, engine
+        self._fleet = memory.fleet
         self._ahead = NOTHING  # of what is noted, the first ones, that have been told before they are stored
         self._listeners: list[Listener] = []
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
@@ -90,6 +92,14 @@ class Outbox:
     def note(self, *events: dict[str, Any]) -> None:
         """Keep events to be told in their order, when all that happened before them is stored."""
         self._untold += events
+        self._post(*events)
+
+    def _post(self, *events: dict[str, Any]) -> None:
+        """Have events wait for the fleet: they are written with what they tell."""
+        if self._fleet.offered:
+            for event in events:
+                if (how := told_to_fleet(event)) != HERE:
+                    self._fleet.post(event, detail=how == DETAIL)
 
     def note_changes(self, changes: Iterable[DtcChange]) -> None:
         """Keep changes to be sent when they are stored; their events are noted by :meth:`note`."""
@@ -97,6 +107,10 @@ class Outbox:
 
     def tell(self, event: dict[str, Any]) -> None:
         """Tell an event at once, for which nothing has to be stored."""
+        self._post(event)
+        self._hand(event)
+
+    def _hand(self, event: dict[str, Any]) -> None:
         for listener in self._listeners:
             listener(event)
 
@@ -148,12 +162,12 @@ class Outbox:
             if event["event"] == "dtc":
                 event["stored"] = stored
                 self.upkeep.not_stored += not stored
-            self.tell(event)
+            self._hand(event)
         known = [event["fault"] for event in told[: ahead.events] if event["event"] == "dtc"]
         self.upkeep.not_stored += 0 if stored else len(known)
         if known and stored:
             t_ns = self._engine.wall_ns(now)
-            self.tell({"event": "stored", "t_ns": t_ns, "faults": list(dict.fromkeys(known))})
+            self._hand({"event": "stored", "t_ns": t_ns, "faults": list(dict.fromkeys(known))})
         return early + own + waiting[ahead.changes : may.changes]
 
     def _tell_early(self) -> list[DtcChange]:
@@ -161,7 +175,7 @@ class Outbox:
         for event in self._untold[self._ahead.events :]:
             if event["event"] == "dtc":
                 event["stored"] = False
-            self.tell(event)
+            self._hand(event)
         early = self._changes[self._ahead.changes :]
         self._ahead = Noted(len(self._changes), len(self._untold))
         return early

@@ -13,6 +13,7 @@ from gateway.common.times import NEVER
 from gateway.engine.core import Engine, Sink
 from gateway.runtime.controls import Controls
 from gateway.runtime.usage_meter import UsageMeter
+from gateway.signals.payloads import among
 
 
 class Reception:
@@ -87,7 +88,7 @@ class Reception:
         # A tester has switched reception off: of the frames only their time counts, and where the clock was set.
         # And signals for conditions of access: a gateway that is blinded because the vehicle stands must see that it
         # moves.
-        needed = are_steps(frames) | self._engine.plan.among(frames, self._judged)
+        needed = are_steps(frames) | among(frames, self._engine.plan, self._judged)
         sent = self._engine.process(chosen(frames, needed), self._sink)
         more = self._engine.advance(int(frames["t_ns"].max()), self._sink)
         return joined([sent, more])

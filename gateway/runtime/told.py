@@ -7,12 +7,14 @@ from typing import Any
 
 from gateway.bus.frames import ID_MASK
 from gateway.engine.checks.bus_health import ACTIVITIES
+from gateway.engine.checks.communication import FAULTS
 from gateway.engine.events import Event
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
 from gateway.faults.explained import Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.service import intervention_as_dict
+from gateway.faults.summary import Summary
 from gateway.monitors.contract import FAILED, PASSED
 from gateway.signals.tables import DecodePlan
 from gateway_fdi.common.log import get_logger
@@ -57,9 +59,8 @@ def short_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
 
 def other_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
     """Tell that a message never was as its check says since it came: its ECU has another software, or is another."""
-    what = "length" if event.value > 0 else "frames"
-    told: dict[str, Any] = {"bus": bus, "message": plan.message_names[event.fault][1], "what": what}
-    told |= {"now": round(abs(event.value), 1), "learned": event.threshold}
+    told: dict[str, Any] = {"bus": bus, "message": plan.message_names[event.fault][1]}
+    told |= {"what": FAULTS[event.result].name, "now": round(event.value, 1), "learned": event.threshold}
     _log.warning("another software of its ECU, or another ECU: it never was as its check says", **told)
     return {"event": "other_software", "t_ns": event.t_ns, **told}
 
@@ -171,7 +172,7 @@ def summary_event(
     buses: dict[str, dict[str, int]],
     monitors: Any,
     dtcs: list[str],
-    causes: list[dict[str, Any]],
+    found: Summary,
 ) -> dict[str, Any]:
     """Tell at the end what was done.
 
@@ -182,7 +183,7 @@ def summary_event(
         buses: name -> errors that the controller reported, how often.
         monitors: own words of each.
         dtcs: in the fault memory.
-        causes: of them, the most important first.
+        found: verdict, causes of them, and what was not judged.
     """
     return {
         "event": "summary",
@@ -195,5 +196,5 @@ def summary_event(
         "buses": buses,
         "monitors": monitors,
         "dtcs": dtcs,
-        "causes": causes,
+        **found.as_dict(),
     }

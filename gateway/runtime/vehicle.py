@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
-from gateway.clients.asking import TELLS, Asking
+from gateway.clients.ask import PROBES
+from gateway.clients.asking import TELLS, Asking, Ecu
 from gateway.config.model import Config
 from gateway.engine.core import Engine, Sink
+from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
+from gateway.faults.status import Status
 from gateway.faults.vehicle import TOLD, EcuDtc, Told
 from gateway.servers.bus_server import BusServer
 
@@ -33,8 +36,20 @@ class Vehicle(BusServer):
         self._faults: dict[str, list[tuple[str, int]]] = {}
         for ecu in config.ecu:
             self._faults[ecu.name] = [(fault.of, places[f"{ecu.name}.{fault.name}"]) for fault in ecu.fault]
+        for each in asking.ecus:
+            self._remember(each)
         self._note: Callable[[dict[str, Any]], None] = lambda _event: None
         self._sink: Sink = lambda _events: None
+
+    def _remember(self, ecu: Ecu) -> None:
+        """Have an ECU asked first by the protocol that it answered, and kept what it answers."""
+        names, place = ["", *PROBES], ecu.client.place
+        key = f"{ecu.client.bus}.{place.request:X}.{place.response:X}"
+        kept = self._memory.spoken(key)
+        ecu.client.expect(
+            names[kept] if 0 < kept < len(names) else "",
+            lambda protocol: self._memory.keep_spoken(key, names.index(protocol)),
+        )
 
     def connect(self, note: Callable[[dict[str, Any]], None], sink: Sink) -> None:
         """Say who tells events when they are stored, and who takes the engine's."""
@@ -54,7 +69,15 @@ class Vehicle(BusServer):
         now_ns = self._engine.wall_ns(int(frame["t_ns"]))
         for dtc, state in self._memory.note_ecu_dtcs(told, now_ns):
             self._note(ecu_dtc_event(dtc, state, now_ns))
+            if state == "came":
+                self._asking.on_dtc(told.ecu, t_ns)
         self._test(told)
+        return empty(0)
+
+    def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
+        """Have that asked which is asked when a DTC came: one of ours begins to fail."""
+        if any(one.new_status & ~one.old_status & Status.TEST_FAILED for one in changes):
+            self._asking.on_dtc(None, t_ns)
         return empty(0)
 
     def _test(self, told: Told) -> None:

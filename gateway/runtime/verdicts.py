@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gateway.config.model import Config
+from gateway.engine.checks.communication import RULE
 from gateway.engine.events import (
     ACTIVITY,
     CLOCK_STEPPED,
@@ -138,6 +139,8 @@ class Verdicts:
             return
         if kind == OTHER:
             self._outbox.note(other_event(event, self._engine.plan, self._buses[event.bus]))
+            if event.result == RULE:
+                self._doubts.seek(self._engine.rule_of(event.fault), event.t_ns)
             return
         if kind == SHORT:
             self._outbox.note(short_event(event, self._engine.plan, self._buses[event.bus]))

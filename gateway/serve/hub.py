@@ -19,10 +19,13 @@ from gateway.faults.records import Recording
 from gateway.serve.buses import BusLoads
 from gateway.serve.history import History
 from gateway.serve.link import StatusLink
-from gateway.serve.memory import BITS, MemoryFile
+from gateway.serve.memory import BITS, MemoryFile, shown
 from gateway.serve.messages import MessageNames
+from gateway.serve.words import unit_of
 from gateway_fdi.common.log import get_logger
 
+#: Reason of a gateway that nobody has tried to reach.
+NOT_YET = "not reached yet"
 #: Events that a page gets when it comes.
 EVENTS = 300
 #: Messages that wait for one page at most, and of them those that the next of their kind makes needless.
@@ -75,10 +78,11 @@ class Viewer:
         self.ticks = 0
         self._past: Iterator[str] | None = None
 
-    def begin(self, state: str, past: Iterator[str]) -> None:
-        """Tell all there is, and then, piece by piece as they are taken, the columns of the past."""
+    def begin(self, state: str, tests: str, past: Iterator[str]) -> None:
+        """Tell all there is, its verdict first, and then, piece by piece as they are taken, the columns of the past."""
         self.newest.clear()  # the state has them
         self.put("state", state)
+        self.put("tests", tests)
         self._past = past
 
     def put(self, kind: str, text: str) -> None:
@@ -129,7 +133,7 @@ class Hub:
         self.fence = Fence()
         self._wall = self.fence.wall("gateway")
         self.link = StatusLink(socket, self._on_message, self._on_link, self._wall)
-        self.connected, self.reason = False, "not reached yet"
+        self.connected, self.reason = False, NOT_YET
         self.hello: dict[str, Any] = {
             "name": "", "faults": [], "buses": [], "version": "", "memory": None, "ended": "", "ecus": [],
             "identifiers": [], "levels": [], "s3_s": 5.0, "signals": [],
@@ -144,6 +148,7 @@ class Hub:
         self.security: dict[tuple[str, str], dict[str, Any]] = {}  # the last event of each sensor and kind
         self.monitoring: dict[str, Any] = dict(ALL_ON)
         self.messages: list[dict[str, Any]] = []
+        self._left_out = 0  # identifiers that are on the buses, and are not told
         self.history = History(0)
         self.latest: dict[int, dict[str, Any]] = {}
         self.worst: dict[int, float] = {}  # since the metrics were read
@@ -178,7 +183,7 @@ class Hub:
     def open(self) -> Viewer:
         """Begin to tell a page; the first message is all there is."""
         viewer = Viewer()
-        viewer.begin(self._state(), self.history.past())
+        viewer.begin(self._state(), self._tests(), self.history.past())
         if self.ending:
             viewer.end()
         self._viewers.add(viewer)
@@ -235,18 +240,27 @@ class Hub:
             {
                 "connected": self.connected,
                 "reason": self.reason,
-                "hello": self.hello,
+                "hello": {key: self.hello.get(key) for key in ("name", "version", "ended")},
                 "bits": BITS,
-                "memory": self.memory,
+                "memory": shown(self.memory),
                 "buses": self.buses,
                 "monitoring": self.monitoring,
                 "ecus": self.ecus,
-                "messages": self.messages,
-                "latest": list(self.latest.values()),
+                "messages": {"messages": self.messages, "left_out": self._left_out},
                 "events": list(self.events),
                 "wrong": self._names.wrong,
             }
         )
+
+    def _tests(self) -> str:
+        """Return what a page knows of each test; texts, which many have in common, by their places."""
+        texts: dict[str, int] = {}
+        tests = [
+            [fault["id"], fault["dtc"], fault["monitor"], fault.get("ecu", "")]
+            + [texts.setdefault(text, len(texts)) for text in (fault["description"], unit_of(fault.get("tested", "")))]
+            for fault in self.hello["faults"]
+        ]
+        return line({"tests": tests, "texts": list(texts), "latest": list(self.latest.values())})
 
     def _tell(self, kind: str, value: Any) -> None:
         if self._viewers:
@@ -283,9 +297,9 @@ class Hub:
         self._thread.submit(self.memory_file.close)
         self.memory_file, self.memory, self._names, self._loads = file, memory, names, loads
         self.monitoring = message.get("monitoring", ALL_ON)
-        state = self._state()
+        state, tests = self._state(), self._tests()
         for viewer in self._viewers:
-            viewer.begin(state, self.history.past())
+            viewer.begin(state, tests, self.history.past())
 
     def _on_tick(self, message: dict[str, Any], block: bytes) -> None:
         rows = np.frombuffer(block, TickRow.dtype)
@@ -336,7 +350,8 @@ class Hub:
 
     def _on_messages(self, message: dict[str, Any], block: bytes) -> None:
         self.messages = self._names.shown(block, message["t_ns"] - message["offset_ns"])
-        self._tell("messages", self.messages)
+        self._left_out = message.get("left_out", 0)
+        self._tell("messages", {"messages": self.messages, "left_out": self._left_out})
 
     def _on_missed(self, message: dict[str, Any], _: bytes) -> None:
         self.missed += message["count"]
@@ -363,4 +378,4 @@ class Hub:
             self._thread.submit(file.close)
         if file is self.memory_file and found != self.memory:
             self.memory = found
-            self._tell("memory", found)
+            self._tell("memory", shown(found))

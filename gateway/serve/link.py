@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.common.fence import Fence, Wall
-from gateway.host.sockets import open_connection
+from gateway.host.sockets import credentials_of, open_connection
 from gateway.serve.wire import Garbled, Splitter
 
 #: Waits between attempts to reach the daemon [s].
@@ -26,6 +26,11 @@ class Refused(Exception):
 
 class Absent(Refused):
     """The daemon is not there, or does not answer."""
+
+
+def absence(why: str) -> str:
+    """Return that no gateway is reached, why, and the way on."""
+    return f"no gateway runs here ({why}); start one: gateway run; or name its socket: --status"
 
 
 class StatusLink:
@@ -101,6 +106,12 @@ class StatusLink:
         for waiting in self._answers.values():
             if not waiting.done():
                 waiting.set_exception(Absent("the gateway ended before it answered"))
+
+    @property
+    def peer(self) -> int:
+        """Process at the other end; 0: there is none, or the system does not say."""
+        socket = None if self._writer is None else self._writer.get_extra_info("socket")
+        return 0 if socket is None else credentials_of(socket)[0]
 
     async def ask(self, do: str, **keys: Any) -> dict[str, Any]:
         """Have the daemon do something; returns its answer.

@@ -10,9 +10,10 @@ from gateway.faults import service
 from gateway.faults.cases import cases_of
 from gateway.faults.dtc import Dtc
 from gateway.faults.lock import is_unsaved
+from gateway.faults.opened import OpenedMemory
 from gateway.faults.records import Recording
 from gateway.faults.status import Status
-from gateway.faults.store import Store
+from gateway.faults.summary import NO_RESULT, summary_of
 from gateway.serve.words import told_in_words
 from gateway_fdi.errors import GatewayError, InputError
 
@@ -32,30 +33,18 @@ BITS = (
 class MemoryFile:
     """Reads a fault memory; of a part that cannot be read it says why, under ``error``.
 
-    It stays open between two looks: to open it takes thousands of small pieces of memory, and between those that go
-    with the connection lie those of what was read, so that the heap of the process would grow.
-
     Args:
         path: of the file; None: the daemon keeps it in its process only.
     """
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
-        self._store: Store | None = None
-        self._inode = 0
-
-    def _opened(self, path: Path) -> Store:
-        inode = path.stat().st_ino  # another one, where a damaged file was put aside
-        if self._store is None or inode != self._inode:
-            self.close()
-            self._store, self._inode = service.open_reader(path), inode
-        return self._store
+        self._opened = None if path is None else OpenedMemory(path)
 
     def close(self) -> None:
         """Leave the file to its writer; a look opens it again."""
-        store, self._store = self._store, None
-        if store is not None:
-            store.close()
+        if self._opened is not None:
+            self._opened.close()
 
     def read(self, faults: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Return entries, the cases that they are, the status byte of each fault, operation cycles and readiness.
@@ -63,10 +52,10 @@ class MemoryFile:
         Args:
             faults: the catalogue, as the status socket's hello has it.
         """
-        if self._path is None:
+        if self._path is None or self._opened is None:
             return {"error": "this gateway keeps its faults in its process only", **_NOTHING}
         try:
-            store = self._opened(self._path)
+            store = self._opened.store()
             records = store.load()
             stored = not is_unsaved(self._path)
             entries = service.entries_in(store, records, stored=stored)
@@ -77,8 +66,9 @@ class MemoryFile:
         except (GatewayError, OSError) as error:
             self.close()
             return {"error": str(error), **_NOTHING}
+        tested = {fault["id"]: fault.get("tested", "") for fault in faults}
         for entry in entries:
-            entry["words"] = told_in_words(entry)
+            entry["words"] = told_in_words(entry | {"tested": tested.get(entry["fault"])})
         return {
             "error": "",
             "entries": entries,
@@ -89,6 +79,12 @@ class MemoryFile:
             "restarts": restarts,
             "stored": stored,
             "readiness": readiness(faults, status),
+            "summary": summary_of(
+                entries,
+                ecus={fault["monitor"]: fault.get("ecu", "") for fault in faults},
+                tests=len(faults),
+                not_judged=[NO_RESULT for fault in faults if status.get(fault["id"], _OPEN) & _OPEN_NOW],
+            ).as_dict(),
         }
 
     def interventions(self) -> list[dict[str, Any]]:
@@ -120,20 +116,28 @@ class MemoryFile:
         return found[number - 1] if 1 <= number <= len(found) else None
 
 
+#: Status of a test that has never run, and the bit that says so of this cycle.
+_OPEN_NOW = int(Status.NOT_COMPLETED_THIS_CYCLE)
+_OPEN = int(Status.NOT_COMPLETED_SINCE_CLEAR) | _OPEN_NOW
+
 _NOTHING: dict[str, Any] = {
     "entries": [], "cases": [], "status": {}, "cycles": {}, "ecu_dtcs": [], "restarts": {"count": 0}, "stored": True,
-    "readiness": [],
+    "readiness": [], "summary": summary_of(()).as_dict(),
 }  # fmt: skip
 
 
+def shown(memory: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the part of a memory that a page shows: not the status of each of many tests."""
+    return {key: value for key, value in memory.items() if key not in ("status", "cases")}
+
+
 def readiness(faults: Sequence[Mapping[str, Any]], status: Mapping[str, int]) -> list[dict[str, Any]]:
-    """Return of each monitor how many of its tests have run to their end since the clear, and in this cycle."""
+    """Return how many tests have run to their end since the clear, and in this cycle: of each monitor, and each ECU."""
     made: dict[str, dict[str, Any]] = {}
     for fault in faults:
-        row = made.setdefault(
-            fault["monitor"], {"monitor": fault["monitor"], "tests": 0, "since_clear": 0, "this_cycle": 0}
-        )
-        bits = status.get(fault["id"], int(Status.NOT_COMPLETED_SINCE_CLEAR | Status.NOT_COMPLETED_THIS_CYCLE))
+        owner = f"ECU {fault['ecu']}" if fault.get("ecu") else fault["monitor"]
+        row = made.setdefault(owner, {"monitor": owner, "tests": 0, "since_clear": 0, "this_cycle": 0})
+        bits = status.get(fault["id"], _OPEN)
         row["tests"] += 1
         row["since_clear"] += not bits & Status.NOT_COMPLETED_SINCE_CLEAR
         row["this_cycle"] += not bits & Status.NOT_COMPLETED_THIS_CYCLE

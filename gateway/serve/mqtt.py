@@ -25,15 +25,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from paho.mqtt.client import Client, MQTTMessageInfo
-from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.client import MQTTMessageInfo
 
 from gateway.common.jsonlines import line
+from gateway.common.works import work_until
 from gateway.faults.status import Status
+from gateway.serve.broker import Broker, client_of
 from gateway.serve.hub import Hub
 from gateway.serve.link import Refused
 from gateway_fdi.common.log import get_logger
-from gateway_fdi.errors import GatewayError
 
 #: Pace of looking for changes, and rest after an exception [s].
 LOOK_S, REST_S = 0.1, 1.0
@@ -48,27 +48,18 @@ log = get_logger(__name__)
 
 
 @dataclass(frozen=True)
-class BrokerSettings:
-    """Where the broker is, and which data it gets.
+class Published:
+    """Which data a broker gets.
 
     Attributes:
-        host, port: of the broker.
         base: first part of all topics; "": ``gateway/NAME``.
         signals: full names of signals.
         rate_hz: how often each of them is told at most.
-        user, password: for the broker.
-        tls: whether by TLS, and ``ca``: by whose certificates.
     """
 
-    host: str
-    port: int = 1883
     base: str = ""
     signals: Sequence[str] = ()
     rate_hz: float = 1.0
-    user: str = ""
-    password: str = ""
-    tls: bool = False
-    ca: Path | None = None
 
 
 class Publisher:
@@ -76,33 +67,27 @@ class Publisher:
 
     Args:
         hub: that listens to a gateway.
-        settings: of the broker.
+        broker: the broker.
+        told: what it gets.
         name: of the gateway, for the topics.
     """
 
-    def __init__(self, hub: Hub, settings: BrokerSettings, name: str) -> None:
-        self._hub, self._settings = hub, settings
+    def __init__(self, hub: Hub, broker: Broker, told: Published, name: str) -> None:
+        self._hub, self._broker, self._settings = hub, broker, told
         self._wall = hub.fence.wall("mqtt")
-        self.base = settings.base.strip("/") or f"gateway/{topic_part(name)}"
+        self.base = told.base.strip("/") or f"gateway/{topic_part(name)}"
         self._told: dict[str, str] = {}  # topic -> retained state that the broker has
         self._anew = True
         self._next_s = 0.0
-        client = Client(CallbackAPIVersion.VERSION2, client_id=f"gateway-{topic_part(name)}")
+        client = client_of(broker, f"gateway-{topic_part(name)}")
         client.will_set(f"{self.base}/status", OFFLINE, qos=1, retain=True)
-        client.reconnect_delay_set(1, 10)
-        client.max_queued_messages_set(1000)
-        client.suppress_exceptions = True  # of ours, in its thread: it goes on
         client.on_connect = self._on_connect
         client.on_disconnect = self._on_disconnect
-        if settings.user:
-            client.username_pw_set(settings.user, settings.password or None)
-        if settings.tls:
-            client.tls_set(ca_certs=None if settings.ca is None else str(settings.ca))
         self._client = client
 
     async def run(self) -> None:
         """Tell until cancelled."""
-        self._client.connect_async(self._settings.host, self._settings.port, keepalive=10)
+        self._client.connect_async(self._broker.host, self._broker.port, keepalive=10)
         self._client.loop_start()
         try:
             while True:
@@ -126,14 +111,14 @@ class Publisher:
     def _on_connect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         """Note that all is to be told again; called in the client's thread."""
         if reason.is_failure:
-            log.warning("the broker refuses", broker=self._settings.host, reason=str(reason))
+            log.warning("the broker refuses", broker=self._broker.host, reason=str(reason))
             return
-        log.info("broker reached", broker=self._settings.host)
+        log.info("broker reached", broker=self._broker.host)
         self._anew = True
 
     def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         if reason.is_failure:
-            log.warning("broker gone; it is tried again", broker=self._settings.host, reason=str(reason))
+            log.warning("broker gone; it is tried again", broker=self._broker.host, reason=str(reason))
 
     def states(self) -> dict[str, str]:
         """Return what the broker is to have: topic -> payload."""
@@ -191,22 +176,12 @@ def topic_part(name: str) -> str:
     return re.sub(r"[/+#\x00-\x1f]", "_", name) or "_"
 
 
-async def publish(socket: Path, settings: BrokerSettings, name: str, stop: asyncio.Event) -> None:
+async def publish(socket: Path, broker: Broker, told: Published, name: str, stop: asyncio.Event) -> None:
     """Tell a broker what the gateway of a status socket knows, until told to stop.
 
     Raises:
         GatewayError: it cannot be told: a certificate that is none, ...
     """
     hub = Hub(socket)
-    try:
-        publisher = Publisher(hub, settings, name)
-    except (OSError, ValueError) as error:
-        raise GatewayError(f"{settings.host}: {error}") from error
-    work = [asyncio.create_task(hub.run()), asyncio.create_task(publisher.run())]
-    ended = asyncio.create_task(stop.wait())
-    await asyncio.wait([*work, ended], return_when=asyncio.FIRST_COMPLETED)
-    for task in work:
-        task.cancel()
-    for result in await asyncio.gather(*work, return_exceptions=True):
-        if isinstance(result, Exception) and not isinstance(result, asyncio.CancelledError):
-            raise GatewayError(f"{settings.host}: {result}") from result
+    publisher = Publisher(hub, broker, told, name)
+    await work_until(stop, [hub.run, publisher.run], broker.host)

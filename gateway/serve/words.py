@@ -10,6 +10,7 @@ from gateway.faults.cases import named, percent
 from gateway.faults.explained import CAUSE, HELD, OPEN
 from gateway.faults.remedy import WHEN
 from gateway.faults.status import Status
+from gateway.monitors.evidence import in_words
 
 _COUNTS = {1: "once", 2: "twice"}
 
@@ -19,11 +20,16 @@ def number(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.6g}"
 
 
+def unit_of(tested: str) -> str:
+    """Return the unit of a name with its unit in brackets at the end; "": it has none."""
+    return tested.partition(" [")[2].removesuffix("]")
+
+
 def told_in_words(entry: Mapping[str, Any]) -> list[str]:
     """Return sentences about one entry, the most important first.
 
     Args:
-        entry: as :func:`gateway.faults.service.list_entries` has it.
+        entry: as :func:`gateway.faults.service.list_entries` has it, with the fault's ``tested`` if known.
     """
     status = Status(entry["status"])
     times = _COUNTS.get(entry["occurrence"], f"{entry['occurrence']} times")
@@ -34,13 +40,18 @@ def told_in_words(entry: Mapping[str, Any]) -> list[str]:
     said = [f"{now}; it came {times} and is {sure}.", *_explained(entry)]
     evidence = dict(entry["evidence"])
     value, limit = evidence.pop("value", None), evidence.pop("threshold", None)
+    tested = str(entry.get("tested") or "value")
+    evidence.pop(tested, None)
     if value is not None and limit is not None:
-        said.append(f"The test found {number(value)}; its limit is {number(limit)}{_times(value, limit)}.")
-    known = [f"{name.replace('_', ' ')} {number(each)}" for name, each in evidence.items() if each is not None]
+        label, found = in_words(tested, value, number(value))
+        _, allowed = in_words(tested, limit, number(limit))
+        said.append(f"{label[0].upper()}{label[1:]}: {found}, limit {allowed}{_times(value, limit)}.")
+    known = [": ".join(in_words(name, each, number(each))) for name, each in evidence.items() if each is not None]
     if known:
-        said.append("Known of it: " + ", ".join(known) + ".")
+        said.append("Measured with it: " + "; ".join(known) + ".")
     if entry.get("remedy"):
-        said.append(f"What to do: {entry['remedy']}; {WHEN[entry['severity']]}.")
+        severity = "" if entry["severity"] == "none" else f"; {WHEN[entry['severity']]}"
+        said.append(f"What to do: {entry['remedy']}{severity}.")
     return said
 
 
@@ -65,4 +76,4 @@ def _times(value: float, limit: float) -> str:
     if limit == 0:
         return ""
     near = nearness(True, value, limit)
-    return f" ({near:.3g} of what is allowed)" if near > 1 else ""
+    return f" ({near:.3g} times the limit)" if near > 1 else ""

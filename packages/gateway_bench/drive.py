@@ -7,7 +7,7 @@ step begins, so a run is the same every time and goes as fast as the machine all
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,7 +16,7 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.config.model import Config
 from gateway.runtime.app import Gateway
-from gateway.servers.dtc_frame import DtcReport, read_dtc_frame
+from gateway.servers.dtc_frame import DtcReport, message_of, read_dtc_frame
 from gateway_bench.vecu.expectations import Judge
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario
@@ -58,10 +58,14 @@ def arriving(frames: Frames) -> Frames:
     return frames[np.lexsort((frames["bus"], frames["t_ns"]))]
 
 
-def reports_among(frames: Frames, gateway: Gateway) -> Iterator[DtcReport]:
+#: Database of the DTC frame. It is looked for once: each step of a drive asks for it.
+_database = cache(partial(shipped, "dbc/gateway.dbc"))
+
+
+def reports_among(frames: Frames) -> Iterator[DtcReport]:
     """Yield the DTC frames of a gateway as a tester decodes them."""
-    database = shipped("dbc/gateway.dbc")
-    for frame in frames[frames["can_id"] == gateway.dtc_frame_id]:
+    database = _database()
+    for frame in frames[frames["can_id"] == message_of(database).frame_id]:
         report = read_dtc_frame(frame, database)
         if report is not None:
             yield report
@@ -112,7 +116,7 @@ def drive(
             given = [driven.feed(batch)] if len(batch) else []  # of a slow plant most steps have no frame
             for sent in (*given, driven.advance(until), gateway.asking.poll(until)):
                 player.hear(sent)
-                for report in reports_among(sent, gateway):
+                for report in reports_among(sent):
                     if judge is not None and report.dtc is not None:
                         judge.report(report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence)
                     if on_report is not None:

@@ -4,7 +4,9 @@ import importlib
 import json
 
 import pytest
+from typer.testing import CliRunner
 
+from gateway.cli import app
 from gateway.cli.check import check
 from gateway.cli.why import why
 from gateway_fdi.common.resources import shipped
@@ -85,3 +87,27 @@ def test_why_of_a_fault_that_is_not_there_names_near_ones(capsys):
     assert why(path, "steering.angle", json=True) == 2
     (told,) = json.loads(capsys.readouterr().out)["errors"]
     assert told["key"] == "--why"
+
+
+def test_many_faults_are_counted_by_kind_and_listed_on_demand(tmp_path):
+    count = 40
+    messages = "".join(
+        f'BO_ {k} Message{k}: 8 ECU\n SG_ Value : 0|8@1+ (1,0) [0|0] "" X\n\n' for k in range(1, count + 1)
+    )
+    (tmp_path / "car.dbc").write_text(f'VERSION ""\n\nBU_: ECU X\n\n{messages}')
+    path = tmp_path / "car.toml"
+    checks = "".join(f'[[bus.check]]\nmessage = "Message{k}"\ntimeout_ms = 100.0\n' for k in range(1, count + 1))
+    path.write_text(
+        f'name = "car"\n[[bus]]\nname = "can0"\nuri = "virtual:a"\ndatabase = ["car.dbc"]\ncodes = "own"\n{checks}'
+    )
+    said = CliRunner().invoke(app, ["check", str(path)])
+    assert said.exit_code == 0, said.output
+    lines = said.output.splitlines()
+    assert lines[0].startswith(f"{path}: good. 1 bus(es), 0 monitor(s), ")
+    assert len(lines) < 12
+    (bus,) = [line for line in lines if line.split()[1:2] == ["can0:"]]
+    assert f"timeout {count}" in bus
+    assert f"{count} codes given out: gateway check {path} --all" in lines[-1]
+    every = CliRunner().invoke(app, ["check", str(path), "--all"]).output
+    assert sum(".timeout: " in line for line in every.splitlines()) == count
+    assert int(lines[0].split()[-2]) == sum(line.startswith("  ") and ": " in line for line in every.splitlines())

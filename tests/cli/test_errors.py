@@ -121,6 +121,26 @@ def test_a_wrong_environment_is_named(gateway, tmp_path, monkeypatch):
     ended = gateway("check", "c.toml")
     assert ended.code == 2
     assert 'the environment: error parsing value for field "memory"' in ended.err
+    monkeypatch.delenv("GATEWAY_MEMORY")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("GATEWAY_MEMORY__PAHT", "GATEWAY_MEMORY__PAHT: unknown key; did you mean path?"),
+        ("GATEWAY_MEMORY__ENTRIES", "GATEWAY_MEMORY__ENTRIES = 'x': a whole number"),
+        (
+            "GATEWAY_MEMRY__PATH",
+            "GATEWAY_MEMRY__PATH: no table of the configuration is called memry; did you mean MEMORY?",
+        ),
+    ],
+)
+def test_a_slip_in_the_environment_is_no_error_of_the_file(gateway, tmp_path, monkeypatch, name, said):
+    (tmp_path / "c.toml").write_text(BUS)
+    monkeypatch.setenv(name, "x")
+    ended = gateway("check", "c.toml")
+    assert (ended.code, ended.err.count("\n")) == (2, 1)
+    assert ended.err.startswith(f"error: the environment: {said}")
 
 
 def test_a_library_that_is_not_there_is_not_waited_for(gateway, tmp_path):

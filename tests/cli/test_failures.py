@@ -40,7 +40,7 @@ def broken(*_, **__):
 def test_a_bug_is_one_line_that_says_where_to_report_it(gateway, monkeypatch):
     importlib.import_module("gateway.cli.check")
     monkeypatch.setattr(sys.modules["gateway.cli.check"], "load_config", broken)
-    ended = gateway("check")
+    ended = gateway("check", "gateway.toml")
     assert ended.code == failure.BUG
     (line,) = ended.err.splitlines()
     assert "this is a bug of the gateway" in line
@@ -53,6 +53,7 @@ def test_a_bug_is_one_line_that_says_where_to_report_it(gateway, monkeypatch):
 @pytest.mark.parametrize("how", ["option", "variable"])
 def test_the_traceback_is_there_for_who_asks(tmp_path, how):
     code = (
+        "from gateway.common.postponed import postpone; postpone()\n"
         "import gateway.cli.check as c, gateway.cli as cli\n"
         "def broken(*a, **k): raise KeyError('volts')\n"
         "c.load_config = broken\ncli.main()\n"
@@ -87,7 +88,8 @@ def test_where_to_report_comes_from_the_package(monkeypatch):
 def test_what_the_machine_refuses_is_no_bug(gateway, tmp_path):
     ended = gateway("faults", "export", "--out", tmp_path / "no" / "such" / "folder.json")
     assert ended.code == 2
-    assert f"error: {tmp_path}/no/such/folder.json: No such file or directory" in ended.err
+    said = f"{tmp_path}/no/such/folder.json: --out: No such file or directory; there is no folder {tmp_path}/no/such"
+    assert said in ended.err
 
 
 def test_a_thread_that_fails_says_so_in_one_line(gateway, capsys):
@@ -122,6 +124,8 @@ def test_tables_fold_and_cut_nothing():
 #: Stands for a compiler: a call into C that holds the main thread, and in which no handler of Python runs.
 COMPILING = """
 import ctypes, sys, time
+from gateway.common.postponed import postpone
+postpone()
 import {module} as module
 def compiling(*a, **k):
     print("compiling", file=sys.stderr, flush=True)

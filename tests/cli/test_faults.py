@@ -143,7 +143,7 @@ def test_a_long_id_and_stamps_of_the_calendar_at_80_columns(tmp_path, monkeypatc
     assert max(map(len, text.splitlines())) <= 80
     for stamp in ("2025-11-22 10:08:28", "2025-11-22 10:10:09", "U0401-83", "0x2F"):
         assert stamp in text
-    column = "".join(line[14:].split("  ")[0].strip() for line in text.splitlines()[1:])
+    column = "".join(line[14:].split("  ")[0].strip() for line in text.splitlines()[2:])
     assert column == entry["fault"]
     monkeypatch.setattr(present, "WIDTH", 160)
     faults.list_faults(None, memory=tmp_path, json=False)

@@ -68,11 +68,11 @@ def test_what_is_wrong_names_dtc_time_expected_and_time_seen(scenario, tmp_path)
 
 
 def test_a_dtc_that_nobody_expects_is_one_case(scenario, tmp_path):
-    text = BATTERY.replace('"P0562-16"', '"P0336-29"')
+    text = BATTERY.replace('"P0562-16"', '"P0563-17"')
     assert simulated(scenario(text), tmp_path / "out.xml") == 1
     suite, cases = read(tmp_path / "out.xml")
-    assert list(cases) == ["P0336-29 set after 5 s by 6 s", "no other DTC"]
-    assert cases["P0336-29 set after 5 s by 6 s"].result[0].text == "P0336-29 not set by 6.0 s"
+    assert list(cases) == ["P0563-17 set after 5 s by 6 s", "no other DTC"]
+    assert cases["P0563-17 set after 5 s by 6 s"].result[0].text == "P0563-17 not set by 6.0 s"
     assert "P0562-16 set at 5." in cases["no other DTC"].result[0].text
     assert suite.failures == 2
 

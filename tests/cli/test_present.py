@@ -70,7 +70,7 @@ def test_the_same_advice_is_given_once(capsys):
     printer = EventPrinter(as_json=False)
     printer.definition = definition
     printer(dtc(0x2F))
-    printer({**dtc(0x2F, fault="crank.added_pulse"), "dtc": "P0336-3A"})
+    printer({**dtc(0x2F, fault="crank.added_pulse"), "dtc": "P0336-3A", "t_ns": 5 * 10**9})
     assert "to do     as for P0336-39" in capsys.readouterr().out
 
 

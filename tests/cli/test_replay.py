@@ -6,6 +6,7 @@ import importlib
 import lzma
 
 import can
+import networks
 import numpy as np
 import pytest
 from command import command
@@ -17,6 +18,8 @@ from gateway.bus.logs import open_writer, read_log
 from gateway.common import extras
 from gateway.faults.store import Store
 from gateway.runtime.app import Gateway
+from gateway.runtime.assemble import prepare
+from gateway.runtime.log import Log
 from gateway_fdi.errors import GatewayError
 
 BUS = """
@@ -86,6 +89,18 @@ def test_a_log_without_a_configured_bus_is_no_good_log(replay, tmp_path):
     meant = replay("a.log", "--allow-empty")
     assert meant.code == 0
     assert "no frame of a configured bus" in meant.out
+
+
+@pytest.mark.parametrize(("ours", "strange", "foreign"), [(1, 3, "1 of 4"), (1, 2, ""), (2, 9, ""), (0, 1, "none")])
+def test_a_log_that_shares_a_few_identifiers_by_chance_is_of_another_vehicle(tmp_path, ours, strange, foreign):
+    """Ten are known; one in four of the log, and one in ten of the known, may be by chance."""
+    bus = {"drive": {"Engine": [(0x100 + k, 10) for k in range(10)]}}
+    config = networks.config_of(tmp_path, bus)
+    ids = [*(0x100 + k for k in range(ours)), *(0x300 + k for k in range(strange))]
+    (tmp_path / "a.log").write_text("".join(f"(1.{k:06}) drive {can_id:03X}#00\n" for k, can_id in enumerate(ids)))
+    log = Log(tmp_path / "a.log", config)
+    log.refuse_foreign(prepare(config).databases)
+    assert log.foreign == foreign
 
 
 def test_a_log_of_another_vehicle_is_not_judged(replay, tmp_path):
@@ -160,8 +175,8 @@ def test_one_bus_takes_all_channels_and_says_so(replay, tmp_path):
 def test_a_report_without_its_packages_is_refused_before_a_log_is_looked_for(replay, monkeypatch):
     monkeypatch.setattr(extras, "_found", lambda package: package != "bokeh")
     ended = replay("none.log", "--html", "report.html")
-    assert (ended.code, "ecu-gateway[serve]" in ended.err, "--html" in ended.err) == (2, True, True), ended.err
-    assert "ecu-gateway[serve]" not in replay("none.log").err
+    assert (ended.code, ".[serve]" in ended.err, "--html" in ended.err) == (2, True, True), ended.err
+    assert ".[serve]" not in replay("none.log").err
 
 
 def test_a_log_of_nothing_that_is_watched(replay, tmp_path):

@@ -179,7 +179,7 @@ def test_without_pyarrow_it_says_what_to_install(logs, tmp_path, capsys, monkeyp
         capsys, monkeypatch, "replay", logs["motor_faults"], "-c", MOTOR, "--signals", tmp_path / "out.parquet"
     )
     assert ended.code == 2
-    assert "pip install 'ecu-gateway[parquet]'" in ended.err
+    assert "pip install '.[parquet]'" in ended.err
 
 
 @pytest.mark.parametrize("content", ["a,b\n1,2\n", "", "t_ns,monitor,kind,name,value,limit,result,unit\n1,2\n"])

@@ -116,12 +116,12 @@ def test_what_a_digest_names_is_told_by_the_version_of_its_link(tmp_path):
 
 #: A version of tomorrow: one more datum of an entry, and one of a tester's intervention.
 LATER = """
-_TENTH = '''
+_LATER = '''
 ALTER TABLE fault ADD COLUMN latest_pass_ns INTEGER NOT NULL DEFAULT 5;
 ALTER TABLE intervention ADD COLUMN seat TEXT NOT NULL DEFAULT 'none';
 UPDATE fault SET latest_pass_ns = last_ns WHERE occurrence > 0;
 '''
-MIGRATIONS = (*MIGRATIONS, _TENTH)
+MIGRATIONS = (*MIGRATIONS, _LATER)
 CHAINED"""
 
 

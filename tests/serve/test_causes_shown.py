@@ -15,10 +15,11 @@ from gateway.faults import service
 from gateway.faults.cases import cases_of
 from gateway.live.hello import described
 from gateway.runtime.app import Gateway
+from gateway.serve.broker import Broker
 from gateway.serve.hub import Hub
 from gateway.serve.memory import MemoryFile
 from gateway.serve.metrics import Metrics
-from gateway.serve.mqtt import BrokerSettings, Publisher
+from gateway.serve.mqtt import Published, Publisher
 from gateway.serve.report.page import Told, write_report
 
 SPEED = "signal can0.Speed.V"
@@ -75,7 +76,7 @@ def test_metrics_and_mqtt_say_it(shown, tmp_path):
     assert re.search(rf'gateway_cause_faults{{cause="{SPEED}",proven="true"}} 3.0', text)
     assert re.search(rf'gateway_cause_probability{{cause="{SPEED}",proven="true"}} (0\.9|1\.0)', text)
     assert "gateway_symptoms_held 2.0" in text
-    states = Publisher(hub, BrokerSettings("127.0.0.1"), "car").states()
+    states = Publisher(hub, Broker(host="127.0.0.1"), Published(), "car").states()
     (case,) = json.loads(states["gateway/car/causes"])
     assert (case["components"], case["faults"][0]) == ([SPEED], "rules.A")
     held = json.loads(states["gateway/car/dtc/rules.B"])
@@ -85,9 +86,10 @@ def test_metrics_and_mqtt_say_it(shown, tmp_path):
 def test_the_commands_say_it(shown):
     _, path = shown
     listed = CliRunner().invoke(app, ["faults", "list", "--memory", str(path)]).output.splitlines()
-    assert listed[1].startswith(SPEED)
-    assert "0x2F confirmed" in listed[2]
-    assert "0x27 held" in listed[4]
+    assert listed[0] == f"Cause: {SPEED}"
+    assert listed[2].startswith(SPEED)
+    assert "0x2F confirmed" in listed[3]
+    assert "0x27 held" in listed[5]
     codes = {entry["fault"]: entry["dtc"] for entry in service.list_entries(path)}
     one = CliRunner().invoke(app, ["faults", "show", codes["rules.B"], "--memory", str(path)]).output
     assert re.search(rf"^cause +{SPEED} \((9[0-9]|100)", one, re.MULTILINE)

@@ -158,8 +158,10 @@ def test_a_page_gets_the_state_then_a_piece_of_the_past_at_a_time_then_what_come
     viewer.put("memory", "old")
     for k in range(MOST_PASSING + 2):
         viewer.put("tick", str(k))
-    viewer.begin("state", iter(["one", "two"]))
-    assert viewer.take()[-2:] == [("state", "state"), ("history", "one")], "a state is never given up"
+    viewer.begin("state", "tests", iter(["one", "two"]))
+    assert viewer.take()[-3:] == [("state", "state"), ("tests", "tests"), ("history", "one")], (
+        "a state is never given up"
+    )
     assert viewer.news.is_set()
     viewer.put("tick", "next")
     assert viewer.take() == [("tick", "next"), ("history", "two")]
@@ -212,8 +214,8 @@ def test_evidence_in_words():
     }  # fmt: skip
     said = told_in_words(entry)
     assert said[0] == "It is there now; it came twice and is confirmed."
-    assert said[1] == "The test found 1.5; its limit is 1 (1.5 of what is allowed)."
-    assert said[2] == "Known of it: tooth 20."
+    assert said[1] == "Value: 1.5, limit 1 (1.5 times the limit)."
+    assert said[2] == "Measured with it: tooth: 20."
     assert said[3].startswith("What to do: look; have it checked at the next halt")
     low = told_in_words({**entry, "evidence": {"value": 2.0, "threshold": 8.0}, "status": 0x08, "occurrence": 1})
     assert low[0] == "It is not there at present; it came once and is confirmed."

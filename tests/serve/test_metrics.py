@@ -14,9 +14,10 @@ from gateway.config.load import load_config
 from gateway.engine.buckets import TickRow
 from gateway.live.hello import described
 from gateway.runtime.app import Gateway
+from gateway.serve.broker import Broker
 from gateway.serve.hub import Hub
 from gateway.serve.metrics import Metrics
-from gateway.serve.mqtt import BrokerSettings, Publisher
+from gateway.serve.mqtt import Published, Publisher
 from gateway_fdi.common.resources import shipped
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
@@ -69,7 +70,7 @@ def test_security_events_are_metrics_states_of_a_broker_and_listed(hub):
         samples(Metrics(hub).text())["gateway_security_events_total", ("kind", "unknown"), ("sensor", "powertrain.3A1")]
         == 100.0
     )
-    states = Publisher(hub, BrokerSettings("nowhere"), "car").states()
+    states = Publisher(hub, Broker(host="nowhere"), Published(), "car").states()
     assert json.loads(states["gateway/car/security/powertrain.3A1/unknown"])["total"] == 100
     assert [event["total"] for event in hub.events] == [1, 100]
 
@@ -89,7 +90,7 @@ def hub_bits():
 
 
 def test_what_the_rules_and_the_dashboard_ask_for_is_there(hub):
-    told = {key[0] for key in samples(Metrics(hub).text())} | {"gateway_dtc_occurrences"}
+    told = {key[0] for key in samples(Metrics(hub).text())} | {"gateway_dtc_occurrences", "gateway_cause_faults"}
     asked = set()
     for file in ("prometheus/gateway.rules.yml", "grafana/gateway.json"):
         text = (DEPLOY / file).read_text()

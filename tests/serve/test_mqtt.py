@@ -15,8 +15,9 @@ from debian import program
 from kernel_can import wait_for
 from paho.mqtt.enums import CallbackAPIVersion
 
+from gateway.serve.broker import Broker
 from gateway.serve.hub import Hub
-from gateway.serve.mqtt import BrokerSettings, Publisher, topic_part
+from gateway.serve.mqtt import Published, Publisher, topic_part
 
 pytestmark = pytest.mark.system
 
@@ -81,7 +82,7 @@ class Running:
         self.hub = Hub(folder / "nobody")
         self.hub.connected = True
         self.hub.hello = {"name": "x", "faults": [{"id": "crank.missed_pulse"}, {"id": "crank.old"}]}
-        self.publisher = Publisher(self.hub, BrokerSettings("127.0.0.1", port, **more), "te/st")
+        self.publisher = Publisher(self.hub, Broker(host="127.0.0.1", port=port), Published(**more), "te/st")
         self.loop = asyncio.new_event_loop()
         self.thread = threading.Thread(target=self.work, daemon=True)
         self.thread.start()
@@ -156,10 +157,11 @@ def test_one_that_is_killed_is_offline(tmp_path, port):
 import sys, asyncio
 from pathlib import Path
 from gateway.serve.hub import Hub
-from gateway.serve.mqtt import BrokerSettings, Publisher
+from gateway.serve.broker import Broker
+from gateway.serve.mqtt import Publisher, Published
 hub = Hub(Path("nobody"))
 hub.connected = True
-asyncio.run(Publisher(hub, BrokerSettings("127.0.0.1", {port}), "te/st").run())
+asyncio.run(Publisher(hub, Broker(host="127.0.0.1", port={port}), Published(), "te/st").run())
 """
     with broker(tmp_path, port), subscriber(port) as told:
         started = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path)

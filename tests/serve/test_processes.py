@@ -47,7 +47,7 @@ def test_a_demo_shows_truth_and_dtc_and_ends_in_good_order(tmp_path):
             next(e["text"] for e in shown["events"] if e["event"] == "injected")
             == "sensor misses pulses, 1 at tooth 20"
         )
-        assert "The test found" in " ".join(shown["memory"]["entries"][0]["words"])
+        assert "Pulse away from its place: " in " ".join(shown["memory"]["entries"][0]["words"])
         wait_for(lambda: "stays until" in (tmp_path / "said").read_text())
         assert started.poll() is None
         wait_for(lambda: state_of(url)["hello"]["ended"] == "The scenario crank_missed_tooth has ended after 8 s.")

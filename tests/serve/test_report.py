@@ -21,8 +21,8 @@ MOST_BYTES = 5_000_000
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory):
-    """A drive with a missed pulse."""
+def drive(tmp_path_factory):
+    """A drive with a missed pulse: its log, and what is printed."""
     path = tmp_path_factory.mktemp("log") / "drive.log"
     ended = subprocess.run(
         [sys.executable, "-c", "from gateway.cli import main; main()", "simulate", "crank_missed_tooth", "--bus",
@@ -30,7 +30,19 @@ def log(tmp_path_factory):
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert ended.returncode == 0, ended.stderr
-    return path
+    return path, ended.stdout
+
+
+@pytest.fixture
+def log(drive):
+    return drive[0]
+
+
+def test_the_readme_shows_what_is_printed(drive):
+    text = (Path(__file__).parents[2] / "README.md").read_text()
+    shown = re.search(r"^```\n(DTC .*?)^```", text, re.MULTILINE | re.DOTALL)[1]
+    printed = {re.sub(r"^\d+\.\d+ s +", "", line.strip()) for line in drive[1].splitlines()}
+    assert {line.strip() for line in shown.splitlines()} <= printed
 
 
 def report_of(log, path, **more):
@@ -65,7 +77,7 @@ def test_its_numbers_are_those_of_json_and_its_bytes_are_the_same_each_time(log,
     (dtc,) = {event["dtc"] for event in told if event["event"] == "dtc"}
     evidence = next(event["evidence"] for event in told if event["event"] == "dtc")
     assert f'data-dtc="{dtc}"' in text
-    assert f"The test found {evidence['value']:.6g}; its limit is {evidence['threshold']:.6g}" in text
+    assert f"Pulse away from its place: {evidence['value']:.6g} pitch, limit {evidence['threshold']:.6g} pitch" in text
     figures = json.dumps(part(text, "figures"))
     assert f"{evidence['value']:.7g}"[:8] in figures, "the peak is in a column"
     assert "around its failure" in text

@@ -10,10 +10,11 @@ from amount import amount
 from gateway.bus.frames import EXTENDED, empty, put
 from gateway.clients.survey import LISTEN_NS, Survey
 from gateway.common.fence import Fence
+from gateway.serve.broker import Broker
 from gateway.serve.guard import Guard, Rights
 from gateway.serve.hub import Hub
 from gateway.serve.metrics import Metrics
-from gateway.serve.mqtt import BrokerSettings, Publisher
+from gateway.serve.mqtt import Published, Publisher
 
 MS = 1_000_000
 HELLO = {
@@ -125,7 +126,7 @@ def test_mqtt_tells_the_rest_where_one_state_cannot_be_told(caught, monkeypatch)
     monkeypatch.setattr("gateway.serve.mqtt.LOOK_S", 0.01)
     monkeypatch.setattr("gateway.serve.mqtt.REST_S", 0.01)
     hub = Hub("none")
-    made = Publisher(hub, BrokerSettings("127.0.0.1", 1), "x")
+    made = Publisher(hub, Broker(host="127.0.0.1", port=1), Published(), "x")
     told, looks = [], 0
 
     class Client:
@@ -182,7 +183,12 @@ def test_a_broker_that_sends_nonsense_ends_nothing(tmp_path):
             writer.close()
 
         server = await asyncio.start_server(serve, "127.0.0.1", 0)
-        made = Publisher(Hub(tmp_path / "none"), BrokerSettings(*server.sockets[0].getsockname()), "x")
+        made = Publisher(
+            Hub(tmp_path / "none"),
+            Broker(host="127.0.0.1", port=server.sockets[0].getsockname()[1]),
+            Published(),
+            "x",
+        )
         made._client.reconnect_delay_set(1, 1)
         running = asyncio.create_task(made.run())
         while count < amount(60, 4):

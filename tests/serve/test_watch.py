@@ -13,6 +13,7 @@ from gateway.live.hello import described
 from gateway.runtime.app import Gateway
 from gateway.serve.hub import Hub
 from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import GatewayError
 
 
 @pytest.fixture
@@ -64,6 +65,6 @@ def test_a_demo_that_is_over_says_so(hub):
     assert told(hub)["nearest"], "what it showed is still there"
 
 
-def test_without_a_gateway_it_says_so(tmp_path, capsys):
-    assert watch(None, status=tmp_path / "nobody", once=True, json=False) == 2
-    assert "no gateway" in capsys.readouterr().err
+def test_without_a_gateway_it_says_so(tmp_path):
+    with pytest.raises(GatewayError, match="no gateway runs here .*; start one: gateway run"):
+        watch(None, status=tmp_path / "nobody", once=True, json=False)

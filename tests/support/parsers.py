@@ -8,6 +8,7 @@ import json
 import lzma
 import random
 import tempfile
+import zlib
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from io import BytesIO
@@ -353,6 +354,71 @@ def _sovd(folder, stack):
     return Target(samples, feed, _answers(doors))
 
 
+def _batch(_folder, _stack):
+    from gateway.faults.fleet import FleetParams
+    from gateway.faults.outgoing import Outgoing, Tally
+    from gateway_fleet.live.batch import packed, unpacked
+    from gateway_fleet.live.inbox import Row
+    from gateway_fleet.live.tables import event_row, test_rows
+
+    told = {
+        "event": "statistics",
+        "t_ns": 9,
+        "begin_ns": 1,
+        "part": 0,
+        "condition": "",
+        "block_s": 60.0,
+        "seconds": 6.0,
+    }
+    told["tests"] = [{"fault": "f", "sign": 1, "limit": 1.0, "blocks": 1, "failed": 0, "top": [0.5], "digest": []}]
+    rows = [Outgoing(1, False, 0, json.dumps(told), "ab-1", 1)]
+    sample = packed(FleetParams(name="f", car="c"), rows, Tally(1, 1, 0, 0))[0]
+
+    def feed(data):
+        from gateway.runtime.contract import wrong
+
+        for sent in unpacked(data if data[:1] == sample[:1] else zlib.compress(data)).events:
+            if not wrong(sent.event):
+                row = Row(1, "c", "", "", *sent.id, sent.limits, 1, sent.body)
+                event_row(row)
+                list(test_rows(row))
+
+    return Target((sample, zlib.decompress(sample)), feed)
+
+
+def _campaign(_folder, _stack):
+    from gateway_fleet.live import signed
+    from gateway_fleet.live.campaign import Campaign
+
+    key = signed.Ed25519PrivateKey.from_private_bytes(bytes(32))
+    text = 'fleet = "f"\nname = "n"\nserial = 1\nuntil = 2030-01-01T00:00:00Z\n'
+    text += 'limit = [{ test = "a.b.high", limit = 1.5 }]\n'
+    sample = signed.sign("campaign", text, key)
+
+    def feed(data):
+        public = (signed.public_of(key),)
+        whole = data if data[:1] == b"#" else signed.sign("campaign", data.decode("utf-8", "replace"), key)
+        signed.opened(whole, "campaign", public, Campaign)
+
+    return Target((sample, text.encode()), feed)
+
+
+def _answers_of_ecus(_folder, _stack):
+    """What ECUs say of DTCs, their snapshots, and results of monitors."""
+    from gateway.answers.monitor_tests import results
+    from gateway.answers.snapshots import snapshots_in_words
+    from gateway.clients.dtcs import told_by
+
+    def feed(data):
+        snapshots_in_words(data)
+        list(results(data))
+        if data:
+            told_by("ecu", data, data[:5])
+
+    samples = ("0102F40680F405D20201F40C1AF8", "594233FFFF0402013300 2F", "59040133002F0101F405D2", "4302 0133 4035")
+    return Target(tuple(map(bytes.fromhex, samples)), feed)
+
+
 #: Name -> what opens it.
 TARGETS = {
     **{kind: _database(kind) for kind in ("dbc", "kcd", "sym", "arxml")},
@@ -368,9 +434,12 @@ TARGETS = {
     "requests": _requests,
     "frames": _frames,
     "long": _long,
+    "answers": _answers_of_ecus,
     "doip": _doip,
     "status": _status,
     "sovd": _sovd,
+    "batch": _batch,
+    "campaign": _campaign,
 }
 
 

@@ -339,10 +339,10 @@ def opened(folder):
 
 
 @pytest.mark.evidence("Releases: unit")
-@pytest.mark.parametrize("name", ["gateway", "gateway-page"])
+@pytest.mark.parametrize("name", ["gateway", "gateway-page", "gateway-fleet", "fleet/gateway-collector"])
 def test_the_unit_is_one_that_systemd_takes_and_calls_hardened(tmp_path, name):
     analyze = program("systemd-analyze", "systemd")
-    unit = tmp_path / f"{name}.service"
+    unit = tmp_path / f"{name.rpartition('/')[2]}.service"
     text = (ROOT / f"deploy/{name}.service").read_text()
     unit.write_text(text.replace("/opt/gateway/venv/bin/gateway", "/bin/true"))
     verified = subprocess.run([analyze, "verify", "--man=no", str(unit)], capture_output=True, text=True, check=False)
@@ -354,4 +354,5 @@ def test_the_unit_is_one_that_systemd_takes_and_calls_hardened(tmp_path, name):
     )  # fmt: skip
     assert exposure.returncode == 0, exposure.stdout[-400:]
     (command,) = re.findall(r"^ExecStart=\S+/gateway (.*)$", text, re.M)
-    assert command.split()[0] == {"gateway": "run", "gateway-page": "serve"}[name]
+    words = {"gateway": "run", "gateway-page": "serve", "gateway-fleet": "fleet join"}.get(name, "fleet collect")
+    assert command.startswith(words)

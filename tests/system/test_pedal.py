@@ -64,7 +64,7 @@ def driven(folder):
 
         reader = threading.Thread(target=read, daemon=True)
         reader.start()
-        drive = gateway("simulate", unhurried(SCENARIO, folder), "--check", "--bus", uri, cwd=folder)
+        drive = gateway("simulate", unhurried(SCENARIO, folder), "--check", "--json", "--bus", uri, cwd=folder)
         stop.set()
         reader.join(10)
     return drive, qualities, daemon.code, events_in(folder)

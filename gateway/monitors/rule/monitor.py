@@ -109,6 +109,7 @@ def _faults(p: PartParams) -> tuple[Fault, ...]:
     rule = p.rule
     named = zip(p.signals, p.units, strict=True)
     labels = tuple(f"{name} [{unit}]" if unit else name for name, unit in named)
+    one = p.units[0] if len(set(p.units)) == 1 else ""
     return (
         Fault(
             rule.name,
@@ -117,6 +118,7 @@ def _faults(p: PartParams) -> tuple[Fault, ...]:
             labels[:EVIDENCE],
             Debounce(failed_ms=rule.failed_ms, passed_ms=rule.passed_ms),
             remedy="compare the signals named in the evidence with each other, and with the vehicle",
+            tested=f"off the relation by [{one}]" if one else "off the relation by",
         ),
     )
 

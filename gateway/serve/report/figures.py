@@ -10,13 +10,15 @@ from typing import Any
 
 from bokeh.core.json_encoder import serialize_json
 from bokeh.document import Document
-from bokeh.models import ColumnDataSource, HoverTool
+from bokeh.models import ColumnDataSource, HoverTool, Range1d
 from bokeh.plotting import figure
 
 from gateway.serve.report.collect import STEP_NS, Collector
 
 BAND, BAD, INK, EDGE = "#3d7fc0", "#b3261e", "#55616e", "#dfe4ea"
 HEIGHT = 190
+#: Times the limit at which an axis ends.
+FAR = 10.0
 _ID = re.compile(r'"id": ?"(p\d+)"')
 
 
@@ -65,14 +67,18 @@ def _blank() -> Any:
     return made
 
 
-def band(columns: Iterable[tuple[float, float, Any]], *, marks: Sequence[float] = ()) -> Any:
+def band(columns: Iterable[tuple[float, float, Any]], unit: str = "", *, marks: Sequence[float] = ()) -> Any:
     """Return a residual over time.
 
     Args:
         columns: middle and width [s], and the bucket.
+        unit: of the residual; "": none.
         marks: times to be marked [s].
     """
     rows = list(columns)
+    # A limit is to be seen beside values that are far beyond it: the axis ends before these.
+    end = FAR * max((abs(float(row["limit"])) for _, _, row in rows), default=0.0)
+    beyond = end > 0 and any(max(abs(float(row["low"])), abs(float(row["high"]))) > end for _, _, row in rows)
     data = {
         "x": [_short(x) for x, _, _ in rows],
         "w": [_short(w) for _, w, _ in rows],
@@ -90,9 +96,15 @@ def band(columns: Iterable[tuple[float, float, Any]], *, marks: Sequence[float] 
     made.line(x="x", y="limit", line_color=BAD, line_dash=[6, 4], line_width=1.6, source=source)
     if marks:
         made.vspan(x="x", line_color=INK, line_dash="dotted", source=ColumnDataSource({"x": list(marks)}))
-    shown = [("time", "@x s"), ("values", "@low to @high"), ("limit", "@limit"), ("of what is allowed", "@near")]
+    shown = [("time", "@x s"), ("values", "@low to @high"), ("limit", "@limit"), ("times the limit", "@near")]
     made.add_tools(HoverTool(renderers=[bars], tooltips=shown))
     made.xaxis.axis_label = "s"
+    if unit:
+        made.yaxis.axis_label = unit
+    if beyond:
+        low = min(float(row[name]) for _, _, row in rows for name in ("low", "limit"))
+        high = max(float(row[name]) for _, _, row in rows for name in ("high", "limit"))
+        made.y_range = Range1d(start=max(low, -end), end=min(high, end))
     return made
 
 

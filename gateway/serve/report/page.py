@@ -15,20 +15,24 @@ import numpy as np
 
 from gateway import __version__
 from gateway.common.jsonlines import line
-from gateway.faults.cases import Case, cases_of, named
+from gateway.faults.cases import MOST_NAMED
+from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.entries import Entry
 from gateway.faults.remedy import severity_names
-from gateway.faults.service import as_dict
 from gateway.faults.status import Status
+from gateway.faults.summary import UNTESTED, WHOLE, Answer, counted, in_lines
 from gateway.runtime.app import Gateway
 from gateway.serve.bokeh_files import bokeh_folder
 from gateway.serve.report.collect import Collector
 from gateway.serve.report.figures import Figure, band, columns_of, documents, fine_columns, load
 from gateway.serve.report.timeline import Span, timeline
-from gateway.serve.words import number, told_in_words
+from gateway.serve.words import number, told_in_words, unit_of
 
-#: Figures of residuals without a failure.
-MOST_OTHERS = 6
+#: Figures of residuals with a failure, and without one.
+MOST_FAILED, MOST_OTHERS = 12, 6
+#: Rows of the timeline, findings, and codes without a cause, that are not folded; tests of which all are shown, and of
+#: more those that are.
+MOST_ROWS, MOST_FINDINGS, MOST_TESTS, MOST_NEAR = 12, 20, 60, 30
 STYLE = Path(__file__).parent.parent / "static" / "page.css"
 #: Numbers of this machine and this moment, and not of the run.
 OF_THE_MOMENT = ("seconds", "frames_per_s")
@@ -82,7 +86,10 @@ class _Page:
         self._gateway, self._found, self._told = gateway, found, told
         self._figures: list[Figure] = []
         self._entries = sorted(gateway.memory.entries(), key=lambda entry: (entry.first_ns or 0, str(entry.dtc)))
-        self._cases = cases_of([as_dict(entry) for entry in self._entries])
+        self._summary = gateway.found()
+        kinds = [kind for answer in self._summary.answers for kind in answer.symptoms]
+        #: Faults that show what another one shows, which stands for them.
+        self._alike = {fault for kind in kinds if len(kind.faults) > MOST_NAMED for fault in kind.faults[1:]}
         self._events = [_lasting(event) for event in (*found.events, *told.events)]
 
     def text(self) -> str:
@@ -124,29 +131,24 @@ class _Page:
         return f'<p class="called" aria-hidden="true">{escape(text)}</p>{figure}'
 
     def _verdict(self) -> str:
-        findings, entries = self._told.findings, self._entries
-        if findings:
-            good = all(good for good, _ in findings)
-            text = "As expected" if good else "Not as expected"
-        else:
-            good = not entries
-            codes = ", ".join(str(entry.dtc) for entry in entries)
-            causes = [named(case.components) for case in self._cases if case.proven]
-            text = "No trouble codes" if good else f"Trouble codes: {codes}"
-            text = f"Cause: {'; '.join(causes)}" if causes else text
+        findings, found = self._told.findings, self._summary
+        good = all(good for good, _ in findings) if findings else found.verdict in (WHOLE, UNTESTED)
+        text = ("As expected" if good else "Not as expected") if findings else found.title
         said = {True: "" if good else "as expected: ", False: "NOT as expected: "}
-        lines = "".join(f"<li>{said[ok]}{escape(what)}</li>" for ok, what in findings)
-        for case in self._cases:
-            if case.text:
-                codes = ", ".join(entry["dtc"] for entry in case.entries)
-                lines += f"<li>{'cause: ' if case.proven else ''}{escape(case.text)}; explains {codes}</li>"
+        lines = [said[ok] + what for ok, what in findings]
+        if len(lines) > MOST_FINDINGS:
+            lines[MOST_FINDINGS:] = [f"{len(lines) - MOST_FINDINGS} more, in the events of this file"]
+        lines += in_lines(found.as_dict(), lambda t_ns: f"{self._seconds(t_ns):.3f} s")
         facts = [
             *self._told.source,
             ("length", f"{self._seconds(self._found.last_ns):.3f} s"),
             ("frames", str(self._gateway.engine.counters()["frames"])),
         ]
+        items = "".join(
+            f"<li{' class=indented' if line[0] == ' ' else ''}>{escape(line.strip())}</li>" for line in lines
+        )
         kind = "good" if good else "bad"
-        head = f'<section class="verdict {kind}"><p>{escape(text)}</p><ul class="plain">{lines}</ul></section>'
+        head = f'<section class="verdict {kind}"><p>{escape(text)}</p><ul class="plain">{items}</ul></section>'
         return head + _card("Run", _facts(facts))
 
     def _timeline(self) -> str:
@@ -164,31 +166,44 @@ class _Page:
                 spans.append(Span(name, since.pop(name), self._seconds(event["t_ns"])))
         spans += [Span(name, begun, end) for name, begun in since.items()]
         spans.sort(key=lambda span: span.begin)
+        names = sorted(dict.fromkeys(span.row for span in spans), key=lambda row: row.partition(" ")[2] in self._alike)
+        few = {name for name in names[:MOST_ROWS] if name.partition(" ")[2] not in self._alike}
+        more = [span for span in spans if span.row not in few]
+        spans = [span for span in spans if span.row in few]
         spans += [Span(f"injected: {text}", self._seconds(t_ns)) for text, t_ns in self._told.truth]
-        return _card("Timeline", timeline(spans, end) if spans else '<p class="none">Nothing failed.</p>')
+        folded = _details(f"{len(names) - len(few)} more", timeline(more, end)) if more else ""
+        return _card("Timeline", timeline(spans, end) + folded if spans else '<p class="none">Nothing failed.</p>')
 
     def _codes(self) -> str:
         if not self._entries:
             return _card("Trouble codes", '<p class="none">No trouble codes.</p>')
-        return _card("Causes and trouble codes", "".join(self._case(case) for case in self._cases))
+        return _card("Causes and trouble codes", "".join(map(self._case, self._summary.answers)))
 
-    def _case(self, case: Case) -> str:
+    def _case(self, answer: Answer) -> str:
         """Return a case: its cause, the entry that stands for it, and the others folded below."""
+        case = answer.case
         entries = {entry.fault: entry for entry in self._entries}
         codes = [self._code(entries[shown["fault"]], shown) for shown in case.entries]
-        if not case.proven or len(codes) == 1:
+        if len(codes) <= (1 if case.proven else MOST_ROWS):
             body = "".join(codes)
         else:
-            folded = f"<summary>{len(codes) - 1} more that it explains</summary>{''.join(codes[1:])}"
-            body = f"{codes[0]}<details>{folded}</details>"
+            kinds = [each.text for each in answer.symptoms if len(each.faults) > MOST_NAMED]
+            what = f"{len(codes) - 1} more{' that it explains' if case.proven else ''}"
+            short = [
+                f"{entry['dtc']} {entry['fault']}: {entry['occurrence']} times,"
+                f" first {self._seconds(entry['first_ns']):.4f} s, last {self._seconds(entry['last_ns']):.4f} s"
+                for entry in case.entries[MOST_ROWS:]
+            ]
+            rest = "".join(codes[1:MOST_ROWS]) + f'<pre class="mono">{escape(chr(10).join(short))}</pre>' * bool(short)
+            body = codes[0] + _details("; ".join([what, *kinds]), rest)
         head = f'<h3 class="cause">{escape(case.text)}</h3>' if case.text else ""
         return f'<section class="case{" proven" if case.proven else ""}">{head}{body}</section>'
 
     def _code(self, entry: Entry, shown: Mapping[str, Any]) -> str:
         definition = self._gateway.memory.definition(entry.fault)
         severity, _ = severity_names(definition.severity)
-        words = told_in_words({**shown, "remedy": definition.remedy, "severity": severity})
-        bits = " ".join(bit.name or "" for bit in Status(entry.status)) or "none"
+        words = told_in_words({**shown, "remedy": definition.remedy, "severity": severity, "tested": definition.tested})
+        bits = ", ".join((bit.name or "").replace("_", " ").lower() for bit in Status(entry.status)) or "none"
         parts = [
             f'<article class="dtc" data-dtc="{entry.dtc}"><div class="more"><h3>{entry.dtc} {escape(entry.fault)}</h3>',
             f'<p class="muted">{escape(definition.description)}</p>',
@@ -210,36 +225,66 @@ class _Page:
         for window in found.windows:
             failed.setdefault(window.fault, []).append(self._seconds(window.t_ns))
         parts = []
+        shown: list[str] = []
         for window in found.windows:
             columns = fine_columns(window.columns, found.first_ns)
-            if columns:
+            definition = self._gateway.catalogue[index[window.fault]]
+            if columns and window.fault not in self._alike and len(shown) < MOST_FAILED:
                 at = self._seconds(window.t_ns)
                 title = f"{window.fault} around its failure at {at:.3f} s"
-                parts.append(self._figure(band(columns, marks=[at]), title))
+                parts.append(self._figure(band(columns, unit_of(definition.tested), marks=[at]), title))
+                shown.append(window.fault)
         total = found.total
         order = sorted(index, key=lambda name: (name not in failed, -float(total[index[name]]["ratio"]), index[name]))
         others = 0
         for name in order:
             columns = columns_of(found, index[name])
-            others += name not in failed
-            if columns and (name in failed or (others <= MOST_OTHERS and total[index[name]]["ratio"] > 0)):
-                title = f"{name} over the whole run, {number(float(total[index[name]]['ratio']))} of what is allowed"
-                parts.append(self._figure(band(columns, marks=failed.get(name, ())), title))
+            is_well = name not in failed and not total[index[name]]["failed"]
+            others += is_well
+            near = float(total[index[name]]["ratio"])
+            if columns and (name in shown or (is_well and others <= MOST_OTHERS and near > 0)):
+                title = f"{name} over the whole run, at most {number(near)} times the limit"
+                unit = unit_of(self._gateway.catalogue[index[name]].tested)
+                parts.append(self._figure(band(columns, unit, marks=failed.get(name, ())), title))
+        left = sum(row["failed"] > 0 for row in total) - len(set(shown))
+        if left > 0:
+            parts.append(f'<p class="muted">{counted(left, "more test")} failed; their figures are in the table</p>')
         return _card("Residuals against their limits", "".join(parts) or '<p class="none">No test has run.</p>')
 
     def _tests(self) -> str:
+        """Return the tests, of many those that failed or came nearest; the others are folded."""
+        found = sorted(
+            zip(self._gateway.catalogue, self._found.total, strict=True),
+            key=lambda each: (each[0].id in self._alike, -int(each[1]["failed"]), -float(each[1]["ratio"])),
+        )
+        few = found if len(found) <= MOST_TESTS else found[:MOST_NEAR]
+        # One text: the table of many thousands would be slow.
+        more = "\n".join(
+            f"{definition.id}, {definition.dtc}: {row['count']} results, {row['failed']} failed"
+            + (
+                f", {number(row['low'])} to {number(row['high'])}, {number(row['ratio'])} times the limit"
+                * bool(row["numbers"])
+            )
+            for definition, row in found[len(few) :]
+        )
+        more = f'<pre class="mono">{escape(more)}</pre>' if more else ""
+        folded = _details(f"{len(found) - len(few)} more, further from a fault", more) if more else ""
+        return _card("Tests", self._table_of(few) + folded)
+
+    def _table_of(self, found: Sequence[tuple[FaultDefinition, Any]]) -> str:
         rows = []
-        for definition, row in zip(self._gateway.catalogue, self._found.total, strict=True):
+        for definition, row in found:
             count = int(row["count"])
-            cells = [f"<th scope=row>{escape(definition.id)}</th>", f"<td>{definition.dtc}</td>", _number(count)]
+            unit = unit_of(definition.tested)
+            name = f"{escape(definition.id)}{f' [{escape(unit)}]' if unit else ''}"
+            cells = [f"<th scope=row>{name}</th>", f"<td>{definition.dtc}</td>", _number(count)]
             cells.append(_number(int(row["failed"]) if count else 0))
             known = count > 0 and row["numbers"] > 0
             cells += [
                 _number(float(row[name])) if known else '<td class="number"></td>' for name in ("low", "high", "ratio")
             ]
             rows.append(cells)
-        head = ("Test", "DTC", "Results", "Failed", "Least", "Greatest", "Nearest (1: the limit)")
-        return _card("Tests", _table(head, rows))
+        return _table(("Test", "DTC", "Results", "Failed", "Least", "Greatest", "Times the limit"), rows)
 
     def _buses(self) -> str:
         found = self._found
@@ -283,6 +328,10 @@ def _json(value: Any) -> str:
 
 def _card(title: str, body: str) -> str:
     return f'<section class="card"><h2>{escape(title)}</h2>{body}</section>'
+
+
+def _details(summary: str, body: str) -> str:
+    return f"<details><summary>{escape(summary)}</summary>{body}</details>"
 
 
 def _number(value: float | None) -> str:

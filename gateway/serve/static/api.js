@@ -53,7 +53,8 @@ export async function listen(take, lost) {
         for (const part of parts) {
           const kind = /^event: (.*)$/m.exec(part);
           const data = /^data: (.*)$/m.exec(part);
-          if (kind && data) take(kind[1], JSON.parse(data[1]));
+          if (kind && data) await take(kind[1], JSON.parse(data[1]));
+          if (kind?.[1] === "state") await new Promise((done) => setTimeout(done, 20));  // the verdict is drawn
         }
       }
       lost("the page's server has ended");

@@ -23,6 +23,30 @@ export function arrange(parent, elements) {
   });
 }
 
+// Has a parent have these elements, and no others.
+export function place(parent, elements) {
+  arrange(parent, elements);
+  while (parent.children.length > elements.length) parent.lastElementChild.remove();
+}
+
+// A list of which the first elements are there; more are made when they are asked for. Things have make().
+export class Paged {
+  constructor(list, most) {
+    Object.assign(this, { list, most, page: most, all: [] });
+    this.more = make("button", { type: "button", class: "further", hidden: true, onclick: () => {
+      this.most += 2 * this.page;
+      this.show(this.all);
+    } });
+  }
+
+  show(all) {
+    this.all = all;
+    place(this.list, all.slice(0, this.most).map((each) => each.make()));
+    this.more.hidden = all.length <= this.most;
+    if (!this.more.hidden) say(this.more, `${all.length - this.most} more`);
+  }
+}
+
 export const byId = (id) => document.getElementById(id);
 
 // Sets a text only where it changed: screen readers and selections stay calm.

@@ -2,20 +2,25 @@
 // frames, recordings, clear.
 
 import { get } from "/static/api.js";
-import { arrange, byId, clock, make, number, parts, say } from "/static/dom.js";
+import { byId, clock, make, number, Paged, parts, place, say } from "/static/dom.js";
 
 const SHORT = ["failed now", "failed this cycle", "pending", "confirmed", "not tested since clear", "failed since clear",
   "not tested this cycle", "warning lamp"];
 const BAD = new Set([0, 3, 7]);
+// Causes, and codes of one cause, of which more wait until they are asked for.
+const PAGE = 10;
 
 export class Dtcs {
   constructor(clear) {
-    this.place = byId("dtcs");
+    this.causes = new Paged(byId("dtcs"), PAGE);
+    byId("dtcs").after(this.causes.more);
     this.clear = clear;
     this.open = new Set();
+    this.entries = new Map();
     this.rows = new Map();
     this.cases = new Map();
     this.unfolded = new Set();
+    byId("find-code").addEventListener("input", () => this.showCases());
   }
 
   show(memory, bits) {
@@ -24,42 +29,68 @@ export class Dtcs {
     error.hidden = !memory.error && memory.stored;
     say(error, memory.error || (memory.stored ? "" : "The fault memory cannot be written; more is known than is shown."));
     byId("clear").disabled = !memory.entries.length;
+    byId("find-code").parentElement.hidden = memory.entries.length <= PAGE;
     const focused = document.activeElement?.closest?.("[data-dtc]");
-    this.rows = new Map(memory.entries.map((entry) => [entry.fault, this.kept(entry) ?? this.row(entry)]));
-    const elements = memory.cases.map((told) => this.case(told));
-    this.cases = new Map(elements.map((element) => [element.key, element]));
-    place(this.place, elements.length ? elements : [make("p", { class: "none" }, "No trouble codes.")]);
+    this.entries = new Map(memory.entries.map((entry) => [entry.fault, entry]));
+    for (const fault of this.rows.keys()) if (!this.entries.has(fault)) this.rows.delete(fault);
+    this.told = memory.summary.causes;
+    this.showCases();
     if (focused && !focused.isConnected) this.rows.get(focused.fault)?.querySelector("button").focus();
   }
 
-  // A cause with the code that stands for it; the others are folded below. A cause that is not proven folds nothing.
+  showCases() {
+    const wanted = byId("find-code").value.trim().toLowerCase();
+    const fits = (entry) => `${entry.dtc} ${entry.fault} ${entry.description}`.toLowerCase().includes(wanted);
+    const things = wanted ? [...this.entries.values()].filter(fits).map((entry) => ({ make: () => this.rowOf(entry.fault) }))
+      : this.told.map((told) => ({ make: () => this.case(told) }));
+    const none = { make: () => make("p", { class: "none" }, wanted ? "No code of that name." : "No trouble codes.") };
+    this.causes.show(things.length ? things : [none]);
+    const keys = new Set(this.told.map(keyOf));
+    for (const key of this.cases.keys()) if (!keys.has(key)) this.cases.delete(key);
+  }
+
+  // A cause with the code that stands for it; the others are folded below. A cause that is not proven folds only many.
   case(told) {
-    const key = `${told.proven} ${told.proven ? told.components.join() : told.faults.join()}`;
-    const element = this.cases.get(key) ?? this.newCase(key);
+    const key = keyOf(told);
+    if (!this.cases.has(key)) this.cases.set(key, this.newCase(key));
+    const element = this.cases.get(key);
     element.className = `case${told.proven ? " proven" : ""}${told.failing ? " failing" : ""}`;
-    say(element.head, told.text);
-    element.head.hidden = !told.text;
-    const rows = told.faults.map((fault) => this.rows.get(fault));
-    const folds = told.proven && rows.length > 1;
-    place(element.list, folds ? rows.slice(0, 1) : rows);
-    place(element.folded, folds ? rows.slice(1) : []);
+    say(element.head, told.text || (told.faults.length > PAGE ? told.symptoms[0].text : ""));
+    element.head.hidden = !element.head.textContent;
+    const faults = told.faults.map((fault) => ({ make: () => this.rowOf(fault) }));
+    const folds = faults.length > (told.proven ? 1 : PAGE);
+    place(element.list, (folds ? faults.slice(0, 1) : faults).map((each) => each.make()));
     element.more.hidden = !folds;
-    say(element.summary, `${rows.length - 1} more that it explains`);
+    element.told = folds ? faults.slice(1) : [];
+    element.update();
+    const kinds = told.symptoms.filter((kind) => kind.count > 3).map((kind) => kind.text);
+    say(element.summary, `${faults.length - 1} more${told.proven ? " that it explains" : ""}${kinds.length ? `; in all ${kinds.join("; ")}` : ""}`);
     return element;
   }
 
   newCase(key) {
     const [head, list, folded] = [make("h3", { class: "cause" }), make("div"), make("div")];
-    const summary = make("summary", { class: "muted" });
-    const more = make("details", { open: this.unfolded.has(key) }, summary, folded);
-    more.addEventListener("toggle", () => (more.open ? this.unfolded.add(key) : this.unfolded.delete(key)));
-    return Object.assign(make("section", {}, head, list, more), { key, head, list, folded, summary, more });
+    const [summary, paged] = [make("summary", { class: "muted" }), new Paged(folded, PAGE)];
+    const more = make("details", { open: this.unfolded.has(key) }, summary, folded, paged.more);
+    const element = Object.assign(make("section", {}, head, list, more), { key, head, list, folded, summary, more, told: [] });
+    element.update = () => {
+      if (more.open || element.told.length < PAGE) paged.show(element.told);
+    };
+    more.addEventListener("toggle", () => {
+      if (more.open) this.unfolded.add(key);
+      else this.unfolded.delete(key);
+      element.update();
+    });
+    return element;
   }
 
   // The row that is there, where nothing of it has changed: a button about to be pressed stays under the finger.
-  kept(entry) {
-    const row = this.rows.get(entry.fault);
-    return row?.told === JSON.stringify(entry) ? row : null;
+  rowOf(fault) {
+    const entry = this.entries.get(fault);
+    const row = this.rows.get(fault);
+    if (row?.told === JSON.stringify(entry)) return row;
+    this.rows.set(fault, this.row(entry));
+    return this.rows.get(fault);
   }
 
   row(entry) {
@@ -121,11 +152,7 @@ export class Dtcs {
   }
 }
 
-// Has a parent have these elements, and no others.
-function place(parent, elements) {
-  arrange(parent, elements);
-  while (parent.children.length > elements.length) parent.lastElementChild.remove();
-}
+const keyOf = (told) => `${told.proven} ${told.proven ? told.components.join() : told.faults[0]}`;
 
 function table(title, values) {
   const rows = Object.entries(values).map(([name, value]) =>

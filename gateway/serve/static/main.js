@@ -3,16 +3,20 @@
 import { get, keepToken, listen, mayChange, post } from "/static/api.js";
 import { byId, clock, say } from "/static/dom.js";
 import { Dtcs } from "/static/dtcs.js";
+import { drawing } from "/static/plot.js";
 import { Residuals } from "/static/residuals.js";
-import { showBuses, showCycle, showInjected, showLog, showMessages, showVehicle, textOf } from "/static/tables.js";
+import { Messages } from "/static/messages.js";
+import { showBuses, showCycle, showInjected, showLog, showVehicle, textOf } from "/static/tables.js";
 
 const DRAW_MS = 200;
 const state = {
-  connected: false, reason: "", memory: { entries: [], cases: [], cycles: {}, ecu_dtcs: [], restarts: { count: 0 }, readiness: [], stored: true, error: "" }, bits: [],
-  on: true, ecus: [], events: [], messages: [], latest: 0, came: 0, paused: false, end: 0, zero: 0, asked: null,
+  connected: false, reason: "", bits: [],
+  memory: { entries: [], summary: { causes: [], not_judged: {} }, cycles: {}, ecu_dtcs: [], restarts: { count: 0 }, readiness: [], stored: true, error: "" },
+  on: true, ecus: [], events: [], messages: { messages: [], left_out: 0 }, latest: 0, came: 0, paused: false, end: 0, zero: 0, asked: null,
 };
 const residuals = new Residuals();
 const dtcs = new Dtcs((dtc) => askClear(dtc));
+const messages = new Messages();
 
 // What comes
 
@@ -23,16 +27,23 @@ const takes = {
     say(byId("name"), told.hello.name || "gateway");
     document.title = told.hello.name ? `${told.hello.name} – gateway` : "gateway";
     say(byId("version"), told.hello.version ? `gateway ${told.hello.version}` : "");
-    residuals.begin(told.hello.faults);
-    residuals.forget();
-    residuals.now(told.latest);
-    for (const now of told.latest) state.latest = Math.max(state.latest, now.t_ms ?? 0);
     showBuses(told.buses);
     showOff(told.monitoring);
-    showMessages(state.messages, byId("find").value);
+    messages.show(state.messages);
     showMemory();
     showEvents();
     showLink();
+  },
+  // Of tens of thousands of tests: after the verdict is there.
+  async tests(told) {
+    await drawing();
+    const texts = told.texts;
+    residuals.begin(told.tests.map(([id, dtc, monitor, ecu, description, unit]) =>
+      ({ id, dtc, monitor, ecu, description: texts[description], unit: texts[unit] })));
+    residuals.forget();
+    residuals.now(told.latest);
+    for (const now of told.latest) state.latest = Math.max(state.latest, now.t_ms ?? 0);
+    residuals.rank(state.memory.summary.causes);
   },
   monitoring: (told) => showOff(told),
   link(told) {
@@ -64,9 +75,10 @@ const takes = {
     state.ecus = ecus;
     soon(showMemory);
   },
-  messages(messages) {
-    state.messages = messages;
-    if (!state.paused) showMessages(messages, byId("find").value);
+  messages(told) {
+    state.messages = told;
+    messages.take(told, state.latest);
+    if (!state.paused) messages.show(told);
   },
 };
 
@@ -84,7 +96,7 @@ function showEvents() {
 function showMemory() {
   dtcs.show(state.memory, state.bits);
   dtcs.counters(residuals);
-  residuals.rank(state.memory.cases);
+  residuals.rank(state.memory.summary.causes);
   showCycle(state.memory);
   showVehicle(state.ecus, state.memory.ecu_dtcs);
   showVerdict();
@@ -114,47 +126,29 @@ function showLink() {
 // What the gateway says of a demo that is over; "": it goes on.
 const ended = () => state.hello?.ended ?? "";
 
-function showVerdict() {
-  const place = byId("verdict");
-  const failing = state.memory.entries.filter((entry) => entry.status & 1);
-  const stored = state.memory.entries.length - failing.length;
-  const when = ended() ? "at the end" : "now";
-  const count = (n, what) => `${n} ${what}${n === 1 ? "" : "s"}`;
-  let [kind, text, more] = ["good", "No faults", "All tests that have run have passed."];
-  if (!state.connected) {
-    [kind, text, more] = ["", "The gateway is not reached", state.reason];
-  } else if (failing.length) {
-    [kind, text, more] = ["bad", ...explained(failing, when, count)];
-  } else if (stored) {
-    [kind, text, more] = ["warning", `No faults ${when}`, `${count(stored, "trouble code")} stored of faults that were there.`];
-  }
-  if (state.connected && ended()) more = `${ended()} Nothing is monitored any more. ${more}`;
-  place.className = `verdict ${kind}`;
-  say(byId("verdict-text"), text);
-  say(byId("verdict-more"), more);
+function few(kinds) {
+  const rest = kinds.slice(4).reduce((sum, kind) => sum + kind.count, 0);
+  return [...kinds.slice(0, 4).map((kind) => `• ${kind.text}`), ...(rest ? [`• ${rest} more`] : [])];
 }
 
-const sure = (each) => `${Number((100 * each.probability).toPrecision(3))} %`;
-
-// What explains the faults that are there: the cause where one is proven, else the faults.
-function explained(failing, when, count) {
-  const cases = state.memory.cases.filter((each) => each.failing);
-  const proven = cases.filter((each) => each.proven);
-  const byFault = new Map(failing.map((entry) => [entry.fault, entry]));
-  const only = cases.length === 1 && proven.length === 1;  // then the title names it
-  const told = cases.flatMap((each) => {
-    const entries = each.faults.map((fault) => byFault.get(fault)).filter((entry) => entry);
-    const named = entries.map((entry) => `${entry.dtc} ${entry.description ?? entry.fault}`);
-    return each.proven
-      ? [`${only ? `${sure(each)} sure. It` : each.text} explains ${count(entries.length, "fault")}: ${
-        entries.slice(0, 5).map((entry) => entry.dtc).join(", ")}${entries.length > 5 ? ", ..." : ""}`] : named;
-  });
-  const title = cases.length > proven.length || !proven.length
-    ? [proven.length ? count(proven.length, "cause") : "",
-      count(failing.length - proven.reduce((sum, each) => sum + each.failing, 0), "fault")].filter((part) => part).join(" and ")
-    : count(proven.length, "cause");
-  const text = only ? `Cause ${when}: ${proven[0].components.join(" and ")}` : `${title} ${when}`;
-  return [text, told.slice(0, 3).join("; ") + (told.length > 3 ? `; ${told.length - 3} more` : "")];
+// What the server has summed up, as every other door of the gateway says it.
+function showVerdict() {
+  const place = byId("verdict");
+  const found = state.memory.summary;
+  const kinds = { "faults": "bad", "stored": "warning", "no faults": "good" };
+  let lines = found.causes.slice(0, 3).flatMap((cause) => [
+    `${cause.line.replace(/^cause: /, "")}, ${cause.failing ? "since" : "stored, from"} ${clock(cause.since_ns / 1e6)}`,
+    ...few(cause.symptoms.slice(cause.probability ? 0 : 1)),
+  ]);
+  const rest = found.causes.slice(3).reduce((sum, cause) => sum + cause.faults.length, 0);
+  if (rest) lines.push(`and ${rest} more faults, listed below`);
+  for (const [why, count] of Object.entries(found.not_judged)) lines.push(`Not judged: ${count} of ${found.tests} tests, ${why}.`);
+  let [kind, text] = [kinds[found.verdict] ?? "", found.title];
+  if (!state.connected) [kind, text, lines] = ["", "The gateway is not reached", [state.reason]];
+  else if (ended()) lines.unshift(`${ended()} Nothing is monitored any more.`);
+  place.className = `verdict ${kind}`;
+  say(byId("verdict-text"), text);
+  say(byId("verdict-more"), lines.join("\n"));
 }
 
 // What is drawn
@@ -175,6 +169,7 @@ function draw() {
   }
   if (!document.hidden) {
     residuals.redraw(view());
+    messages.redraw(view());
     dtcs.counters(residuals);
   }
   setTimeout(draw, DRAW_MS);
@@ -234,7 +229,7 @@ byId("cycle").addEventListener("click", () => ask("Begin a new operation cycle?"
   "The running one ends, as at key off and on: counters of confirming, healing and aging go on.", "New cycle",
   (more) => post("/api/cycle", more)));
 byId("pause").addEventListener("click", () => pause(!state.paused));
-byId("find").addEventListener("input", () => showMessages(state.messages, byId("find").value));
+byId("find").addEventListener("input", () => messages.show(state.messages));
 document.addEventListener("keydown", (event) => {
   if (event.key === "p" && !event.target.closest("input, select, dialog") && !event.ctrlKey && !event.metaKey) pause(!state.paused);
 });
@@ -246,6 +241,7 @@ function theme(name) {
   else document.documentElement.dataset.theme = name;
   say(byId("theme"), `Theme: ${name}`);
   residuals.recolour();
+  messages.recolour();
 }
 byId("theme").addEventListener("click", () => {
   theme(THEMES[(THEMES.indexOf(localStorage.getItem("theme") ?? "auto") + 1) % THEMES.length]);

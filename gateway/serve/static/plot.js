@@ -1,6 +1,18 @@
 // One residual over time: a column for each bucket, from its least to its greatest value, and the limit.
 
-const Bokeh = globalThis.Bokeh;
+let loaded = null;
+
+// Loads what draws, once: after the verdict is there, for it is large.
+export function drawing() {
+  const script = (src) => new Promise((done, failed) => {
+    document.head.append(Object.assign(document.createElement("script"), { src, onload: done, onerror: failed }));
+  });
+  loaded ??= script("/bokeh/bokeh.min.js").then(() => script("/bokeh/bokeh-api.min.js"));
+  return loaded;
+}
+
+// Times the limit at which an axis ends.
+const FAR = 10;
 
 const colour = (name) => {
   const probe = document.createElement("span");
@@ -12,13 +24,14 @@ const colour = (name) => {
 };
 
 export class Plot {
-  constructor(place, title) {
+  constructor(place, title, unit = "") {
+    this.unit = unit;
     this.place = place;
     this.title = title;
-    this.source = new Bokeh.ColumnDataSource({ data: { x: [], low: [], high: [], width: [], colour: [] } });
-    this.limit = new Bokeh.ColumnDataSource({ data: { x: [], y: [] } });
-    this.x = new Bokeh.Range1d({ start: -30, end: 0 });
-    this.y = new Bokeh.Range1d({ start: 0, end: 1 });
+    this.source = new globalThis.Bokeh.ColumnDataSource({ data: { x: [], low: [], high: [], width: [], colour: [] } });
+    this.limit = new globalThis.Bokeh.ColumnDataSource({ data: { x: [], y: [] } });
+    this.x = new globalThis.Bokeh.Range1d({ start: -30, end: 0 });
+    this.y = new globalThis.Bokeh.Range1d({ start: 0, end: 1 });
     this.draw();
   }
 
@@ -27,7 +40,7 @@ export class Plot {
     this.good = colour("band");
     this.bad = colour("bad");
     const edge = colour("edge");
-    const figure = Bokeh.Plotting.figure({
+    const figure = globalThis.Bokeh.Plotting.figure({
       height: 160, sizing_mode: "stretch_width", tools: "", toolbar_location: null, x_range: this.x, y_range: this.y,
       background_fill_color: null, border_fill_color: null, outline_line_color: null, min_border: 4, min_border_left: 56,  // times are below each other then
       name: this.title,
@@ -51,9 +64,10 @@ export class Plot {
     figure.line({
       x: { field: "x" }, y: { field: "y" }, line_color: this.bad, line_dash: [6, 4], line_width: 1.8, source: this.limit,
     });
+    for (const axis of figure.yaxis) axis.axis_label = this.unit || null;
     this.view?.remove?.();
     this.place.replaceChildren();
-    this.view = await Bokeh.Plotting.show(figure, this.place);
+    this.view = await globalThis.Bokeh.Plotting.show(figure, this.place);
   }
 
   // Columns as Series.between gives them; times relative to zero [ms].
@@ -67,8 +81,13 @@ export class Plot {
     const colours = part.ratio.map((ratio) => (ratio >= 1 ? this.bad : this.good));
     const width = spans.map((span) => span / 1000);
     this.x.setv({ start: (from - zero) / 1000, end: (to - zero) / 1000 });
-    const least = Math.min(...part.low, ...part.threshold);
-    const most = Math.max(...part.high, ...part.threshold);
+    const limits = part.threshold.filter(Number.isFinite);
+    let least = Math.min(...part.low, ...limits);
+    let most = Math.max(...part.high, ...limits);
+    // A limit is to be seen beside values that are far beyond it: the axis ends before these, and the line below says so.
+    const end = FAR * Math.max(...limits.map(Math.abs));
+    this.beyond = end > 0 && Math.max(Math.abs(least), Math.abs(most)) > end;
+    if (this.beyond) [least, most] = [Math.max(least, -end), Math.min(most, end)];
     if (Number.isFinite(least)) {
       const room = (most - least || Math.abs(most) || 1) * 0.08;
       const [low, high] = [least - room, most + room];
@@ -76,7 +95,9 @@ export class Plot {
       const span = this.y.end - this.y.start;
       if (low < this.y.start || high > this.y.end || high - low < span * 0.6) this.y.setv({ start: low, end: high });
     }
-    this.source.data = { x: seconds, low: part.low, high: part.high, width, colour: colours };
+    const [low, high] = this.beyond ? [part.low.map((y) => Math.max(Math.min(y, 0.97 * end), -end)), part.high.map((y) => Math.max(Math.min(y, end), -0.97 * end))]
+      : [part.low, part.high];
+    this.source.data = { x: seconds, low, high, width, colour: colours };
     this.limit.data = { x: seconds, y: part.threshold };
   }
 

@@ -1,13 +1,18 @@
-// Residuals by monitor: those of a cause first, its lead before its symptoms, then the nearest to a fault. The
-// first are plotted, others when they are opened.
+// Residuals by ECU and monitor: those of a cause first, its lead before its symptoms, then the nearest to a fault. The
+// first are plotted, others when they are opened. What is not seen is not made: there may be tens of thousands of tests.
 
 import { get } from "/static/api.js";
-import { arrange, byId, make, number, say } from "/static/dom.js";
+import { arrange, byId, make, number, Paged, place, say } from "/static/dom.js";
 import { Plot } from "/static/plot.js";
-import { Series } from "/static/series.js";
+import { Nearness, Series } from "/static/series.js";
 
 const PLOTS = 3;
 const SORT_MS = 2000;
+// From this many tests on only how near they came is kept of those that are not drawn, and lists are short.
+const MANY = 200;
+const MOST_GROUPS = 6;
+const MOST_ROWS = 3;
+const PAGE = 25;
 
 export class Residuals {
   constructor() {
@@ -18,9 +23,14 @@ export class Residuals {
     this.told = false;  // the past
     this.sorted = -Infinity;  // at once
     this.ranks = new Map();  // fault -> place by its cause
+    this.wanted = "";
+    this.found = new Paged(make("ul", { class: "plain" }), PAGE);
+    this.rest = folded(PAGE);
+    this.list = make("div");
     for (const kind of ["pointerenter", "focusin"]) this.place.addEventListener(kind, () => (this.busy = true));
     for (const kind of ["pointerleave", "focusout"]) this.place.addEventListener(kind, () => (this.busy = false));
     this.place.addEventListener("keydown", (event) => this.move(event));
+    byId("find-test").addEventListener("input", () => this.seek(byId("find-test").value));
   }
 
   begin(described) {
@@ -29,44 +39,53 @@ export class Residuals {
     this.ids = ids;
     for (const fault of this.faults) fault.plot?.close();
     this.groups = new Map();
+    this.many = described.length > MANY;
     this.faults = described.map((fault, index) => this.row(fault, index));
-    this.place.replaceChildren(...[...this.groups.values()].map((group) => group.element));
+    this.byId = new Map(this.faults.map((row) => [row.fault.id, row]));
+    byId("find-test").parentElement.hidden = described.length < PAGE;
+    this.place.replaceChildren(this.found.list, this.found.more, this.list, this.rest.element);
     this.sorted = -Infinity;  // at once
   }
 
   row(fault, index) {
-    let group = this.groups.get(fault.monitor);
-    if (!group) {
-      const list = make("ul", { class: "plain" });
-      const quiet = make("ul", { class: "plain" });
-      const summary = make("summary", { class: "muted" }, "tests");
-      const others = make("details", {}, summary, quiet);
-      const near = make("span", { class: "muted" });
-      const title = make("div", { class: "title" }, make("h3", {}, fault.monitor), near);
-      group = { element: make("div", { class: "group" }, title, list, others), list, quiet, summary, others, near, rows: [], nearest: 0 };
-      this.groups.set(fault.monitor, group);
-    }
-    const name = fault.id.slice(fault.monitor.length + 1);
-    const fill = make("span");
-    const bar = make("span", { class: "bar", "aria-hidden": "true" }, fill);
-    const near = make("span", { class: "near" }, "–");
-    const plot = make("div", { class: "plot", role: "img" });
-    const readout = make("div", { class: "readout" });
-    const more = make("div", { hidden: true }, plot, readout);
+    const owner = fault.ecu ? `ECU ${fault.ecu}` : fault.monitor;
+    const row = { fault, index, owner, nearest: null, open: false, chosen: null, plot: null, element: null, threshold: null };
+    row.make = () => row.element ?? this.made(row);
+    row.series = this.many ? null : new Series();
+    row.far = this.many ? new Nearness() : null;
+    if (!this.groups.has(owner)) this.groups.set(owner, newGroup(owner, this.many));
+    this.groups.get(owner).rows.push(row);
+    return row;
+  }
+
+  made(row) {
+    const { fault, owner } = row;
+    const name = fault.ecu ? fault.id.slice(fault.id.indexOf(".") + 1) : fault.id.slice(fault.monitor.length + 1);
+    row.fill = make("span");
+    row.bar = make("span", { class: "bar", "aria-hidden": "true" }, row.fill);
+    row.near = make("span", { class: "near" }, "–");
+    row.place = make("div", { class: "plot", role: "img" });
+    row.readout = make("div", { class: "readout" });
+    row.more = make("div", { hidden: true }, row.place, row.readout);
     // What is read out says what is seen, and more.
-    const [of, spoken] = [make("span", { class: "unseen" }, `${fault.monitor}, `), make("span", { class: "unseen" })];
+    row.spoken = make("span", { class: "unseen" });
     const called = make("span", { class: "called", title: fault.description }, name, make("small", {}, fault.dtc));
-    const button = make("button", { type: "button", "aria-expanded": "false" }, of, called, bar, near, spoken);
-    const element = make("li", { class: "fault", "data-fault": fault.id }, button, more);
-    const row = { fault, index, group, element, button, bar, fill, near, spoken, more, place: plot, readout,
-      series: new Series(), nearest: null, open: false, chosen: null, plot: null };
-    button.addEventListener("click", () => {
+    row.button = make("button", { type: "button", "aria-expanded": "false", onclick: () => {
       row.chosen = !row.open;
       this.show(row, row.chosen);
-    });
-    group.rows.push(row);
-    group.quiet.append(element);
-    return row;
+    } }, make("span", { class: "unseen" }, `${owner}, `), called, row.bar, row.near, row.spoken);
+    row.element = make("li", { class: "fault", "data-fault": fault.id }, row.button, row.more);
+    this.meter(row);
+    return row.element;
+  }
+
+  seek(text) {
+    this.wanted = text.trim().toLowerCase();
+    const found = this.wanted ? this.faults.filter(({ fault }) => `${fault.id} ${fault.dtc} ${fault.ecu}`.toLowerCase().includes(this.wanted)) : [];
+    this.list.hidden = this.rest.element.hidden = this.wanted !== "";
+    if (!this.wanted) this.sort();
+    this.found.show(found);
+    if (this.wanted && !found.length) this.found.list.replaceChildren(make("li", { class: "none" }, "No test of that name."));
   }
 
   move(event) {
@@ -80,10 +99,12 @@ export class Residuals {
   show(row, open) {
     if (row.open === open) return;
     row.open = open;
+    row.make();
     row.more.hidden = !open;
     row.button.setAttribute("aria-expanded", String(open));
     if (open) {
-      row.plot = new Plot(row.place, row.fault.id);
+      row.series ??= new Series();
+      row.plot = new Plot(row.place, row.fault.id, row.fault.unit);
       this.load(row);
     } else {
       row.plot.close();
@@ -117,7 +138,8 @@ export class Residuals {
     this.told = false;
     for (const row of this.faults) {
       row.loaded = false;
-      row.series = new Series();
+      row.series = this.many && !row.open ? null : new Series();
+      row.far &&= new Nearness();
     }
   }
 
@@ -125,6 +147,8 @@ export class Residuals {
     for (const [index, found] of Object.entries(faults)) {
       const row = this.faults[index];
       if (!row || row.loaded) continue;
+      row.far?.load(found);
+      if (!row.series) continue;
       row.loaded = true;
       row.series.load(found);
     }
@@ -140,7 +164,8 @@ export class Residuals {
       if (!row) continue;
       row.fdc = fdc;
       if (numbers) {
-        row.series.add(tick.t, low, high, threshold, ratio);
+        row.series?.add(tick.t, low, high, threshold, ratio);
+        row.far?.add(tick.t, ratio);
         Object.assign(row, { last, threshold });
       }
     }
@@ -154,14 +179,15 @@ export class Residuals {
   }
 
   counter(id) {
-    return this.faults.find((row) => row.fault.id === id)?.fdc;
+    return this.byId?.get(id)?.fdc;
   }
 
   redraw(view) {
     const due = performance.now() - this.sorted > SORT_MS;
     for (const row of this.faults) {
-      row.nearest = row.series.nearest(view.from, view.to);
-      this.meter(row);
+      if (!due && !row.element?.isConnected) continue;
+      row.nearest = (row.far ?? row.series).nearest(view.from, view.to);
+      if (row.element) this.meter(row);
     }
     if (due && !this.busy) this.sort();
     for (const row of this.faults) {
@@ -177,19 +203,21 @@ export class Residuals {
     row.fill.style.width = `${Math.min(near ?? 0, 1.5) / 1.5 * 100}%`;
     row.bar.className = `bar${near >= 1 ? " failed" : near >= 0.8 ? " near-limit" : ""}`;
     say(row.near, near === null ? "–" : near >= 10 ? "> 10" : near.toFixed(2));
-    say(row.spoken, near === null ? " no test in this window" : " of what is allowed");
+    say(row.spoken, near === null ? " no test in this window" : " times the limit");
   }
 
   describe(row, part, view) {
     const [low, high] = [Math.min(...part.low), Math.max(...part.high)];
+    const unit = row.fault.unit ? ` ${row.fault.unit}` : "";
     const facts = part.t.length
-      ? `between ${number(low)} and ${number(high)} against ${number(row.threshold)}`
+      ? `between ${number(low)} and ${number(high)}${unit} against ${number(row.threshold)}${unit}`
       : "no test in this window";
     row.place.setAttribute("aria-label", `${row.fault.description}: ${facts}`);
     const shown = part.t.length
-      ? [`latest ${number(row.last)}`, `least ${number(low)}`, `greatest ${number(high)}`, `limit ${number(row.threshold)}`,
-        `detection counter ${row.fdc ?? 0}`, "time in seconds"]
+      ? [`latest ${number(row.last)}${unit}`, `least ${number(low)}${unit}`, `greatest ${number(high)}${unit}`,
+        `limit ${number(row.threshold)}${unit}`, `detection counter ${row.fdc ?? 0}`, "time in seconds"]
       : [`no test in the last ${view.seconds} s`];
+    if (part.t.length && row.plot.beyond) shown.unshift("values beyond the axis");
     say(row.readout, shown.join(" · "));
   }
 
@@ -203,22 +231,19 @@ export class Residuals {
     };
     for (const group of this.groups.values()) {
       group.rows.sort(before);
-      const quiet = group.rows.filter((row) => row.nearest === null && !row.chosen);
-      const told = group.rows.filter((row) => !quiet.includes(row));
-      arrange(group.list, told.map((row) => row.element));
-      arrange(group.quiet, quiet.map((row) => row.element));
-      group.others.hidden = !quiet.length;
-      say(group.summary, told.length ? `${quiet.length} more not tested in this window` : `${quiet.length} tests, none in this window`);
-      group.nearest = Math.max(...group.rows.map(key));
-      say(group.near, group.nearest >= 1 ? "failed in this window" : "");
+      group.nearest = group.rows.reduce((near, row) => Math.max(near, key(row)), -1);
     }
     const groups = [...this.groups.values()].sort((a, b) => {
       const [first, second] = [rank(a.rows[0]), rank(b.rows[0])];
       return (first === second ? 0 : first - second) || b.nearest - a.nearest;
     });
-    arrange(this.place, groups.map((group) => group.element));
-    const wanted = new Set([...this.faults].filter((row) => row.nearest > 0)
-      .sort(before).slice(0, PLOTS));
+    const most = this.many ? MOST_GROUPS : Infinity;
+    place(this.list, groups.slice(0, most).map((group) => group.make()));
+    this.rest.show(groups.slice(most), (count) => `${count} more ECUs and monitors`);
+    const near = this.faults.filter((row) => row.nearest > 0).sort(before);
+    // Of many that show the same, one: a dead ECU is one picture.
+    const first = new Map(near.toReversed().map((row) => [`${row.owner} ${row.fault.description}`, row]));
+    const wanted = new Set((this.many ? near.filter((row) => first.get(`${row.owner} ${row.fault.description}`) === row) : near).slice(0, PLOTS));
     for (const row of this.faults) {
       if (row.chosen === null) this.show(row, wanted.has(row));
     }
@@ -227,4 +252,55 @@ export class Residuals {
   recolour() {
     for (const row of this.faults) row.plot?.draw();
   }
+}
+
+// A monitor, or the messages of an ECU: the tests nearest to a fault, and the others behind a click.
+function newGroup(owner, many) {
+  const group = { owner, rows: [], nearest: 0, element: null };
+  group.make = () => {
+    group.element ??= built(group, many);
+    group.update();
+    return group.element;
+  };
+  return group;
+}
+
+function built(group, many) {
+  const list = make("ul", { class: "plain" });
+  const others = folded(PAGE, "ul", !many);
+  const near = make("span", { class: "muted" });
+  group.update = () => {
+    const kept = (row, k) => (row.nearest !== null && (!many || k < MOST_ROWS)) || row.chosen;
+    const told = group.rows.filter(kept);
+    const rest = group.rows.filter((row, k) => !kept(row, k));
+    const quiet = rest.filter((row) => row.nearest === null).length;
+    place(list, told.map((row) => row.make()));
+    others.show(rest, (count) => (quiet < count ? `${count} more${quiet ? `, ${quiet} of them not tested in this window` : ""}`
+      : told.length ? `${count} more not tested in this window` : `${count} tests, none in this window`));
+    say(near, group.nearest >= 1 ? "failed in this window" : "");
+  };
+  const title = make("div", { class: "title" }, make("h3", {}, group.owner), near);
+  return make("div", { class: "group" }, title, list, others.element);
+}
+
+// What is folded; its elements are made when it is opened, a page at a time, or at once where they are few.
+function folded(page, kind = "div", eager = false) {
+  const list = make(kind, { class: "plain" });
+  const paged = new Paged(list, eager ? Infinity : page);
+  const summary = make("summary", { class: "muted" });
+  const element = make("details", { hidden: true }, summary, list, paged.more);
+  let all = [];
+  const update = () => {
+    if (eager || element.open) paged.show(all);
+  };
+  element.addEventListener("toggle", update);
+  return {
+    element,
+    show(things, text) {
+      all = things;
+      element.hidden = !all.length;
+      say(summary, text(all.length));
+      update();
+    },
+  };
 }

@@ -4,6 +4,7 @@ const FIELDS = ["t", "low", "high", "threshold", "ratio"];
 const FINE_MS = 62000;
 const COARSE_MS = 605000;
 const COLUMN_MS = 500;
+const FAR_MS = 5000;
 
 const columns = () => Object.fromEntries(FIELDS.map((name) => [name, []]));
 
@@ -46,6 +47,44 @@ export class Series {
   nearest(from, to) {
     const part = this.between(from, to).ratio;
     return part.length ? part.reduce((a, b) => Math.max(a, b), 0) : null;
+  }
+}
+
+// How near one test came to its limit, in columns of 5 s: what is kept of tests that are not drawn, where there are many.
+export class Nearness {
+  slots = [];
+  ratios = [];
+
+  add(t, ratio) {
+    const slot = Math.floor(t / FAR_MS);
+    const end = this.slots.length - 1;
+    if (this.slots[end] === slot) {
+      this.ratios[end] = Math.max(this.ratios[end], ratio);
+      return;
+    }
+    this.slots.push(slot);
+    this.ratios.push(ratio);
+    if (this.slots.length > COARSE_MS / FAR_MS) {
+      this.slots.shift();
+      this.ratios.shift();
+    }
+  }
+
+  // What the server has kept goes before what has come since.
+  load(found) {
+    const { t, ratio } = unpacked(found.coarse);
+    const [slots, ratios] = [this.slots, this.ratios];
+    [this.slots, this.ratios] = [[], []];
+    t.forEach((time, k) => this.add(time, ratio[k]));
+    slots.forEach((slot, k) => this.add(slot * FAR_MS, ratios[k]));
+  }
+
+  nearest(from, to) {
+    let best = null;
+    for (let k = this.slots.length - 1; k >= 0 && (this.slots[k] + 1) * FAR_MS > from; k--) {
+      if (this.slots[k] * FAR_MS <= to) best = Math.max(best ?? 0, this.ratios[k]);
+    }
+    return best;
   }
 }
 

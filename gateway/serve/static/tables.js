@@ -1,6 +1,6 @@
-// Buses, messages, operation cycle and events.
+// Buses, operation cycle and events.
 
-import { byId, clock, make, number, parts, say } from "/static/dom.js";
+import { byId, clock, make, number, Paged, parts, say } from "/static/dom.js";
 
 const fact = (name, value) => make("span", {}, `${name} `, make("b", {}, value));
 
@@ -21,35 +21,12 @@ export function showBuses(buses) {
       bus.activity ? fact("", bus.activity) : null,
       fact("errors", errors.join(", ") || "none"),
     ];
-    if (bus.filtered) facts.push(make("span", {}, "load of the frames that are listened to"));
+    if (bus.filtered) facts.push(make("span", {}, "load of the received frames only"));
     const state = make("span", { class: `pill ${open ? "good" : "bad"}` }, bus.state ?? "unknown");
     return make("div", { class: "bus" }, make("div", { class: "line" }, make("h3", {}, bus.bus), state),
       make("p", { class: "muted mono" }, bus.reason || bus.uri || ""), bus.load === null ? null : load,
       make("div", { class: "facts" }, ...facts.filter((each) => each)));
   }));
-}
-
-export function showMessages(messages, find) {
-  const wanted = find.trim().toLowerCase();
-  const found = messages.filter((m) => !wanted || [m.name, m.id, m.bus, ...m.signals.map((s) => s[0])].join(" ").toLowerCase().includes(wanted));
-  const head = ["Bus", "Id", "Message", "Period", "Least, greatest", "Count", "Signals"];
-  const rows = found.map((m) => {
-    const signals = m.signals.map(([name, value, unit]) => `${name} ${typeof value === "number" ? number(value) : value ?? "–"}${unit ? ` ${unit}` : ""}`);
-    const late = m.expected_ms && m.period_ms > 1.5 * m.expected_ms;
-    return make("tr", {}, make("td", { class: "hide-small" }, m.bus), make("td", { class: "mono number" }, m.id), make("td", {}, ...parts(m.name ?? "unknown")),
-      make("td", { class: `number${late ? " warn" : ""}` }, m.period_ms === null ? "–" : `${number(m.period_ms, 3)} ms`),
-      make("td", { class: "number hide-small" }, m.period_ms === null ? "–" : `${number(m.shortest_ms, 3)}, ${number(m.longest_ms, 3)}`),
-      make("td", { class: "number hide-small" }, String(m.count)),
-      make("td", { class: signals.length ? "" : "mono" }, signals.join(" · ") || m.data));
-  });
-  const place = byId("messages");
-  if (!rows.length) {
-    place.replaceChildren(make("p", { class: "none" }, messages.length ? "None of that name." : "No frames yet."));
-    return;
-  }
-  const small = new Set(["Bus", "Least, greatest", "Count"]);
-  const titles = head.map((text, k) => make("th", { scope: "col", class: `${k === 1 || k > 2 && k < 6 ? "number" : ""}${small.has(text) ? " hide-small" : ""}` }, text));
-  place.replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...titles)), make("tbody", {}, ...rows)));
 }
 
 const table = (titles, rows) => make("table", {}, make("thead", {}, make("tr", {}, ...titles.map((text) => make("th", { scope: "col" }, text)))),
@@ -70,34 +47,40 @@ export function showVehicle(ecus, dtcs) {
     : make("p", { class: "none" }, "No trouble codes of other ECUs."));
 }
 
+const readiness = new Paged(make("tbody"), 8);
+
 export function showCycle(memory) {
   const cycles = Object.entries(memory.cycles).map(([name, c]) => `${name}: number ${c.number}, ${c.open ? "running" : "ended"}`);
   if (memory.restarts.count) cycles.push(`restarts after a death: ${memory.restarts.count}, ${memory.restarts.in_a_row} in a row`);
   say(byId("cycle-text"), cycles.join("; ") || "unknown");
-  const rows = memory.readiness.map((row) => {
+  const rows = memory.readiness.map((row) => ({ make: () => {
     const ready = row.this_cycle === row.tests;
     return make("tr", {}, make("th", { scope: "row" }, ...parts(row.monitor)),
       make("td", { class: "number" }, `${row.this_cycle} of ${row.tests}`),
       make("td", { class: "number" }, `${row.since_clear} of ${row.tests}`),
       make("td", {}, make("span", { class: `pill ${ready ? "good" : ""}` }, ready ? "ready" : "not yet")));
-  });
+  } }));
   const titles = ["Monitor", "This cycle", "Since clear", ""].map((t, k) => make("th", { scope: "col", class: k && k < 3 ? "number" : "" }, t || make("span", { class: "unseen" }, "Ready")));
-  byId("readiness").replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...titles)), make("tbody", {}, ...rows)));
+  byId("readiness").replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...titles)), readiness.list), readiness.more);
+  readiness.show(rows);
 }
 
 export function textOf(event) {
   switch (event.event) {
     case "dtc": return `${event.dtc} ${event.status & 1 ? "failed" : "healed"}: ${event.fault}`;
     case "diagnosis": return told(event.groups);
-    case "symptoms": return `symptoms ${event.state}: ${event.faults.join(", ")}`;
+    case "symptoms": return `symptoms ${event.state}: ${few(event.faults)}`;
     case "ecu_dtc": return `ECU ${event.ecu}: ${event.dtc} ${event.state}`;
     case "security": return `security: ${event.kind} (${event.count}) seen by ${event.sensor}`;
-    case "clear": return `cleared: ${event.faults.join(", ") || "no entry was there"}`;
+    case "clear": return `cleared: ${few(event.faults) || "no entry was there"}`;
     case "cycle": return `operation cycle ${event.cycle} ${event.state} (${event.number})`;
     case "intervention": return `${event.protocol === "local" ? "this machine" : `tester ${event.protocol}`}: ${event.action}${event.outcome === "done" ? "" : ", refused"}`;
     case "bus": return `bus ${event.bus} ${event.state}${event.reason ? `: ${event.reason}` : ""}`;
     case "activity": return `bus ${event.bus} ${event.activity}`;
-    case "other_software": return `${event.bus}.${event.message}: ${event.what} ${event.now}, as checked ${event.learned}: another software of its ECU`;
+    case "other_software": {
+      const is = event.what === "timeout" ? "never came" : `${event.what} ${event.now}, as checked ${event.learned}`;
+      return `${event.bus}.${event.message}: ${is}: another software of its ECU`;
+    }
     case "lossy": return `bus ${event.bus} loses ${event.lossy ? `frames, about ${number(100 * event.share, 2)} %` : "no more frames"}`;
     case "clock": return `the clock was set by ${number(event.step_s)} s`;
     case "memory": return `fault memory ${event.state} ${event.reason}`;
@@ -111,14 +94,23 @@ export function textOf(event) {
 
 function told(groups) {
   if (!groups.length) return "nothing is left to explain";
-  return groups.map((group) => `${group.cause ? `cause: ${group.cause.join(" and ")}` : "not isolated"}, of ${group.failed.slice(0, 3).join(", ")}${
-    group.failed.length > 3 ? ` and ${group.failed.length - 3} more` : ""}`).join("; ");
+  return groups.map((group) => `${group.cause ? `cause: ${group.cause.join(" and ")}` : "not isolated"}, of ${few(group.failed)}`).join("; ");
 }
 
+const few = (faults) => `${faults.slice(0, 3).join(", ")}${faults.length > 3 ? ` and ${faults.length - 3} more` : ""}`;
+
+// The latest events; DTCs in a row that did the same are one line.
 export function showLog(events) {
-  const rows = [...events].reverse().slice(0, 200).map((event) =>
-    make("li", {}, make("time", {}, clock(event.t_ms)), make("span", {}, textOf(event))));
-  byId("log").replaceChildren(...(rows.length ? rows : [make("li", { class: "none" }, "Nothing has happened yet.")]));
+  const rows = [];
+  for (const event of events) {
+    const kind = event.event === "dtc" ? `${event.status & 1}${event.fault.split(".").at(-1)}` : null;
+    const last = rows.at(-1);
+    if (kind && last?.kind === kind && event.t_ms - last.since < 1000) last.count += 1;
+    else rows.push({ kind, event, since: event.t_ms, count: 1 });
+  }
+  const shown = rows.reverse().slice(0, 100).map(({ event, count }) => make("li", {}, make("time", {}, clock(event.t_ms)),
+    make("span", {}, `${textOf(event)}${count > 1 ? ` and ${count - 1} more like it` : ""}`)));
+  byId("log").replaceChildren(...(shown.length ? shown : [make("li", { class: "none" }, "Nothing has happened yet.")]));
 }
 
 export function showInjected(events) {

@@ -18,6 +18,7 @@ from gateway.live.status import StatusSocket
 from gateway.runtime.app import Gateway
 from gateway_bench.vecu.player import Player, TruthReader
 from gateway_bench.vecu.words import injected
+from gateway_fdi.errors import GatewayError
 
 #: How long the page is waited for before the scenario begins, and how long it has to draw then [s].
 PATIENCE_S, LOOK_S = 20.0, 2.0
@@ -55,7 +56,11 @@ class DemoPage:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def begin(self, gateway: Gateway, player: Player) -> None:
-        """Open the page, and wait until it is there."""
+        """Open the page, and wait until it is there.
+
+        Raises:
+            GatewayError: it has ended, and has said why.
+        """
         gateway.engine.warm()  # kernels are compiled before anybody looks
         self._truth, self._scenario = TruthReader(player), player.scenario
         self._socket = StatusSocket(self._folder / "status", gateway, lambda: _states(gateway))
@@ -66,6 +71,8 @@ class DemoPage:
             if self._socket.listening():
                 limit = min(limit, time.monotonic() + LOOK_S)
             self._turn()
+            if self._page.ended:
+                raise GatewayError("the page did not begin (see above): name another port, as --port 0")
 
     def _turn(self) -> None:
         if self._socket is not None:
@@ -94,7 +101,7 @@ class DemoPage:
         if self._socket is not None:
             self._socket.end(ended)
         say("the scenario is over; the page stays until Ctrl-C")
-        while not self.stop():
+        while not self.stop() and self._page is not None and not self._page.ended:
             self._turn()
 
     def end(self) -> None:

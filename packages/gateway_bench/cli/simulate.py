@@ -5,6 +5,7 @@ from __future__ import annotations
 import select
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -31,7 +32,7 @@ from gateway_bench.cli.report import write_scenario
 from gateway_bench.cli.story import Story
 from gateway_bench.drive import drive
 from gateway_bench.playing import opened
-from gateway_bench.vecu.expectations import Finding, Judge
+from gateway_bench.vecu.expectations import Finding, Judge, refuse_impossible
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario
 from gateway_fdi.common.resources import shipped
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
 INSIDE = "inside"
 #: A step that is later than this [s] stops the scenario's clock for as long.
 LATE_S = 0.02
+#: Findings that are printed one by one, of those that are good and of those that are not.
+MOST_FINDINGS = 10
 #: Least standstill that is told [s].
 TOLD_S = 0.1
 
@@ -73,6 +76,7 @@ def demo(
 def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, shown: DemoPage | None = None) -> int:
     scenario, config, player = opened(scenario_name, seed)
     gateway = Gateway(config, None if shown is None else shown.memory, file=scenario.config)
+    refuse_impossible([line.dtc for line in scenario.expect], gateway.catalogue, scenario_name)
     story = None if json else Story(scenario, player, gateway)
     printer = EventPrinter(as_json=True) if story is None else story
     gateway.listen(printer)
@@ -123,11 +127,16 @@ def _demo(scenario_name: Path, *, speed: float, seed: int | None, json: bool, sh
 
 def _verdict(judge: Judge, *, json: bool, check: bool) -> int:
     findings = judge.findings()
+    told: Counter[bool] = Counter()
     for finding in findings:
+        told[finding.good] += 1
         if json:
             print_json(_finding_event(finding))
-        else:
+        elif told[finding.good] <= MOST_FINDINGS:
             print(wrapped(("as expected: " if finding.good else "NOT as expected: ") + finding.text, hang=2))
+    for good, count in told.items():
+        if not json and count > MOST_FINDINGS:
+            print(f"{'' if good else 'NOT '}as expected: {count - MOST_FINDINGS} more (--json has them)")
     return 1 if check and not all(finding.good for finding in findings) else 0
 
 
@@ -164,6 +173,7 @@ def simulate(
             gateway = Gateway(config, file=scenario.config)
             stop.ready()
             stack.callback(gateway.close)
+            refuse_impossible([line.dtc for line in scenario.expect], gateway.catalogue, scenario_name)
             printer = _printer(gateway, json=json)
             report = None if html is None else RunReport(html, gateway, scenario.config)
             stack.enter_context(steps_watched(gateway.engine, asked=lambda: stop.heard))
@@ -204,7 +214,7 @@ def simulate(
 def _printer(gateway: Gateway, *, json: bool) -> EventPrinter:
     """Return what prints the events of a gateway in this process."""
     printer = EventPrinter(as_json=json)
-    printer.definition = gateway.catalogue.get
+    printer.definition, printer.ecus = gateway.catalogue.get, gateway.senders
     gateway.listen(printer)
     return printer
 

@@ -40,7 +40,7 @@ class Story(EventPrinter):
         self._last: Truth | None = None
         self._frames = self._injected = 0
         self._set: set[str] = set()
-        self.definition = gateway.catalogue.get
+        self.definition, self.ecus = gateway.catalogue.get, gateway.senders
 
     def begin(self, speed: float) -> None:
         """Introduce the scenario and its ECUs; ``speed``: times real time, 0: as fast as it goes."""
@@ -69,6 +69,7 @@ class Story(EventPrinter):
     def on_time(self, t_ns: int) -> None:
         """Tell what was injected until a time [ns]."""
         for fact in self._truth.until(t_ns):
+            self.flush()
             if not self._injected and not self._set:
                 text = f"healthy so far: {self._frames} frames, no DTC"
                 self._lines.print(f"{fact.t_ns / 1e9:10.4f} s  {text}", mark="healthy", colour="green")
@@ -81,6 +82,7 @@ class Story(EventPrinter):
         """Show a DTC frame that tells a change; the whole list is repeated every second."""
         if report.dtc is None or report.index:
             return
+        self.flush()
         state = f"status 0x{report.status:02X} ({state_in_words(report.status)})"
         self._lines.print(
             f"{report.t_ns / 1e9:10.4f} s  sent on CAN  {report.dtc}  {state}", mark="sent on CAN", colour="cyan"

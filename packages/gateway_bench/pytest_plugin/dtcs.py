@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from gateway.faults.status import Status
 from gateway_bench.pytest_plugin.bench import STEP_NS, Bench
-from gateway_bench.vecu.expectations import Finding, Judge
+from gateway_bench.vecu.expectations import Finding, Judge, refuse_impossible
 from gateway_bench.vecu.scenario import Expectation, Scenario
-from gateway_fdi.errors import InputError, named
 
 
 class Dtcs:
@@ -18,7 +17,6 @@ class Dtcs:
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
-        self._known = sorted({str(definition.dtc) for definition in bench.gateway.catalogue})
 
     @property
     def seen(self) -> list[tuple[float, str, int]]:
@@ -45,7 +43,7 @@ class Dtcs:
 
         Raises:
             AssertionError: it was not; names the DTC, the time expected, and the time seen.
-            InputError: no fault of the configuration has this DTC.
+            InputErrors: no fault of the configuration has this DTC.
         """
         __tracebackhide__ = True  # pytest shows the line of the test
         self._check(dtc)
@@ -65,7 +63,7 @@ class Dtcs:
 
         Raises:
             AssertionError: it was; names the DTC and the time.
-            InputError: no fault of the configuration has this DTC.
+            InputErrors: no fault of the configuration has this DTC.
         """
         __tracebackhide__ = True  # pytest shows the line of the test
         self._check(dtc)
@@ -81,7 +79,7 @@ class Dtcs:
 
         Raises:
             AssertionError: one was; names DTCs and times.
-            InputError: no fault of the configuration has a DTC of ``but``.
+            InputErrors: no fault of the configuration has a DTC of ``but``.
         """
         __tracebackhide__ = True  # pytest shows the line of the test
         for dtc in but:
@@ -93,8 +91,7 @@ class Dtcs:
         assert not first, "; ".join(f"{dtc} set at {t:.3f} s, not expected" for dtc, t in sorted(first.items()))
 
     def _check(self, dtc: str) -> None:
-        if dtc not in self._known:
-            raise InputError(named("the configuration's faults have", dtc, self._known), key="dtc", value=dtc)
+        refuse_impossible([dtc], self._bench.gateway.catalogue, key="dtc")
 
     def _judged(self, line: Expectation) -> list[Finding]:
         scenario = Scenario.model_construct(

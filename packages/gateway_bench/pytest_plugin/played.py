@@ -15,7 +15,7 @@ from gateway_bench.drive import drive, reports_among
 from gateway_bench.playing import player_of
 from gateway_bench.pytest_plugin.bench import Bench
 from gateway_bench.vecu.contract import Truth
-from gateway_bench.vecu.expectations import Finding, Judge
+from gateway_bench.vecu.expectations import Finding, Judge, refuse_impossible
 from gateway_bench.vecu.scenario import Scenario
 
 
@@ -42,6 +42,7 @@ def inside(scenario: Scenario, config: Config, seed: int | None) -> Played:
     """
     player, judge = player_of(scenario, config, seed=seed), Judge(scenario)
     gateway = Gateway(config, file=scenario.config)
+    refuse_impossible([line.dtc for line in scenario.expect], gateway.catalogue)
     try:
         drive(gateway, player, judge=judge)
     finally:
@@ -61,7 +62,7 @@ def on_buses(scenario: Scenario, config: Config, seed: int | None, buses: Sequen
 
     def hear(batch: Frames) -> None:
         frames.append(batch.copy())
-        for report in reports_among(batch, bench.gateway):
+        for report in reports_among(batch):
             if report.dtc is not None:
                 judge.report(report.t_ns / 1e9, str(report.dtc), report.status, report.occurrence)
 
@@ -98,6 +99,7 @@ def leave(
             return
         player, judge = player_of(scenario, config, seed=seed), Judge(scenario)
         gateway = Gateway(config, file=scenario.config)
+        refuse_impossible([line.dtc for line in scenario.expect], gateway.catalogue)
         collector = None
         if installed("serve"):
             from gateway.serve.report.collect import Collector  # noqa: PLC0415 - an extra

@@ -2,13 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
+from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.status import Status
 from gateway_bench.vecu.scenario import Expectation, Scenario
+from gateway_fdi.errors import InputError, InputErrors
+from gateway_fdi.errors import named as among
 
 #: Expectation of DTCs that no line names.
 OTHERS = "no other DTC"
+
+
+def refuse_impossible(
+    dtcs: Iterable[str], catalogue: Iterable[FaultDefinition], file: Path | None = None, key: str = "expect[{}].dtc"
+) -> None:
+    """Refuse expectations that no fault of a gateway can meet.
+
+    Args:
+        dtcs: the expected ones.
+        catalogue: the gateway's faults.
+        file: with the expectations.
+        key: of a DTC, with its place.
+
+    Raises:
+        InputErrors: each DTC that no fault has; names close ones.
+    """
+    known = sorted({str(definition.dtc) for definition in catalogue})
+    wrong = [
+        InputError(among("the configuration's faults have", dtc, known), file=file, key=key.format(k), value=dtc)
+        for k, dtc in enumerate(dtcs)
+        if dtc not in known
+    ]
+    if wrong:
+        raise InputErrors(wrong)
 
 
 @dataclass

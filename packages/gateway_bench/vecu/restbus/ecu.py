@@ -13,7 +13,7 @@ from gateway.bus.frames import Frames
 from gateway.signals.bits import mask_of
 from gateway.signals.columns import limits
 from gateway.signals.framed import framed, parents_first, payloads
-from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill
+from gateway.signals.protection.protection import Protection, compiled
 from gateway.signals.ranges import runs
 from gateway.signals.tables import signal_row
 from gateway_bench.vecu.contract import EcuFault, Run, Truth, VirtualEcu
@@ -77,9 +77,7 @@ class _Senders:
         Signals with a course are written last: in databases whose signals overlap they are what is sent.
         """
         message = one.message
-        rows = np.zeros(1, ProtectionConst.dtype)
-        fill(rows[0], one.protection, Tables())
-        owned = int.from_bytes(np.ascontiguousarray(rows[0]["owned"]).tobytes(), "little")
+        owned = int.from_bytes(np.ascontiguousarray(compiled(one.protection)[0]["owned"]).tobytes(), "little")
         columns = {signal.name: self._values(message, signal, times, owned) for signal in parents_first(message)}
         asked = frozenset(name for name in columns if self._courses.given(f"{message.name}.{name}"))
         return payloads(message, columns, len(times), asked)
