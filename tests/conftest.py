@@ -2,6 +2,7 @@
 
 import gc
 import os
+import sys
 
 import pytest
 from amount import SMALL, examples
@@ -100,3 +101,27 @@ def _walls(request, monkeypatch):
 def caught(_walls):
     """What walls have caught: door, exception, name of the peer, whether it was the second wall."""
     return _walls
+
+
+@pytest.fixture(autouse=True)
+def _contract(monkeypatch):
+    """Each event that a gateway in this process tells is one of the contract, and of its JSON Schema."""
+    places = {"gateway.runtime.outbox": ("Outbox", "_hand"), "gateway.live.daemon": ("Daemon", "_tell")}
+    places = {name: place for name, place in places.items() if name in sys.modules}  # not imported for tests without
+    wrong = {}
+    if places:
+        import contracted
+
+    def checking(tell):
+        def told(self, event):
+            if reason := contracted.why_not(event):
+                wrong.setdefault(event["event"], reason)
+            tell(self, event)
+
+        return told
+
+    for name, (of, method) in places.items():
+        found = getattr(sys.modules[name], of)
+        monkeypatch.setattr(found, method, checking(getattr(found, method)))
+    yield
+    assert not wrong, f"events that are not in gateway/runtime/contract.py: {wrong}"

@@ -1,7 +1,7 @@
 """Kernels as plain Python, and compiled with every index checked: the smallest cases of the same tests once more.
 
-A commit draws one part of all (GATEWAY_TESTS=full: all): a part takes half a minute to one and a half. For plain Python
-no kernels are made, so its parts are smaller: all files, dealt out in turn.
+CI runs the engine's as plain Python, which every frame passes (half a minute); all parts run with GATEWAY_TESTS=full.
+For plain Python no kernels are made, so its parts are smaller: all files, dealt out in turn.
 """
 
 import os
@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 from amount import FULL
-from drawn import drawn
 from nested_pytest import PYTEST
 
 TESTS = Path(__file__).parent
@@ -23,14 +22,13 @@ BUSES = (
     "bus/test_traffic.py",
     "faults/test_journal.py",
     "signals/test_random_databases.py",
-    "signals/test_tooth_codec.py",
 )
 PLANTS = {plant: (f"{plant}/monitor",) for plant in ("linear", "pedal", "steering", "structural", "truck")}
 MONITORS = ("monitors",)
 #: Mathematics, the plants' too.
 FDI = (
     "fdi", "linear/mathematics", "linear/model_set", "linear/pi_bank", "pedal/test_lag.py",
-    "pedal/test_tracking_voter.py", "crank/test_wheel_seen.py",
+    "pedal/test_tracking_voter.py", "crank/test_tooth_codec.py", "crank/test_wheel_seen.py",
 )  # fmt: skip
 
 CRANK = sorted(str(path.relative_to(TESTS)) for path in TESTS.glob("crank/monitor/test_*.py"))
@@ -56,15 +54,16 @@ DEALT = {f"{k + 1} of {_HANDS}": _FILES[k::_HANDS] for k in range(_HANDS)}
 #: Part -> its files and folders, and its environment.
 WAYS = {f"plain, {part}": (files, PLAIN) for part, files in DEALT.items()}
 WAYS |= {f"checked, {part}": (files, CHECKED) for part, files in PARTS.items()}
+IN_CI = {"plain, engine": (list(ENGINE), PLAIN)}
 
 # Whether something hangs, or takes too long as plain Python, is seen by the limit of each test inside.
 pytestmark = [pytest.mark.long, pytest.mark.timeout(3600)]
 
 
 @pytest.mark.evidence("Live is replay: kernels")
-@pytest.mark.parametrize("part", WAYS if FULL else drawn(WAYS))
+@pytest.mark.parametrize("part", WAYS if FULL else IN_CI)
 def test_as_plain_python_and_with_every_index_checked(part):
-    files, setting = WAYS[part]
+    files, setting = (WAYS | IN_CI)[part]
     rest = [*(f"--ignore={path}" for path in WITHOUT_KERNELS), *files]
     ended = subprocess.run(
         [*PYTEST, "-p", "no:xdist", "-W", "error::RuntimeWarning", "--durations=15", "--timeout=600", *rest],

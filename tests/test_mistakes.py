@@ -28,7 +28,7 @@ OF_CHECKS = (
     ('message = "Whel"\nprotection = "auto"', f"{CHECK}.message = 'Whel'", "did you mean Wheel?"),
     ('mesage = "Wheel"', f"{CHECK}.mesage", "did you mean message?"),
     ('message = "Wheel"\ntimeout = 5', f"{CHECK}.timeout", "did you mean timeout_ms or most?"),
-    ('message = "Wheel"\ntimeout_ms = -5', f"{CHECK}.timeout_ms = -5", "greater than 0"),
+    ('message = "Wheel"\ntimeout_ms = -5', f"{CHECK}.timeout_ms = -5", "a number above 0"),
     ('message = "Wheel"\nlost = "U100"', f"{CHECK}.lost = 'U100'", "U[0-3]"),
     ('message = "Wheel"\nchecksum = "toyotta"', f"{CHECK}.checksum = 'toyotta'", "did you mean toyota?"),
     ('message = "Wheel"\nchecksum = { rule = "hond" }', f"{CHECK}.checksum.rule = 'hond'", "did you mean honda"),
@@ -312,7 +312,7 @@ def test_a_bus_whose_database_is_missing_hides_only_what_is_on_it(tmp_path):
     )
     said = [(error.file, error.key) for error in mistakes(path)]
     assert said == [
-        (str(tmp_path / "none.dbc"), None),
+        (str(path), "bus[1].database"),
         (str(path), "monitor[1].signal[0].signal"),
         (str(path), 'fault."t.Speed.high".freeze_frame[1]'),
     ]
@@ -326,7 +326,7 @@ def test_a_key_of_a_bus_that_nothing_depends_on_hides_nothing(tmp_path):
 
 def test_a_file_that_cannot_be_read_is_one_mistake(tmp_path):
     (tmp_path / "c.toml").write_text("bus = [\n")
-    assert [error.line for error in mistakes(tmp_path / "c.toml")] == [2]
+    assert [(error.line, error.key) for error in mistakes(tmp_path / "c.toml")] == [(1, "bus")]
     assert [error.file for error in mistakes(tmp_path / "none.toml")] == [str(tmp_path / "none.toml")]
 
 

@@ -255,11 +255,11 @@ def lacking(monkeypatch):
 def test_mf4_logs_without_their_extra_name_it(lacking, tmp_path):
     lacking("asammdf")
     path = tmp_path / "a.mf4"
-    with pytest.raises(InputError, match=r"a\.mf4: .*pip install 'ecu-gateway\[mf4\]'"):
+    with pytest.raises(InputError, match=r"a\.mf4: .*pip install '\.\[mf4\]'"):
         open_writer(path)
     assert not path.exists()
     path.write_bytes(b"MDF     4.10")
-    with pytest.raises(InputError, match=r"a\.mf4: .*pip install 'ecu-gateway\[mf4\]'"):
+    with pytest.raises(InputError, match=r"a\.mf4: .*pip install '\.\[mf4\]'"):
         read_log(path)
     assert len(list(read_log(_candump(tmp_path)))) == 1
 
@@ -289,7 +289,7 @@ def test_doctor_says_what_is_not_installed(lacking, capsys, memory):
     for package in (*EXTRAS.values(), "compression.zstd"):  # this one comes with Python 3.14
         lacking(package)
     text = said(False)
-    assert all(f"'ecu-gateway[{extra}]' for {PURPOSES[extra]}" in text for extra in EXTRAS)
+    assert all(f"'.[{extra}]' in the checkout, for {PURPOSES[extra]}" in text for extra in EXTRAS)
     assert set(json.loads(said(True))["extras"].values()) == {None}
 
 
@@ -321,7 +321,10 @@ for name in {names!r}:
             *("solving", "symbols"),
         )
     } | {f"gateway_fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
-    pages = {f"gateway.serve.{name}" for name in ("app", "metrics", "mqtt", "server", "report.figures", "report.page")}
+    pages = {
+        f"gateway.serve.{name}"
+        for name in ("app", "broker", "metrics", "mqtt", "server", "report.figures", "report.page")
+    }
     pages |= {
         f"gateway.serve.sovd.{name}"
         for name in (
@@ -333,8 +336,10 @@ for name in {names!r}:
     others = {
         "gateway_plants.structural.monitor.choice",
         "gateway_bench.vecu.fmu.model",
+        *(f"gateway_bench.pytest_plugin.{name}" for name in ("fixtures", "plugin", "scenarios")),
     }
-    assert refused == algebra | pages | others
+    road = ("campaign", "deliver", "join", "member", "signed", "statistics", "trials")
+    assert refused == algebra | pages | others | {f"gateway_fleet.live.{name}" for name in road}
 
 
 def test_the_package_offers_the_extras_that_are_named_to_people():
@@ -350,7 +355,7 @@ def test_the_package_offers_the_extras_that_are_named_to_people():
 
 def test_a_cluster_without_what_its_certificate_needs_is_one_line(monkeypatch):
     monkeypatch.setattr(extras, "find_spec", lambda name: None if name == "cryptography" else object())
-    with pytest.raises(InputError, match=r"need cryptography: pip install 'ecu-gateway\[fleet\]'"):
+    with pytest.raises(InputError, match=r"need cryptography: pip install '\.\[fleet\]'"):
         extras.need("fleet", "several logs at once")
 
 

@@ -2,6 +2,7 @@
 
 import json
 import lzma
+import os
 import random
 import subprocess
 import sys
@@ -406,3 +407,11 @@ def test_a_checksum_that_its_frames_cannot_tell_is_its_neighbours_or_none(tmp_pa
     assert rules == {"Brake": "volkswagen_pq", "Engine": "volkswagen_pq"}
     assert "can0.Brake: no checksum: its 16 different frames fit hyundai_6b, " in ended.out
     assert "can1.Brake" not in ended.out
+
+
+def test_what_is_no_file_is_not_replaced_by_one(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="pipe: -o: is there, and no file"):
+        write({tmp_path / "car.dbc": "", tmp_path / "pipe": ""})
+    assert (tmp_path / "pipe").is_fifo()
+    assert list(tmp_path.iterdir()) == [tmp_path / "pipe"]

@@ -219,7 +219,7 @@ WRONG = {
     "gain = 1.5": ('gain = "high"', "ecu[0] = 'Controller': step at 0.0000 s", "loop_classes.py:2"),
     '"loop_classes:Motor"': ('"loop_classes:Moter"', "ecu[1].type = 'loop_classes:Moter'", "has no Moter"),
     '"Meas.I" = "i", ': ('"Meas.COUNTER" = "i", ', 'ecu[1].outputs."Meas.COUNTER"', "protection makes this signal"),
-    "step_ms = 10\ninputs = { u": ("step_ms = 0\ninputs = { u", "ecu[1].step_ms = 0", "greater than"),
+    "step_ms = 10\ninputs = { u": ("step_ms = 0\ninputs = { u", "ecu[1].step_ms = 0", "a number of 0.1 at least"),
 }
 
 
