@@ -1,11 +1,14 @@
 """Tutorials do what they say, from a clean wheel: files are written, commands run, outputs compared."""
 
+import os
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 from amount import FULL
 from debian import program
+from pictures import contents, different
 from walks import Walk, environment, stop
 
 TUTORIALS = sorted((Path(__file__).parents[1] / "docs" / "tutorials").glob("*.md"))
@@ -30,3 +33,12 @@ def test_a_tutorial_does_what_it_says(page, walk):
     # What the page shows of DTCs was said, in these words.
     for shown in re.findall(r"DTC \S+ SET  \S+|^[│ ]+ben[^\n]*[PU]\w+-\w\w", text, re.MULTILINE):
         assert " ".join(shown.split()) in " ".join(walk.said.split())
+    # Its picture is the one that its command draws.
+    for drawn, shown in zip(
+        re.findall(r"(?:-o|--plot) (\S+\.png)", text), re.findall(r"\]\((\S+tutorial\S+\.png)\)", text), strict=False
+    ):
+        if "GATEWAY_PICTURES" in os.environ:
+            shutil.copy(walk.folder / drawn, page.parent / shown)
+        assert not different(contents(page.parent / shown), contents(walk.folder / drawn)), (
+            f"GATEWAY_PICTURES=1: {shown}"
+        )

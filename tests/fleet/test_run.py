@@ -17,7 +17,7 @@ from gateway_fdi.errors import InputError
 from gateway_fleet.fleet.diff import diff
 from gateway_fleet.fleet.run import Order, run
 from gateway_fleet.fleet.task import MOST_EVENTS, _Watch
-from gateway_fleet.fleet.verdicts import Verdicts
+from gateway_fleet.fleet.verdicts import TABLES, Verdicts
 
 
 @pytest.fixture
@@ -90,6 +90,36 @@ def test_a_run_that_was_killed_goes_on(fleet):
     assert not any(outcome.fresh for outcome in result.outcomes)
     assert tables_hash(fleet / "out") == before
     assert run(order(fleet)).known == 20
+
+
+def test_the_tables_of_a_run_are_one_file_each(fleet, monkeypatch):
+    """Files of single logs that a kill has left count once, in any state of putting them together."""
+    monkeypatch.setattr(Verdicts, "put_together", lambda self: None)
+    run(order(fleet))
+    single = {table: Verdicts(fleet / "out").rows(table) for table in TABLES}
+    kept = {path: path.read_bytes() for path in (fleet / "out").glob("*/*.parquet")}
+    monkeypatch.undo()
+    Verdicts(fleet / "out").put_together()
+    assert {path.name for path in (fleet / "out").glob("*/*.parquet")} == {"all.parquet", "none.parquet"}
+    together = tables_hash(fleet / "out")
+    left = [path for table in TABLES for path in sorted(kept) if path.parent.name == table and not path.exists()]
+    for done in (0, 1, 20, 21, len(left) - 1):  # how many were taken away before the kill
+        for path in left[done:]:
+            path.write_bytes(kept[path])
+        verdicts = Verdicts(fleet / "out")
+        for table, rows in single.items():
+            assert sorted(map(str, verdicts.rows(table))) == sorted(map(str, rows)), table
+        assert verdicts.rows("dtcs", single["dtcs"][0]["log"]) == single["dtcs"][:1]
+        assert all(verdicts.has(row["log"]) for row in single["logs"])
+        verdicts.put_together()
+        assert tables_hash(fleet / "out") == together
+        assert {path.name for path in (fleet / "out").glob("*/*.parquet")} == {"all.parquet", "none.parquet"}
+    gone = single["dtcs"][0]["log"]
+    Verdicts(fleet / "out").forget([gone])
+    assert not Verdicts(fleet / "out").has(gone)
+    assert not [row for table in TABLES for row in Verdicts(fleet / "out").rows(table) if row["log"] == gone]
+    assert run(order(fleet)).known == 19
+    assert tables_hash(fleet / "out") == together
 
 
 def test_logs_with_something_wrong_are_rows_of_errors(fleet):

@@ -85,7 +85,7 @@ def test_a_killed_worker_and_a_log_that_kills_its_own(fleet):
     verdicts = Verdicts(fleet / "out")
     assert sorted(row["kind"] for row in verdicts.rows("errors")) == ["damaged", "empty", "killed"]
     (poisoned,) = (row["log"] for row in verdicts.rows("errors") if row["kind"] == "killed")
-    verdicts.forget(poisoned)
+    verdicts.forget([poisoned])
     assert tables_hash(fleet / "out") == tables_hash(fleet / "serial"), "nobody else's work is lost, or done twice"
     assert not workers(), "the cluster is gone"
 

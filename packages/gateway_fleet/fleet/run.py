@@ -95,11 +95,12 @@ def run(order: Order, progress: Progress = lambda outcome, left: None) -> Result
             more = {"seconds": round(outcome.seconds, 3), "frames": outcome.frames, "dtcs": outcome.dtcs}
             manifest.add(path, Done(files[path], outcome.log, outcome.state), more)
             if before is not None and before.log != outcome.log and not manifest.paths(before.log):
-                verdicts.forget(before.log)  # of what the file held before: a recording that went on counts once
+                verdicts.forget([before.log])  # of what the file held before: a recording that went on counts once
             result.outcomes.append(outcome)
             progress(outcome, left)
     if result.outcomes:
         result.copies = _tell_copies(order, manifest, verdicts, {one.log for one in result.outcomes if not one.fresh})
+        verdicts.put_together()
     return result
 
 
@@ -148,6 +149,7 @@ def _new(order: Order, manifest: Manifest, verdicts: Verdicts) -> tuple[list[Rec
         InputError: with a memory that is carried, a new recording lies before one that has its verdict.
     """
     new: list[Recording] = []
+    again: list[str] = []
     last: dict[str, str] = {}
     seen: set[str] = set()
     for recording in order.recordings:
@@ -155,7 +157,7 @@ def _new(order: Order, manifest: Manifest, verdicts: Verdicts) -> tuple[list[Rec
         done = manifest.done.get(str(absolute.path))
         known = done is not None and verdicts.has(done.log) and done.files == _signature(absolute)
         if known and done is not None and order.retry and done.state in FAILED:
-            verdicts.forget(done.log)
+            again.append(done.log)
             known = False
         if not known or done is None:
             new.append(absolute)
@@ -167,6 +169,7 @@ def _new(order: Order, manifest: Manifest, verdicts: Verdicts) -> tuple[list[Rec
         if done.log not in seen and (verdicts.folder / "memory" / f"{done.log}.sqlite").exists():
             last[absolute.device] = done.log
         seen.add(done.log)  # a copy does not take the memory back to where the first one stood
+    verdicts.forget(again)
     return new, last
 
 

@@ -1,4 +1,4 @@
-"""Files of a fleet's run: tables of verdicts as Parquet, a file a log in each, and the finished work.
+"""Files of a fleet's run: tables of verdicts as Parquet, and the finished work.
 
 ==========  ======================================================================================================
 table       a row
@@ -10,9 +10,11 @@ table       a row
 ``errors``  what was wrong with a log: damaged, cut off, empty, foreign, failed, killed its worker, a copy
 ==========  ======================================================================================================
 
-Files are named by the digest of the log's contents, written under another name and renamed; that in ``logs`` comes
-last, and says that the others are there. So a file written twice is the same, and no reader gets a part of one.
-Nothing in the tables depends on when, where or how fast they were made.
+While a run goes on, a log has a file in each table, named by the digest of its contents; at its end all of them become
+one file, ``all.parquet``. Files are written under another name and renamed; that in ``logs`` comes last, and says that
+the others are there. So a file written twice is the same, and no reader gets a part of one. A kill may leave a log both
+in a file of its own and in ``all.parquet``: it counts once. Nothing in the tables depends on when, where or how fast
+they were made.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,6 +63,10 @@ TABLES: dict[str, dict[str, str]] = {
 
 Row = dict[str, Any]
 
+#: Names of files in a table that are no log: the rows of all earlier logs; no rows.
+ALL, _NONE = "all", "none"
+_NO_LOG = (ALL, _NONE)
+
 
 @dataclass
 class Verdict:
@@ -93,11 +99,21 @@ def write_table(path: Path, columns: Mapping[str, str], rows: Sequence[Row]) -> 
         InputError: it cannot be written.
     """
     import pyarrow as pa  # noqa: PLC0415 - an extra
+
+    write_rows(path, pa.Table.from_pylist(list(rows), schema=_schema(columns)))
+
+
+def write_rows(path: Path, rows: pa.Table) -> None:
+    """Write a file of Arrow's rows, as :func:`write_table` does.
+
+    Raises:
+        InputError: it cannot be written.
+    """
     import pyarrow.parquet as pq  # noqa: PLC0415 - an extra
 
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        pq.write_table(pa.Table.from_pylist(list(rows), schema=_schema(columns)), part)
+        pq.write_table(rows, part)
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)
@@ -113,6 +129,7 @@ class Verdicts:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._logs: frozenset[str] | None = None
 
     def prepare(self) -> None:
         """Make the folders, each table with a file, so that all can be asked for rows.
@@ -123,7 +140,7 @@ class Verdicts:
         try:
             for table, columns in TABLES.items():
                 (self.folder / table).mkdir(parents=True, exist_ok=True)
-                empty = self.folder / table / "none.parquet"
+                empty = self.folder / table / f"{_NONE}.parquet"
                 if not empty.exists():
                     write_table(empty, columns, [])
         except OSError as error:
@@ -135,10 +152,49 @@ class Verdicts:
 
     def has(self, log: str) -> bool:
         """Return whether a log has its verdict."""
-        return self.path("logs", log).exists()
+        return self.path("logs", log).exists() or log in self._together()
+
+    def _together(self) -> frozenset[str]:
+        """Return the logs of ``all.parquet``, as it was first looked at."""
+        if self._logs is None:
+            self._logs = frozenset(row["log"] for row in self.rows("logs", ALL))
+        return self._logs
+
+    def _rewrite(self, table: str, without: Collection[str], more: Sequence[Path] = ()) -> None:
+        """Write ``all.parquet`` of a table again, with the rows of files and without those of some logs."""
+        import pyarrow as pa  # noqa: PLC0415 - an extra
+        import pyarrow.compute as pc  # noqa: PLC0415 - an extra
+
+        path = self.path(table, ALL)
+        left_out = pa.array(without, pa.string())
+        before = _batches([path] if path.exists() else [])
+        kept = [rows.filter(pc.invert(pc.is_in(rows["log"], left_out))) for rows in before]
+        rows = pa.Table.from_batches([*kept, *_batches(more)], _schema(TABLES[table]))
+        write_rows(path, rows.take(pc.sort_indices(rows["log"])))
+
+    def put_together(self) -> None:
+        """Make one file of those of single logs in each table: thousands of files are slow to ask.
+
+        Rows of a copy stay by themselves: they are told anew when a recording goes.
+        """
+        logs = [path.stem for path in self._files("logs") if path.stem not in _NO_LOG]
+        for table in (*(name for name in TABLES if name != "logs"), "logs"):
+            mine = [path for log in sorted(logs) if (path := self.path(table, log)).exists()]
+            if mine or (logs and self.path(table, ALL).exists()):
+                self._rewrite(table, logs, mine)
+        self._logs = None
+        for table in TABLES:  # those in `logs` first: what has no row there is taken away the next time
+            for path in self._files(table):
+                if path.stem in self._together():
+                    path.unlink()
+
+    def _files(self, table: str) -> list[Path]:
+        return sorted((self.folder / table).glob("[!.]*.parquet"))
 
     def write(self, log: str, verdict: Verdict) -> None:
         """Write a log's rows; those in ``logs`` come last."""
+        if log in self._together():
+            self.forget([log])
         for table in (*(name for name in TABLES if name != "logs"), "logs"):
             rows = getattr(verdict, table)
             path = self.path(table, log)
@@ -147,10 +203,14 @@ class Verdicts:
             else:
                 path.unlink(missing_ok=True)
 
-    def forget(self, log: str) -> None:
-        """Take a log's rows away."""
+    def forget(self, logs: Collection[str]) -> None:
+        """Take the rows of logs away."""
         for table in TABLES:
-            self.path(table, log).unlink(missing_ok=True)
+            for log in logs:
+                self.path(table, log).unlink(missing_ok=True)
+            if not self._together().isdisjoint(logs) and self.path(table, ALL).exists():
+                self._rewrite(table, logs)
+        self._logs = None
 
     def name(self, log: str, recording: Recording) -> None:
         """Have a log's rows name a recording with its contents."""
@@ -188,19 +248,27 @@ class Verdicts:
         folder = self.folder / table
         if not folder.is_dir():
             raise InputError("no verdicts here (made by gateway fleet run --out)", file=self.folder)
-        paths = [self.path(table, log)] if log is not None else sorted(folder.glob("[!.]*.parquet"))
+        paths = self._files(table) if log is None else sorted({self.path(table, log), self.path(table, ALL)})
+        single = {path.stem for path in paths if path.exists()}
         found: list[Row] = []
         for path in paths:
-            if not path.exists():
-                continue
-            with path.open("rb") as source, opened(source, path) as file:
-                for batch in batches(file, path, _ROWS, _LONGEST):
-                    columns = {
-                        name: (column.cast(pa.int64()) if pa.types.is_timestamp(column.type) else column).to_pylist()
-                        for name, column in zip(batch.schema.names, batch.columns, strict=True)
-                    }
-                    found += [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+            for batch in _batches([path] if path.stem in single else []):
+                columns = {
+                    name: (column.cast(pa.int64()) if pa.types.is_timestamp(column.type) else column).to_pylist()
+                    for name, column in zip(batch.schema.names, batch.columns, strict=True)
+                }
+                rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+                if path.stem == ALL:  # not twice those of a log that has its own file
+                    rows = (row for row in rows if row["log"] not in single and log in (None, ALL, row["log"]))
+                found += rows
         return found
+
+
+def _batches(paths: Iterable[Path]) -> Iterator[pa.RecordBatch]:
+    """Yield the rows of files in pieces."""
+    for path in paths:
+        with path.open("rb") as source, opened(source, path) as file:
+            yield from batches(file, path, _ROWS, _LONGEST)
 
 
 @dataclass(frozen=True)

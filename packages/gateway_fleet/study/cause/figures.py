@@ -20,6 +20,8 @@ from gateway_fleet.study.cause.drive import events_of, injected_into, played, re
 
 #: Causes that are drawn, of those that were the first or the second at some time.
 _MOST = 4
+#: Length of a name that needs a line of the legend for itself.
+_LONG = 40
 #: A supply of two wheels (docs/cause.md).
 _SUPPLY = DiagnosisParams(supply=(SupplyParams(name="front_5V", feeds=("WheelSpeeds.FL", "WheelSpeeds.FR")),))
 
@@ -105,7 +107,8 @@ def _draw(path: Path, case: _Case) -> Path:
     above.invert_yaxis()
     above.set_title(f"{case.title}: what fails", loc="left", fontsize="medium")
     ranked = [name for one in course.probable for name in sorted(one, key=lambda n: -one[n])[:2]]
-    for k, name in enumerate(list(dict.fromkeys(ranked))[:_MOST]):
+    shown = list(dict.fromkeys(ranked))[:_MOST]
+    for k, name in enumerate(shown):
         times = [begin_s, *course.times, end_s]
         values = [0.0, *(one.get(name, 0.0) for one in course.probable)]
         line = below.stairs(values, times, baseline=None, label=name, color=f"C{k}", linewidth=1.5)
@@ -113,5 +116,6 @@ def _draw(path: Path, case: _Case) -> Path:
         below.stairs(sure, times, baseline=None, color=line.get_edgecolor(), linewidth=4.0)
     below.set_title("how probable each cause is (thick: told as the cause)", loc="left", fontsize="medium")
     below.set(xlim=(begin_s, end_s), ylim=(-0.03, 1.05), xlabel="s")
-    below.legend(fontsize="small", loc="upper left", bbox_to_anchor=(0.0, -0.25), ncols=2, frameon=False)
+    columns = 2 if max(map(len, shown)) < _LONG else 1
+    below.legend(fontsize="small", loc="upper left", bbox_to_anchor=(0.0, -0.25), ncols=columns, frameon=False)
     return save(figure, path)
