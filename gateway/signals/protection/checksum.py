@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from gateway.signals.bits import mask_of, swapped
 from gateway.signals.protection.cmac import Mac
@@ -18,6 +19,9 @@ from gateway.signals.protection.crc import Crc, register_of
 from gateway_fdi.jit import Record, i4, i8, kernel, lowest_bit, means, u1, u1s, u8, u8s
 
 NONE, CRC, SUM, XOR, MAC = range(5)
+
+#: A byte of a data id in a configuration.
+Byte = Annotated[int, Field(ge=0, le=0xFF)]
 
 #: Bytes that go in before or after a payload at most.
 MOST_EXTRA = 8
