@@ -248,11 +248,7 @@ def count_frames(
 
 
 class Traffic:
-    """Counts what passes on some buses.
-
-    Args:
-        buses: how many.
-    """
+    """Counts what passes on some buses."""
 
     def __init__(self, buses: int) -> None:
         self.loads: Any = _table(buses, Load)

@@ -66,11 +66,10 @@ def field_at(byte: int, bits: int, *, big: bool = False, shift: int = 0) -> Any:
         byte: the first of its bytes.
         bits: how many.
         big: most significant byte first.
-        shift: of its lowest bit in the byte, where it takes less than a byte.
+        shift: bits of the byte before it: lower ones, big-endian higher ones.
     """
     row = np.zeros(1, Field.dtype)[0]
-    start = 8 * byte + (7 if big else shift)
-    place(row, start, bits, big=big)
+    place(row, 8 * byte + (7 - shift if big else shift), bits, big=big)
     return row
 
 
@@ -100,11 +99,7 @@ def swapped(word: Any) -> Any:
 
 @kernel
 def needed_by(s: Any) -> int:
-    """Return the length from which on a payload has all bits of a field [byte].
-
-    Args:
-        s: record of :class:`Field`, or of SIGNAL.
-    """
+    """Return the length from which on a payload has all bits of a record of :class:`Field`, or of SIGNAL [byte]."""
     if s.big == 1:
         return 8 * int(s.word) + (63 - int(s.shift)) // 8 + 1
     return 8 * int(s.word) + (int(s.shift) + int(s.length) + 7) // 8

@@ -124,13 +124,7 @@ class Columns(NamedTuple):
 
 
 def decode_columns(frames: Frames, plan: DecodePlan, row: int) -> Columns:
-    """Decode frames of one message; of a woven one all that :func:`payloads_of` joins.
-
-    Args:
-        frames: of this message.
-        plan: with all its signals.
-        row: of the message in the plan.
-    """
+    """Decode frames of one message by a plan of all its signals; of a woven one all that :func:`payloads_of` joins."""
     return decode_payloads(*payloads_of(frames, plan, row), plan, row)
 
 
@@ -163,12 +157,7 @@ def looked_up(frames: Frames, keys: NDArray[np.uint64], rows: NDArray[np.int32])
 
 
 def columns(frames: Frames, plan: DecodePlan, row: int) -> NDArray[np.float64]:
-    """Return the physical values of a message's signals.
-
-    Args:
-        frames: of this message.
-        plan: with all its signals.
-        row: of the message in the plan.
+    """Return the physical values of a message's signals in its frames, by a plan with all of them.
 
     Returns:
         shape (frames, signals), in the plan's order; NaN where a frame has none, or one without a value.

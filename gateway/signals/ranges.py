@@ -26,11 +26,7 @@ Wide = dict[tuple[int, str], Pairs]
 
 
 class Ranges(Sequence[int]):
-    """Whole numbers, in order, kept as ranges.
-
-    Args:
-        pairs: least and greatest of each; in any order, and they may overlap.
-    """
+    """Whole numbers, in order, kept as pairs of least and greatest; pairs that are given may overlap."""
 
     def __init__(self, pairs: Iterable[tuple[int, int]]) -> None:
         self.pairs: Pairs = []
@@ -75,11 +71,7 @@ def runs(values: Iterable[int]) -> Pairs:
 
 
 def narrowed(text: str) -> tuple[str, Wide]:
-    """Return a DBC file with the first number of each range only, where one is wide, and all ranges.
-
-    Args:
-        text: of the file.
-    """
+    """Return a DBC file with the first number of each range only, where one is wide, and all ranges."""
     found: Wide = {}
     for _, number, signal, _, ranges in _STATEMENT.findall(text):
         pairs = [(int(low), int(high)) for low, high in (one.split("-") for one in ranges.split(","))]

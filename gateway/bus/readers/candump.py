@@ -225,7 +225,6 @@ class Candump(Lines):
 
     def kind(self, line: bytes) -> str:
         """Return that candump -e explains an error frame."""
-        del line
         return "explanation of an error frame"
 
     def _learn(self, name: bytes, names: Names) -> bool:

@@ -34,9 +34,6 @@ ASKED = 4
 class Lines(ABC):
     """A format of lines.
 
-    Args:
-        path: for errors.
-
     Attributes:
         origin_ns: added to stamps to make them wall time [ns].
         zone: of the dates in its header.
@@ -85,7 +82,6 @@ class Lines(ABC):
 
     def kind(self, line: bytes) -> str:
         """Return what an event is called that is no frame."""
-        del line
         return "an event that is no frame"
 
     @abstractmethod
@@ -109,11 +105,7 @@ def shown(line: bytes) -> str:
 
 
 def _too_long(text: bytes) -> int:
-    """Return where the first line begins that is longer than :data:`LINE`, -1 if none is.
-
-    Args:
-        text: lines; the last one ends, too.
-    """
+    """Return where the first of some ended lines begins that is longer than :data:`LINE`, -1 if none is."""
     at = 0
     while at + LINE < len(text):
         end = text.rfind(b"\n", at, at + LINE + 1)
@@ -125,10 +117,6 @@ def _too_long(text: bytes) -> int:
 
 class TextReader:
     """Reads a log of lines; one that is damaged is passed over.
-
-    Args:
-        path: for errors.
-        lines: its format.
 
     Attributes:
         passed_over: lines that gave no frame.

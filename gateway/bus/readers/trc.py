@@ -224,7 +224,6 @@ class Trc(Lines):
 
     def asked(self, line: bytes, names: Names, batch: Batch) -> int:
         """Look at a line of the header, the first one after it, or an event."""
-        del names
         text = line.decode("ascii", "replace").strip()
         if not text.startswith(";"):
             if self._place[7]:
@@ -302,5 +301,4 @@ class Trc(Lines):
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
         """Return whether the last line is cut: it is no frame where it should be one."""
-        del before
         return frame is None and not line.strip().startswith(b";")

@@ -103,15 +103,7 @@ class ChecksumConst(Record):
 
 
 def fill_checksum(row: Any, asked: Checksum, field: Any, table: int, box: int = 0) -> None:
-    """Fill a record of :class:`ChecksumConst`.
-
-    Args:
-        row: zeroed.
-        asked: the checksum.
-        field: where it lies, a record of :class:`gateway.signals.bits.Field`.
-        table: place of its table, for a CRC; of its key, for a MAC.
-        box: place of a MAC's round table.
-    """
+    """Fill a zeroed record; ``table``: place of its CRC's table or its MAC's key, ``box`` of a MAC's round table."""
     assert len(asked.before) <= MOST_EXTRA
     assert len(asked.after) <= MOST_EXTRA
     assert len(asked.by_counter) in (0, LIST)

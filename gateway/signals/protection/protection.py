@@ -109,10 +109,6 @@ def digest(asked: Protection, can_id: int) -> int:
 
     A header's constants belong to it, and where the counter lies, if it chooses a data id. How far the counter may
     step does not, nor what else is asked of the message.
-
-    Args:
-        asked: the protection.
-        can_id: of the message.
     """
     if asked.checksum is None:
         return 0
