@@ -74,16 +74,9 @@ def _word(control: Any, at: int, count: int) -> int:
 def _read_ancillary(
     control: Any, end: int, losses: Any, gaps: int, kept: int, now_ns: int, lost: int
 ) -> tuple[int, int, int]:
-    """Read what came with a struct: its stamp, and the socket's count of lost frames.
+    """Read ``end`` bytes that came with a struct: its stamp, and the socket's count of lost frames.
 
-    Args:
-        control: the ancillary data, uint8, shape (bytes,).
-        end: how many bytes there are.
-        losses: takes (place in the batch, frames lost before it).
-        gaps: rows of it so far.
-        kept: place of the struct's frame in the batch.
-        now_ns: stamp of a frame that has none [ns].
-        lost: the socket's count of lost frames so far, modulo 2**32.
+    Arguments are as of :func:`settle`, of one struct; ``gaps`` are rows of ``losses`` so far.
 
     Returns:
         stamp [ns], the socket's count of lost frames, rows of ``losses``.
@@ -264,13 +257,7 @@ class RawReceiver:
         return self._sock.fileno()
 
     def note(self, received: int, rejected: int, gaps: NDArray[np.int64]) -> None:
-        """Count what was received, here or by a pump.
-
-        Args:
-            received: frames.
-            rejected: messages that were none.
-            gaps: shape (n, 2): place in the batch, frames lost right before it.
-        """
+        """Count what was received, here or by a pump; ``gaps``, shape (n, 2), has places, and frames lost before them."""
         self.losses = []
         if len(gaps):
             self.losses = [(int(at), int(lost)) for at, lost in gaps]

@@ -146,13 +146,7 @@ def classical_bits(can_id: int, length: int, words: Any, crcs: Any, stuffing: An
 def fd_bits(can_id: int, flags: int, length: int, words: Any, codes: Any, stuffing: Any) -> tuple[int, int]:
     """Return the bits of one CAN FD frame on the wire, those at the nominal and those at the data bit rate.
 
-    Args:
-        can_id: with EXTENDED.
-        flags: of the frame.
-        length: payload [byte].
-        words: payload, eight words, the first byte lowest.
-        codes: DLC of each length, shape (65,).
-        stuffing: as classical_bits takes it.
+    ``codes`` has the DLC of each length, shape (65,); other arguments are as of :func:`classical_bits`.
     """
     fast = 1 if flags & _BRS else 0
     if can_id & _EXTENDED:  # SOF, 11 bits, SRR, IDE, 18 bits, RRS
@@ -192,17 +186,10 @@ def _place(seen: Any, bus: int, can_id: int) -> int:
 def count_frames(
     loads: Any, seen: Any, codes: Any, crcs: Any, stuffing: Any, used: Any, frames: Any, cells: Any
 ) -> None:
-    """Count a batch of frames.
+    """Count a batch of frames, and the same as cells, uint64, shape (n, 10).
 
-    Args:
-        loads: shape (buses,) of Load.
-        seen: shape (a power of two,) of Seen.
-        codes: DLC of each length.
-        crcs: as classical_bits takes it.
-        stuffing: as classical_bits takes it.
-        used: shape (1,), how many places of ``seen`` are taken.
-        frames: shape (n,) of FRAME.
-        cells: the same batch as uint64, shape (n, 10).
+    ``loads`` and ``seen`` have shape (buses,) of Load and (a power of two,) of Seen, of which ``used`` are taken; the
+    tables are those of :func:`classical_bits` and :func:`fd_bits`.
     """
     for i in range(frames.shape[0]):
         frame = frames[i]

@@ -157,12 +157,7 @@ class LogTables:
         self.written = Written()
 
     def add(self, frames: Frames, origin_ns: int = 0) -> None:
-        """Take a batch.
-
-        Args:
-            frames: of it.
-            origin_ns: added to their stamps to make them wall time [ns].
-        """
+        """Take a batch; ``origin_ns``, added to its stamps, makes them wall time."""
         self.written.frames += len(frames)
         if origin_ns:
             frames = frames.copy()

@@ -33,13 +33,9 @@ class Field(Record):
 
 
 def place(row: Any, start: int, length: int, *, big: bool) -> None:
-    """Fill where a field lies.
+    """Fill where a field lies, in a record of :class:`Field` or of SIGNAL.
 
-    Args:
-        row: of :class:`Field`, or of SIGNAL.
-        start: as a database numbers it: of the lowest bit, big-endian of the highest one.
-        length: its bits.
-        big: most significant bit first.
+    ``start`` is as a database numbers it: of the lowest bit, big-endian of the highest one.
     """
     if big:
         first = 8 * (start // 8) + 7 - start % 8
@@ -107,12 +103,7 @@ def needed_by(s: Any) -> int:
 
 @kernel
 def read_bits(words: Any, s: Any) -> Any:
-    """Return a field's raw bits, uint64.
-
-    Args:
-        words: payload, 8 little-endian uint64.
-        s: record of :class:`Field`, or of SIGNAL.
-    """
+    """Return the raw bits, uint64, of a record of :class:`Field` or SIGNAL in a payload of 8 little-endian uint64."""
     shift = np.uint64(s.shift)
     if s.big == 1:
         bits = swapped(words[s.word]) >> shift
@@ -128,13 +119,7 @@ def read_bits(words: Any, s: Any) -> Any:
 
 @kernel
 def write_bits(words: Any, s: Any, bits: Any) -> None:
-    """Put raw bits into a field that is zero; bits beyond its length are left out.
-
-    Args:
-        words: payload, 8 little-endian uint64.
-        s: record of :class:`Field`, or of SIGNAL.
-        bits: uint64.
-    """
+    """Put raw bits into a field that is zero; bits beyond its length are left out; else as :func:`read_bits`."""
     unused = np.uint64(64 - s.length)
     bits = (bits << unused) >> unused
     shift = np.uint64(s.shift)

@@ -82,12 +82,9 @@ def narrowed(text: str) -> tuple[str, Wide]:
 
 
 def widened(messages: Iterable[Message], wide: Wide, long: dict[tuple[int, str], str]) -> None:
-    """Give the signals of messages the ranges that were taken out of their file.
+    """Give the signals of messages (:mod:`gateway.signals.compact`) the ranges that were taken out of their file.
 
-    Args:
-        messages: whose codecs can follow them (:mod:`gateway.signals.compact`).
-        wide: the ranges.
-        long: (identifier, name in the file) -> name of the signal, where that is another one.
+    ``long``: (identifier, name in the file) -> name of the signal, where that is another one.
     """
     mine: dict[int, dict[str, Pairs]] = defaultdict(dict)
     for (number, name), pairs in wide.items():

@@ -86,13 +86,7 @@ class Lines(ABC):
 
     @abstractmethod
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Return whether a log ends within its last line, which has no end.
-
-        Args:
-            line: it.
-            frame: made of it; None: nothing.
-            before: frames before it.
-        """
+        """Return whether a log ends within its last line, which has no end; a frame was made of it, or None."""
 
     def unfinished(self) -> str:
         """Return what is missing at the log's end, "" if nothing is: most formats have no end of their own."""

@@ -97,18 +97,9 @@ def flags_of(text: Any, at: int) -> int:
 def trc_line(
     text: Any, begin: Any, count: int, place: Any, hexes: Any, words: Any, row: Any, k: int, start: int
 ) -> int:
-    """Read a line whose words are known into a frame.
+    """Read a line into frame ``k``, whose bytes are ``row``; ``begin`` has where its words begin.
 
-    Args:
-        text: bytes.
-        begin: where each word begins.
-        count: words of the line.
-        place: of the columns; then the first version's number.
-        hexes: digits.
-        words: the batch.
-        row: bytes of the frame.
-        k: which frame.
-        start: of the log [ns].
+    ``place`` is that of the columns, then the first version's number; ``start`` is the log's [ns].
 
     Returns:
         its bus, counted from 0; _NO_FRAME, _BAD.

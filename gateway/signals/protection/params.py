@@ -207,14 +207,9 @@ def _undescribed(message: Message, name: str, first: int, last: int, key: str) -
 
 
 def signal_of(message: Message, name: str | None, called: tuple[str, ...], what: str, table: str = "") -> Signal:
-    """Return a signal by its name, or by what such signals are called.
+    """Return a signal by its name, None: by the end of its name, as such signals (``what``) are ``called``.
 
-    Args:
-        message: that has it.
-        name: None: by the end of its name.
-        called: how the names of such signals end.
-        what: its kind, for people.
-        table: whose key "signal" names it.
+    ``table`` is the one whose key "signal" names it.
 
     Raises:
         InputError: there is none, or several are called so.
