@@ -257,7 +257,7 @@ class RawReceiver:
         return self._sock.fileno()
 
     def note(self, received: int, rejected: int, gaps: NDArray[np.int64]) -> None:
-        """Count what was received, here or by a pump; ``gaps``, shape (n, 2), has places, and frames lost before them."""
+        """Count what was received, here or by a pump; ``gaps``, shape (n, 2): places, and frames lost before them."""
         self.losses = []
         if len(gaps):
             self.losses = [(int(at), int(lost)) for at, lost in gaps]

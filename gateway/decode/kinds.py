@@ -127,7 +127,7 @@ def _names(signal: Signal, values: NDArray[np.float64], there: NDArray[np.bool_]
 
 
 def column(kind: Kind, values: NDArray[np.float64], there: NDArray[np.bool_], words: NDArray[np.uint64]) -> pa.Array:
-    """Return a column of values, shape (frames,), null where it is not there; ``words``: payloads, shape (frames, 8)."""
+    """Return a column of values, shape (frames,), null where it is not there, of payloads, shape (frames, 8)."""
     import pyarrow as pa  # noqa: PLC0415 - an extra
 
     if kind.what == NAMES:
