@@ -164,7 +164,9 @@ class PythonCanBus(Bus):
 
     def set_filters(self, can_ids: Sequence[int] | None) -> None:
         """Set python-can's filters."""
-        wanted = [{"can_id": i & ID_MASK, "can_mask": ID_MASK, "extended": bool(i & EXTENDED)} for i in can_ids or ()]
+        wanted: list[can.typechecking.CanFilter] = [
+            {"can_id": i & ID_MASK, "can_mask": ID_MASK, "extended": bool(i & EXTENDED)} for i in can_ids or ()
+        ]
         self._bus.set_filters(None if can_ids is None else wanted)
 
     def close(self) -> None:
