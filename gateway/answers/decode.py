@@ -31,11 +31,7 @@ class Values(NamedTuple):
 
 
 class AnswerDecoder:
-    """Decodes the answers of one layout.
-
-    Args:
-        layout: of the answers.
-    """
+    """Decodes the answers of one layout."""
 
     def __init__(self, layout: AnswerLayout) -> None:
         key = (layout.service, layout.identifier)

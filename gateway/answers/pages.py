@@ -70,9 +70,6 @@ def answer_bus(ecus: Sequence[tuple[str, Layouts]]) -> AnswerBus:
 
     Names of messages that several ECUs have begin with the ECU's: ``battery_Cells``.
 
-    Args:
-        ecus: name and layouts of each.
-
     Raises:
         InputError: there are more pages than slots.
     """

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from gateway.bus.base import Bus
-from gateway.bus.frames import Frames, put_message, to_message
+from gateway.bus.frames import EXTENDED, ID_MASK, Frames, put_message, to_message
 from gateway.host.waker import Waker
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import BusError, InputError
@@ -135,11 +135,8 @@ class PythonCanBus(Bus):
         for k, frame in enumerate(frames):
             try:
                 self._bus.send(to_message(frame))
-            except (
-                ValueError,
-                TypeError,
-                NotImplementedError,
-            ) as error:  # this frame, e.g. CAN FD on a classic adapter
+            except (ValueError, TypeError, NotImplementedError) as error:
+                # It is this frame, e.g. CAN FD on a classic adapter.
                 if isinstance(error, can.CanError) and not isinstance(error, NotImplementedError):
                     return self._not_sent(k, error)
                 self._count(error, "sending")
@@ -167,18 +164,10 @@ class PythonCanBus(Bus):
 
     def set_filters(self, can_ids: Sequence[int] | None) -> None:
         """Set python-can's filters."""
-        self._bus.set_filters(
-            None
-            if can_ids is None
-            else [
-                {
-                    "can_id": can_id & 0x1FFFFFFF,
-                    "can_mask": 0x1FFFFFFF,
-                    "extended": bool(can_id & 0x80000000),
-                }
-                for can_id in can_ids
-            ]
-        )
+        wanted: list[can.typechecking.CanFilter] = [
+            {"can_id": i & ID_MASK, "can_mask": ID_MASK, "extended": bool(i & EXTENDED)} for i in can_ids or ()
+        ]
+        self._bus.set_filters(None if can_ids is None else wanted)
 
     def close(self) -> None:
         """End the reader and close the bus."""

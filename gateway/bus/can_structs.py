@@ -36,30 +36,21 @@ _ANCILLARY = 2 * _TO_DATA + 16 + _ALIGNED
 MOST_FRAMES = 1024
 
 
-class _Header(ctypes.Structure):
-    """``struct msghdr``."""
-
-    _fields_ = (
-        ("name", ctypes.c_void_p),
-        ("name_length", ctypes.c_uint32),
-        ("vector", ctypes.c_void_p),
-        ("vectors", ctypes.c_size_t),
-        ("control", ctypes.c_void_p),
-        ("control_length", ctypes.c_size_t),
-        ("flags", ctypes.c_int),
-    )
-
-
-class _Message(ctypes.Structure):
-    """``struct mmsghdr``."""
-
-    _fields_ = (("header", _Header), ("length", ctypes.c_uint))
-
-
-class _Vector(ctypes.Structure):
-    """``struct iovec``."""
-
-    _fields_ = (("base", ctypes.c_void_p), ("length", ctypes.c_size_t))
+#: ``struct msghdr``, ``struct mmsghdr`` and ``struct iovec`` of Linux.
+_HEADER = np.dtype(
+    [
+        ("name", np.uintp),
+        ("name_length", np.uint32),
+        ("vector", np.uintp),
+        ("vectors", np.uintp),
+        ("control", np.uintp),
+        ("control_length", np.uintp),
+        ("flags", np.int32),
+    ],
+    align=True,
+)
+_MESSAGE = np.dtype([("header", _HEADER), ("length", np.uint32)], align=True)
+_VECTOR = np.dtype([("base", np.uintp), ("length", np.uintp)], align=True)
 
 
 @cache
@@ -83,16 +74,9 @@ def _word(control: Any, at: int, count: int) -> int:
 def _read_ancillary(
     control: Any, end: int, losses: Any, gaps: int, kept: int, now_ns: int, lost: int
 ) -> tuple[int, int, int]:
-    """Read what came with a struct: its stamp, and the socket's count of lost frames.
+    """Read ``end`` bytes that came with a struct: its stamp, and the socket's count of lost frames.
 
-    Args:
-        control: the ancillary data, uint8, shape (bytes,).
-        end: how many bytes there are.
-        losses: takes (place in the batch, frames lost before it).
-        gaps: rows of it so far.
-        kept: place of the struct's frame in the batch.
-        now_ns: stamp of a frame that has none [ns].
-        lost: the socket's count of lost frames so far, modulo 2**32.
+    Arguments are as of :func:`settle`, of one struct; ``gaps`` are rows of ``losses`` so far.
 
     Returns:
         stamp [ns], the socket's count of lost frames, rows of ``losses``.
@@ -120,15 +104,7 @@ def _read_ancillary(
 
 @kernel
 def _to_frame(f: Any, fd: bool, own: bool, stamp: int, bus: int) -> None:
-    """Turn a record whose bytes from the 8th on are a received struct into a frame.
-
-    Args:
-        f: the record: the struct's length lies at ``bus``.
-        fd: whether it is a ``struct canfd_frame``.
-        own: whether this socket sent it.
-        stamp: [ns].
-        bus: index of the bus.
-    """
+    """Turn a record whose bytes from the 8th on are a received struct, whose length lies at ``bus``, into a frame."""
     length = int(min(np.int64(f["bus"]), 64 if fd else 8))
     can_id = np.int64(f["can_id"])
     if can_id & ERROR:
@@ -188,11 +164,7 @@ def settle(
 
 
 class Room:
-    """Memory into which a system call receives: for several sockets, a row each.
-
-    Args:
-        sockets: how many.
-        most: frames of one call.
+    """Memory into which a system call receives, for several sockets (a row each) the most frames of one call.
 
     Attributes:
         messages: struct mmsghdr, shape (sockets, most).
@@ -203,8 +175,8 @@ class Room:
 
     def __init__(self, sockets: int, most: int) -> None:
         shape = (sockets, most)
-        self.messages = np.zeros(shape, np.dtype(_Message))
-        self.vectors = np.zeros(shape, np.dtype(_Vector))
+        self.messages = np.zeros(shape, _MESSAGE)
+        self.vectors = np.zeros(shape, _VECTOR)
         self.control = np.zeros((*shape, _ANCILLARY), np.uint8)
         self.gaps = np.zeros((*shape, 2), np.int64)
         rows = np.arange(sockets * most, dtype=np.uintp).reshape(shape)
@@ -258,11 +230,7 @@ class RawReceiver:
                 continue  # the host's clock stamps instead; overflow is not seen
 
     def receive(self, out: Frames, bus: int) -> int:
-        """Take what has come, without waiting; returns how many frames.
-
-        Args:
-            out: batch to fill from its beginning.
-            bus: index stamped into the frames.
+        """Take what has come into a batch, from its beginning, without waiting; returns how many frames.
 
         Raises:
             OSError: as the socket says.
@@ -289,13 +257,7 @@ class RawReceiver:
         return self._sock.fileno()
 
     def note(self, received: int, rejected: int, gaps: NDArray[np.int64]) -> None:
-        """Count what was received, here or by a pump.
-
-        Args:
-            received: frames.
-            rejected: messages that were none.
-            gaps: shape (n, 2): place in the batch, frames lost right before it.
-        """
+        """Count what was received, here or by a pump; ``gaps``, shape (n, 2): places, and frames lost before them."""
         self.losses = []
         if len(gaps):
             self.losses = [(int(at), int(lost)) for at, lost in gaps]

@@ -32,12 +32,7 @@ def format_frame(frame: np.void, interface: str) -> str:
 
 
 class CandumpWriter:
-    """Writes a candump log, flushed after each batch.
-
-    Args:
-        file: open for writing; closed with this writer.
-        interfaces: name of each bus.
-    """
+    """Writes a candump log into a file, which it closes, flushed after each batch; ``interfaces``: name of each bus."""
 
     def __init__(self, file: BinaryIO, interfaces: Mapping[int, str] | None = None) -> None:
         self._file = file

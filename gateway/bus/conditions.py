@@ -57,35 +57,18 @@ def exact_in(line: bytes) -> tuple[int, bytes] | None:
 
 
 def condition_frame(t_ns: int, bus: int, condition: int, lost: int = 0) -> Frames:
-    """Return a batch of one frame that tells the condition of a bus.
-
-    Args:
-        t_ns: since when [ns].
-        bus: index of the bus.
-        condition: RUNNING, LOST or LOSS.
-        lost: LOSS: frames lost.
-    """
+    """Return a batch of one frame that tells the condition of a bus: RUNNING, LOST, or LOSS of ``lost`` frames."""
     data = bytes([condition, 0, 0, 0]) + min(lost, 0xFFFFFFFF).to_bytes(4, "little")
     return single(t_ns, ERROR, data, bus=bus)
 
 
 def step_frame(t_ns: int, step_us: int) -> Frames:
-    """Return a batch of one frame that tells a step of the wall clock.
-
-    Args:
-        t_ns: when it was noticed [ns].
-        step_us: by how much, forward positive [us].
-    """
+    """Return a batch of one frame that tells a step of the wall clock, forward positive, and when it was noticed."""
     return single(t_ns, ERROR, bytes([STEPPED]) + step_us.to_bytes(7, "little", signed=True))
 
 
 def overtime_frame(t_ns: int, name: str) -> Frames:
-    """Return a batch of one frame that tells that a monitor's step took too long.
-
-    Args:
-        t_ns: of the step [ns].
-        name: of the monitor.
-    """
+    """Return a batch of one frame that tells that a step of this monitor took too long, and when it was."""
     return single(t_ns, ERROR, bytes([OVERTIME]) + name_digest(name))
 
 
@@ -94,12 +77,16 @@ def name_digest(name: str) -> bytes:
     return blake2b(name.encode(), digest_size=7).digest()
 
 
-def overtimes(frames: Frames) -> NDArray[np.intp]:
-    """Return the places of frames that tell that a step took too long."""
+def _tell(frames: Frames, condition: int) -> NDArray[np.bool_]:
     mask = frames["can_id"] == ERROR
     if mask.any():
-        mask &= frames["data"][:, 0] == OVERTIME
-    return np.flatnonzero(mask)
+        mask &= frames["data"][:, 0] == condition
+    return np.asarray(mask, np.bool_)
+
+
+def overtimes(frames: Frames) -> NDArray[np.intp]:
+    """Return the places of frames that tell that a step took too long."""
+    return np.flatnonzero(_tell(frames, OVERTIME))
 
 
 def overtimes_in_place(frames: Frames) -> Frames:
@@ -113,10 +100,7 @@ def overtimes_in_place(frames: Frames) -> Frames:
 
 def are_steps(frames: Frames) -> NDArray[np.bool_]:
     """Return which frames tell a step of the wall clock, shape (n,)."""
-    mask = frames["can_id"] == ERROR
-    if mask.any():
-        mask &= frames["data"][:, 0] == STEPPED
-    return np.asarray(mask, np.bool_)
+    return _tell(frames, STEPPED)
 
 
 def are_conditions(frames: Frames) -> NDArray[np.bool_]:

@@ -55,12 +55,7 @@ def members(path: Path) -> list[str]:
 
 
 def open_log(path: Path, stack: ExitStack, member: str = "") -> tuple[BinaryIO, BinaryIO]:
-    """Open a log, compressed or not.
-
-    Args:
-        path: of the log.
-        stack: closes what was opened.
-        member: name of a log in an archive.
+    """Open a log, compressed or not; of an archive this member. The stack closes what was opened.
 
     Returns:
         the log's bytes; the file itself, whose ``tell()`` says how far reading is.

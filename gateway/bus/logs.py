@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from datetime import UTC, tzinfo
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -79,13 +78,7 @@ def _known(suffix: str, path: Path, *, read: bool) -> str:
 
 
 def _maker(name: str, first: bytes, path: Path) -> tuple[str, Callable[[Path], Reader]]:
-    """Return the format of a log, and what makes its reader: its content says so, or else its suffix.
-
-    Args:
-        name: of the log, without a compression's suffix.
-        first: bytes.
-        path: for errors.
-    """
+    """Return the format of a log, and what makes its reader: its first bytes say so, or else its suffix."""
     suffix, first = Path(name).suffix.lower(), first.removeprefix(BOM)
     fitting = [own for own, reader in _BINARY.items() if reader.sniff(first)]
     fitting = fitting or [own for own, lines in _LINES.items() if lines.sniff(first)]
@@ -288,12 +281,7 @@ class LogWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        value: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

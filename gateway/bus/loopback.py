@@ -20,14 +20,7 @@ SEND_PATIENCE_S = 5.0
 
 
 class LoopbackBus(Bus):
-    """A connection to ``gateway bus``.
-
-    Args:
-        uri: as the user named it.
-        index: stamped into every frame.
-        address: of the hub.
-        name: of the bus there.
-        patience_s: how long the hub may take to appear [s].
+    """A connection to ``gateway bus``, which may take a while to appear [s]; ``name`` is of the bus there.
 
     Raises:
         BusError: there is no hub, or it is none.

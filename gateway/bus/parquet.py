@@ -16,12 +16,7 @@ GROUP = 1 << 17
 
 
 class ParquetWriter:
-    """Writes a frame log; it can be read once it is closed.
-
-    Args:
-        path: the file.
-        interfaces: name of each bus.
-    """
+    """Writes a frame log; it can be read once it is closed. ``interfaces``: name of each bus."""
 
     def __init__(self, path: Path, interfaces: Mapping[int, str] | None = None) -> None:
         import pyarrow as pa  # noqa: PLC0415 - an extra, slow to load

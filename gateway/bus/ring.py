@@ -81,7 +81,10 @@ class SegmentReader:
 
     Attributes:
         bytes_total: size of all segments [byte].
+        origin_ns: as of a log; our own recordings have wall time [ns].
     """
+
+    origin_ns = 0
 
     def __init__(self, folder: Path, channels: Mapping[str, int] | None) -> None:
         self.path = folder
@@ -111,11 +114,6 @@ class SegmentReader:
         return sum((reader.seen for reader in self._readers), Counter[str]())
 
     @property
-    def origin_ns(self) -> int:
-        """Added to stamps to make them wall time: 0, our own recordings have it [ns]."""
-        return 0
-
-    @property
     def passed_over(self) -> PassedOver:
         """Places that gave no frame."""
         made = PassedOver()
@@ -140,12 +138,7 @@ Recorded = LogReader | SegmentReader
 
 
 def read_recording(path: Path, channels: Mapping[str, int] | None = None, zone: tzinfo = UTC) -> Recorded:
-    """Open a log, or a folder of segments.
-
-    Args:
-        path: the file or folder.
-        channels: interface or channel in the files -> bus index; None puts all on bus 0.
-        zone: of the dates in a log's header, which have none.
+    """Open a log, or a folder of segments; arguments as of :class:`gateway.bus.logs.LogReader`.
 
     Raises:
         InputError: unknown format, or unreadable; while reading a log: what ends it early.
@@ -157,10 +150,6 @@ def read_recording(path: Path, channels: Mapping[str, int] | None = None, zone: 
 
 class Ring:
     """Writes segments, and deletes the oldest beyond the size asked for.
-
-    Args:
-        params: settings.
-        interfaces: names of the buses in the segments.
 
     Raises:
         InputError: the folder cannot be made or written.

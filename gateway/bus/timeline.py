@@ -31,11 +31,7 @@ _NOTHING = np.iinfo(np.int64).min
 
 
 def spans(frames: Frames, offset_ns: int) -> Iterator[tuple[Frames, int]]:
-    """Cut frames where the wall clock was set.
-
-    Args:
-        frames: of the engine's time, in order.
-        offset_ns: before the first of them [ns].
+    """Cut frames of the engine's time where the wall clock was set; ``offset_ns``: before the first of them.
 
     Yields:
         frames and their offset [ns]; a frame that tells a step is the first of its part.

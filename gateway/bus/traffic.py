@@ -1,8 +1,8 @@
 """Traffic on the buses: how many bits, stuff bits counted, and each identifier's period and latest payload.
 
 Bits are those of ISO 11898-1, from the start of frame to the end of the intermission. A classical frame is walked with
-its CRC, a byte at a time by two tables; the stuff bits of a CAN FD frame are counted bit by bit to the end of its data
-field, those of its CRC field stand at fixed places.
+its CRC, a CAN FD frame to the end of its data field, a byte at a time by tables; the stuff bits of the latter's CRC
+field stand at fixed places.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ for _length in range(65):
 
 
 _POLYNOMIAL = 0x4599
+#: The bus before a frame: a bit alike is none of its first bit.
+_IDLE = 0b100
 
 
 def _crc_table() -> NDArray[np.int64]:
@@ -44,25 +46,26 @@ def _crc_table() -> NDArray[np.int64]:
     return made
 
 
-def _stuffing_table() -> NDArray[np.int64]:
-    """Return what each byte makes of a run: four times the last bit, and its length 1..4 less 1.
+@kernel
+def _stuff(run: int, value: int, width: int) -> int:
+    """Return eight times the stuff bits that some bits need behind a run, and the run behind them.
 
-    Shape (8, 256): eight times the stuff bits, and the run after the byte. A stuff bit begins a run itself.
+    A run is four times its bit, and its length 1..4 less 1. A stuff bit follows five bits alike, and begins a run.
     """
-    made = np.zeros((8, 256), np.int64)
-    for run in range(8):
-        for byte in range(256):
-            last, alike, stuffed = run >> 2, (run & 3) + 1, 0
-            for place in range(7, -1, -1):
-                bit = byte >> place & 1
-                last, alike = bit, (alike + 1 if bit == last else 1)
-                if alike == 5:
-                    last, alike, stuffed = 1 - bit, 1, stuffed + 1
-            made[run, byte] = stuffed << 3 | last << 2 | alike - 1
-    return made
+    last, alike, stuffed = run >> 2, (run & 3) + 1, 0
+    for place in range(width - 1, -1, -1):
+        bit = (value >> place) & 1
+        alike = alike + 1 if bit == last else 1
+        last = bit
+        if alike == 5:
+            last, alike, stuffed = 1 - bit, 1, stuffed + 1
+    return stuffed << 3 | last << 2 | (alike - 1)
 
 
-_CRCS, _STUFFING = _crc_table(), _stuffing_table()
+_stuffed = getattr(_stuff, "py_func", _stuff)
+_CRCS = _crc_table()
+#: The same of each byte behind each run, shape (8, 256).
+_STUFFING = np.array([[_stuffed(run, byte, 8) for byte in range(256)] for run in range(8)], np.int64)
 _CELLS = FRAME.itemsize // 8
 
 
@@ -94,33 +97,8 @@ class Seen(Record):
 
 
 @kernel
-def _stuffed(bits: Any, count: int) -> int:
-    """Return how many stuff bits this number of bits needs: one after five alike, which counts itself."""
-    made, alike, last = 0, 0, -1
-    for k in range(count):
-        bit = bits[k]
-        if bit == last:
-            alike += 1
-        else:
-            last, alike = bit, 1
-        if alike == 5:
-            made += 1
-            last, alike = 1 - bit, 1
-    return made
-
-
-@kernel
-def _put(bits: Any, at: int, value: int, width: int) -> int:
-    for k in range(width):
-        bits[at + k] = (value >> (width - 1 - k)) & 1
-    return at + width
-
-
-@kernel
-def _payload(bits: Any, at: int, words: Any, length: int) -> int:
-    for k in range(length):
-        at = _put(bits, at, int((words[k >> 3] >> np.uint64(8 * (k & 7))) & np.uint64(0xFF)), 8)
-    return at
+def _byte(words: Any, k: int) -> int:
+    return int((words[k >> 3] >> np.uint64(8 * (k & 7))) & np.uint64(0xFF))
 
 
 @kernel
@@ -153,7 +131,7 @@ def classical_bits(can_id: int, length: int, words: Any, crcs: Any, stuffing: An
         stuffed += step >> 3
     size = 0 if remote else length
     for k in range(size):
-        byte = int((words[k >> 3] >> np.uint64(8 * (k & 7))) & np.uint64(0xFF))
+        byte = _byte(words, k)
         crc = ((crc << 8) & 0x7FFF) ^ crcs[((crc >> 7) ^ byte) & 0xFF]
         step = stuffing[run, byte]
         run = step & 7
@@ -165,38 +143,30 @@ def classical_bits(can_id: int, length: int, words: Any, crcs: Any, stuffing: An
 
 
 @kernel
-def fd_bits(can_id: int, flags: int, length: int, words: Any, bits: Any, codes: Any) -> tuple[int, int]:
+def fd_bits(can_id: int, flags: int, length: int, words: Any, codes: Any, stuffing: Any) -> tuple[int, int]:
     """Return the bits of one CAN FD frame on the wire, those at the nominal and those at the data bit rate.
 
-    Args:
-        can_id: with EXTENDED.
-        flags: of the frame.
-        length: payload [byte].
-        words: payload, eight words, the first byte lowest.
-        bits: room for 640 bits.
-        codes: DLC of each length, shape (65,).
+    ``codes`` has the DLC of each length, shape (65,); other arguments are as of :func:`classical_bits`.
     """
-    at = _put(bits, 0, 0, 1)
-    if can_id & _EXTENDED:
-        at = _put(bits, at, (can_id >> 18) & 0x7FF, 11)
-        at = _put(bits, at, 3, 2)  # SRR, IDE
-        at = _put(bits, at, can_id & 0x3FFFF, 18)
-        at = _put(bits, at, 0, 1)  # RRS
-    else:
-        at = _put(bits, at, can_id & 0x7FF, 11)
-        at = _put(bits, at, 0, 2)  # RRS, IDE
-    at = _put(bits, at, 2, 2)  # FDF, res
-    fast = flags & _BRS != 0
-    at = _put(bits, at, 1 if fast else 0, 1)
-    arbitration = at + _stuffed(bits, at)
-    at = _put(bits, at, (flags >> 2) & 1, 1)
-    at = _put(bits, at, codes[length], 4)
-    at = _payload(bits, at, words, length)
+    fast = 1 if flags & _BRS else 0
+    if can_id & _EXTENDED:  # SOF, 11 bits, SRR, IDE, 18 bits, RRS
+        head, count = ((can_id >> 18) & 0x7FF) << 21 | 3 << 19 | (can_id & 0x3FFFF) << 1, 33
+    else:  # SOF, 11 bits, RRS, IDE
+        head, count = (can_id & 0x7FF) << 2, 14
+    count += 3
+    step = _stuff(_IDLE, head << 3 | 4 | fast, count)  # and FDF, res, BRS
+    stuffed = step >> 3
+    arbitration = count + stuffed
+    step = _stuff(step & 7, ((flags >> 2) & 1) << 4 | codes[length], 5)  # ESI, DLC
+    stuffed += step >> 3
+    for k in range(length):
+        step = stuffing[step & 7, _byte(words, k)]
+        stuffed += step >> 3
     # Stuff count and CRC, with a fixed stuff bit before them and after each four bits.
     check = 4 + 17 + 6 if length <= 16 else 4 + 21 + 7
-    total = at + _stuffed(bits, at) + check + _TAIL
+    total = count + 5 + 8 * length + stuffed + check + _TAIL
     data = total - arbitration - _TAIL if fast else 0
-    return total - data, data
+    return int(total - data), int(data)
 
 
 @kernel
@@ -214,20 +184,12 @@ def _place(seen: Any, bus: int, can_id: int) -> int:
 
 @kernel
 def count_frames(
-    loads: Any, seen: Any, bits: Any, codes: Any, crcs: Any, stuffing: Any, used: Any, frames: Any, cells: Any
+    loads: Any, seen: Any, codes: Any, crcs: Any, stuffing: Any, used: Any, frames: Any, cells: Any
 ) -> None:
-    """Count a batch of frames.
+    """Count a batch of frames, and the same as cells, uint64, shape (n, 10).
 
-    Args:
-        loads: shape (buses,) of Load.
-        seen: shape (a power of two,) of Seen.
-        bits: room for 640 bits.
-        codes: DLC of each length.
-        crcs: as classical_bits takes it.
-        stuffing: as classical_bits takes it.
-        used: shape (1,), how many places of ``seen`` are taken.
-        frames: shape (n,) of FRAME.
-        cells: the same batch as uint64, shape (n, 10).
+    ``loads`` and ``seen`` have shape (buses,) of Load and (a power of two,) of Seen, of which ``used`` are taken; the
+    tables are those of :func:`classical_bits` and :func:`fd_bits`.
     """
     for i in range(frames.shape[0]):
         frame = frames[i]
@@ -240,7 +202,7 @@ def count_frames(
             continue
         length, flags = int(frame["length"]), int(frame["flags"])
         if flags & _FD:
-            nominal, data = fd_bits(can_id, flags, length, cells[i, 2:], bits, codes)
+            nominal, data = fd_bits(can_id, flags, length, cells[i, 2:], codes, stuffing)
         else:
             nominal, data = classical_bits(can_id, length, cells[i, 2:], crcs, stuffing), 0
         load.frames += 1
@@ -273,18 +235,13 @@ def count_frames(
 
 
 class Traffic:
-    """Counts what passes on some buses.
-
-    Args:
-        buses: how many.
-    """
+    """Counts what passes on some buses."""
 
     def __init__(self, buses: int) -> None:
         self.loads: Any = _table(buses, Load)
         self._seen: Any = _table(_PLACES, Seen)
-        self._bits = np.zeros(640, np.int64)
         self._used = np.zeros(1, np.int64)
-        mine = (self.loads, self._seen, self._bits, _DLC, _CRCS, _STUFFING, self._used)
+        mine = (self.loads, self._seen, _DLC, _CRCS, _STUFFING, self._used)
         none = empty(0)
         self._count = bound(count_frames, *mine, rest=(none, Same(0, none.view("<u8").reshape(0, _CELLS))))
 

@@ -144,10 +144,6 @@ def parts(frames: Frames, end_ns: int, block_ns: int) -> Iterator[tuple[Frames, 
 class Replay:
     """A gateway of its own for one healthy log; it is closed at the end of ``with``.
 
-    Args:
-        config: the configuration.
-        how: its logs are read.
-
     Attributes:
         gateway: that the log's frames are fed to.
         failed: DTCs that the log sets.

@@ -103,11 +103,6 @@ class Levels:
 def of_log(config: Config, log: Path, how: Reading) -> Part:
     """Replay a log with a gateway of its own; returns the largest levels of each second, shape (blocks, symptoms).
 
-    Args:
-        config: the configuration.
-        log: a recording without a fault.
-        how: it is read.
-
     Raises:
         InputError: the log cannot be read.
     """

@@ -41,11 +41,7 @@ def single(frames: Frames) -> Iterator[Frames]:
 
 
 class Trace:
-    """Looks after each frame which monitors have stepped.
-
-    Args:
-        engine: whose monitors are watched.
-    """
+    """Looks after each frame which monitors have stepped."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine

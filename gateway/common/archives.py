@@ -49,9 +49,6 @@ _XZ, _ZSTD = b"\xfd7zXZ\0", b"\x28\xb5\x2f\xfd"
 class Budget:
     """Bytes that a file may unpack to.
 
-    Args:
-        path: of the packed file.
-
     Raises:
         InputError: :data:`VARIABLE` is no number.
     """
@@ -218,10 +215,6 @@ def _directory(file: BinaryIO) -> int:
 
 def open_archive(path: Path, file: BinaryIO) -> zipfile.ZipFile:
     """Open an archive (zip) whose members may be read.
-
-    Args:
-        path: of the archive, for errors.
-        file: the open file.
 
     Raises:
         BadArchive: it is none, or is cut off.

@@ -108,12 +108,7 @@ class Fence:
 
 
 class Wall:
-    """The first wall of one door.
-
-    Args:
-        fence: counts.
-        door: its name.
-    """
+    """The first wall of one door."""
 
     def __init__(self, fence: Fence, door: str) -> None:
         self.fence, self.door = fence, door

@@ -82,10 +82,6 @@ def digest(data: bytes) -> str:
 def is_trusted(path: Path, data: bytes) -> bool:
     """Return whether code may run.
 
-    Args:
-        path: of its file.
-        data: of the file.
-
     Raises:
         InputError: a list cannot be used.
     """

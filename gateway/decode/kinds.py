@@ -70,12 +70,7 @@ class Kind:
 
 
 def kind_of(signal: Signal, *, numbers: bool = False) -> Kind:
-    """Return what column a signal becomes.
-
-    Args:
-        signal: of at most 64 bits.
-        numbers: no names.
-    """
+    """Return what column a signal of at most 64 bits becomes; ``numbers``: names are not taken."""
     if signal.is_float or not (_whole(signal.scale) and _whole(signal.offset)):
         return Kind(signal, FLOAT, exact=True)
     if not numbers and _all_named(signal):
@@ -92,12 +87,7 @@ def kind_of(signal: Signal, *, numbers: bool = False) -> Kind:
 
 
 def common_kind(signal: Signal, kinds: Sequence[Kind]) -> Kind:
-    """Return what column several signals of one name become together.
-
-    Args:
-        signal: stands for them.
-        kinds: of each of them.
-    """
+    """Return what column several signals of one name, for which ``signal`` stands, become together."""
     named = {(kind.what, kind.signal.length, kind.signal.is_signed, str(kind.signal.choices)) for kind in kinds}
     if len(named) == 1 and kinds[0].what == NAMES:
         return kinds[0]
@@ -137,14 +127,7 @@ def _names(signal: Signal, values: NDArray[np.float64], there: NDArray[np.bool_]
 
 
 def column(kind: Kind, values: NDArray[np.float64], there: NDArray[np.bool_], words: NDArray[np.uint64]) -> pa.Array:
-    """Return a signal's column, null where it is not there.
-
-    Args:
-        kind: of it.
-        values: physical values, shape (frames,).
-        there: whether a frame has it, shape (frames,).
-        words: payloads, shape (frames, 8).
-    """
+    """Return a column of values, shape (frames,), null where it is not there, of payloads, shape (frames, 8)."""
     import pyarrow as pa  # noqa: PLC0415 - an extra
 
     if kind.what == NAMES:

@@ -98,13 +98,7 @@ class _Table:
 
 
 class Lake:
-    """A folder of tables.
-
-    Args:
-        folder: of them.
-        databases: of each bus.
-        pgn: buses whose extended identifiers all match by PGN.
-        numbers: names of values become numbers.
+    """A folder of tables, by the databases of each bus; ``numbers``: names of values become numbers.
 
     Raises:
         InputError: two messages with one identity.
@@ -120,12 +114,7 @@ class Lake:
         self._names = Counter(name for _, name in self.plan.message_names)
 
     def begin(self, device: str, name: str) -> LogTables:
-        """Return what takes the frames of one log.
-
-        Args:
-            device: whose it is.
-            name: of its files.
-        """
+        """Return what takes the frames of one log of a device, and gives its files this name."""
         return LogTables(self, device, name)
 
     def table(self, row: int) -> _Table:
@@ -158,13 +147,7 @@ def _unlike(name: str, others: Sequence[str]) -> str:
 
 
 class LogTables:
-    """The tables of one log; files appear when it is finished.
-
-    Args:
-        lake: of it.
-        device: whose it is.
-        name: of the files.
-    """
+    """The tables of one log; files appear when it is finished."""
 
     def __init__(self, lake: Lake, device: str, name: str) -> None:
         self._lake, self._device, self._name = lake, device, name
@@ -174,12 +157,7 @@ class LogTables:
         self.written = Written()
 
     def add(self, frames: Frames, origin_ns: int = 0) -> None:
-        """Take a batch.
-
-        Args:
-            frames: of it.
-            origin_ns: added to their stamps to make them wall time [ns].
-        """
+        """Take a batch; ``origin_ns``, added to its stamps, makes them wall time."""
         self.written.frames += len(frames)
         if origin_ns:
             frames = frames.copy()

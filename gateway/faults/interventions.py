@@ -66,11 +66,7 @@ class Intervention:
 
 
 class Interventions:
-    """The records that are kept, the oldest first.
-
-    Args:
-        kept: those of the store.
-    """
+    """The records that are kept, the oldest first."""
 
     def __init__(self, kept: Iterable[Intervention] = ()) -> None:
         self._by_number = {each.number: each for each in sorted(kept, key=lambda each: each.number)}

@@ -71,11 +71,7 @@ class Journal:
         self._keep()
 
     def memory(self, faults: Iterable[str]) -> steps.Journalled:
-        """Return its memory for a kernel that hands verdicts over.
-
-        Args:
-            faults: their ids, by their places.
-        """
+        """Return its memory for a kernel that hands verdicts over."""
         return _memory(self._state, self._entries, faults)
 
     def arm(self, head: bytes, link: int = 0, generation: int = 0) -> bool:

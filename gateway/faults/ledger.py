@@ -152,12 +152,7 @@ class Ledger:
         return touched
 
     def complete(self, records: Sequence[Record], statuses: Sequence[int]) -> None:
-        """Have the tests of records be complete; of a record that the store has, nothing else is written.
-
-        Args:
-            records: as they are.
-            statuses: their status bytes.
-        """
+        """Have the tests of records be complete; of a record that the store has, nothing else is written."""
         new, waiting = self._new, self._pending.statuses
         for record, before in zip(records, statuses, strict=True):
             status = before & PASSED

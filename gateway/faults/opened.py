@@ -13,9 +13,6 @@ class OpenedMemory:
 
     It stays open between two looks: to open it takes thousands of small pieces of memory, and between those that go
     with the connection lie those of what was read, so that the heap of the process would grow.
-
-    Args:
-        path: of the file.
     """
 
     def __init__(self, path: Path) -> None:

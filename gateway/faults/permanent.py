@@ -17,11 +17,7 @@ def _lit(definition: FaultDefinition) -> Status:
 
 
 class PermanentDtcs:
-    """The permanent DTCs, the oldest first.
-
-    Args:
-        kept: those of the store.
-    """
+    """The permanent DTCs, the oldest first."""
 
     def __init__(self, kept: Iterable[Permanent]) -> None:
         self._by_fault = {entry.fault: entry for entry in kept}

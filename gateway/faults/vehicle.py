@@ -82,9 +82,6 @@ class EcuDtc:
 class VehicleMemory:
     """The DTCs of all ECUs.
 
-    Args:
-        known: those of the file.
-
     Attributes:
         dropped: DTCs for which there was no room.
     """

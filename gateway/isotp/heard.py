@@ -36,12 +36,7 @@ class Reassembler:
         return self._length > 0
 
     def take(self, data: bytes, t_ns: int) -> bytes | None:
-        """Take a frame; returns the message that it completes, None: none.
-
-        Args:
-            data: payload of the frame.
-            t_ns: its stamp.
-        """
+        """Take a frame; returns the message that it completes, None: none."""
         before, self.too_long = len(self._address), False
         if data[:before] != self._address:
             return None

@@ -152,7 +152,7 @@ class DoipDoor:
                 if isinstance(key.data, Peer):
                     self._wall.keep(self._hear, key.data, of=key.data, ends=self._close)
                 else:
-                    self._wall.keep(key.data, key.fileobj, of="no tester yet", ends=self._rest)
+                    self._wall.keep(key.data, key.fileobj, of="no tester yet", ends=self._listening.rest)
         if self._peers:
             self._gateway.servers.wake(self._server)
             for peer in list(self._peers):
@@ -161,10 +161,6 @@ class DoipDoor:
                 self._wall.keep(self._watch, peer, of=peer, ends=self._close)
         for peer in [each for each in self._lingering if now_s >= each.until_s]:
             self._close(peer)
-
-    def _rest(self, _: object) -> None:
-        """Take no connections for a while, after one of which no tester is known."""
-        self._listening.rest(self._now_s)
 
     def restart(self) -> None:
         """End all connections, and listen again.
@@ -228,7 +224,7 @@ class DoipDoor:
 
     def _accept(self, listener: socket.socket, *, secure: bool = False) -> None:
         for _ in range(MOST_IN_A_TURN):
-            taken = self._listening.accept(listener, self._now_s)
+            taken = self._listening.accept(listener)
             if taken is None:
                 return
             made, address = taken

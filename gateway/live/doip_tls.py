@@ -12,9 +12,6 @@ from contextlib import suppress
 class TlsStream:
     """The server's side of one connection.
 
-    Args:
-        context: of the server.
-
     Attributes:
         sent: bytes for the socket.
         certificate: common name of the tester's certificate, once the handshake is over; "": none, or several.

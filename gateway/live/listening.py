@@ -25,6 +25,7 @@ class Listening:
     def __init__(self, selector: selectors.BaseSelector, what: str) -> None:
         self._selector, self._what = selector, what
         self._sockets: dict[socket.socket, Any] = {}
+        self._now_s = 0.0
         self._rests_until: float | None = None
 
     def add(self, made: socket.socket, data: Any = None) -> None:
@@ -34,19 +35,20 @@ class Listening:
 
     def turn(self, now_s: float) -> None:
         """Listen again after a rest; ``now_s``: of a clock that is never set [s]."""
+        self._now_s = now_s
         if self._rests_until is not None and now_s >= self._rests_until:
             self._rests_until = None
             for made, data in self._sockets.items():
                 self._selector.register(made, selectors.EVENT_READ, data)
 
-    def rest(self, now_s: float) -> None:
-        """Listen to none of them for a while; ``now_s``: as of :meth:`turn`."""
+    def rest(self, _: object = None) -> None:
+        """Listen to none of them for a while: something failed of which no peer is known."""
         if self._rests_until is None:
             for each in self._sockets:
                 self._selector.unregister(each)
-        self._rests_until = now_s + REST_S
+        self._rests_until = self._now_s + REST_S
 
-    def accept(self, listener: socket.socket, now_s: float) -> tuple[socket.socket, Any] | None:
+    def accept(self, listener: socket.socket) -> tuple[socket.socket, Any] | None:
         """Return the next connection, which never waits, and its other end's address; None: there is none now."""
         if self._rests_until is not None:  # since another socket of the same turn
             return None
@@ -56,7 +58,7 @@ class Listening:
             return None  # gone again
         except OSError as error:  # no descriptors left: the socket stays readable
             log.warning(self._what, reason=error.strerror)
-            self.rest(now_s)
+            self.rest()
             return None
         made.setblocking(False)
         return made, peer

@@ -132,9 +132,6 @@ def collect_and_freeze(again: bool) -> None:
     Most of it lives until the end: modules, and their data. To look through all that takes longer than a tester
     waits for an answer, so it is done once. After a reload only what was built since is looked through, which is the
     new configuration and the one before it; of the first one stays what refers to itself.
-
-    Args:
-        again: after a reload.
     """
     gc.collect()
     if not again:

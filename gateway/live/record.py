@@ -15,11 +15,7 @@ from gateway.runtime.told import clock_event
 
 
 class Nobody:
-    """Takes the frames that a gateway would take, and has nothing to say but that the clock was set.
-
-    Args:
-        tell: takes that as an event.
-    """
+    """Takes the frames that a gateway would take, and has nothing to say but that the clock was set."""
 
     engine = None
 

@@ -79,7 +79,7 @@ class ReportSocket:
 
     def _open(self) -> None:
         mode = self.params.mode_of_socket
-        self._selector, self._budget, self._now_s = Selector(), Budget(), 0.0
+        self._selector, self._budget = Selector(), Budget()
         self._socket = listen_at(self._path, "report socket", kind=socket.SOCK_SEQPACKET, mode=mode)
         self._inode = self._path.stat().st_ino
         self._listening = Listening(self._selector, "report socket: a reporter cannot be taken")
@@ -123,7 +123,6 @@ class ReportSocket:
             return  # no time to stamp a report with
         if reports.is_due:
             self._wall.keep(reports.pass_time, of="all reporters")
-        self._now_s = now_s
         self._listening.turn(now_s)
         for connection in [each for each, until_s in self._paused.items() if now_s >= until_s]:
             del self._paused[connection]
@@ -135,13 +134,9 @@ class ReportSocket:
         room = max(MOST_IN_A_TURN // max(len(ready), 1), 1)
         for key, _ in self._budget.among(ready):
             if key.fileobj is self._socket:
-                self._wall.keep(self._accept, now_s, of="no reporter yet", ends=self._rest)
+                self._wall.keep(self._accept, of="no reporter yet", ends=self._listening.rest)
             else:
                 self._wall.keep(self._hear, key.data, room, now_s, of=key.data, ends=self._drop)
-
-    def _rest(self, _: object) -> None:
-        """Take no reporters for a while, after an exception of which none is known."""
-        self._listening.rest(self._now_s)
 
     def restart(self) -> None:
         """End all connections, and listen again.
@@ -163,8 +158,8 @@ class ReportSocket:
         self._socket.close()
         remove(self._path, self._inode)
 
-    def _accept(self, now_s: float) -> None:
-        taken = self._listening.accept(self._socket, now_s)
+    def _accept(self) -> None:
+        taken = self._listening.accept(self._socket)
         if taken is None:
             return
         made, _ = taken

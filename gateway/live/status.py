@@ -167,11 +167,10 @@ class StatusSocket:
             wanted: whether the descriptor was readable.
         """
         self._listening.turn(now_s)
-        self._now_s = now_s
         if wanted:
             for key, mask in self._budget.among(self._selector.select(0)):
                 if key.fileobj is self._socket:
-                    self._wall.keep(self._accept, now_s, of="no reader yet", ends=self._rest)
+                    self._wall.keep(self._accept, of="no reader yet", ends=self._listening.rest)
                 else:
                     self._wall.keep(self._attend, key.data, mask, of=key.data, ends=self._drop)
         if not self._readers:
@@ -193,10 +192,6 @@ class StatusSocket:
                 self._send_away(reader, "does not take what it gets")
             elif reader.waiting and not reader.behind:
                 self._wall.keep(self._flush, reader, of=reader, ends=self._drop)
-
-    def _rest(self, _: object) -> None:
-        """Take no readers for a while, after an exception of which none is known."""
-        self._listening.rest(self._now_s)
 
     def restart(self) -> None:
         """Send all readers away, and listen again.
@@ -230,8 +225,8 @@ class StatusSocket:
         if mask & selectors.EVENT_READ and reader in self._readers:
             self._hear(reader)
 
-    def _accept(self, now_s: float) -> None:
-        taken = self._listening.accept(self._socket, now_s)
+    def _accept(self) -> None:
+        taken = self._listening.accept(self._socket)
         if taken is None:
             return
         connection, _ = taken

@@ -145,12 +145,7 @@ class Commands:
         self._sessions[reader] = session
 
     def answer(self, text: bytes, reader: int) -> dict[str, Any] | None:
-        """Do one command; returns what is answered; None: it is told later.
-
-        Args:
-            text: the line.
-            reader: its number.
-        """
+        """Do one command; returns what is answered; None: it is told later."""
         told: dict[str, Any] = {"id": None}
         session = self._sessions[reader]
         failed = {"ok": False, "error": "an internal error of the gateway; its log has more"}

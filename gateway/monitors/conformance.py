@@ -79,11 +79,6 @@ def accepted(monitor: object, name: str) -> Monitor[Any] | Family[Any]:
 def made(family: Family[Any], params: MonitorParams, folder: Path) -> Monitor[Any]:
     """Return the monitor that a family makes of parameters, if it keeps the contract.
 
-    Args:
-        family: of the monitor.
-        params: its parameters.
-        folder: of the configuration.
-
     Raises:
         InputError, InputErrors: nothing can be made of them, or what is made is not as the contract has it.
     """

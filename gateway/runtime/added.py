@@ -20,11 +20,7 @@ AGE_S, RATE_HZ = 5.0, 40.0
 
 
 class Added:
-    """Puts frames into batches, in order of time; a frame that is later than a batch comes with the next one.
-
-    Args:
-        rng: source of all randomness.
-    """
+    """Puts frames into batches, in order of time; a frame that is later than a batch comes with the next one."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._rng, self._waiting = rng, empty(0)

@@ -70,11 +70,6 @@ class Injection:
 def parse_injection(text: str, names: Sequence[str], databases: Sequence[Database]) -> Injection:
     """Read a fault as the command line has it.
 
-    Args:
-        text: see USAGE.
-        names: of the buses.
-        databases: of the buses.
-
     Raises:
         InputError: it is none, or names what is not there.
     """

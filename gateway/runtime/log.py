@@ -61,9 +61,6 @@ class Log:
 
         Two vehicles share some by chance, one in HEARD of the log and one in KNOWN of the configuration. It is read
         until there are more.
-
-        Args:
-            databases: of each bus.
         """
         if not any(map(len, databases)):
             return

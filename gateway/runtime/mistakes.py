@@ -38,11 +38,7 @@ _AFTER_ALL = 1 << 30
 
 
 def mistakes(path: Path) -> list[InputError]:
-    """Return the mistakes of a configuration in the order of its file, as far as none hides another; none: it is right.
-
-    Args:
-        path: of the file.
-    """
+    """Return the mistakes of a configuration in the order of its file, as far as none hides another."""
     try:
         rest = _Rest(path, read_toml(path))
     except InputError as error:
@@ -64,12 +60,7 @@ def _refused(data: dict[str, Any], path: Path) -> Iterator[InputError]:
 
 
 class _Rest:
-    """The rest of a configuration, and the mistakes found.
-
-    Args:
-        path: of its file.
-        data: all of it.
-    """
+    """The rest of a configuration, and the mistakes found."""
 
     def __init__(self, path: Path, data: dict[str, Any]) -> None:
         self._path, self._whole, self.data = path, data, deepcopy(data)

@@ -15,12 +15,7 @@ STEP = 1024
 
 
 class Proofs:
-    """Carries proofs between an engine and a fault memory.
-
-    Args:
-        engine: proves rules.
-        memory: keeps the proofs.
-    """
+    """Carries proofs between an engine and a fault memory."""
 
     def __init__(self, engine: Engine, memory: FaultMemory) -> None:
         self._engine, self._memory = engine, memory

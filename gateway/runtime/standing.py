@@ -46,11 +46,7 @@ class Standing:
         return self._place is None or self._told is (not self._controls.monitoring)
 
     def settle(self, sink: Sink) -> None:
-        """Report what is news.
-
-        Args:
-            sink: takes the events.
-        """
+        """Report what is news."""
         if self._place is None or self.settled:
             return
         off = self._told = not self._controls.monitoring

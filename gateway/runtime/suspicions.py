@@ -17,12 +17,7 @@ class Note(Protocol):
 
 
 class Suspicions:
-    """Looks for new suspicions of an engine's monitors.
-
-    Args:
-        engine: steps them.
-        note: takes what is new.
-    """
+    """Looks for new suspicions of an engine's monitors."""
 
     def __init__(self, engine: Engine, note: Note) -> None:
         self._engine, self._note = engine, note

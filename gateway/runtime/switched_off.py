@@ -38,11 +38,7 @@ _PUT_RIGHT = {
 
 
 class SwitchedOff:
-    """Tells which monitors are off, and which ones slip.
-
-    Args:
-        engine: whose monitors they are.
-    """
+    """Tells which monitors are off, and which ones slip."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine

@@ -40,11 +40,7 @@ MOST_FAULTS = 64
 
 
 class Page:
-    """Answers requests.
-
-    Args:
-        hub: has the data to show.
-    """
+    """Answers requests."""
 
     def __init__(self, hub: Hub) -> None:
         self.hub = hub

@@ -123,11 +123,7 @@ class Viewer:
 
 
 class Hub:
-    """Listens to a daemon, and tells viewers.
-
-    Args:
-        socket: the daemon's status socket.
-    """
+    """Listens to a daemon, and tells viewers."""
 
     def __init__(self, socket: Path) -> None:
         self.fence = Fence()

@@ -20,11 +20,7 @@ if TYPE_CHECKING:
 
 
 class Metrics(Collector):
-    """Data of the hub, as Prometheus asks for them.
-
-    Args:
-        hub: has the data.
-    """
+    """Data of the hub, as Prometheus asks for them."""
 
     content_type = CONTENT_TYPE_LATEST
 

@@ -48,12 +48,7 @@ def only_reads(request: bytes) -> bool:
 
 
 class Route:
-    """A route.
-
-    Args:
-        line: to the ECU.
-        counts: counts what becomes of requests.
-    """
+    """A route."""
 
     def __init__(self, line: Line, counts: Counter[str]) -> None:
         self.line, self._counts = line, counts

@@ -33,13 +33,9 @@ class Field(Record):
 
 
 def place(row: Any, start: int, length: int, *, big: bool) -> None:
-    """Fill where a field lies.
+    """Fill where a field lies, in a record of :class:`Field` or of SIGNAL.
 
-    Args:
-        row: of :class:`Field`, or of SIGNAL.
-        start: as a database numbers it: of the lowest bit, big-endian of the highest one.
-        length: its bits.
-        big: most significant bit first.
+    ``start`` is as a database numbers it: of the lowest bit, big-endian of the highest one.
     """
     if big:
         first = 8 * (start // 8) + 7 - start % 8
@@ -66,11 +62,10 @@ def field_at(byte: int, bits: int, *, big: bool = False, shift: int = 0) -> Any:
         byte: the first of its bytes.
         bits: how many.
         big: most significant byte first.
-        shift: of its lowest bit in the byte, where it takes less than a byte.
+        shift: bits of the byte before it: lower ones, big-endian higher ones.
     """
     row = np.zeros(1, Field.dtype)[0]
-    start = 8 * byte + (7 if big else shift)
-    place(row, start, bits, big=big)
+    place(row, 8 * byte + (7 - shift if big else shift), bits, big=big)
     return row
 
 
@@ -100,11 +95,7 @@ def swapped(word: Any) -> Any:
 
 @kernel
 def needed_by(s: Any) -> int:
-    """Return the length from which on a payload has all bits of a field [byte].
-
-    Args:
-        s: record of :class:`Field`, or of SIGNAL.
-    """
+    """Return the length from which on a payload has all bits of a record of :class:`Field`, or of SIGNAL [byte]."""
     if s.big == 1:
         return 8 * int(s.word) + (63 - int(s.shift)) // 8 + 1
     return 8 * int(s.word) + (int(s.shift) + int(s.length) + 7) // 8
@@ -112,12 +103,7 @@ def needed_by(s: Any) -> int:
 
 @kernel
 def read_bits(words: Any, s: Any) -> Any:
-    """Return a field's raw bits, uint64.
-
-    Args:
-        words: payload, 8 little-endian uint64.
-        s: record of :class:`Field`, or of SIGNAL.
-    """
+    """Return the raw bits, uint64, of a record of :class:`Field` or SIGNAL in a payload of 8 little-endian uint64."""
     shift = np.uint64(s.shift)
     if s.big == 1:
         bits = swapped(words[s.word]) >> shift
@@ -133,13 +119,7 @@ def read_bits(words: Any, s: Any) -> Any:
 
 @kernel
 def write_bits(words: Any, s: Any, bits: Any) -> None:
-    """Put raw bits into a field that is zero; bits beyond its length are left out.
-
-    Args:
-        words: payload, 8 little-endian uint64.
-        s: record of :class:`Field`, or of SIGNAL.
-        bits: uint64.
-    """
+    """Put raw bits into a field that is zero; bits beyond its length are left out; else as :func:`read_bits`."""
     unused = np.uint64(64 - s.length)
     bits = (bits << unused) >> unused
     shift = np.uint64(s.shift)

@@ -38,11 +38,6 @@ _LENGTHS = {
 def refuse_lengths(text: str, suffix: str, file: Path) -> None:
     """Refuse a message or a signal that is longer than any: the parser would fill the memory with it.
 
-    Args:
-        text: of a database.
-        suffix: which format.
-        file: for errors.
-
     Raises:
         InputError: names line and length.
     """

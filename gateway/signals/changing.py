@@ -77,13 +77,7 @@ class ChangedMessage:
 
 
 class ChangedSignal:
-    """A signal of 1 to 64 bits.
-
-    Args:
-        bus: index of its bus.
-        database: of the bus.
-        message: name.
-        signal: name.
+    """A signal of 1 to 64 bits of a message.
 
     Raises:
         InputError: the message has no such signal.
@@ -100,12 +94,7 @@ class ChangedSignal:
         self.row = self._rows[0]
 
     def value(self, words: Words, length: int) -> float:
-        """Return what the signal has, NaN where the frame does not carry it.
-
-        Args:
-            words: payload, shape (8,).
-            length: of the payload [byte].
-        """
+        """Return the value in a payload, shape (8,), of this length [byte]; NaN where the frame does not carry it."""
         values, present = self._decoded(words, length)
         return float(values[self._place]) if present[self._place] else float("nan")
 

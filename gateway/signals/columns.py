@@ -82,11 +82,7 @@ def put_column(words: NDArray[np.uint64], s: Any, values: NDArray[np.float64], t
 
 
 def limits(s: Any) -> tuple[float, float]:
-    """Return the lowest and highest physical value that a signal's bits can carry.
-
-    Args:
-        s: record of SIGNAL.
-    """
+    """Return the lowest and highest physical value that a signal's bits (record of SIGNAL) can carry."""
     length = int(s["length"])
     if int(s["kind"]) in IEEE:
         return -np.inf, np.inf

@@ -16,12 +16,7 @@ from gateway.signals.ranges import Ranges, runs
 
 
 class Branches(dict[int, Any]):
-    """Codecs of a multiplexer's branches, each made when it is asked for: ranges have too many of them.
-
-    Args:
-        message: of the multiplexer.
-        multiplexer: its signal.
-    """
+    """Codecs of a multiplexer's branches, each made when it is asked for: ranges have too many of them."""
 
     def __init__(self, message: CompactMessage, multiplexer: Signal) -> None:
         super().__init__()

@@ -70,12 +70,7 @@ def container_of(message: Message) -> Container:
 
 
 def unpack(data: bytes, of: Container) -> tuple[list[tuple[int, bytes]], bool]:
-    """Return the PDUs of a container, number and payload of each, and whether all of it could be read.
-
-    Args:
-        data: of the container's frame.
-        of: its layout.
-    """
+    """Return the PDUs in the data of a container, number and payload of each, and whether all of it could be read."""
     order: Literal["big", "little"] = "big" if of.big else "little"
     found, at, head = list[tuple[int, bytes]](), 0, of.number + of.length
     while at + head <= len(data):

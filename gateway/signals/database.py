@@ -49,9 +49,6 @@ class Database:
 
     Equal messages are one. Different ones of one name are known by their exact names (:mod:`gateway.signals.identity`).
     Of several with one identifier the first is decoded; the others are there for those who name them.
-
-    Args:
-        messages: (message, file it came from) pairs.
     """
 
     def __init__(self, messages: Sequence[tuple[Message, Path]]) -> None:

@@ -135,12 +135,7 @@ def ieee(bits: Any, exponent_bits: int, mantissa_bits: int) -> float:
 
 @kernel
 def extract(words: Any, s: Any) -> float:
-    """Return the physical value of one signal.
-
-    Args:
-        words: payload, 8 little-endian uint64.
-        s: record of SIGNAL.
-    """
+    """Return the physical value of one signal, a record of SIGNAL, in a payload of 8 little-endian uint64."""
     bits = read_bits(words, s)
     if s.kind == SIGNED:
         unused = np.uint64(64 - s.length)

@@ -94,12 +94,7 @@ def signals_said(text: str) -> int:
 
 
 def mended(text: str, suffix: str = ".dbc") -> tuple[str, list[str]]:
-    """Return a database's text as the format has it, and the corrections made, for people.
-
-    Args:
-        text: of a file.
-        suffix: which format.
-    """
+    """Return a database's text as the format has it, and the corrections made, for people."""
     said = []
     for what, change in _CHANGES.get(suffix, ()):
         before, text = text, change(text)
@@ -109,12 +104,7 @@ def mended(text: str, suffix: str = ".dbc") -> tuple[str, list[str]]:
 
 
 def without(text: str, line: int) -> tuple[str, str] | None:
-    """Return a DBC file without the statement of a line, and the statement's keyword; None: it says where bits are.
-
-    Args:
-        text: of the file.
-        line: that cannot be read, from 1.
-    """
+    """Return a DBC file without the statement of a line (from 1), and its keyword; None: it says where bits are."""
     lines = text.splitlines(keepends=True)
     word = lines[line - 1].split(maxsplit=1)[:1] if line <= len(lines) else []
     if not word or word[0] in ("BO_", "SG_", "SIG_VALTYPE_", "SG_MUL_VAL_") or not re.match(r"[A-Z;]", word[0]):

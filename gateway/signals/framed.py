@@ -102,15 +102,7 @@ def payloads(message: Message, columns: Columns, count: int, last: frozenset[str
 def framed(
     message: Message, words: NDArray[np.uint64], t_ns: NDArray[Any], protection: Protection, *, bus: int
 ) -> Frames:
-    """Return payloads as frames, with their protection.
-
-    Args:
-        message: of the database.
-        words: payloads, shape (frames, 8).
-        t_ns: times of the frames [ns].
-        protection: of the message.
-        bus: index of its bus.
-    """
+    """Return payloads, shape (frames, 8), as frames of these times [ns], with their protection."""
     protect_all(words, np.full(len(words), message.length), *compiled(protection), 0)
     frames = empty(len(words))
     frames["t_ns"] = np.rint(t_ns).astype(np.int64)
@@ -125,14 +117,9 @@ def framed(
 def sent(
     message: Message, columns: Columns, times: NDArray[np.float64], protection: ProtectionParams, *, bus: int
 ) -> Frames:
-    """Return the frames of a message, protected as a configuration says it.
+    """Return the frames of a message at these times [s], protected as a configuration says it.
 
-    Args:
-        message: of the database.
-        columns: as of :func:`payloads`.
-        times: of the frames [s].
-        protection: how the message is protected.
-        bus: index of its bus.
+    The columns are as of :func:`payloads`.
 
     Raises:
         InputError: it has no such signal, or cannot be protected so.

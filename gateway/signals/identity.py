@@ -138,10 +138,6 @@ def repair_references(messages: list[Message], text: str) -> list[Message]:
 
     cantools gives a multiplexer the long name that CANdb++ keeps beside one of 32 letters, but leaves the short one
     with the signals that it selects; they would be lost.
-
-    Args:
-        messages: as cantools has read them.
-        text: of the file.
     """
     long: dict[tuple[int, str], str] = {}
     for message in messages:

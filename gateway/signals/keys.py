@@ -92,12 +92,7 @@ def can_id_of(message: Message) -> int:
 
 
 def hash_table(keys: Sequence[int], of: Sequence[int] | None = None) -> tuple[NDArray[np.uint64], NDArray[np.int32]]:
-    """Return the open-addressed table of different keys, for ``find``.
-
-    Args:
-        keys: of it.
-        of: the row of each; None: its place in the sequence.
-    """
+    """Return the open-addressed table of different keys, for ``find``; ``of``: the row of each, None: its place."""
     capacity = 8
     while capacity < 2 * len(keys) + 1:
         capacity *= 2

@@ -35,13 +35,7 @@ def source_of(module: str) -> bytes:
 
 
 def messages_of(data: bytes, kind: str, parse: Callable[[], list[Message]]) -> list[Message]:
-    """Return the messages of a database.
-
-    Args:
-        data: bytes of its file.
-        kind: format, as the file's suffix has it.
-        parse: reads the file; its errors are raised.
-    """
+    """Return the messages of a database by the bytes of its file; errors of ``parse`` are raised."""
     if len(data) < LEAST:
         return parse()
     made_by = (sys.version, kind, *map(source_of, _MADE_BY), *(version(package) for package in _PACKAGES))

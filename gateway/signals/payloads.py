@@ -50,13 +50,10 @@ def decode_all(
 
 @kernel
 def rows_of(cells: Any, keys: Any, rows: Any, out: Any) -> int:
-    """Look up the message of each frame; returns how many have one.
+    """Look up the message of each frame by the keys and rows of a decode plan; returns how many have one.
 
-    Args:
-        cells: frames as 64-bit words, shape (frames, 10).
-        keys: of a decode plan.
-        rows: of a decode plan.
-        out: int16, shape (frames,), takes the row of each frame's message, -1: foreign, a remote or error frame.
+    ``cells`` are the frames as 64-bit words, shape (frames, 10). ``out``, int16, shape (frames,), takes the row of each
+    frame's message, -1: foreign, a remote or error frame.
     """
     found = 0
     for k in range(cells.shape[0]):
@@ -89,12 +86,9 @@ def are_last(frames: Frames) -> NDArray[np.bool_]:
 
 
 def payloads_of(frames: Frames, plan: DecodePlan, row: int) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
-    """Return the payloads of messages, shape (messages, words), zero beyond their lengths, and these [byte].
+    """Return the payloads of one message, shape (messages, words), zero beyond their lengths, and these [byte].
 
-    Args:
-        frames: of one message; of a woven one all that belong together.
-        plan: of it.
-        row: of the message in the plan.
+    Of a woven message all frames that belong together are to be there.
     """
     words, lengths, parts = words_of(frames), frames["length"].astype(np.int64), plan.parts(row)
     if parts == 1:
@@ -124,13 +118,7 @@ class Columns(NamedTuple):
 
 
 def decode_columns(frames: Frames, plan: DecodePlan, row: int) -> Columns:
-    """Decode frames of one message; of a woven one all that :func:`payloads_of` joins.
-
-    Args:
-        frames: of this message.
-        plan: with all its signals.
-        row: of the message in the plan.
-    """
+    """Decode frames of one message by a plan of all its signals; of a woven one all that :func:`payloads_of` joins."""
     return decode_payloads(*payloads_of(frames, plan, row), plan, row)
 
 
@@ -163,12 +151,7 @@ def looked_up(frames: Frames, keys: NDArray[np.uint64], rows: NDArray[np.int32])
 
 
 def columns(frames: Frames, plan: DecodePlan, row: int) -> NDArray[np.float64]:
-    """Return the physical values of a message's signals.
-
-    Args:
-        frames: of this message.
-        plan: with all its signals.
-        row: of the message in the plan.
+    """Return the physical values of a message's signals in its frames, by a plan with all of them.
 
     Returns:
         shape (frames, signals), in the plan's order; NaN where a frame has none, or one without a value.

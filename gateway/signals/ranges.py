@@ -26,11 +26,7 @@ Wide = dict[tuple[int, str], Pairs]
 
 
 class Ranges(Sequence[int]):
-    """Whole numbers, in order, kept as ranges.
-
-    Args:
-        pairs: least and greatest of each; in any order, and they may overlap.
-    """
+    """Whole numbers, in order, kept as pairs of least and greatest; pairs that are given may overlap."""
 
     def __init__(self, pairs: Iterable[tuple[int, int]]) -> None:
         self.pairs: Pairs = []
@@ -75,11 +71,7 @@ def runs(values: Iterable[int]) -> Pairs:
 
 
 def narrowed(text: str) -> tuple[str, Wide]:
-    """Return a DBC file with the first number of each range only, where one is wide, and all ranges.
-
-    Args:
-        text: of the file.
-    """
+    """Return a DBC file with the first number of each range only, where one is wide, and all ranges."""
     found: Wide = {}
     for _, number, signal, _, ranges in _STATEMENT.findall(text):
         pairs = [(int(low), int(high)) for low, high in (one.split("-") for one in ranges.split(","))]
@@ -90,12 +82,9 @@ def narrowed(text: str) -> tuple[str, Wide]:
 
 
 def widened(messages: Iterable[Message], wide: Wide, long: dict[tuple[int, str], str]) -> None:
-    """Give the signals of messages the ranges that were taken out of their file.
+    """Give the signals of messages (:mod:`gateway.signals.compact`) the ranges that were taken out of their file.
 
-    Args:
-        messages: whose codecs can follow them (:mod:`gateway.signals.compact`).
-        wide: the ranges.
-        long: (identifier, name in the file) -> name of the signal, where that is another one.
+    ``long``: (identifier, name in the file) -> name of the signal, where that is another one.
     """
     mine: dict[int, dict[str, Pairs]] = defaultdict(dict)
     for (number, name), pairs in wide.items():

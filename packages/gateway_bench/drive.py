@@ -40,11 +40,6 @@ class Driven(Protocol):
 def judgeable(scenario: Scenario, config: Config, *, file: Path) -> None:
     """Refuse to judge a gateway on a bus that tells no tester of its DTCs: each expectation of silence would hold.
 
-    Args:
-        scenario: with expectations.
-        config: of the gateway.
-        file: of the scenario.
-
     Raises:
         InputError: the configuration has no DTC frame.
     """

@@ -126,10 +126,6 @@ def under(key: str, value: object = None, *, whole: bool | None = None) -> Itera
 def as_input(key: str, value: object = None) -> Iterator[None]:
     """Say what mathematics refuses as an error of an argument.
 
-    Args:
-        key: name of the argument.
-        value: of it.
-
     Raises:
         InputError: a ValueError, or a TypeError for an argument that is not there, was raised within.
     """

@@ -45,33 +45,33 @@ def test_e2e_profiles_with_random_ids_are_recovered(profile, mode):
     """
     tried, otherwise = 0, 0
     for seed in range(amount(100, 5)):
-        header, protect_frame = drawn(profile, mode, seed)
-        if header.length == E2E[profile][1]:
+        check, length, protect_frame = drawn(profile, mode, seed)
+        if length == E2E[profile][1]:
             continue  # a header alone: sixteen different frames prove no list of sixteen ids
         tried += 1
         rng = random.Random(seed)
-        data, frames = bytearray(rng.randbytes(header.length)), []
+        data, frames = bytearray(rng.randbytes(length)), []
         for _ in range(400):
-            for k in {*range(header.offset), *range(header.offset + E2E[profile][1], header.length)}:
+            for k in {*range(check.offset), *range(check.offset + E2E[profile][1], length)}:
                 if rng.random() < 0.3:
                     data[k] = rng.getrandbits(8)
             protect_frame(data)
             frames.append(bytes(data))
-        found = protection_found(message_of(header.length), NOWHERE, [payloads(frames[:300])])
+        found = protection_found(message_of(length), NOWHERE, [payloads(frames[:300])])
         assert found.claim is not None, f"seed {seed}"
         later = payloads(frames[300:])
         assert judged(later, found.claim.protection).good.all(), f"seed {seed}"
-        wrong = Payloads(later.words ^ np.uint64(1 << 8 * (header.offset % 8)), later.lengths)
-        assert header.offset >= 8 or not judged(wrong, found.claim.protection).good.any(), f"seed {seed}"
+        wrong = Payloads(later.words ^ np.uint64(1 << 8 * (check.offset % 8)), later.lengths)
+        assert check.offset >= 8 or not judged(wrong, found.claim.protection).good.any(), f"seed {seed}"
         if "e2e" not in found.claim.keys:
             assert profile in ("P01", "P11"), f"seed {seed}: {found.claim.keys}"
             otherwise += 1
             continue
         keys = found.claim.keys["e2e"]
         if profile in ("P04", "P05", "P06", "P07") or mode == "alternating":
-            assert keys["data_id"] == header.data_id, f"seed {seed}"
+            assert keys["data_id"] == check.data_id, f"seed {seed}"
         elif profile == "P02":
-            assert keys["data_ids"] == list(header.data_ids), f"seed {seed}"
+            assert keys["data_ids"] == list(check.data_ids), f"seed {seed}"
         else:
             assert "one of 256" in found.claim.note, f"seed {seed}: 8 bits cannot tell 16"
     assert tried >= 3

@@ -7,14 +7,14 @@ import e2e
 import numpy as np
 import pytest
 from amount import amount, examples
-from e2e_frames import CASES, DATABASES, E2E, MODES, drawn
+from e2e_frames import CASES, DATABASES, E2E, MODES, drawn, protection_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.signals.bits import Field, field_at, mask_of, place
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import Crc
-from gateway.signals.protection.e2e import Header, protection_of
+from gateway.signals.protection.e2e import E2eCheck
 from gateway.signals.protection.judge import FRAME_CONSTANT, FRAME_OK, judge_frame
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables, fill, protect
 from gateway.signals.protection.rules import RULES, Frame
@@ -81,17 +81,17 @@ def test_there_are_many_crcs():
 @pytest.mark.parametrize(("profile", "mode"), CASES)
 def test_e2e_frames_of_another_program_are_accepted_and_any_flip_is_not(profile, mode):
     for seed in range(amount(20)):
-        header, theirs = drawn(profile, mode, seed)
-        checked = Checked(protection_of(profile, header))
+        check, length, theirs = drawn(profile, mode, seed)
+        checked = Checked(protection_of(check, length))
         rng = random.Random(seed)
-        data = bytearray(rng.randbytes(header.length))
+        data = bytearray(rng.randbytes(length))
         for sent in range(20):
-            for k in range(header.offset + E2E[profile][1], header.length):
+            for k in range(check.offset + E2E[profile][1], length):
                 data[k] = rng.getrandbits(8)
             theirs(data)
             assert checked.fits(data), f"seed {seed}, frame {sent}"
-        counters = mask_of(protection_of(profile, header).counter.field)
-        for bit in range(8 * header.length):
+        counters = mask_of(protection_of(check, length).counter.field)
+        for bit in range(8 * length):
             flipped = bytearray(data)
             flipped[bit // 8] ^= 1 << bit % 8
             # Alternating ids tell counters apart by their parity only; all other bits are covered.
@@ -101,15 +101,15 @@ def test_e2e_frames_of_another_program_are_accepted_and_any_flip_is_not(profile,
 @pytest.mark.parametrize(("profile", "mode"), CASES)
 def test_e2e_frames_of_ours_are_theirs(profile, mode):
     for seed in range(amount(20)):
-        header, _ = drawn(profile, mode, seed)
-        checked = Checked(protection_of(profile, header))
+        ours, length, _ = drawn(profile, mode, seed)
+        checked = Checked(protection_of(ours, length))
         check = getattr(getattr(e2e, profile.lower()), f"e2e_{profile.lower()}_check")
-        options = {} if profile == "P02" else {"offset": header.offset}
+        options = {} if profile == "P02" else {"offset": ours.offset}
         if profile in ("P01", "P11"):
             options["data_id_mode"] = getattr(getattr(e2e, profile.lower()), f"E2E_{profile}_DATAID_{MODES[mode]}")
         for sent in range(40):
-            data = bytearray(checked.protect(random.Random(sent).randbytes(header.length), sent))
-            known = bytes(header.data_ids) if profile == "P02" else header.data_id
+            data = bytearray(checked.protect(random.Random(sent).randbytes(length), sent))
+            known = bytes(ours.data_ids) if profile == "P02" else ours.data_id
             assert check(data, known, **options), f"seed {seed}, frame {sent}"
             assert checked.fits(data)
 
@@ -161,28 +161,27 @@ def test_fields_are_written_as_they_are_read(start, length, big, rng):
 
 
 def test_the_header_s_constants_are_checked():
-    header = Header(16, data_id=0x12345678)
-    checked = Checked(protection_of("P04", header))
-    other = Checked(protection_of("P04", Header(16, data_id=0x12345679)))
+    checked = Checked(protection_of(E2eCheck(profile="P04", data_id=0x12345678), 16))
+    other = Checked(protection_of(E2eCheck(profile="P04", data_id=0x12345679), 16))
     data = other.protect(bytes(16), 3)
     judged = judge_frame(checked.words(data), 16, checked.row, checked.arrays)
     assert judged == (0x12345679, 0x12345678, FRAME_CONSTANT + 1), "the second of them: the data id"
 
 
 @pytest.mark.parametrize(
-    ("profile", "header", "key"),
+    ("profile", "keys", "key"),
     [
-        ("P04", Header(8), "offset"),
-        ("P01", Header(8, data_id=1 << 16), "data_id"),
-        ("P11", Header(8, mode="low"), "data_id_mode"),
-        ("P02", Header(8, data_id=3), "data_ids"),
-        ("P01", Header(8, data_ids=(1,) * 16), "data_ids"),
-        ("P02", Header(8, data_ids=(1,) * 16, offset=1), "offset"),
+        ("P04", {}, "offset"),
+        ("P01", {"data_id": 1 << 16}, "data_id"),
+        ("P11", {"data_id_mode": "low"}, "data_id_mode"),
+        ("P02", {"data_id": 3}, "data_ids"),
+        ("P01", {"data_ids": (1,) * 16}, "data_ids"),
+        ("P02", {"data_ids": (1,) * 16, "offset": 1}, "offset"),
     ],
 )
-def test_what_a_profile_does_not_have_is_refused(profile, header, key):
+def test_what_a_profile_does_not_have_is_refused(profile, keys, key):
     with pytest.raises(InputError) as told:
-        protection_of(profile, header)
+        protection_of(E2eCheck(profile=profile, **keys), 8)
     assert told.value.key == key
 
 
@@ -190,9 +189,9 @@ def test_what_a_profile_does_not_have_is_refused(profile, header, key):
 def test_profile_22_by_the_vectors_of_its_specification():
     """PRS_E2EProtocol (AUTOSAR FO), examples of profile 22: ids 1 to 16, counter 1, all other bytes zero."""
     ids = tuple(range(1, 17))
-    short = Checked(protection_of("P22", Header(8, data_ids=ids)))
+    short = Checked(protection_of(E2eCheck(profile="P22", data_ids=ids), 8))
     assert short.protect(bytes(8), 1) == bytes.fromhex("1B01000000000000")
-    offset = Checked(protection_of("P22", Header(16, data_ids=ids, offset=8)))
+    offset = Checked(protection_of(E2eCheck(profile="P22", data_ids=ids, offset=8), 16))
     assert offset.protect(bytes(16), 1) == bytes(8) + bytes.fromhex("1401000000000000")
     rng = random.Random(22)
     for counter in range(16):

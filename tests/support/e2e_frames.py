@@ -1,10 +1,11 @@
 """Frames protected by programs that nobody here wrote: autosar-e2e's profiles, opendbc's rules."""
 
 import random
+from types import SimpleNamespace
 
 import e2e
 
-from gateway.signals.protection.e2e import Header
+from gateway.signals.protection.e2e import E2eCheck
 
 #: Profile -> what makes a frame, bytes of the header, bits of the data id.
 E2E = {
@@ -22,22 +23,32 @@ CASES = [
 ]
 
 
+def protection_of(check, length):
+    """Return the protection of a message of this length."""
+    return check.protection(SimpleNamespace(length=length))
+
+
 def drawn(profile, mode, seed):
-    """Return a random header, and what makes a frame for it as autosar-e2e does."""
+    """Return a random check, the length of its message, and what makes a frame for it as autosar-e2e does."""
     rng = random.Random(f"{profile} {mode} {seed}")
     make, header, bits = E2E[profile]
     length = rng.choice([n for n in (2, 4, 8, 12, 16, 24, 32, 64) if n > header])
     offset = 0 if profile == "P02" else rng.randint(0, length - header)
     if profile == "P02":
         ids = bytes(rng.randbytes(16))
-        return Header(length, data_ids=ids), lambda data: make(data, ids, increment_counter=True)
+        return (
+            E2eCheck(profile=profile, data_ids=list(ids)),
+            length,
+            lambda data: make(data, ids, increment_counter=True),
+        )
     data_id = rng.getrandbits(bits)
     options = {"offset": offset, "increment_counter": True}
     if profile in ("P01", "P11"):
         if mode == "nibble":
             data_id &= 0xFFF
         options["data_id_mode"] = getattr(getattr(e2e, profile.lower()), f"E2E_{profile}_DATAID_{MODES[mode]}")
-    return Header(length, data_id, mode=mode, offset=offset), lambda data: make(data, data_id, **options)
+    check = E2eCheck(profile=profile, data_id=data_id, data_id_mode=mode, offset=offset)
+    return check, length, lambda data: make(data, data_id, **options)
 
 
 #: Rule -> a database of opendbc that has it.

@@ -83,13 +83,7 @@ _DATE = re.compile(r"\w+\s+(\w+)\s+(\d+)\s+(\d+):(\d+):(\d+)(?:\.(\d+))?(?:\s+([
 
 @kernel
 def begins(text: Any, at: int, lower: Any) -> bool:
-    """Return whether a line goes on with letters, whatever their case.
-
-    Args:
-        text: bytes.
-        at: where.
-        lower: the letters in lower case, uint8.
-    """
+    """Return whether a line goes on with letters, here in lower case (uint8), whatever their case."""
     for k in range(lower.shape[0]):
         if (text[at + k] | 32) != lower[k]:
             return False
@@ -301,7 +295,6 @@ class Asc(Lines):
 
     def asked(self, line: bytes, names: Names, batch: Batch) -> int:
         """Look at a line of the header, of a trigger block, or at an event."""
-        del names
         t_ns = self._time(line)
         if t_ns is not None:
             if found := _STATE.match(line):
@@ -355,7 +348,6 @@ class Asc(Lines):
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
         """Return whether the last line is cut: it is no frame where it should be one, or has too few bytes."""
-        del before
         text = line.strip().lower()
         if text[:1] in (b";", b"/") or text.startswith(b"end triggerblock"):
             return False
@@ -367,12 +359,7 @@ class Asc(Lines):
 
 
 def state_of(status: bytes | None, rest: bytes) -> tuple[int, bytes]:
-    """Return the classes and data of an error frame (linux/can/error.h).
-
-    Args:
-        status: chip status; None: an error frame on the bus.
-        rest: what follows.
-    """
+    """Return the classes and data of an error frame (linux/can/error.h); no ``status``: of an error on the bus."""
     if exact := conditions.exact_in(rest):
         return exact
     if status is None:

@@ -75,9 +75,6 @@ def error_frame(batch: Batch, t_ns: int, classes: int, data: bytes, channel: int
 class Batch:
     """Room for frames, filled from the front; frames that were handed out are not written again.
 
-    Args:
-        size: frames at most.
-
     Attributes:
         count: frames that are in.
         words, data: the frames as 64-bit words and as bytes, shape (size, 10) and (size, 80).
@@ -188,9 +185,6 @@ class PassedOver:
 
 class BinaryReader:
     """A reader of a format of bytes.
-
-    Args:
-        path: the file.
 
     Attributes:
         zone: of the dates in its header.

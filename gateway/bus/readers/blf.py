@@ -101,18 +101,9 @@ def put_frame(
 
 @kernel
 def blf_object(raw: Any, at: int, kind: int, size: int, header: int, t_ns: int, words: Any, row: Any, k: int) -> int:
-    """Read the bytes after an object's header into a frame.
+    """Read the ``size`` bytes after an object's header, from ``at`` on, into frame ``k``, whose bytes are ``row``.
 
-    Args:
-        raw: unpacked bytes.
-        at: first byte after the header.
-        kind: of the object.
-        size: bytes after the header.
-        header: bytes from the object's begin to where its header says that it ends.
-        t_ns: stamp [ns].
-        words: the batch.
-        row: bytes of the frame.
-        k: which frame.
+    ``header`` is bytes from the object's begin to where its header says that it ends.
 
     Returns:
         its channel, counted from 1; -1: no frame; -2: a payload above 64 bytes.

@@ -64,15 +64,9 @@ _LONGEST = 64
 
 @kernel
 def name_place(text: Any, at: int, end: int, names: Any, lengths: Any, first: int) -> int:
-    """Return the place of a name among those known, -1: not there.
+    """Return the place of a name, which is text from ``at`` to ``end``, among those known, -1: not there.
 
-    Args:
-        text: bytes.
-        at: where the name begins.
-        end: where it ends.
-        names: bytes of each name, shape (names, longest).
-        lengths: of each name, -1: none here; shape (names,).
-        first: the place to look at first.
+    ``names`` are bytes, shape (names, longest), ``lengths`` theirs, -1: none. The place ``first`` is looked at first.
     """
     count = names.shape[0]
     for step in range(-1, count):
@@ -225,7 +219,6 @@ class Candump(Lines):
 
     def kind(self, line: bytes) -> str:
         """Return that candump -e explains an error frame."""
-        del line
         return "explanation of an error frame"
 
     def _learn(self, name: bytes, names: Names) -> bool:

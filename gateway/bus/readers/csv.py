@@ -251,11 +251,7 @@ def _unit(stamps: Sequence[str]) -> int:
 
 
 class Csv(Lines):
-    """Lines of CSV.
-
-    Args:
-        path: for errors.
-    """
+    """Lines of CSV."""
 
     good = "its fields as the header has them"
 
@@ -300,7 +296,6 @@ class Csv(Lines):
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
         """Return whether the last line is cut: it is no frame."""
-        del before
         return frame is None and self._header == 0 and not line.startswith(_PYTHON_CAN)
 
 

@@ -104,13 +104,7 @@ def _tidy() -> Iterator[None]:
 
 
 class _Group:
-    """Frames of a group of channels, some at a time.
-
-    Args:
-        mdf: asammdf's file.
-        index: of the group.
-        kind: name of its structure.
-        begin_ns: of the measurement [ns].
+    """Frames of a group of channels (its structure is ``kind``), some at a time.
 
     Attributes:
         frames, channel: those that are read and not taken; numbers as in the file.

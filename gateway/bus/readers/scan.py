@@ -128,15 +128,7 @@ def decimal(text: Any, at: int, places: int) -> tuple[int, int, int]:
 
 @kernel
 def begin_frame(words: Any, k: int, t_ns: int, can_id: int, flags: int) -> None:
-    """Write a frame without its payload.
-
-    Args:
-        words: the batch, see :class:`gateway.bus.readers.batch.Batch`.
-        k: which frame.
-        t_ns: stamp [ns].
-        can_id: with its flags.
-        flags: of the frame.
-    """
+    """Write frame ``k`` of a batch (:class:`gateway.bus.readers.batch.Batch`) without its payload."""
     words[k, 0] = np.uint64(np.int64(t_ns))
     words[k, 1] = np.uint64(can_id) | (np.uint64(flags) << np.uint64(FLAGS))
     for j in range(2, 10):
@@ -165,15 +157,7 @@ def fd_length(dlc: int) -> int:
 
 @kernel
 def byte_words(text: Any, at: int, most: int, base: int, hexes: Any, row: Any) -> tuple[int, int]:
-    """Read bytes, a word each, until there are enough or the line ends.
-
-    Args:
-        text: bytes.
-        at: where the first one is, or blanks before it.
-        most: how many are wanted.
-        base: of the numbers.
-        hexes: :data:`HEX`.
-        row: the frame's bytes, shape (80,).
+    """Read bytes of a base, a word each, until there are ``most`` or the line ends, into a frame's bytes, shape (80,).
 
     Returns:
         how many there are, -1 if one is no byte; where they end.

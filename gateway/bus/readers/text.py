@@ -34,9 +34,6 @@ ASKED = 4
 class Lines(ABC):
     """A format of lines.
 
-    Args:
-        path: for errors.
-
     Attributes:
         origin_ns: added to stamps to make them wall time [ns].
         zone: of the dates in its header.
@@ -85,18 +82,11 @@ class Lines(ABC):
 
     def kind(self, line: bytes) -> str:
         """Return what an event is called that is no frame."""
-        del line
         return "an event that is no frame"
 
     @abstractmethod
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Return whether a log ends within its last line, which has no end.
-
-        Args:
-            line: it.
-            frame: made of it; None: nothing.
-            before: frames before it.
-        """
+        """Return whether a log ends within its last line, which has no end; a frame was made of it, or None."""
 
     def unfinished(self) -> str:
         """Return what is missing at the log's end, "" if nothing is: most formats have no end of their own."""
@@ -109,11 +99,7 @@ def shown(line: bytes) -> str:
 
 
 def _too_long(text: bytes) -> int:
-    """Return where the first line begins that is longer than :data:`LINE`, -1 if none is.
-
-    Args:
-        text: lines; the last one ends, too.
-    """
+    """Return where the first of some ended lines begins that is longer than :data:`LINE`, -1 if none is."""
     at = 0
     while at + LINE < len(text):
         end = text.rfind(b"\n", at, at + LINE + 1)
@@ -125,10 +111,6 @@ def _too_long(text: bytes) -> int:
 
 class TextReader:
     """Reads a log of lines; one that is damaged is passed over.
-
-    Args:
-        path: for errors.
-        lines: its format.
 
     Attributes:
         passed_over: lines that gave no frame.

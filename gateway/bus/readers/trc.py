@@ -97,18 +97,9 @@ def flags_of(text: Any, at: int) -> int:
 def trc_line(
     text: Any, begin: Any, count: int, place: Any, hexes: Any, words: Any, row: Any, k: int, start: int
 ) -> int:
-    """Read a line whose words are known into a frame.
+    """Read a line into frame ``k``, whose bytes are ``row``; ``begin`` has where its words begin.
 
-    Args:
-        text: bytes.
-        begin: where each word begins.
-        count: words of the line.
-        place: of the columns; then the first version's number.
-        hexes: digits.
-        words: the batch.
-        row: bytes of the frame.
-        k: which frame.
-        start: of the log [ns].
+    ``place`` is that of the columns, then the first version's number; ``start`` is the log's [ns].
 
     Returns:
         its bus, counted from 0; _NO_FRAME, _BAD.
@@ -224,7 +215,6 @@ class Trc(Lines):
 
     def asked(self, line: bytes, names: Names, batch: Batch) -> int:
         """Look at a line of the header, the first one after it, or an event."""
-        del names
         text = line.decode("ascii", "replace").strip()
         if not text.startswith(";"):
             if self._place[7]:
@@ -302,5 +292,4 @@ class Trc(Lines):
 
     def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
         """Return whether the last line is cut: it is no frame where it should be one."""
-        del before
         return frame is None and not line.strip().startswith(b";")

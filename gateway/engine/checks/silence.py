@@ -31,14 +31,7 @@ NOBODY = ("XXX", "Vector__XXX")
 
 
 def silence_of(bus: int, params: Params, checks: Sequence[CheckInstance], databases: Mapping[int, Database]) -> Silence:
-    """Return when a bus is silent as a whole: each of its senders has a message overdue.
-
-    Args:
-        bus: its index.
-        params: of its health.
-        checks: of all buses.
-        databases: by bus.
-    """
+    """Return when a bus is silent as a whole: each of its senders has a message overdue."""
     shortest: dict[str, float] = {}
     for check in checks:
         timeout_ms = check.params.timeout_ms

@@ -40,11 +40,7 @@ _DOCS = ("", "/areas/{area_id}", "/components/{component_id}", "/apps/{app_id}")
 
 
 def sovd(hub: Hub) -> Starlette:
-    """Return the application, to be mounted at ``/sovd``.
-
-    Args:
-        hub: of the gateway.
-    """
+    """Return the application, to be mounted at ``/sovd``."""
     state = State(hub)
     by_path: dict[str, dict[str, Endpoint]] = defaultdict(dict)
     for each in ENDPOINTS:

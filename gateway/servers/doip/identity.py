@@ -50,12 +50,7 @@ class Identity:
         return packed(Kind.VEHICLE, vin + own + self._eid + self._gid + bytes([0x00, sync]), version)
 
     def answer(self, datagram: bytes, sockets: int) -> bytes:
-        """Return the answer to a datagram; b"": none is due, as to answers of others.
-
-        Args:
-            datagram: as it came.
-            sockets: testers that are connected.
-        """
+        """Return the answer to a datagram; b"": none is due, as to answers of others."""
         if len(datagram) < HEADER.size:
             return b""
         found = refusal(datagram, BY_UDP, self._params.most_bytes, self._params.most_bytes)

@@ -16,9 +16,6 @@ class CodedDtcs:
     """Entries of the fault memory with their definitions, in the order in which they failed first.
 
     Active are confirmed DTCs whose test fails; previously active those whose test does not any more.
-
-    Args:
-        memory: the fault memory.
     """
 
     def __init__(self, memory: FaultMemory) -> None:

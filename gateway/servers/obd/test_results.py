@@ -24,12 +24,7 @@ _LOW, _HIGH = -0x8000, 0x7FFF
 
 
 class MonitorTests:
-    """The tests of the emission related faults.
-
-    Args:
-        catalogue: the faults.
-        control: the gateway.
-    """
+    """The tests of the emission related faults."""
 
     def __init__(self, catalogue: Iterable[FaultDefinition], control: TesterControl) -> None:
         self._control = control

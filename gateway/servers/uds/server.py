@@ -36,11 +36,7 @@ def _negative(sid: int, nrc: Nrc) -> bytes:
 
 
 class UdsServer(Application):
-    """Answers requests; knows sessions and their end, and answers that come later or by themselves.
-
-    Args:
-        context: its state and data.
-    """
+    """Answers requests; knows sessions and their end, and answers that come later or by themselves."""
 
     def __init__(self, context: Context) -> None:
         self.context = context

@@ -38,10 +38,6 @@ _MODES = {"BOTH": "both", "ALT": "alternating", "LOW": "low", "NIBBLE": "nibble"
 def automatic(message: Message, file: Path) -> tuple[ProtectionParams, str]:
     """Return what is to be checked of a message, and why, in one line.
 
-    Args:
-        message: of a database.
-        file: the database.
-
     Raises:
         InputErrors: attributes that make no profile.
     """

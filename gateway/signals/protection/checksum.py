@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from gateway.signals.bits import mask_of, swapped
 from gateway.signals.protection.cmac import Mac
@@ -18,6 +19,9 @@ from gateway.signals.protection.crc import Crc, register_of
 from gateway_fdi.jit import Record, i4, i8, kernel, lowest_bit, means, u1, u1s, u8, u8s
 
 NONE, CRC, SUM, XOR, MAC = range(5)
+
+#: A byte of a data id in a configuration.
+Byte = Annotated[int, Field(ge=0, le=0xFF)]
 
 #: Bytes that go in before or after a payload at most.
 MOST_EXTRA = 8
@@ -99,15 +103,7 @@ class ChecksumConst(Record):
 
 
 def fill_checksum(row: Any, asked: Checksum, field: Any, table: int, box: int = 0) -> None:
-    """Fill a record of :class:`ChecksumConst`.
-
-    Args:
-        row: zeroed.
-        asked: the checksum.
-        field: where it lies, a record of :class:`gateway.signals.bits.Field`.
-        table: place of its table, for a CRC; of its key, for a MAC.
-        box: place of a MAC's round table.
-    """
+    """Fill a zeroed record; ``table``: place of its CRC's table or its MAC's key, ``box`` of a MAC's round table."""
     assert len(asked.before) <= MOST_EXTRA
     assert len(asked.after) <= MOST_EXTRA
     assert len(asked.by_counter) in (0, LIST)

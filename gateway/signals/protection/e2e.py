@@ -6,70 +6,23 @@ implementation autosar-e2e has it, which the tests compare with frame by frame.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import Field
 
 from gateway.signals.bits import field_at
-from gateway.signals.protection.checksum import LIST, Checksum
+from gateway.signals.protection.checksum import LIST, Byte, Checksum
 from gateway.signals.protection.crc import KNOWN, Crc
-from gateway.signals.protection.protection import Counter, Protection, Window
+from gateway.signals.protection.protection import Counter, Protection, WindowParams
+from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
 
 #: Of profiles 1 and 11: start value and final exclusive or of the library's CRC8 cancel out.
 _J1850_FROM_ZERO = Crc(8, 0x1D)
-
-
-@dataclass(frozen=True)
-class Header:
-    """The user's settings of a protected message.
-
-    Attributes:
-        length: of the message [byte].
-        data_id: 16 or 32 bits.
-        data_ids: the list of profiles 2 and 22, 16 bytes.
-        mode: how profiles 1 and 11 take the data id in: both, alternating, low, nibble.
-        offset: first byte of the header.
-        max_delta: largest step of the counter that is not a failure.
-        window: state machine; None: each frame alone.
-    """
-
-    length: int
-    data_id: int = 0
-    data_ids: Sequence[int] = ()
-    mode: str = "both"
-    offset: int = 0
-    max_delta: int = 1
-    window: Window | None = None
-
-    @property
-    def low(self) -> int:
-        """Low byte of the data id."""
-        return self.data_id & 0xFF
-
-    @property
-    def high(self) -> int:
-        """High byte of the data id."""
-        return self.data_id >> 8 & 0xFF
-
-
-def _p01(h: Header) -> Protection:
-    """CRC8 in byte 0, counter 0..14 in the low nibble of byte 1; the data id goes in before the payload."""
-    before: tuple[int, ...] = ()
-    listed: tuple[int, ...] = ()
-    constants: list[tuple[Any, int, str]] = []
-    if h.mode == "both":
-        before = h.low, h.high
-    elif h.mode == "low":
-        before = (h.low,)
-    elif h.mode == "alternating":
-        listed = tuple(h.high if k % 2 else h.low for k in range(LIST))
-    else:
-        before = h.low, 0
-        constants.append((field_at(h.offset + 1, 4, shift=4), h.high & 0xF, "data id, bits 8 to 11"))
-    checksum = Checksum(_J1850_FROM_ZERO, before=before, by_counter=listed, list_after=False)
-    counter = Counter(field_at(h.offset + 1, 4), 15, max_step=h.max_delta)
-    return Protection(checksum, field_at(h.offset, 8), counter, constants)
 
 
 @dataclass(frozen=True)
@@ -80,12 +33,12 @@ class Profile:
         header: its length [byte].
         crc: its polynomial.
         field: first byte of the CRC in the header, and its bits.
-        counter: the same, of the counter, which has all values of its bits.
+        counter: the same, of the counter, which has all values of its bits; of P01 and P11 all but the last.
         length, data_id: the same, of header fields that are always the message's length and data id; None: none.
         big: most significant byte first.
         listed: a byte of the list of data ids goes in after the payload, by the counter.
         after: of the data id's low and high byte those that go in after the payload, in this order.
-        modes: of P01 and P11, which have rules of their own.
+        modes: of P01 and P11: how the data id goes in before the payload.
         data_id_bits: of the data id.
         offset_may_differ: whether the header may lie elsewhere than at the begin.
     """
@@ -103,19 +56,6 @@ class Profile:
     data_id_bits: int = 16
     offset_may_differ: bool = True
 
-    def make(self, h: Header) -> Protection:
-        """Return the protection of a message."""
-
-        def at(place: tuple[int, int]) -> Any:
-            return field_at(h.offset + place[0], place[1], big=self.big and place[1] > 8)
-
-        fields = ((self.length, h.length, "length"), (self.data_id, h.data_id, "data id"))
-        constants = [(at(place), value, name) for place, value, name in fields if place is not None]
-        after = tuple({"low": h.low, "high": h.high}[one] for one in self.after.split())
-        checksum = Checksum(self.crc, after=after, by_counter=tuple(h.data_ids) if self.listed else ())
-        counter = Counter(at(self.counter), 1 << self.counter[1], max_step=h.max_delta)
-        return Protection(checksum, at(self.field), counter, constants)
-
 
 _AUTOSAR8, _CCITT = KNOWN["crc8_autosar"], KNOWN["crc16_ccitt_false"]
 _AUTOSAR32, _XZ = KNOWN["crc32_autosar"], KNOWN["crc64_xz"]
@@ -131,27 +71,61 @@ PROFILES = {
 }
 
 
-def protection_of(name: str, header: Header) -> Protection:
-    """Return the protection of a message by a profile.
+class E2eCheck(StrictModel):
+    """An AUTOSAR E2E profile."""
 
-    Raises:
-        InputError: a key that the profile does not have, or lacks.
-    """
-    profile = PROFILES[name]
-    if header.offset + profile.header > header.length:
-        text = f"{name}'s header has {profile.header} bytes, the message {header.length}"
-        raise InputError(text, key="offset", value=header.offset)
-    if header.offset and not profile.offset_may_differ:
-        raise InputError(f"{name} has its header at the begin", key="offset", value=header.offset)
-    if profile.listed and len(header.data_ids) != LIST:
-        raise InputError(f"{name} wants a list of 16 data ids", key="data_ids", value=list(header.data_ids))
-    if not profile.listed and header.data_ids:
-        raise InputError(f"{name} has one data id", key="data_ids", value=list(header.data_ids))
-    if profile.modes and header.mode not in profile.modes:
-        raise InputError(f"{name} has {', '.join(profile.modes)}", key="data_id_mode", value=header.mode)
-    if not 0 <= header.data_id < 1 << profile.data_id_bits:
-        raise InputError(f"{name}'s data id has {profile.data_id_bits} bits", key="data_id", value=header.data_id)
-    made = _p01(header) if profile.modes else profile.make(header)
-    return Protection(
-        made.checksum, made.field, made.counter, made.constants, strict=True, window=header.window, name=name
-    )
+    profile: Literal["P01", "P02", "P04", "P05", "P06", "P07", "P11", "P22"]
+    data_id: int = Field(0, ge=0, description="16 bits; 32 with P04 and P07")
+    data_ids: tuple[Byte, ...] = Field((), description="of P02 and P22: 16, one a counter value")
+    data_id_mode: Literal["both", "alternating", "low", "nibble"] = Field("both", description="of P01 and P11")
+    offset: int = Field(0, ge=0, le=62, description="first byte of the header")
+    max_delta: int = Field(1, ge=1, description="largest step of the counter that is used")
+    window: WindowParams | None = Field(None, description="E2E state machine; none: each frame is judged alone")
+
+    def protection(self, message: Message) -> Protection:
+        """Return it for a message.
+
+        Raises:
+            InputError: a key that the profile does not have, or lacks.
+        """
+        profile = PROFILES[self.profile]
+        self._refuse(profile, message)
+
+        def at(place: tuple[int, int]) -> Any:
+            return field_at(self.offset + place[0], place[1], big=profile.big and place[1] > 8)
+
+        low, high = self.data_id & 0xFF, self.data_id >> 8 & 0xFF
+        fields = ((profile.length, message.length, "length"), (profile.data_id, self.data_id, "data id"))
+        constants = [(at(place), value, name) for place, value, name in fields if place is not None]
+        if profile.modes:
+            before = {"both": (low, high), "low": (low,), "nibble": (low, 0), "alternating": ()}[self.data_id_mode]
+            listed = (low, high) * (LIST // 2) if self.data_id_mode == "alternating" else ()
+            checksum = Checksum(profile.crc, before=before, by_counter=listed, list_after=False)
+            if self.data_id_mode == "nibble":
+                constants.append((field_at(self.offset + 1, 4, shift=4), high & 0xF, "data id, bits 8 to 11"))
+        else:
+            after = tuple({"low": low, "high": high}[one] for one in profile.after.split())
+            checksum = Checksum(profile.crc, after=after, by_counter=self.data_ids)
+        counter = Counter(
+            at(profile.counter), 15 if profile.modes else 1 << profile.counter[1], max_step=self.max_delta
+        )
+        return Protection(
+            checksum, at(profile.field), counter, constants, strict=True, window=self.window, name=self.profile
+        )
+
+    def _refuse(self, profile: Profile, message: Message) -> None:
+        """Refuse keys that the profile does not have, or lacks."""
+        name = self.profile
+        if self.offset + profile.header > message.length:
+            text = f"{name}'s header has {profile.header} bytes, the message {message.length}"
+            raise InputError(text, key="offset", value=self.offset)
+        if self.offset and not profile.offset_may_differ:
+            raise InputError(f"{name} has its header at the begin", key="offset", value=self.offset)
+        if profile.listed and len(self.data_ids) != LIST:
+            raise InputError(f"{name} wants a list of 16 data ids", key="data_ids", value=list(self.data_ids))
+        if not profile.listed and self.data_ids:
+            raise InputError(f"{name} has one data id", key="data_ids", value=list(self.data_ids))
+        if profile.modes and self.data_id_mode not in profile.modes:
+            raise InputError(f"{name} has {', '.join(profile.modes)}", key="data_id_mode", value=self.data_id_mode)
+        if self.data_id >= 1 << profile.data_id_bits:
+            raise InputError(f"{name}'s data id has {profile.data_id_bits} bits", key="data_id", value=self.data_id)

@@ -10,9 +10,9 @@ import numpy as np
 from gateway.signals.bits import field_of, mask_of
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import KNOWN
-from gateway.signals.protection.e2e import PROFILES
+from gateway.signals.protection.e2e import PROFILES, E2eCheck
 from gateway.signals.protection.judge import FRAME_CONSTANT, FRAME_OK, judge_frame
-from gateway.signals.protection.params import COUNTERS, E2eCheck, signal_of
+from gateway.signals.protection.params import COUNTERS, signal_of
 from gateway.signals.protection.protection import Counter, Protection, compiled
 from gateway.signals.protection.rules import RULES, Frame
 from gateway_fdi.errors import InputError

@@ -25,26 +25,12 @@ _AHEAD = 4096
 
 @dataclasses.dataclass(frozen=True)
 class Freshness:
-    """The freshness value of a message.
-
-    Attributes:
-        kind: COUNTER, SYNC or SYNCED.
-        bits: of the whole value; 0: there is none.
-        truncated: lowest bits that are sent.
-        field: where these lie; None: none is sent.
-        start: the first value; of SYNCED the first trip and reset counter.
-        reset: bits of the reset counter.
-        flag: bits of the reset flag.
-        message: bits of the message counter.
-        sync: of SYNCED, the message with trip and reset counter.
-        attempts: further values that a truncated one may stand for are tried.
-        per_sync: frames that a virtual ECU sends between two resets.
-    """
+    """The freshness value of a message: as :class:`FreshConst`; ``sync`` is the message with trip and reset counter."""
 
     kind: int = COUNTER
     bits: int = 0
     truncated: int = 0
-    field: Any = None
+    field: Any = None  # no truncated value is sent
     start: int = 0
     reset: int = 0
     flag: int = 0
@@ -87,12 +73,7 @@ def mask(bits: int) -> Any:
 
 @kernel
 def made_value(f: Any, count: int) -> Any:
-    """Return the whole value of a sender's next frame, uint64.
-
-    Args:
-        f: record of :class:`FreshConst`.
-        count: frames that it has sent before.
-    """
+    """Return the whole value, uint64, of a sender's next frame, by how many it has sent before."""
     if f.kind != SYNCED:
         return (np.uint64(f.start) + np.uint64(count)) & mask(int(f.bits))
     epoch = np.uint64(f.start) + np.uint64(count // f.per_sync)

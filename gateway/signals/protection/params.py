@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from gateway.signals.bits import LONGEST, field_of
-from gateway.signals.protection.checksum import LIST, MOST_EXTRA, Checksum
+from gateway.signals.protection.checksum import LIST, MOST_EXTRA, Byte, Checksum
 from gateway.signals.protection.crc import KNOWN, Crc
-from gateway.signals.protection.e2e import Header, protection_of
-from gateway.signals.protection.protection import Counter, Protection, Window
+from gateway.signals.protection.e2e import E2eCheck
+from gateway.signals.protection.protection import Counter, Protection
 from gateway.signals.protection.rules import OTHERS, RULES, Frame, rule_of
 from gateway.signals.protection.secoc import SecocCheck
 from gateway_fdi.common.tomlfile import StrictModel
@@ -21,8 +21,6 @@ from gateway_fdi.errors import InputError, nearest, under
 if TYPE_CHECKING:
     from cantools.database.can import Message
     from cantools.database.can.signal import Signal
-
-Byte = Annotated[int, Field(ge=0, le=0xFF)]
 
 #: Names that databases of cars give to checksums and counters (opendbc's convention first), ending so.
 CHECKSUMS = ("CHECKSUM", "CHKSUM", "CHKSM", "CRC")
@@ -155,70 +153,6 @@ class SumCheck(StrictModel):
         )  # fmt: skip
 
 
-class WindowParams(StrictModel):
-    """AUTOSAR's E2E state machine: a frame is used while enough of the last ones are right.
-
-    Size, min_ok and max_error are one number, or three: while starting, while valid, while invalid.
-    """
-
-    size: tuple[int, int, int] = Field(description="frames that are looked back at, 1 to 64")
-    min_ok: tuple[int, int, int] = Field(description="right ones that it takes")
-    max_error: tuple[int, int, int] = Field(description="wrong ones that it bears")
-    cycle_ms: float | None = Field(
-        None,
-        gt=0,
-        le=3.6e6,
-        description="the receiver's cycle [ms]: each that passes without a frame counts as neither right nor wrong; "
-        "default: timeout_ms of the check; without both only frames count",
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _threefold(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        three = ("size", "min_ok", "max_error")
-        return {k: [value] * 3 if k in three and isinstance(value, int) else value for k, value in data.items()}
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        for size, ok, error in zip(self.size, self.min_ok, self.max_error, strict=True):
-            if not 1 <= size <= 64:
-                raise ValueError("size: 1 to 64 frames")
-            if not 0 <= ok <= size or not 0 <= error <= size:
-                raise ValueError("min_ok and max_error: 0 to size")
-        # PRS_E2EProtocol: else the frame that makes it valid makes it invalid again.
-        if self.min_ok[1] > min(self.min_ok) or self.max_error[1] < max(self.max_error):
-            raise ValueError("while valid it takes no more right ones, and bears no fewer wrong ones, than else")
-        return self
-
-
-class E2eCheck(StrictModel):
-    """An AUTOSAR E2E profile."""
-
-    profile: Literal["P01", "P02", "P04", "P05", "P06", "P07", "P11", "P22"]
-    data_id: int = Field(0, ge=0, description="16 bits; 32 with P04 and P07")
-    data_ids: tuple[Byte, ...] = Field((), description="of P02 and P22: 16, one a counter value")
-    data_id_mode: Literal["both", "alternating", "low", "nibble"] = Field("both", description="of P01 and P11")
-    offset: int = Field(0, ge=0, le=62, description="first byte of the header")
-    max_delta: int = Field(1, ge=1, description="largest step of the counter that is used")
-    window: WindowParams | None = Field(None, description="E2E state machine; none: each frame is judged alone")
-
-    def protection(self, message: Message) -> Protection:
-        """Return it for a message.
-
-        Raises:
-            InputError: a key that the profile does not have, or lacks.
-        """
-        window = None
-        if self.window is not None:
-            window = Window(self.window.size, self.window.min_ok, self.window.max_error)
-        header = Header(
-            message.length, self.data_id, self.data_ids, self.data_id_mode, self.offset, self.max_delta, window
-        )
-        return protection_of(self.profile, header)
-
-
 def _by_name(value: Any) -> Any:
     return {"rule": value} if isinstance(value, str) else value
 
@@ -273,14 +207,9 @@ def _undescribed(message: Message, name: str, first: int, last: int, key: str) -
 
 
 def signal_of(message: Message, name: str | None, called: tuple[str, ...], what: str, table: str = "") -> Signal:
-    """Return a signal by its name, or by what such signals are called.
+    """Return a signal by its name, None: by the end of its name, as such signals (``what``) are ``called``.
 
-    Args:
-        message: that has it.
-        name: None: by the end of its name.
-        called: how the names of such signals end.
-        what: its kind, for people.
-        table: whose key "signal" names it.
+    ``table`` is the one whose key "signal" names it.
 
     Raises:
         InputError: there is none, or several are called so.

@@ -5,16 +5,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field as Key
+from pydantic import model_validator
 
 from gateway.signals.bits import Field, mask_of, placed, read_bits, write_bits
 from gateway.signals.protection.checksum import Checksum, ChecksumConst, checksum_of, fill_checksum
 from gateway.signals.protection.cmac import key_table, mac_of, rounds_table
 from gateway.signals.protection.crc import KNOWN, table_of
 from gateway.signals.protection.freshness import FreshConst, Freshness, count_of, fill_freshness, made_value
+from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.jit import Record, i4, i4s, i8, kernel, means, u1, u8s
 
 #: Constants that a header has, at most.
@@ -38,19 +41,42 @@ class Counter:
     max_step: int = 1
 
 
-@dataclass(frozen=True)
-class Window:
-    """The state machine of AUTOSAR's E2E (PRS_E2EProtocol, 6.14): how many of the last frames must be right.
+class WindowParams(StrictModel):
+    """AUTOSAR's E2E state machine (PRS_E2EProtocol, 6.14): a frame is used while enough of the last ones are right.
 
-    Attributes:
-        size: frames that are looked back at, 1 to 64: while starting, while valid, while invalid.
-        min_ok: right ones that a state needs at least.
-        max_error: wrong ones that it bears at most.
+    Size, min_ok and max_error are one number, or three: while starting, while valid, while invalid.
     """
 
-    size: tuple[int, int, int]
-    min_ok: tuple[int, int, int]
-    max_error: tuple[int, int, int]
+    size: tuple[int, int, int] = Key(description="frames that are looked back at, 1 to 64")
+    min_ok: tuple[int, int, int] = Key(description="right ones that it takes")
+    max_error: tuple[int, int, int] = Key(description="wrong ones that it bears")
+    cycle_ms: float | None = Key(
+        None,
+        gt=0,
+        le=3.6e6,
+        description="the receiver's cycle [ms]: each that passes without a frame counts as neither right nor wrong; "
+        "default: timeout_ms of the check; without both only frames count",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _threefold(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        three = ("size", "min_ok", "max_error")
+        return {k: [value] * 3 if k in three and isinstance(value, int) else value for k, value in data.items()}
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        for size, ok, error in zip(self.size, self.min_ok, self.max_error, strict=True):
+            if not 1 <= size <= 64:
+                raise ValueError("size: 1 to 64 frames")
+            if not 0 <= ok <= size or not 0 <= error <= size:
+                raise ValueError("min_ok and max_error: 0 to size")
+        # PRS_E2EProtocol: else the frame that makes it valid makes it invalid again.
+        if self.min_ok[1] > min(self.min_ok) or self.max_error[1] < max(self.max_error):
+            raise ValueError("while valid it takes no more right ones, and bears no fewer wrong ones, than else")
+        return self
 
 
 @dataclass(frozen=True)
@@ -73,7 +99,7 @@ class Protection:
     counter: Counter | None = None
     constants: Sequence[tuple[Any, int, str]] = ()
     strict: bool = False
-    window: Window | None = None
+    window: WindowParams | None = None
     name: str = ""
     freshness: Freshness | None = None
 
@@ -83,10 +109,6 @@ def digest(asked: Protection, can_id: int) -> int:
 
     A header's constants belong to it, and where the counter lies, if it chooses a data id. How far the counter may
     step does not, nor what else is asked of the message.
-
-    Args:
-        asked: the protection.
-        can_id: of the message.
     """
     if asked.checksum is None:
         return 0

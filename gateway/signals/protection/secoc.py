@@ -11,12 +11,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
-import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from gateway.host.process import open_to_others
-from gateway.signals.bits import Field as Place
-from gateway.signals.bits import place
+from gateway.signals.bits import field_at
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.cmac import BLOCK, Mac
 from gateway.signals.protection.freshness import COUNTER, SYNC, SYNCED, Freshness
@@ -189,9 +187,7 @@ class SecocCheck(StrictModel):
 
 def _bits_at(first: int, bits: int) -> Any:
     """Return the place of a number, most significant bit first, as a record of :class:`gateway.signals.bits.Field`."""
-    row = np.zeros(1, Place.dtype)[0]
-    place(row, 8 * (first // 8) + 7 - first % 8, bits, big=True)
-    return row
+    return field_at(first // 8, bits, big=True, shift=first % 8)
 
 
 def read_key(file: Path) -> bytes:

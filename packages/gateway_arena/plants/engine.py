@@ -44,9 +44,6 @@ _NAME = re.compile(r"_(NF|f_[a-z]+)(?:_[^_]*)?\.csv$")
 class Engine:
     """The bench as the arena takes it (:class:`gateway_arena.contract.Plant`): records are cut from the files.
 
-    Args:
-        folder: of the files.
-
     Raises:
         InputError: no files of this format; one that lacks a column, or has a value that is no number.
     """

@@ -25,13 +25,7 @@ SOON_S = 1.0
 
 
 class Story(EventPrinter):
-    """Prints a demo for people, each line with the scenario's time.
-
-    Args:
-        scenario: that is played.
-        player: of the scenario.
-        gateway: that sees it.
-    """
+    """Prints a demo for people, each line with the scenario's time."""
 
     def __init__(self, scenario: Scenario, player: Player, gateway: Gateway) -> None:
         super().__init__(as_json=False)

@@ -24,13 +24,7 @@ _KEYS = frozenset({"ecu", "expect", "duration_s"})
 
 
 class ScenarioError(Exception):
-    """A scenario whose expectations do not hold.
-
-    Args:
-        findings: the whole verdict.
-        seed: that was used.
-        left: lines about files.
-    """
+    """A scenario whose expectations do not hold."""
 
     def __init__(self, findings: list[Finding], seed: int, left: Sequence[str] = ()) -> None:
         self.findings, self.seed, self._left = findings, seed, left

@@ -22,12 +22,7 @@ _MOST_STEPS = 10_000
 
 
 class _Transport:
-    """Requests and answers over ISO-TP.
-
-    Args:
-        bench: whose gateway answers.
-        params: of its server.
-    """
+    """Requests and answers over ISO-TP."""
 
     def __init__(self, bench: Bench, params: UdsParams) -> None:
         self._bench, self._params = bench, params

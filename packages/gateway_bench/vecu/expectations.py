@@ -77,9 +77,6 @@ class Judge:
 
     A DTC counts as set when its testFailed bit goes up, or its occurrence counter does, after the start;
     reports before the start are the state to compare with.
-
-    Args:
-        scenario: with the expectations.
     """
 
     def __init__(self, scenario: Scenario) -> None:

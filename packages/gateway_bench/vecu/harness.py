@@ -336,10 +336,6 @@ class Harness:
     def add(self, fault: MessageFault, place: str = "fault") -> None:
         """Put in one more fault, from the next chunk on.
 
-        Args:
-            fault: of this ECU.
-            place: key path of its table.
-
         Raises:
             InputError: a fault of what is not sent, or cannot have it.
         """

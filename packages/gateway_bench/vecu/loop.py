@@ -47,14 +47,7 @@ class _Input:
 
 
 class _Out:
-    """One message that is sent.
-
-    Args:
-        one: message, cycle, protection.
-        database: of its bus.
-        params: of the ECU.
-        bus: index of its bus.
-    """
+    """One message that is sent."""
 
     def __init__(self, one: Sent, database: Database, params: LoopParams, bus: int) -> None:
         name = one.message.name
@@ -94,12 +87,6 @@ class _Out:
 
 class _Actuator:
     """A fault of an actuator: the model gets another input than the bus says.
-
-    Args:
-        fault: of the scenario.
-        run: its settings.
-        database: of its bus.
-        key: of its condition, for errors.
 
     Raises:
         InputError: a condition that is none.

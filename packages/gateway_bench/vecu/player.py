@@ -333,11 +333,7 @@ class Player:
 
 
 class TruthReader:
-    """Injected faults, as they come: each fact once to each reader.
-
-    Args:
-        player: whose.
-    """
+    """Injected faults, as they come: each fact once to each reader."""
 
     def __init__(self, player: Player) -> None:
         self._player = player

@@ -66,12 +66,7 @@ _SUBJECTS = ("signal", "message", "input", "name", "place", "channel", "request"
 
 
 def injected(fact: Truth, scenario: Scenario) -> str:
-    """Return what was injected, e.g. ``"channel 1: short circuit to ground, until 4.5 s"``.
-
-    Args:
-        fact: the injected fault.
-        scenario: it is of.
-    """
+    """Return what was injected, e.g. ``"channel 1: short circuit to ground, until 4.5 s"``."""
     fault = fault_of(fact, scenario)
     kind = fact.kind if fault is None else str(fault.kind)
     of_kind, what = _parted(kind)

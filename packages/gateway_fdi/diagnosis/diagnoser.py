@@ -23,11 +23,6 @@ from gateway_fdi.errors import MissingError, named
 class Diagnoser:
     """Finds the causes of what tests say.
 
-    Args:
-        components: that can be faulty.
-        tests: that see them.
-        bounds: how much is looked for.
-
     Attributes:
         system: components and tests.
         state: the verdicts.

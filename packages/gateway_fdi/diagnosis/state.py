@@ -42,9 +42,6 @@ class Sized(NamedTuple):
 class State:
     """The verdicts of some tests.
 
-    Args:
-        system: the tests.
-
     Attributes:
         verdict: NOT_TESTED, PASSED or FAILED, shape (tests,).
         since: when it became that, shape (tests,) [ns].

@@ -64,11 +64,7 @@ class Step:
 
 
 class Structure:
-    """A model's explicit form with scratch for the kernels, for one question after the other.
-
-    Args:
-        model: the model.
-    """
+    """A model's explicit form with scratch for the kernels, for one question after the other."""
 
     def __init__(self, model: Model) -> None:
         self.model = model

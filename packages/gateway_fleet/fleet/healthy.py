@@ -168,14 +168,7 @@ Told = Callable[[Answer, int], None]
 
 
 class _Survey:
-    """Asks logs, and keeps who answered what.
-
-    Args:
-        setup: with what.
-        recordings: the logs.
-        pool: of workers.
-        told: takes the answers.
-    """
+    """Asks logs, and keeps who answered what."""
 
     def __init__(self, setup: Setup, recordings: Sequence[Recording], pool: Pool[Ask, Answer], told: Told) -> None:
         self._setup, self._pool, self._told = setup, pool, told

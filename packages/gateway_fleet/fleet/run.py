@@ -185,11 +185,7 @@ def _tasks(setup: Setup, new: Sequence[Recording], last: dict[str, str]) -> Iter
 
 
 class _Judging:
-    """The work of a run (:class:`gateway.common.pool.Work`).
-
-    Args:
-        out: folder of the verdicts.
-    """
+    """The work of a run (:class:`gateway.common.pool.Work`)."""
 
     def __init__(self, out: Path) -> None:
         self._verdicts = Verdicts(out)

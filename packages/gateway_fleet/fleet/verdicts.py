@@ -121,11 +121,7 @@ def write_rows(path: Path, rows: pa.Table) -> None:
 
 
 class Verdicts:
-    """A folder of verdicts.
-
-    Args:
-        folder: of them.
-    """
+    """A folder of verdicts."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -303,11 +299,7 @@ def signature(recording: Recording) -> tuple[tuple[str, int, int], ...]:
 
 
 class Manifest:
-    """Which recordings have been done, and by what configuration; a line of JSON each.
-
-    Args:
-        folder: of the verdicts.
-    """
+    """Which recordings have been done, and by what configuration; a line of JSON each."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -333,13 +325,7 @@ class Manifest:
         return [path for path, done in self.done.items() if done.log == log]
 
     def add(self, path: Path, done: Done, more: Mapping[str, Any]) -> None:
-        """Note that a recording has been done.
-
-        Args:
-            path: of it.
-            done: finished recordings.
-            more: further facts for people.
-        """
+        """Note that a recording has been done."""
         self.done[str(path)] = done
         row = {"path": str(path), "log": done.log, "state": done.state, **more, "files": done.files}
         with self._path.open("a", encoding="utf-8") as file:

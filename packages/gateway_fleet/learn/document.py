@@ -102,14 +102,7 @@ bus = {bus}
 
 
 def document(name: str, buses: Sequence[BusAsked], learned: Learned, logs: Sequence[str]) -> str:
-    """Return the text of the configuration.
-
-    Args:
-        name: of the gateway.
-        buses: of it.
-        learned: lines and notes.
-        logs: read ones, for people.
-    """
+    """Return the text of the configuration."""
     title = f"{name}: {sum(len(learned.of(bus.name, CHECK)) for bus in buses)} messages"
     text = _HEAD.format(title=title, logs="; ".join(logs), name=inline(name))
     for bus in buses:

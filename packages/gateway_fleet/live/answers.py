@@ -52,9 +52,6 @@ where model like ? and software like ? and condition = ? and sign <> 0 order by 
 class Answers:
     """A fleet's tables.
 
-    Args:
-        folder: of them.
-
     Raises:
         InputError: there are none.
     """

@@ -25,11 +25,7 @@ _STALE_S = 5.0
 
 
 class Queue:
-    """Events that wait in a fault memory's file.
-
-    Args:
-        path: of the file.
-    """
+    """Events that wait in a fault memory's file."""
 
     def __init__(self, path: Path) -> None:
         self._memory = OpenedMemory(path)

@@ -47,12 +47,7 @@ class ResponderFault(EcuFault):
 
 
 class Drawn:
-    """The faults of one ECU.
-
-    Args:
-        faults: as scheduled.
-        rng: says which requests they concern.
-    """
+    """The faults of one ECU."""
 
     def __init__(self, faults: Sequence[ResponderFault], rng: np.random.Generator) -> None:
         self._faults, self._rng = faults, rng

@@ -37,12 +37,7 @@ _SPREAD = 0.6180339887498949
 
 
 class _Senders:
-    """Makes the frames of one message after the other.
-
-    Args:
-        params: of the ECU.
-        run: its settings.
-    """
+    """Makes the frames of one message after the other."""
 
     def __init__(self, params: RestbusParams, run: Run) -> None:
         self._params, self._run = params, run

@@ -32,9 +32,6 @@ class TooLongError(Exception):
 def bounded(work: Callable[[], Found]) -> Found:
     """Return what a step of algebra finds.
 
-    Args:
-        work: the step.
-
     Raises:
         TooLongError: it takes more than :data:`CALLS`.
     """

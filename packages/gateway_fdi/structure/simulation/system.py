@@ -298,13 +298,6 @@ def system_of(
 ) -> System:
     """Return the functions of a system.
 
-    Args:
-        model: the model.
-        symbols: with its faults.
-        reduced: its equations.
-        inputs: given variables.
-        values: of its parameters.
-
     Raises:
         NotSimulatedError: its equations have no order of computation.
     """

@@ -122,15 +122,7 @@ def _judge(row: Outcome, found: Followed, teeth: NDArray[np.int64], last: int, w
 
 
 def outcomes(text: str, kind: str, runs: int, seed: int, methods: tuple[Method, ...] = METHODS) -> list[Outcome]:
-    """Return an outcome for each method.
-
-    Args:
-        text: the wheel.
-        kind: of the disturbance.
-        runs: at each speed.
-        seed: of all of them.
-        methods: which.
-    """
+    """Return an outcome for each method."""
     wheel = Wheel.parse(text)
     rows = {method: Outcome(text, kind, method) for method in methods}
     for speed, rpm in enumerate(SPEEDS_RPM):

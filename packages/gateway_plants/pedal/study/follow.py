@@ -97,12 +97,6 @@ VOTERS = {
 
 
 def follow(voter: str, environment: Environment, run: Run) -> Voted:
-    """Put a run through a voter.
-
-    Args:
-        voter: one of VOTERS.
-        environment: of the run.
-        run: what it is given.
-    """
+    """Put a run through a voter."""
     chosen = VOTERS[voter]
     return arrays.through(chosen.loop, chosen.begin(), chosen.constants(environment), run.readings)

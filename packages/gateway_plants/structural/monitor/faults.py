@@ -117,13 +117,7 @@ def _size_in_words(model: Model, fault: str) -> str:
 
 
 def faults_of(model: Model, plan: Plan, codes: dict[str, str]) -> tuple[Fault, ...]:
-    """Return what can be reported.
-
-    Args:
-        model: the model.
-        plan: the tests.
-        codes: base code of each.
-    """
+    """Return what can be reported."""
     found = []
     diagnoses: list[tuple[str, ...]] = [*plan.diagnoses, ()]
     for name, faults, what in zip(names_of(plan), diagnoses, shown(plan), strict=True):

@@ -102,12 +102,7 @@ class State(machine.State, lengths=MOST):
 
 
 def lengths(plan: Plan, inputs: int) -> dict[str, int]:
-    """Return how long the arrays are that a plan wants, by the names of :data:`MOST`.
-
-    Args:
-        plan: the tests.
-        inputs: known variables of the model.
-    """
+    """Return how long the arrays are that a plan wants, by the names of :data:`MOST`."""
     tests, faults = len(plan.tests), len(plan.faults)
     wanted = {
         "inputs": inputs,

@@ -123,13 +123,7 @@ def frames_of(plant: Plant, rows: Array, late_s: Mapping[str, float] | None = No
 
 
 def configuration(plant: Plant, folder: Path, more: str = "") -> Path:
-    """Write what a user would: model, database, configuration; returns the configuration.
-
-    Args:
-        plant: the plant.
-        folder: for the files.
-        more: further lines of the monitor.
-    """
+    """Write what a user would: model, database, configuration; returns the configuration."""
     (folder / f"{plant.name}.toml").write_text(plant.model)
     messages = "".join(
         f'BO_ {256 + k} M{k}: 4 A\n SG_ {z} : 0|32@1- (1,0) [0|0] "" A\n' for k, z in enumerate(plant.knowns)

@@ -26,13 +26,7 @@ _BETWEEN = 300_000
 
 
 def signals_of(params: TruckParams, driven: Drive, rng: np.random.Generator) -> dict[str, Column]:
-    """Return the signals of a drive with sensor noise, by name, each of shape (samples,).
-
-    Args:
-        params: the truck.
-        driven: a drive of it.
-        rng: source of all randomness.
-    """
+    """Return the signals of a drive with sensor noise, by name, each of shape (samples,)."""
     rows, noise = driven.samples, params.noise
     count = len(rows)
 
@@ -59,14 +53,7 @@ def signals_of(params: TruckParams, driven: Drive, rng: np.random.Generator) -> 
 
 
 def frames_of(params: TruckParams, driven: Drive, *, bus: int, rng: np.random.Generator) -> Frames:
-    """Return the frames of a drive, stamped from time 0.
-
-    Args:
-        params: the truck.
-        driven: a drive of it.
-        bus: index of its bus.
-        rng: source of all randomness.
-    """
+    """Return the frames of a drive, stamped from time 0."""
     count = len(driven.samples)
     columns = signals_of(params, driven, rng)
     frames = empty(len(MESSAGES) * count)
