@@ -66,8 +66,12 @@ MARKED = 24
 SURE = 3
 #: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
 EVEN_TURNS = 2
+#: Two places were told: which one is right, no later turn says.
+TOLD = 2
 #: Pairs of turns that have to show a whole wheel behind one that fitted twice, and what its teeth may be off [pitch].
 WHOLE_PAIRS, WHOLE_OFF = 2, 0.1
+#: Turns in a row without a fault, and without the gap, behind which a place is not proven any more.
+BLIND = 2
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
 MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
@@ -258,7 +262,7 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
 def prove(s: State, c: Const, out: Reports) -> None:
     """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
 
-    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. Where single pulses
+    Where the gap was not seen for what it is, or may be a turning point, one turn can fit by chance: a second one has to. Where single pulses
     cannot be told from noise the index may slip; if a defect of each turn alone can look like such noise, more turns
     have to show the gap where the turn before did than elsewhere, at first. None proves it while it is filled by a
     pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth that are missing
@@ -268,7 +272,8 @@ def prove(s: State, c: Const, out: Reports) -> None:
         if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
             confirm(s, out)
         return
-    proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
+    shown = s.sure == 1 and s.reversal.stood == 0
+    proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
     if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or _held_back(s, c):
         return
     if c.pulses < MARKED and s.tracker.variance > COARSE and s.doubted == NEVER and s.waiting.same <= s.waiting.moved:
@@ -283,7 +288,7 @@ def _two_fit(s: State) -> bool:
 
     The wheel then seems to have a bent tooth. Where it has none, what came before was none of its turns.
     """
-    return bool(s.twice == 1 and (s.profile.turns < WHOLE_PAIRS or abs(s.profile.off) > WHOLE_OFF))
+    return bool(s.twice == TOLD or s.twice == 1 and (s.profile.turns < WHOLE_PAIRS or abs(s.profile.off) > WHOLE_OFF))
 
 
 @kernel
@@ -337,15 +342,21 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         found = anchor.ask(an, c.anchor, c.pulses, c.repeats, s.index)
         if found == anchor.HERE:
             an.wins = 0
+            an.blind = 0
             an.verified = 1
             if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
                 _witness(s, c, out)
-        elif found == anchor.ABSENT and s.known == 0:
-            doubt(s)
-        elif found > 0 and s.teeth - s.uneven > c.anchor.length:
+        elif s.teeth - s.uneven <= c.anchor.length:
+            if found == anchor.ABSENT and s.known == 0:
+                doubt(s)
+        elif found <= 0:
+            an.blind += 1
+            if found == anchor.ABSENT or an.blind >= BLIND:
+                doubt(s)
+        else:
             an.wins = an.wins + 1 if found == an.shift else 1
             an.shift = found
-            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0):
+            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0 and s.hole == 0):
                 relocate(s, c, out, found)
 
 
@@ -379,7 +390,7 @@ def _broken_off(s: State, c: Const, out: Reports) -> bool:
     if s.defects.turns < SURE:
         return False
     waiting.clear(s.waiting)
-    s.twice = 1
+    s.twice = TOLD
     e = report(out, TWO_PLACES, True, s.defects.turns, SURE).two_places
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
     e.here, e.there = s.rival.here, s.rival.there

@@ -126,7 +126,7 @@ class State(Record):
     hole: i4 = means("1: frames were lost, and the gap was not seen since")
     covered: Annotated[u1s, MOST_TEETH] = means("1: the slot of the pattern was seen at this place")
     uncovered: i4 = means("slots that were not")
-    twice: u1 = means("1: the pulses have fitted two places, or no gap was seen, since the engine stood")
+    twice: u1 = means("since the engine stood, 1: no gap was seen, 2: the pulses have fitted two places")
     burst: noise.Burst = means("pulses within one tooth")
     rival: rival.Rival = means("another place that explains missing teeth as well")
     seen: Seen = means("wheel that the pulses show")
@@ -351,6 +351,13 @@ def stand(s: State, c: Const) -> None:
 
 @kernel
 def doubt(s: State) -> None:
+    """Ask for one more revolution as a proof of the place on the wheel, and forget its defects."""
+    waver(s)
+    defects.clear(s.defects)
+
+
+@kernel
+def waver(s: State) -> None:
     """Ask for one more revolution as a proof of the place on the wheel."""
     if s.phase == CONFIRMED:
         s.phase = TENTATIVE
@@ -360,7 +367,6 @@ def doubt(s: State) -> None:
     s.since = 0
     s.suspects = 0
     s.recurring = 0
-    defects.clear(s.defects)
     s.profile.clean = 0
 
 
