@@ -229,6 +229,19 @@ def unique(first: float, known: int) -> float:
 
 
 @kernel
+def likeliest(an: State, c: Const, pulses: int, repeats: int, index: int) -> tuple[float, float, int]:
+    """Return the least S, the second one, and the shift of the least; the contrasts are in ``logs``."""
+    first, second, shift = np.inf, np.inf, 0
+    for d in range(repeats):
+        rest = squares(an, c, pulses, index, d)
+        if rest < first:
+            second, first, shift = first, rest, d
+        elif rest < second:
+            second = rest
+    return first, second, shift
+
+
+@kernel
 def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     """Test the last turn against every shift, and against a wheel without a gap.
 
@@ -245,14 +258,7 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     known = contrasts(an, c.length)
     if known < least_known(pulses):
         return UNDECIDED
-    present = squares(an, c, pulses, index, 0)
-    first, second, shift = present, 1e9, 0
-    for d in range(1, repeats):
-        rest = squares(an, c, pulses, index, d)
-        if rest < first:
-            second, first, shift = first, rest, d
-        elif rest < second:
-            second = rest
+    first, second, shift = likeliest(an, c, pulses, repeats, index)
     variance = max(first / (known - 1), LEAST_VARIANCE)
     even = plain(an, c.length)
     if first - even > 2.0 * ODDS * max(even / (known - 1), LEAST_VARIANCE):
@@ -261,4 +267,4 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
         return UNDECIDED
     if shift == 0:
         return HERE if first < MOST or _fits(an, c, pulses, index) else UNDECIDED
-    return shift if present - first > 2.0 * ODDS * variance else UNDECIDED
+    return shift if squares(an, c, pulses, index, 0) - first > 2.0 * ODDS * variance else UNDECIDED

@@ -14,7 +14,6 @@ from gateway_plants.crank.monitor.faults import (
     NOISE,
     PULSES_LOST,
     RELOCATED,
-    RESIDUALS,
     SYNC_LOST,
     TWO_PLACES,
     UNWATCHED,
@@ -33,6 +32,7 @@ from gateway_plants.crank.monitor.place import (
     search,
     shape,
     speed,
+    tell_held,
     tooth_of,
     uncover,
 )
@@ -288,7 +288,8 @@ def _two_fit(s: State) -> bool:
 
     The wheel then seems to have a bent tooth. Where it has none, what came before was none of its turns.
     """
-    return bool(s.twice == TOLD or s.twice == 1 and (s.profile.turns < WHOLE_PAIRS or abs(s.profile.off) > WHOLE_OFF))
+    whole = s.profile.turns >= WHOLE_PAIRS and abs(s.profile.off) <= WHOLE_OFF
+    return bool(s.twice == TOLD or (s.twice == 1 and not whole))
 
 
 @kernel
@@ -307,10 +308,7 @@ def confirm(s: State, out: Reports) -> None:
     s.hole = 0
     s.reversal.stood = 0
     if s.held_fault >= 0:
-        e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
-        e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
-        for k in range(RESIDUALS):
-            e.residual[k] = s.held.residual[k]
+        tell_held(s, s.held_fault, out)
         if s.held_fault == ADDED:
             s.added += int(s.held.count)
         else:

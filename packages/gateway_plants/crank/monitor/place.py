@@ -7,9 +7,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.monitors.contract import report
 from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1, u1s
 from gateway_plants.crank.monitor import anchor, defects, made, noise, rival, waiting
-from gateway_plants.crank.monitor.faults import RESIDUALS, Shape
+from gateway_plants.crank.monitor.faults import RESIDUALS, Reports, Shape
 from gateway_plants.crank.monitor.reversal import Reversal
 from gateway_plants.crank.monitor.runout import ALLOWED, ALLOWED_RPM, FIRING_RPM, Law
 from gateway_plants.crank.pulse_tracking.acquisition import Search, restart, window_of
@@ -418,6 +419,15 @@ def shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
     e.speed = speed(s, c)
     for k in range(RESIDUALS):
         e.residual[k] = s.residuals[(s.teeth + 1 - RESIDUALS + k) & (RING - 1)]
+
+
+@kernel
+def tell_held(s: State, fault: int, out: Reports) -> None:
+    """Report what was held as a fault."""
+    e = report(out, fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
+    e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
+    for k in range(RESIDUALS):
+        e.residual[k] = s.held.residual[k]
 
 
 @kernel
