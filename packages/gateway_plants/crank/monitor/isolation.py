@@ -262,11 +262,11 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
 def prove(s: State, c: Const, out: Reports) -> None:
     """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
 
-    Where the gap was not seen for what it is, or may be a turning point, one turn can fit by chance: a second one has to. Where single pulses
-    cannot be told from noise the index may slip; if a defect of each turn alone can look like such noise, more turns
-    have to show the gap where the turn before did than elsewhere, at first. None proves it while it is filled by a
-    pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth that are missing
-    of it in each turn.
+    Where the gap was not seen for what it is, or may be a turning point, one turn can fit by chance: a second one has
+    to. Where single pulses cannot be told from noise the index may slip; if a defect of each turn alone can look like
+    such noise, more turns have to show the gap where the turn before did than elsewhere, at first. None proves it while
+    it is filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth
+    that are missing of it in each turn.
     """
     if c.even == 1:
         if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
