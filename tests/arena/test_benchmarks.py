@@ -38,8 +38,8 @@ def test_the_turbo_engine_at_rest_fulfils_the_equations_of_its_model():
     c = zeros(1, turbo.Parameters)[0]
     for name, value in turbo.VALUES.items():
         c[name] = value
-    rows, work = np.zeros((600, len(turbo.KNOWNS))), np.zeros((9, 13))
-    turbo.simulate(rows, c, np.tile([280.0, 85e3], (601, 1)), np.zeros(11), 600, work)
+    rows, work = np.zeros((600, len(turbo.KNOWNS))), np.zeros((10, 13))
+    turbo.simulate(rows, c, np.tile([280.0, 85e3], (601, 1)), np.zeros((600, 11)), work)
     assert np.ptp(rows[-50:], 0)[2:].max() < 0.05
     shown = dict(zip(turbo.KNOWNS, rows[-1].tolist(), strict=True))
     sensed = {name[1:]: value for name, value in shown.items() if name.startswith("y") and name != "yTq"}
