@@ -23,7 +23,7 @@ def evaluate_arena(
     method: Annotated[
         list[str] | None,
         typer.Option(
-            help="Methods: structural, courses, pi_bank, fixed, pca, svm, forest, kalman, particles, or FILE.py:CLASS."
+            help="Methods: structural, courses, pi_bank, fixed, selected, ekf, pca, svm, forest, kalman, particles, or FILE.py:CLASS."
             " Default: all that have a name."
         ),
     ] = None,

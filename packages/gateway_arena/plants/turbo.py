@@ -230,17 +230,16 @@ def simulate(rows: f8s, c: Parameters, drive: f8s, sizes: f8s, work: f8s) -> Non
                 x[i] += h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * e[i] + g[i])
 
 
-def drive_of(seed: int) -> Array:
+def drive_of(rng: np.random.Generator, samples: int = SAMPLES) -> Array:
     """Return a drive, shape (n + 1, 2): speeds and pressures that change within some seconds, then stay for some."""
-    rng = np.random.default_rng([seed, 5])
     at, points = 0.0, []
-    while at < SAMPLES * PERIOD_S + 1.0:
+    while at < samples * PERIOD_S + 1.0:
         speed, stays = rng.uniform(150.0, 380.0), rng.uniform(2.0, 6.0)
         level = (speed, rng.uniform(45e3, 80e3 + 30e3 * (speed - 150.0) / 230.0))
         points += [(at, *level), (at + stays, *level)]
         at += stays + rng.uniform(3.0, 8.0)
     t, speeds, pressures = np.array(points).T
-    times = np.arange(SAMPLES + 1) * PERIOD_S
+    times = np.arange(samples + 1) * PERIOD_S
     return np.stack([np.interp(times, t, speeds), np.interp(times, t, pressures)], 1)
 
 
@@ -248,6 +247,23 @@ def in_si(fault: str) -> float:
     """Return the size of a fault in the solver's units."""
     _, size, unit = FAULTS[fault]
     return size * (1e-6 if unit.startswith("mm2") else 1.0)
+
+
+def driven(rng: np.random.Generator, drive: Array, sizes: Array, off: float) -> Array:
+    """Return the values of the known variables as sensors show them, shape (n, 12).
+
+    Args:
+        rng: of noise, and of what is off.
+        drive: shape (n + 1, 2).
+        sizes: of the faults in the solver's units, shape (n, 11).
+        off: share by which parameters differ from the model's.
+    """
+    c = zeros(1, Parameters)[0]
+    for name, value in VALUES.items():
+        c[name] = value * (1.0 + off * rng.choice([-1.0, 1.0]))
+    rows = np.zeros((len(sizes), len(KNOWNS)))
+    simulate(rows, c, drive, sizes, np.zeros((10, 13)))
+    return np.asarray(rows + rng.normal(size=rows.shape) * np.array(NOISE))
 
 
 class TurboPlant:
@@ -266,16 +282,10 @@ class TurboPlant:
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`)."""
         onset = onset_of(seed) if fault else SAMPLES
-        rng = np.random.default_rng(seed)
-        c = zeros(1, Parameters)[0]
-        for name, value in VALUES.items():
-            c[name] = value * (1.0 + off * rng.choice([-1.0, 1.0]))
         sizes = np.zeros((SAMPLES, len(FAULTS)))
         if fault:
             sizes[onset:, [*FAULTS].index(fault)] = size * in_si(fault)
-        rows = np.zeros((SAMPLES, len(KNOWNS)))
-        simulate(rows, c, drive_of(seed), sizes, np.zeros((10, 13)))
-        shown = rows + rng.normal(size=rows.shape) * np.array(NOISE)
+        shown = driven(np.random.default_rng(seed), drive_of(np.random.default_rng([seed, 5])), sizes, off)
         return Record(np.arange(float(SAMPLES)) * PERIOD_S, shown, fault, onset)
 
     def dynamics(self, command: Array) -> Dynamics:
