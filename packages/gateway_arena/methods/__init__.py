@@ -27,7 +27,6 @@ METHODS = {
     "svm": "learned:Svm",
     "forest": "learned:Forest",
     "kalman": "filters:Kalman",
-    "particles": "filters:Particles",
 }
 
 

@@ -1,10 +1,9 @@
 """Rival that knows the equations: a bank of extended Kalman filters, one without a fault and one for each fault.
 
 The equations of the structural model are measured to be zero (Nikoukhah, Willsky, Levy, "Kalman filtering and Riccati
-equations for descriptor systems", IEEE Transactions on Automatic Control 37(9), 1992): a filter's state are all unknowns,
-those that no derivative holds forgotten from sample to sample, and its fault's size as a random walk; derivatives are
-taken implicitly. The filters' likelihoods weigh the faults (multiple-model estimation: Magill 1965). Jacobians are
-differences.
+equations for descriptor systems", IEEE Transactions on Automatic Control 37(9), 1992). The state of a filter has all
+unknowns, and its fault's size as a random walk; derivatives are taken implicitly; unknowns that no derivative holds are
+free in each sample. Likelihoods of the filters weigh the faults (multiple-model estimation: Magill 1965).
 """
 
 from __future__ import annotations
@@ -20,10 +19,9 @@ from gateway_fdi.structure.model import Model, Quantity, der
 
 #: Errors of equations, as a share of what their variables change: the likeliest of these is taken.
 SHARES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
-#: What an unknown changes in a sample, as a share of its size; a fault's size; and the size that a fault is scaled by.
+#: Change of an unknown in a sample, as a share of its size; of a fault's size; and the size that a fault is scaled by.
 CHANGE, WALK, FAULT = 0.3, 0.02, 0.1
-#: Samples whose likelihoods weigh the faults, and that have one Jacobian; iterations at the begin of a record; step of a
-#: difference.
+#: Samples whose likelihoods weigh the faults, and that share a Jacobian; iterations at a record's begin; difference.
 WINDOW, SAME, ITERATIONS, STEP = 120, 4, 10, 1e-6
 #: No unknown is further than this many times its size.
 FAR = 50.0
@@ -31,7 +29,9 @@ FAR = 50.0
 FASTER: dict[str, Callable[..., Array]] = {
     "amax": lambda pair, axis: np.maximum(*pair) if len(pair) == 2 else np.amax(pair, axis),
     "amin": lambda pair, axis: np.minimum(*pair) if len(pair) == 2 else np.amin(pair, axis),
-    "select": lambda when, then, default: np.where(when[0], then[0], then[1]) if len(then) == 2 else np.select(when, then, default),
+    "select": lambda when, then, default: (
+        np.where(when[0], then[0], then[1]) if len(then) == 2 else np.select(when, then, default)
+    ),
 }
 
 
@@ -81,10 +81,9 @@ class Equations:
                     have[missing[0]] = self._solved(k, missing[0], have, values, none)
             left = [x for x in self.names if x not in have]
             if len(have) == before:
-                start = [x for x in model.states if x in left]
-                have[(start or left)[0]] = (model.quantities.get((start or left)[0], Quantity()).value or 0.0) if (
-                    start or left[0].startswith("der(")
-                ) else 1.0
+                name = next((x for x in left if x in model.states), left[0])
+                moves = name in model.states or name.startswith("der(")
+                have[name] = (model.quantities.get(name, Quantity()).value or 0.0) if moves else 1.0
         return np.array([have[x] for x in self.names])
 
     def _solved(self, k: int, name: str, have: dict[str, float], values: Array, none: Array) -> float:

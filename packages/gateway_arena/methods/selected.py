@@ -1,6 +1,6 @@
-"""Rival: residuals of the equations, selected by data (Jung, Frisk, Automatica 97, 2018: the norm that is least makes
-most weights zero). The winners of LiU-ICE 2025, too, feed residuals of the structure to a classifier (Coursey and
-others, OASIcs 136.15).
+"""Rival: residuals of the equations, selected by data with the L1 norm (Jung, Frisk, Automatica 97, 2018).
+
+The winners of LiU-ICE 2025, too, feed residuals of the structure to a classifier (Coursey and others, OASIcs 136.15).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MOST, WINDOW, NORM = 32, 60, 3e-3
 
 
 class Selected:
-    """A linear classifier (logistic, L1) over mean residuals of up to 32 sets, the smallest first; CUSUM of its alarm."""
+    """A linear classifier (logistic, L1) of the mean residuals of 32 sets, the smallest; the CUSUM of its alarm."""
 
     supervised = True
 
