@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import newton
 
 from gateway_arena.contract import Array, Found, NotForThisPlantError, Plant, Record
-from gateway_arena.methods.accumulated import Accumulated, settled
+from gateway_arena.methods.accumulated import settled
 from gateway_fdi.structure.model import Model, Quantity, der
 
 #: Errors of equations, as a share of what their variables change: the likeliest of these is taken.
@@ -23,8 +23,8 @@ SHARES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
 CHANGE, WALK, FAULT = 0.3, 0.02, 0.1
 #: Samples whose likelihoods weigh the faults, and that share a Jacobian; iterations at a record's begin; difference.
 WINDOW, SAME, ITERATIONS, STEP = 120, 4, 10, 1e-6
-#: No unknown is further than this many times its size.
-FAR = 50.0
+#: No unknown is further than this many times its size; healthy records that the errors of equations are learned from.
+FAR, LEARNED = 50.0, 3
 #: NumPy's own for two arguments are several times as slow.
 FASTER: dict[str, Callable[..., Array]] = {
     "amax": lambda pair, axis: np.maximum(*pair) if len(pair) == 2 else np.amax(pair, axis),
@@ -105,10 +105,10 @@ class Equations:
 
 
 class Ekf:
-    """The bank: innovations of the filter without a fault, squared by their covariance, their CUSUM; and the faults."""
+    """The bank: by how much the likeliest filter with a fault is likelier than the one without, in the last samples."""
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
-        """Scale unknowns and faults, and choose the errors that make the first healthy record likeliest.
+        """Scale unknowns and faults, and choose the errors that make healthy records likeliest.
 
         Raises:
             NotForThisPlantError: an equation is known by its structure only.
@@ -140,13 +140,11 @@ class Ekf:
         self._place = [model.faults.index(fault) for fault in self._faults]
         self._sized(begun, first)
         likely = []
-        for share in SHARES:
-            self._share = share
-            likely.append(settled(self._filtered(healthy[0], ())[1][:, 0]).sum())
+        for self._share in SHARES:
+            likely.append(sum(float(settled(self._filtered(record, ())[1]).sum()) for record in healthy[:LEARNED]))
         self._share = SHARES[int(np.nanargmax(likely))]
-        squared = [self._filtered(record, ())[0] for record in healthy]
-        self._rule = Accumulated(squared)
-        self._wide = max(1.0, float(np.mean([settled(each).mean() for each in squared])) / self._dof)
+        squared = [settled(self._filtered(record, ())[0]).mean() for record in healthy[:LEARNED]]
+        self._wide = max(1.0, float(np.mean(squared)) / self._dof)
 
     def _sized(self, begun: Array, values: Array) -> None:
         """Scale the faults by what they change in an equation, and tell those that have one sign."""
@@ -225,12 +223,12 @@ class Ekf:
         return squared, likely
 
     def run(self, record: Record) -> Found:
-        """Return the CUSUM of the filter without a fault, and the faults by the likelihoods of the last samples."""
-        squared, likely = self._filtered(record, range(len(self._faults)))
+        """Return the largest logarithm of the likelihoods' ratio, and the faults by these."""
+        _, likely = self._filtered(record, range(len(self._faults)))
         ahead = np.nan_to_num((likely[:, 1:] - likely[:, :1]) / self._wide, neginf=-1e3, nan=-1e3)
         sums = np.vstack([np.zeros(ahead.shape[1]), ahead.cumsum(0)])
         first = np.maximum(np.arange(len(ahead)) + 1 - WINDOW, 0)
         found = np.hstack([np.zeros((len(ahead), 1)), sums[1:] - sums[first]])
         weights = np.exp(found - found.max(1, keepdims=True))
         weights /= weights.sum(1, keepdims=True)
-        return Found(self._rule.run(squared), weights[:, 1:])
+        return Found(found.max(1), weights[:, 1:])
