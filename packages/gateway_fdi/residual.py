@@ -201,7 +201,7 @@ def residuals(model: Model, **options: bool | float) -> list[Residual]:
     analysis = analyse(model)
     made: list[Residual] = []
     for number in analysis.fewest:
-        made += list(_of_set(analysis, int(number), options))[:1]
+        made += list(of_set(analysis, int(number), options))[:1]
     if not made:
         raise InputError("no equation of the model can be checked by the others", key="model", value=model.name)
     unseen = [fault for fault in model.faults if not any(fault in one.faults for one in made)]
@@ -210,7 +210,7 @@ def residuals(model: Model, **options: bool | float) -> list[Residual]:
     return made
 
 
-def _of_set(analysis: Analysis, number: int, options: Mapping[str, bool | float]) -> Iterator[Residual]:
+def of_set(analysis: Analysis, number: int, options: Mapping[str, bool | float]) -> Iterator[Residual]:
     """Yield what checks a set, best first: without a derivative, then of the fewest solutions."""
     candidates = analysis.candidates
     mine = np.flatnonzero((candidates.mso == number) & candidates.chosen("SDI", "unique"))

@@ -129,7 +129,7 @@ def test_what_cannot_be_fitted_is_refused(folder, tmp_path):
     with pytest.raises(InputError, match=r'type = "structural"'):
         new_monitor("some_name", tmp_path / "x", "structural")
     with pytest.raises(InputError, match="needs step"):
-        new_monitor("some_name", tmp_path / "x", "particles")
+        new_monitor("some_name", tmp_path / "x", "ekf")
     assert not (tmp_path / "x").exists()
     assert CliRunner().invoke(app, ["fit", str(config), str(tmp_path / "none.log")]).exit_code != 0
 

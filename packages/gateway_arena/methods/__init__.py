@@ -21,11 +21,12 @@ METHODS = {
     "courses": "courses:Courses",
     "pi_bank": "bank:Bank",
     "fixed": "structural:Fixed",
+    "selected": "selected:Selected",
+    "ekf": "extended:Ekf",
     "pca": "learned:Pca",
     "svm": "learned:Svm",
     "forest": "learned:Forest",
     "kalman": "filters:Kalman",
-    "particles": "filters:Particles",
 }
 
 
@@ -41,10 +42,10 @@ def method(name: str) -> Method:
     """
     if name in METHODS:
         module, _, kind = METHODS[name].partition(":")
-        if module == "learned":
+        if module in ("learned", "selected"):
             need("arena", "methods that learn from data", key="--method")
-        elif module in ("structural", "courses"):
-            need("structure", "residuals of equations", key="--method")
+        if module in ("structural", "courses", "selected", "extended"):
+            need("structure", "equations", key="--method")
         made: Method = getattr(import_module(f"{__name__}.{module}"), kind)()
         return made
     path, _, kind = name.rpartition(":")

@@ -1,4 +1,4 @@
-"""Rivals that know the plant's dynamics, by filterpy: Kalman innovations, and a particle filter."""
+"""Rival that knows the plant's dynamics, by filterpy: innovations of a Kalman filter."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ from gateway_arena.methods.accumulated import Accumulated, settled
 
 #: Disturbance of each state per sample, as a share of its typical value: the likeliest of these is taken.
 SHARES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-#: Particles, and seed of what is random.
-PARTICLES, SEED = 200, 1
 
 
 class Kalman:
@@ -69,32 +67,3 @@ class Kalman:
     def run(self, record: Record) -> Found:
         """Return the CUSUM of the statistic."""
         return Found(self._rule.run(self._statistic(record)))
-
-
-class Particles(Kalman):
-    """A particle filter: squared distance of each reading from the particles' mean, by their spread and the noise."""
-
-    def _statistic(self, record: Record) -> Array:
-        from filterpy.monte_carlo import systematic_resample  # noqa: PLC0415 - slow to load
-
-        rng = np.random.default_rng(SEED)
-        np.random.seed(SEED)
-        spread = np.sqrt(np.diag(self._q)) * 2.0
-        x = self._start + rng.normal(size=(PARTICLES, len(self._start))) * 0.1 * self._typical
-        weights, found = np.full(PARTICLES, 1.0 / PARTICLES), np.empty(len(record.values))
-        before = self._flow(record.values[0, : self._m])
-        for k, row in enumerate(record.values):
-            if k:
-                x = x @ before.phi.T + before.g + rng.normal(size=x.shape) * spread
-            before = self._flow(row[: self._m])
-            off = row[self._m :] - before.d - x @ before.c.T
-            mean = weights @ off
-            wide = (off - mean).T @ ((off - mean) * weights[:, None]) + self._r
-            found[k] = mean @ np.linalg.solve(wide, mean)
-            # The likelihood is widened by the particles' own spread: few of them would be left else.
-            distance = np.einsum("ki,ij,kj->k", off, np.linalg.inv(wide), off)
-            weights = weights * np.exp(-0.5 * (distance - distance.min()))
-            weights /= weights.sum()
-            if 1.0 / (weights @ weights) < PARTICLES / 2:
-                x, weights = x[systematic_resample(weights)], np.full(PARTICLES, 1.0 / PARTICLES)
-        return found

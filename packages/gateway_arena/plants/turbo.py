@@ -169,33 +169,34 @@ def slopes(x: f8s, d: f8s, y: f8s, c: Parameters, u: f8s, f: f8s) -> None:
 
 
 @kernel
-def simulate(rows: f8s, c: Parameters, drive: f8s, sizes: f8s, onset: int, work: f8s) -> None:
+def simulate(rows: f8s, c: Parameters, drive: f8s, sizes: f8s, work: f8s) -> None:
     """Fill in the exact values of the known variables.
 
     The throttle follows the pressure that the torque wants, by a PI-controller on its sensor; so does the wastegate.
+    Sensors of temperature lag by 0.5 s.
 
     Args:
         rows: of samples, shape (n, 12), in the units of :data:`KNOWNS`.
         c: parameters.
         drive: engine's speed [rad/s] and pressure of the intake that is wanted [Pa], shape (n + 1, 2).
-        sizes: of the faults, shape (11,).
-        onset: first sample with them.
-        work: zeros, shape (9, 13); the states at the end are its first row.
+        sizes: of the faults, shape (n, 11).
+        work: zeros, shape (10, 13); the states at the end are its first row.
     """
     h = 0.1 / 50
     x, y, u, f = work[0], work[1], work[2], work[3]
-    a, b, e, g, s = work[4], work[5], work[6], work[7], work[8]
+    a, b, e, g, s, felt = work[4], work[5], work[6], work[7], work[8], work[9]
     volume = (0.01, 0.005, 0.005, 0.002, 0.0025, 0.02)
     for k in range(6):
         x[6 + k] = 298.0 if k < 4 else 1000.0
         x[k] = 101300.0 * volume[k] / ((287.0 if k < 4 else 290.0) * x[6 + k])
     x[12] = 5000.0
+    felt[0] = felt[2] = felt[4] = 298.0
     held, opened = 0.1, 0.5
     u[2] = drive[0, 0]
     slopes(x, a, y, c, u, f)
     for k in range(len(rows)):
         for j in range(11):
-            f[j] = sizes[j] if k >= onset else 0.0
+            f[j] = sizes[k, j]
         for m in range(50):
             part = m / 50
             u[2] = drive[k, 0] + part * (drive[k + 1, 0] - drive[k, 0])
@@ -211,9 +212,11 @@ def simulate(rows: f8s, c: Parameters, drive: f8s, sizes: f8s, onset: int, work:
                     row = rows[k]
                     row[0], row[1], row[2] = 1e6 * u[0], u[1], u[2]
                     slopes(x, a, y, c, u, f)
-                    row[3], row[4], row[5], row[6], row[7] = y[0], y[1] / 1e3, y[2], y[3] / 1e3, y[4]
+                    row[3], row[4], row[5], row[6], row[7] = felt[0], y[1] / 1e3, felt[2], y[3] / 1e3, felt[4]
                     row[8], row[9], row[10], row[11] = y[5] / 1e3, 1e3 * y[6], y[7], y[8] / 1e3
             slopes(x, a, y, c, u, f)
+            for i in range(0, 5, 2):
+                felt[i] += h / 0.5 * (y[i] - felt[i])
             for i in range(13):
                 s[i] = x[i] + 0.5 * h * a[i]
             slopes(s, b, y, c, u, f)
@@ -227,18 +230,40 @@ def simulate(rows: f8s, c: Parameters, drive: f8s, sizes: f8s, onset: int, work:
                 x[i] += h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * e[i] + g[i])
 
 
-def drive_of(seed: int) -> Array:
+def drive_of(rng: np.random.Generator, samples: int = SAMPLES) -> Array:
     """Return a drive, shape (n + 1, 2): speeds and pressures that change within some seconds, then stay for some."""
-    rng = np.random.default_rng([seed, 5])
     at, points = 0.0, []
-    while at < SAMPLES * PERIOD_S + 1.0:
+    while at < samples * PERIOD_S + 1.0:
         speed, stays = rng.uniform(150.0, 380.0), rng.uniform(2.0, 6.0)
         level = (speed, rng.uniform(45e3, 80e3 + 30e3 * (speed - 150.0) / 230.0))
         points += [(at, *level), (at + stays, *level)]
         at += stays + rng.uniform(3.0, 8.0)
     t, speeds, pressures = np.array(points).T
-    times = np.arange(SAMPLES + 1) * PERIOD_S
+    times = np.arange(samples + 1) * PERIOD_S
     return np.stack([np.interp(times, t, speeds), np.interp(times, t, pressures)], 1)
+
+
+def in_si(fault: str) -> float:
+    """Return the size of a fault in the solver's units."""
+    _, size, unit = FAULTS[fault]
+    return size * (1e-6 if unit.startswith("mm2") else 1.0)
+
+
+def driven(rng: np.random.Generator, drive: Array, sizes: Array, off: float) -> Array:
+    """Return the values of the known variables as sensors show them, shape (n, 12).
+
+    Args:
+        rng: of noise, and of what is off.
+        drive: shape (n + 1, 2).
+        sizes: of the faults in the solver's units, shape (n, 11).
+        off: share by which parameters differ from the model's.
+    """
+    c = zeros(1, Parameters)[0]
+    for name, value in VALUES.items():
+        c[name] = value * (1.0 + off * rng.choice([-1.0, 1.0]))
+    rows = np.zeros((len(sizes), len(KNOWNS)))
+    simulate(rows, c, drive, sizes, np.zeros((10, 13)))
+    return np.asarray(rows + rng.normal(size=rows.shape) * np.array(NOISE))
 
 
 class TurboPlant:
@@ -257,15 +282,10 @@ class TurboPlant:
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`)."""
         onset = onset_of(seed) if fault else SAMPLES
-        rng = np.random.default_rng(seed)
-        c = zeros(1, Parameters)[0]
-        for name, value in VALUES.items():
-            c[name] = value * (1.0 + off * rng.choice([-1.0, 1.0]))
-        sizes = np.array([size * each * (1e-6 if unit.startswith("mm2") else 1.0) for _, each, unit in FAULTS.values()])
-        sizes[[name != fault for name in FAULTS]] = 0.0
-        rows = np.zeros((SAMPLES, len(KNOWNS)))
-        simulate(rows, c, drive_of(seed), sizes, onset, np.zeros((9, 13)))
-        shown = rows + rng.normal(size=rows.shape) * np.array(NOISE)
+        sizes = np.zeros((SAMPLES, len(FAULTS)))
+        if fault:
+            sizes[onset:, [*FAULTS].index(fault)] = size * in_si(fault)
+        shown = driven(np.random.default_rng(seed), drive_of(np.random.default_rng([seed, 5])), sizes, off)
         return Record(np.arange(float(SAMPLES)) * PERIOD_S, shown, fault, onset)
 
     def dynamics(self, command: Array) -> Dynamics:

@@ -1,0 +1,83 @@
+"""Rival: residuals of the equations, selected by data with the L1 norm (Jung, Frisk, Automatica 97, 2018).
+
+The winners of LiU-ICE 2025, too, feed residuals of the structure to a classifier (Coursey and others, OASIcs 136.15).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from gateway_arena.contract import Array, Found, NotForThisPlantError, Plant, Record
+from gateway_arena.methods.accumulated import Accumulated, settled
+from gateway_arena.methods.learned import KEPT, SEED
+from gateway_arena.methods.structural import BANDWIDTH
+from gateway_fdi import analyse
+from gateway_fdi.residual import of_set
+
+#: Residuals that are given to the classifier at most; samples that it sees the mean of; weight of the norm.
+MOST, WINDOW, NORM = 32, 60, 3e-3
+
+
+class Selected:
+    """A linear classifier (logistic, L1) of the mean residuals of 32 sets, the smallest; the CUSUM of its alarm."""
+
+    supervised = True
+
+    def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
+        """Derive the residuals, and learn which of them tell what.
+
+        Raises:
+            NotForThisPlantError: no residual of it can be computed.
+        """
+        from sklearn.linear_model import SGDClassifier  # noqa: PLC0415 - slow to load, and an extra
+
+        self._knowns, self._count, faults = plant.knowns, len(plant.sizes), tuple(plant.sizes)
+        analysis = analyse(plant.model)
+        usable = np.flatnonzero(analysis.candidates.sets(analysis.candidates.chosen("SDI", "unique")))
+        options = {"filter_bandwidth": BANDWIDTH / plant.period_s}
+        made = (
+            residual
+            for number in usable[np.argsort(analysis.msos[usable].sum(1), kind="stable")].tolist()
+            for residual in islice(of_set(analysis, number, options), 1)
+        )
+        self._residuals = list(islice(made, MOST))
+        if not self._residuals:
+            raise NotForThisPlantError("no equation of the model can be checked by the others")
+        first = [settled(self._means(record)) for record in healthy[:-KEPT]]
+        self._scale = np.concatenate(first).std(0) + 1e-12
+        rows, kinds = [self._shaped(each) for each in first], [np.zeros(len(each), np.int64) for each in first]
+        for record in faulty:
+            rows.append(self._shaped(self._means(record)[record.onset + WINDOW :]))
+            kinds.append(np.full(len(rows[-1]), 1 + faults.index(record.fault), np.int64))
+        classifier = SGDClassifier(
+            loss="log_loss", penalty="l1", alpha=NORM, class_weight="balanced", random_state=SEED
+        )
+        self._classifier: Any = classifier.fit(np.concatenate(rows), np.concatenate(kinds))
+        self._rule = Accumulated([self._judged(record)[0] for record in healthy[-KEPT:]])
+
+    def _means(self, record: Record) -> Array:
+        """Return the mean residuals of the last samples, shape (n, residuals)."""
+        values = dict(zip(self._knowns, record.values.T, strict=True))
+        found = np.array([residual.run(record.t_s, values) for residual in self._residuals])
+        sums = np.hstack([np.zeros((len(found), 1)), np.nan_to_num(found).cumsum(1)])
+        begin = np.maximum(np.arange(found.shape[1]) + 1 - WINDOW, 0)
+        return np.asarray(((sums[:, 1:] - sums[:, begin]) / WINDOW).T)
+
+    def _shaped(self, means: Array) -> Array:
+        bent = np.arcsinh(means / self._scale)
+        return np.hstack([bent, np.abs(bent)])
+
+    def _judged(self, record: Record) -> tuple[Array, Array]:
+        of_class = self._classifier.predict_proba(self._shaped(self._means(record)))
+        weights = np.zeros((len(of_class), self._count))
+        weights[:, self._classifier.classes_[1:] - 1] = of_class[:, 1:]
+        return 1.0 - of_class[:, 0] + 1e-3, weights
+
+    def run(self, record: Record) -> Found:
+        """Return the CUSUM of the probability that something is wrong, and that of each fault."""
+        statistic, weights = self._judged(record)
+        return Found(self._rule.run(statistic), weights)
