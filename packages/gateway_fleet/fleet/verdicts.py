@@ -171,7 +171,7 @@ class Verdicts:
     def put_together(self) -> None:
         """Make one file of those of single logs in each table: thousands of files are slow to ask.
 
-        Rows of a copy stay by themselves: they are told anew when a recording goes.
+        Rows of a copy stay by themselves: they are told again when a recording goes.
         """
         logs = [path.stem for path in self._files("logs") if path.stem not in _NO_LOG]
         for table in (*(name for name in TABLES if name != "logs"), "logs"):
