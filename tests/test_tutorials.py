@@ -38,7 +38,7 @@ def test_a_tutorial_does_what_it_says(page, walk):
         re.findall(r"(?:-o|--plot) (\S+\.png)", text), re.findall(r"\]\((\S+tutorial\S+\.png)\)", text), strict=False
     ):
         if "GATEWAY_PICTURES" in os.environ:
-            shutil.copy(walk.folder / drawn, page.parent / shown)
-        assert not different(contents(page.parent / shown), contents(walk.folder / drawn)), (
+            shutil.copy(walk.here / drawn, page.parent / shown)
+        assert not different(contents(page.parent / shown), contents(walk.here / drawn)), (
             f"GATEWAY_PICTURES=1: {shown}"
         )

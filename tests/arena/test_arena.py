@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from amount import FULL
 from typer.testing import CliRunner
 
 from gateway.cli import app
@@ -56,6 +57,17 @@ def test_methods_that_know_the_plant_see_its_faults(name, motor):
     if name in ("structural", "courses"):
         assert row.true > 0.9
         assert row.wrong == 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["quad", *(["buck", "spring", "wind", "motor", "cooling"] if FULL else [])])
+def test_the_faults_of_a_plant_are_solved_within_the_budget_of_algebra(name):
+    made = plant(name)
+    found = trial(
+        "structural", method("structural"), made, records(made, SEED, runs=1, healthy=9, train=4, off=0.0), 0.1
+    )
+    assert found.detected >= found.runs - 1
+    assert found.wrong == 0
 
 
 @pytest.mark.long

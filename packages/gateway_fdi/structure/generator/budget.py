@@ -16,9 +16,9 @@ from gateway_fdi.structure.generator.symbols import Algebra
 
 Found = TypeVar("Found")
 
-#: Calls of functions that a step may take, some seconds. Of the models that are shipped none takes a fifth of them, of
-#: a car of ten equations the largest that ends takes two thirds.
-CALLS = 1_500_000
+#: Calls of functions that a step may take, some seconds. The four tanks with sizes of faults take two thirds of them, of
+#: a car of ten equations the largest that ends takes a third.
+CALLS = 3_000_000
 
 
 class _Spent(BaseException):
