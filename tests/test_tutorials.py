@@ -39,6 +39,4 @@ def test_a_tutorial_does_what_it_says(page, walk):
     ):
         if "GATEWAY_PICTURES" in os.environ:
             shutil.copy(walk.here / drawn, page.parent / shown)
-        assert not different(contents(page.parent / shown), contents(walk.here / drawn)), (
-            f"GATEWAY_PICTURES=1: {shown}"
-        )
+        assert not different(contents(page.parent / shown), contents(walk.here / drawn)), f"GATEWAY_PICTURES=1: {shown}"

@@ -43,6 +43,7 @@ def _contents(axes: Axes) -> dict[str, Any]:
     legend = axes.get_legend()
     words = [axes.get_title(), axes.get_xlabel(), axes.get_ylabel(), *(text.get_text() for text in axes.texts)]
     words += [text.get_text() for text in legend.get_texts()] if legend is not None else []
+    words += filter(None, [axes.get_title("left")])
     boxes = [patch.get_bbox().bounds for patch in axes.patches if isinstance(patch, Rectangle)]
     boxes += [each.get_datalim(axes.transData).bounds for each in axes.collections]
     stairs = [patch.get_data() for patch in axes.patches if isinstance(patch, StepPatch)]

@@ -16,8 +16,8 @@ from gateway_fdi.structure.generator.symbols import Algebra
 
 Found = TypeVar("Found")
 
-#: Calls of functions that a step may take, some seconds. The four tanks with sizes of faults take two thirds of them, of
-#: a car of ten equations the largest that ends takes a third.
+#: Calls of functions that a step may take, some seconds. The four tanks with sizes of faults take two thirds of them,
+#: of a car of ten equations the largest that ends takes a third.
 CALLS = 3_000_000
 
 

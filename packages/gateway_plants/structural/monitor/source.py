@@ -218,7 +218,7 @@ def _gained(plan: Plan, slow: Sequence[Slow], k: int) -> list[str]:
     if test.faults:
         lines += [
             f"for i in range({len(test.faults)}):",
-            f"    b = f{k}.step(s.fault_{k}[i], s.faulty_{k}[i], s.sample, dt)",
+            f"    b = sized{k}.step(s.fault_{k}[i], s.faulty_{k}[i], s.sample, dt)",
             f"    s.fit.g[c.column_{k}[i]] = (raw - b) * {1.0 / SIZE!r}",
             "    if not isfinite(b):",
             f"        s.fit.r[{k}] = nan",
@@ -284,8 +284,8 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
         *(f"    beside_{k}: Annotated[list[m{k}.State], {count}]" for k, count in beside),
         *(f"    near_{k}: Annotated[list[m{k}.Const], {count}]" for k, count in beside),
         *(_numbered(plan, "    model_{k}: m{k}.Const") if slow else []),
-        *(f"    fault_{k}: Annotated[list[f{k}.State], {len(test.faults)}]" for k, test in faulty(plan)),
-        *(f"    faulty_{k}: Annotated[list[f{k}.Const], {len(test.faults)}]" for k, test in faulty(plan)),
+        *(f"    fault_{k}: Annotated[list[sized{k}.State], {len(test.faults)}]" for k, test in faulty(plan)),
+        *(f"    faulty_{k}: Annotated[list[sized{k}.Const], {len(test.faults)}]" for k, test in faulty(plan)),
         *(["    fit: Fit"] if faulty(plan) else []),
         *(["    late: Late"] if is_late(slow) else []),
         *([f"    read: Annotated[list[Sample], {len(slow)}]", "    follow: Followed"] if slow else []),
@@ -328,7 +328,7 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
     rooms = ", ".join(
         ("decision", *(("following",) if slow else ()), "records", "sampling", *(("weighing",) if weighed else ()))
     )
-    imports = [f"import {module_name(test.faulty)} as f{k}" for k, test in faulty(plan)]
+    imports = [f"import {module_name(test.faulty)} as sized{k}" for k, test in faulty(plan)]
     imports += [f"import {module_name(test.source)} as m{k}" for k, test in enumerate(plan.generators)]
     return "\n".join(
         [
