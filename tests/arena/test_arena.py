@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from gateway.cli import app
 from gateway_arena.contract import SAMPLES, SETTLE, Found, NotForThisPlantError
 from gateway_arena.methods import METHODS, method
+from gateway_arena.methods.courses import Courses
 from gateway_arena.plants import NAMES, plant
 from gateway_arena.plants.tennessee import is_there
 from gateway_arena.score import judged, roc, threshold
@@ -117,6 +118,13 @@ def test_an_alarm_before_the_fault_is_no_detection(motor):
     row = judged(made, "x", given.healthy, given.faulty, ([quiet] * 9, [quiet] * 9, said), 0.1)
     assert (row.early, row.detected, row.delay, row.wrong, row.true) == (1, 1, 5, 1, 0.0)
     assert dict(row.missed) == {"f_R": 1, "f_i": 1, "f_w": 1}
+
+
+def test_gains_that_have_run_away_are_of_no_fault():
+    means, noise = np.ones((2, 3)), np.ones((2, 3))
+    for gain in (1e200, 1e308, np.inf, np.nan, 0.0):
+        assert Courses._unlike(means, noise, lambda size, gain=gain: np.full((2, 3), gain)) == np.inf
+    assert Courses._unlike(means, noise, lambda size: np.ones((2, 3))) < 1e-6
 
 
 def test_a_stranger_enters_by_one_file(tmp_path):

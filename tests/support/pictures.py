@@ -63,7 +63,8 @@ RUNS = {
     ],
     "evaluate steering --plot FOLDER": ["steering/detection.png"],
     "evaluate linear --hours 0 --plot FOLDER": ["linear/holdout.png"],
-    "evaluate arena --seed 300000 --runs 20 --healthy 39 --train 8 --plot FOLDER/arena_roc.svg": [
+    "evaluate arena --plant buck --plant quad --method structural --method fixed --method kalman --method pca"
+    " --method forest --seed 300000 --runs 5 --healthy 39 --train 8 --plot FOLDER/arena_roc.svg": [
         "images/arena_roc.svg"
     ],
 }

@@ -87,9 +87,11 @@ class Courses(Structural):
             gain = gains(size)
             if not np.isfinite(gain).all() or not gain.any():
                 return np.inf
-            before, variance = size, noise**2 + (GAIN_ERROR * gain * size) ** 2
-            size = float((gain * means / variance).sum() / (gain**2 / variance).sum())
-            if size == 0.0:
+            before = size
+            with np.errstate(all="ignore"):  # gains of a record that has run away
+                variance = noise**2 + (GAIN_ERROR * gain * size) ** 2
+                size = float((gain * means / variance).sum() / (gain**2 / variance).sum())
+            if not 0.0 < abs(size) < np.inf:
                 return np.inf
             if abs(size - before) < STAYS * abs(size):
                 break
