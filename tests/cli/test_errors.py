@@ -224,7 +224,7 @@ def test_an_ecu_sends_messages_without_crc_and_counter(simulate, tmp_path):
         ('"linear"\n', '"linear"\ndatabase = "own.dbx"\n', "ecu[0].database = 'own.dbx': no such file beside the"
          " scenario, and the gateway comes with dbc/"),
         ('"linear"', '"linar"', "ecu[0].type = 'linar': there are crank, fmu, linear, pedal,"
-         " responder, restbus, steering, structural, table, truck; did you mean linear?"),
+         " responder, restbus, steering, structural, table, truck, turbo; did you mean linear?"),
         ("c = [[1.0]]", 'c = [[1.0]]\n[[wire]]\nkind = "lost"\nmessage = "MyComand"\n',
          "wire[0].message = 'MyComand': a message of the configuration, an identifier in hex (0x700), or *;"
          " did you mean MyCommand?"),
