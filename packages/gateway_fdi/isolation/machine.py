@@ -9,7 +9,7 @@ docs/isolation.md has the picture. A test that fires **joins** at once. It **lea
 time: alone, or only together with all others. A name needs the confirmation time since a test has joined last, a test
 that is up, and no other one on its way. It stands until its last test has left, or one joins that contradicts it. A
 fault that cannot be named stays pending for a time, so that one fault is told once, not as "not isolated" and then by
-its name; twice as long where sizes are weighed that say nothing yet.
+its name.
 
 All times are of *use*, in which tests can fire, as the plant says; only the latest time counts always.
 """
@@ -125,8 +125,7 @@ def _awaits(s: State, c: Const, level: f8s, said: int) -> bool:
         return bool(s.joined_ns < c.hopeless_ns)
     if s.waited_ns >= c.latest_ns:
         return False
-    pending_ns = 2 * c.pending_ns if s.weighed < 0 else c.pending_ns
-    if s.joined_ns < pending_ns or (said >= 0 and s.joined_ns < c.confirm_ns):
+    if s.joined_ns < c.pending_ns or (said >= 0 and s.joined_ns < c.confirm_ns):
         return True
     return _on_its_way(s, c, level, True)
 

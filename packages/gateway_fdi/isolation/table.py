@@ -40,8 +40,6 @@ class State(Record, lengths=LENGTHS):
 
     fired: Annotated[i8s, "words"] = means("tests that have fired, a mask")
     explained: Annotated[i8s, "words"] = means("faults that explain them, a mask")
-    weighed: i8 = means("1: sign and size of residuals say which faults explain them; -1: they do not yet")
-    likely: Annotated[i8s, "words"] = means("those faults, a mask")
     chosen: Annotated[i8s, "words"] = means("scratch: faults, a mask")
 
 
@@ -82,9 +80,6 @@ def fits(c: Const, fault: int, fired: Masks) -> bool:
 @kernel
 def explain(s: State, c: Const) -> None:
     """Find the faults that explain what has fired; none if nothing has."""
-    if s.weighed == 1:
-        copy(s.explained, s.likely)
-        return
     clear(s.explained)
     if empty(s.fired):
         return
@@ -95,17 +90,14 @@ def explain(s: State, c: Const) -> None:
 
 @kernel
 def _group(s: State, c: Const, needed: Masks) -> int:
-    """Return the group of the faults that explain what has fired, with all tests that they need, or OPEN.
-
-    Of faults that are weighed it is the first group that has all of them.
-    """
+    """Return the group of the faults that explain what has fired, with all tests that they need, or OPEN."""
     clear(s.chosen)
     for k in range(c.faults):
-        if has(s.explained, k) and (s.weighed == 1 or within(needed[k], s.fired)):
+        if has(s.explained, k) and within(needed[k], s.fired):
             include(s.chosen, k)
     if not empty(s.chosen):
         for k in range(c.groups):
-            if within(s.chosen, c.group[k]) and (s.weighed == 1 or within(c.group[k], s.chosen)):
+            if within(s.chosen, c.group[k]) and within(c.group[k], s.chosen):
                 return k
     return OPEN
 

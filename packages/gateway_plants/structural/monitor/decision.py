@@ -24,7 +24,7 @@ from gateway_fdi import cusum, likelihood
 from gateway_fdi.isolation import machine, table
 from gateway_fdi.isolation.table import NOTHING
 from gateway_fdi.jit import kernel
-from gateway_fdi.masks import clear, disjoint, empty, has, include
+from gateway_fdi.masks import clear, empty, has, include
 from gateway_plants.structural.monitor.plan import Plan
 from gateway_plants.structural.monitor.records import (
     KINDS,
@@ -174,14 +174,6 @@ def _tell(s: State, c: Const, out: Any, k: int, largest: float) -> None:
 
 
 @kernel
-def _contradicted(s: State, c: Const) -> bool:
-    """Return whether the name that stands is none of the likely faults; where they are not known, by the tests."""
-    if s.weighed == 0 or not 0 <= s.found < c.groups:
-        return bool(machine.contradicted(s))
-    return bool(disjoint(c.group[s.found], s.likely))
-
-
-@kernel
 def decide(s: State, c: Const, out: Any) -> None:
     """Report what the tests say together, once that has stood for long enough."""
     _weigh(s, c)
@@ -195,7 +187,7 @@ def decide(s: State, c: Const, out: Any) -> None:
     if empty(s.fired):
         s.found = NOTHING
     else:
-        machine.decide(s, c, s.norm, table.answer(s, c), _contradicted(s, c))
+        machine.decide(s, c, s.norm, table.answer(s, c), machine.contradicted(s))
         if before == s.found == NOTHING:
             return  # undecided: neither passed nor failed
     if s.found == before and s.reported_ns != 0 and s.at_ns - s.reported_ns < REPEAT_NS:
@@ -258,7 +250,6 @@ def prepare_table(s: Any, c: Any, plan: Plan, confirm_ns: int) -> None:
         size=max(len(plan.tests), len(plan.faults)),
     )
     machine.prepare(s, c, confirm_ns=confirm_ns, hold_ns=confirm_ns, pending_ns=PENDING * confirm_ns)
-    c.latest_ns = 2 * c.pending_ns
 
 
 def prepare_window(c: Const) -> None:
