@@ -64,7 +64,6 @@ class State(Record):
     age: i4 = means("pulses since the gap was seen where it is expected, or since the last test")
     shift: i4 = means("shift that won last")
     wins: i4 = means("wins of that shift in a row")
-    blind: i4 = means("tests in a row that did not show the present place, though no pulse was missed or added")
     verified: u1 = means("1: the gap was seen where it is expected since the last test")
     intervals: Annotated[f8s, MOST_TEETH] = means("intervals of the last turn; 0: not known", "us")
     logs: Annotated[f8s, MOST_TEETH] = means("c_k, contrasts of those intervals")
@@ -91,7 +90,6 @@ def restart(an: State) -> None:
     """Begin at a new place: what the intervals were stays, what they proved does not."""
     an.age = 0
     an.wins = 0
-    an.blind = 0
     an.verified = 0
 
 
@@ -128,7 +126,6 @@ def seen(an: State, c: Const, y2: float, y1: float, y: float) -> bool:
         return False
     an.age = 0
     an.wins = 0
-    an.blind = 0
     an.verified = 1
     return True
 
@@ -170,17 +167,6 @@ def squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
             total += min(d * d, MOST)
         slot = slot - 1 if slot > 0 else pulses - 1
     return total
-
-
-@kernel
-def _fits(an: State, c: Const, pulses: int, index: int) -> bool:
-    """Tell whether no contrast of the last turn is as far off as of a pulse missed or added."""
-    slot = (index - 2) % pulses
-    for k in range(1, c.length - 1):
-        if an.logs[k] < UNKNOWN and (an.logs[k] - c.contrast[slot]) ** 2 >= MOST:
-            return False
-        slot = slot - 1 if slot > 0 else pulses - 1
-    return True
 
 
 @kernel
@@ -229,19 +215,6 @@ def unique(first: float, known: int) -> float:
 
 
 @kernel
-def likeliest(an: State, c: Const, pulses: int, repeats: int, index: int) -> tuple[float, float, int]:
-    """Return the least S, the second one, and the shift of the least; the contrasts are in ``logs``."""
-    first, second, shift = np.inf, np.inf, 0
-    for d in range(repeats):
-        rest = squares(an, c, pulses, index, d)
-        if rest < first:
-            second, first, shift = first, rest, d
-        elif rest < second:
-            second = rest
-    return first, second, shift
-
-
-@kernel
 def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     """Test the last turn against every shift, and against a wheel without a gap.
 
@@ -258,7 +231,14 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     known = contrasts(an, c.length)
     if known < least_known(pulses):
         return UNDECIDED
-    first, second, shift = likeliest(an, c, pulses, repeats, index)
+    present = squares(an, c, pulses, index, 0)
+    first, second, shift = present, 1e9, 0
+    for d in range(1, repeats):
+        rest = squares(an, c, pulses, index, d)
+        if rest < first:
+            second, first, shift = first, rest, d
+        elif rest < second:
+            second = rest
     variance = max(first / (known - 1), LEAST_VARIANCE)
     even = plain(an, c.length)
     if first - even > 2.0 * ODDS * max(even / (known - 1), LEAST_VARIANCE):
@@ -266,5 +246,5 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     if second - first < unique(first, known) or even - first < 2.0 * ODDS * variance:
         return UNDECIDED
     if shift == 0:
-        return HERE if first < MOST or _fits(an, c, pulses, index) else UNDECIDED
-    return shift if squares(an, c, pulses, index, 0) - first > 2.0 * ODDS * variance else UNDECIDED
+        return HERE
+    return shift if present - first > 2.0 * ODDS * variance else UNDECIDED

@@ -14,6 +14,7 @@ from gateway_plants.crank.monitor.faults import (
     NOISE,
     PULSES_LOST,
     RELOCATED,
+    RESIDUALS,
     SYNC_LOST,
     TWO_PLACES,
     UNWATCHED,
@@ -32,9 +33,7 @@ from gateway_plants.crank.monitor.place import (
     search,
     shape,
     speed,
-    tell_held,
     tooth_of,
-    uncover,
 )
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import begin_later
@@ -66,12 +65,6 @@ MARKED = 24
 SURE = 3
 #: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
 EVEN_TURNS = 2
-#: Two places were told: which one is right, no later turn says.
-TOLD = 2
-#: Pairs of turns that have to show a whole wheel behind one that fitted twice, and what its teeth may be off [pitch].
-WHOLE_PAIRS, WHOLE_OFF = 2, 0.1
-#: Turns in a row without a fault, and without the gap, behind which a place is not proven any more.
-BLIND = 2
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
 MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
@@ -178,8 +171,6 @@ def decide(s: State, c: Const, out: Reports) -> None:
         begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= anchor.FEW else 0)
         return
     s.since = 0
-    if missed != added:
-        uncover(s, c)
     if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
         # The place was a guess, and it is the gap that comes elsewhere: that is the place put right.
         s.suspects = 0
@@ -262,34 +253,23 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
 def prove(s: State, c: Const, out: Reports) -> None:
     """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
 
-    Where the gap was not seen for what it is, or may be a turning point, one turn can fit by chance: a second one has
-    to. Where single pulses cannot be told from noise the index may slip; if a defect of each turn alone can look like
-    such noise, more turns have to show the gap where the turn before did than elsewhere, at first. None proves it while
-    it is filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth
-    that are missing of it in each turn.
+    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. Where single pulses
+    cannot be told from noise the index may slip; if a defect of each turn alone can look like such noise, more turns
+    have to show the gap where the turn before did than elsewhere, at first. None proves it while it is filled by a
+    pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth that are missing
+    of it in each turn.
     """
     if c.even == 1:
         if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
             confirm(s, out)
         return
-    shown = s.sure == 1 and s.reversal.stood == 0
-    proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or _held_back(s, c):
+    proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
+    if s.since < proof or s.filled == 1 or not decides(s, c) or _held_back(s, c):
         return
     if c.pulses < MARKED and s.tracker.variance > COARSE and s.doubted == NEVER and s.waiting.same <= s.waiting.moved:
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         confirm(s, out)
-
-
-@kernel
-def _two_fit(s: State) -> bool:
-    """Tell whether another place that was seen may be the right one: its gap may be filled now, by a pulse that is off.
-
-    The wheel then seems to have a bent tooth. Where it has none, what came before was none of its turns.
-    """
-    whole = s.profile.turns >= WHOLE_PAIRS and abs(s.profile.off) <= WHOLE_OFF
-    return bool(s.twice == TOLD or (s.twice == 1 and not whole))
 
 
 @kernel
@@ -308,7 +288,10 @@ def confirm(s: State, out: Reports) -> None:
     s.hole = 0
     s.reversal.stood = 0
     if s.held_fault >= 0:
-        tell_held(s, s.held_fault, out)
+        e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
+        e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
+        for k in range(RESIDUALS):
+            e.residual[k] = s.held.residual[k]
         if s.held_fault == ADDED:
             s.added += int(s.held.count)
         else:
@@ -340,21 +323,14 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         found = anchor.ask(an, c.anchor, c.pulses, c.repeats, s.index)
         if found == anchor.HERE:
             an.wins = 0
-            an.blind = 0
             an.verified = 1
-            if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
-                _witness(s, c, out)
-        elif s.teeth - s.uneven <= c.anchor.length:
-            if found == anchor.ABSENT and s.known == 0:
-                doubt(s)
-        elif found <= 0:
-            an.blind += 1
-            if found == anchor.ABSENT or an.blind >= BLIND:
-                doubt(s)
-        else:
+            _witness(s, c, out)
+        elif found == anchor.ABSENT and s.known == 0:
+            doubt(s)
+        elif found > 0 and s.teeth - s.uneven > c.anchor.length:
             an.wins = an.wins + 1 if found == an.shift else 1
             an.shift = found
-            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0 and s.hole == 0):
+            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0):
                 relocate(s, c, out, found)
 
 
@@ -388,7 +364,6 @@ def _broken_off(s: State, c: Const, out: Reports) -> bool:
     if s.defects.turns < SURE:
         return False
     waiting.clear(s.waiting)
-    s.twice = TOLD
     e = report(out, TWO_PLACES, True, s.defects.turns, SURE).two_places
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
     e.here, e.there = s.rival.here, s.rival.there
@@ -413,7 +388,6 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
         profile.forget(s.profile, c.wheel, s.tracker.pitches)
         anchor.restart(s.anchor)
     rival.clear(s.rival)
-    s.twice = 0
     s.recurring = 0
     confirm(s, out)
 
@@ -446,8 +420,6 @@ def _witness(s: State, c: Const, out: Reports) -> None:
         return
     if s.recurring == 1 and defects.missing(s.defects) > 0 and not _broken_off(s, c, out):
         return
-    if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
-        return  # never proven: in what no frame brought may be another gap
     if s.hole == 1 or s.recurring == 1:
         confirm(s, out)
 
@@ -473,8 +445,6 @@ def relocate(s: State, c: Const, out: Reports, found: int) -> None:
         e.shift, e.tooth, e.speed = off, s.index, speed(s, c)
         s.corrections += off
     doubt(s)
-    s.doubted = NEVER
-    uncover(s, c)
     s.held_fault = -1
     profile.forget(s.profile, c.wheel, s.tracker.pitches)
     runout.forget(s.law)
@@ -519,7 +489,6 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         return
     elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
         _tell_gap(s, c, out, 0.0)
-        s.twice = 1 if 4 * s.waiting.against >= 3 * (s.waiting.turns - 1) else s.twice
     else:
         return
     waiting.clear(wa)
