@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from functools import cache
 
+import matplotlib.pyplot as plt
 import pytest
 from amount import FULL
 from pictures import (
@@ -23,6 +24,7 @@ from typer import Context
 from typer.main import get_command
 
 from gateway.cli import app
+from gateway.cli.drawing import save
 from gateway.config.schema import schema
 
 ROOT = DOCS.parent
@@ -69,6 +71,15 @@ def test_figures_of_a_scenario(picture, tmp_path):
 def test_figures_of_a_command(command, tmp_path):
     for picture, made in of_command(command, (COMMANDS | RUNS)[command], tmp_path).items():
         held(picture, made)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.PNG", "a.svg", "a.pdf", "a.jpg", "a.eps"])
+def test_a_figure_is_written_in_any_format(name, tmp_path):
+    figure, axes = plt.subplots()
+    axes.plot([0.0, 1.0], [2.0, 3.0])
+    assert save(figure, tmp_path / name).stat().st_size > 1000
+    if name in ("a.png", "a.svg"):
+        assert contents(tmp_path / name)[0]["lines"] == [[2, 0.0, 0.5, 1.0, 2.0, 2.5, 3.0]]
 
 
 def test_a_picture_of_other_code_is_noticed():

@@ -25,8 +25,10 @@ def save(figure: Figure, path: Path, *, tight: bool = True) -> Path:
     """Write a figure and let go of it; returns the file. ``tight``: lay it out, unless it is laid out already."""
     if tight:
         figure.tight_layout(rect=(0, 0.06, 1, 1) if figure.legends else (0, 0, 1, 1))
-    dates = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {})  # equal figures, equal files
-    figure.savefig(path, dpi=120, metadata={_TEXT[path.suffix]: json.dumps(contents(figure)), **dates})
+    kind = path.suffix.lower()
+    dates = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(kind, {})  # equal figures, equal files
+    told = {_TEXT[kind]: json.dumps(contents(figure)), **dates} if kind in _TEXT else None
+    figure.savefig(path, dpi=120, metadata=told)
     plt.close(figure)
     return path
 
