@@ -248,7 +248,7 @@ def test_a_reload_leaves_nothing_open_and_refuses_what_it_cannot_do(tmp_path):
             assert descriptors(running) == usual + 1
             reload(first, "reloaded")
             assert descriptors(running) == usual
-            write_config(tmp_path, buses=[("chassis", uri), ("drive", second), ("odd", "no:such")])
+            write_config(tmp_path, buses=[("chassis", uri), ("drive", second), ("odd", "canalystii:0")])
             own = '[fault."odd.Beat.{}"]\ndtc = "{}"\n'
             codes = {"timeout": "U0141-87", "counter": "U0423-82", "length": "U0423-81"}
             text = config.read_text()
@@ -256,7 +256,7 @@ def test_a_reload_leaves_nothing_open_and_refuses_what_it_cannot_do(tmp_path):
                 old = text.index(f'[fault."odd.Beat.{name}"]')
                 text = text[:old] + own.format(name, code) + text[text.index("\n", text.index("dtc", old)) + 1 :]
             reload(text, "refused")
-            assert "no such kind of bus" in running.events()[-1]["reason"]
+            assert "no library for canalystii" in running.events()[-1]["reason"], "after the second bus was opened"
             assert descriptors(running) == usual, "the bus that was opened is closed again"
             reload(first + '\n[memory]\npath = "elsewhere.sqlite"\n', "refused")
             assert "cannot change while the gateway runs" in running.events()[-1]["reason"]
