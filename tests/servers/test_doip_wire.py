@@ -26,6 +26,7 @@ from test_access import LEVEL, SECRET
 from test_authentication import DAY, issue, name
 from test_doip import VIN
 from udsoncan.client import Client
+from udsoncan_settings import PATIENT
 
 from gateway.live.doip_door import DoipDoor
 from gateway.servers.doip.codec import Activation, HeaderNack, Kind
@@ -297,10 +298,10 @@ def test_doipclient_and_udsoncan(tmp_path):
             assert one.request_entity_status().currently_open_sockets == 1
             assert one.request_diagnostic_power_mode().diagnostic_power_mode == 2
             assert one.request_alive_check().source_address == GATEWAY
-            config = dict(udsoncan.configs.default_client_config)
+            config = dict(PATIENT)
             config["data_identifiers"] = {"default": udsoncan.AsciiCodec(4)}
             config["security_algo"] = lambda level, seed, params: hmac_sha256(seed, bytes.fromhex(SECRET), 1)
-            with Client(DoIPClientUDSConnector(one), request_timeout=5, config=config) as client:
+            with Client(DoIPClientUDSConnector(one), config=config) as client:
                 assert len(client.get_dtc_by_status_mask(0xFF).service_data.dtcs) == 60
                 client.change_session(3)
                 client.unlock_security_access(1)
@@ -336,7 +337,7 @@ def test_doipclient_and_udsoncan_reach_three_ecus_behind_the_gateway(tmp_path):
             one = DoIPClient(
                 "127.0.0.1", address, tcp_port=made.port, client_logical_address=TESTER + k, protocol_version=2
             )
-            with Client(DoIPClientUDSConnector(one), request_timeout=5) as client:
+            with Client(DoIPClientUDSConnector(one), config=PATIENT) as client:
                 client.tester_present()
                 if address == routes.BRAKES:
                     assert len(client.get_dtc_by_status_mask(0xFF).service_data.dtcs) == 60

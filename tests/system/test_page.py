@@ -27,6 +27,7 @@ from selenium.webdriver.common.by import By
 from testers import isotp_stack
 from udsoncan.client import Client
 from udsoncan.connections import PythonIsoTpConnection
+from udsoncan_settings import PATIENT
 
 from gateway.bus.base import send_all
 from gateway.bus.uri import open_bus
@@ -127,7 +128,7 @@ def interventions(site):
 def faults_of_tester(site):
     with isotp_stack(site.uri, start=False) as stack:
         connection = PythonIsoTpConnection(stack)
-        with Client(connection, request_timeout=60) as client:
+        with Client(connection, config=PATIENT) as client:
             found = client.get_dtc_by_status_mask(0x08).service_data.dtcs
             return {dtc.id for dtc in found}
 

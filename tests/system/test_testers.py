@@ -26,6 +26,7 @@ from uds_tester import DIDS
 from udsoncan.client import Client
 from udsoncan.connections import PythonIsoTpConnection
 from udsoncan.services import RoutineControl
+from udsoncan_settings import PATIENT
 
 from gateway.faults.dtc import Dtc
 from gateway_fdi.common.resources import shipped
@@ -57,8 +58,6 @@ FAULTS = {
     for k in range(COUNT)
 }
 SETTINGS = {
-    "request_timeout": 5,
-    "use_server_timing": False,
     "data_identifiers": {
         0xF190: udsoncan.AsciiCodec(17),
         0x0123: ">H",
@@ -117,7 +116,7 @@ def bench(tmp_path_factory):
 def client(bench):
     with isotp_stack(bench.uri, start=False) as stack:
         connection = PythonIsoTpConnection(stack)
-        with Client(connection, config={**udsoncan.configs.default_client_config, **SETTINGS}) as made:
+        with Client(connection, config={**PATIENT, **SETTINGS}) as made:
             made.clear_dtc()
             yield made
 
@@ -215,8 +214,10 @@ def test_udsoncan_uses_every_other_service(client):
     client.communication_control(control_type=1, communication_type=udsoncan.CommunicationType(0, normal_msg=True))
     client.communication_control(control_type=0, communication_type=udsoncan.CommunicationType(0, normal_msg=True))
     client.tester_present()
+    client.set_config("p2_timeout", 1)  # the client waits it out where no answer comes
     with client.suppress_positive_response(wait_nrc=True):
         client.tester_present()
+    client.set_config("p2_timeout", 60)
     done = client.routine_control(0x0202, RoutineControl.ControlType.startRoutine)
     assert done.service_data.routine_status_record == b"\x00", "through 0x78"
     client.ecu_reset(1)
@@ -326,7 +327,7 @@ def test_all_outputs_show_the_same_memory(bench, client):
     with isotp_stack(bench.uri) as stack:
         with open_can(bench.uri) as sender:
             sender.send(can.Message(arbitration_id=FUNCTIONAL, data=b"\x01\x03", is_extended_id=False))
-        answer = stack.recv(block=True, timeout=3)
+        answer = stack.recv(block=True, timeout=60)
     assert answer[:2] == bytes([0x43, len(expected)])
     by_obd = {bytes(answer[k : k + 2]) for k in range(2, len(answer), 2)}
     assert by_obd == {number.to_bytes(3, "big")[:2] for number in expected}
