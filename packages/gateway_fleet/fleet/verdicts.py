@@ -23,6 +23,7 @@ import hashlib
 import json
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 #: Rows that are read at once, and bytes of a text at most.
 _ROWS, _LONGEST = 1000, 1 << 16
+#: How often a reader looks again while a run takes files away.
+_LOOKS = 10
 _TIME, _TEXT, _COUNT, _NUMBER = "time", "text", "count", "number"
 
 #: Table -> its columns.
@@ -236,19 +239,28 @@ class Verdicts:
     def rows(self, table: str, log: str | None = None) -> list[Row]:
         """Return the rows of a table, of one log or of all, in order of their logs; times in nanoseconds.
 
+        A run that puts files together meanwhile takes some away: it is looked again, and all rows are in the new one.
+
         Raises:
             InputError: there is no such table here.
         """
+        for _ in range(_LOOKS):
+            with suppress(FileNotFoundError):
+                return self._rows(table, log)
+        return self._rows(table, log)
+
+    def _rows(self, table: str, log: str | None) -> list[Row]:
         import pyarrow as pa  # noqa: PLC0415 - an extra
 
         folder = self.folder / table
         if not folder.is_dir():
             raise InputError("no verdicts here (made by gateway fleet run --out)", file=self.folder)
         paths = self._files(table) if log is None else sorted({self.path(table, log), self.path(table, ALL)})
-        single = {path.stem for path in paths if path.exists()}
+        paths = [path for path in paths if path.exists()]
+        single = {path.stem for path in paths}
         found: list[Row] = []
         for path in paths:
-            for batch in _batches([path] if path.stem in single else []):
+            for batch in _batches([path]):
                 columns = {
                     name: (column.cast(pa.int64()) if pa.types.is_timestamp(column.type) else column).to_pylist()
                     for name, column in zip(batch.schema.names, batch.columns, strict=True)
