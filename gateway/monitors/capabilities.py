@@ -250,7 +250,8 @@ class Blame(NamedTuple):
         kind: of a part that is no signal: "actuator", "plant", "supply", "model", ...; "": it is a signal. With the
             name of a signal it is what that signal commands or measures, the same for all monitors; "message": what
             carries it; "frozen": that, repeating one payload.
-        share: how likely the test fails if this part alone is at fault, against a part that it is there for, 0 to 1.
+        share: how likely the test fails if this part alone is at fault, against a part that it is there for, 0 to 1;
+            above 0.9 and below 1: as it is.
     """
 
     part: str
@@ -277,7 +278,8 @@ class Behind:
     Attributes:
         of: parameters -> name of each test -> the parts that its failure blames, as :class:`Blame` has them.
         levels: parameters, state record -> of each test, in this order: 1 and above: it has failed, and how far its
-            residual is beyond its limit; below 1: it has passed; NaN: not tested.
+            residual is beyond its limit; below 1: it has passed; NaN: not tested; minus infinity: nor does its failure
+            count that came before.
     """
 
     of: Callable[[Any], Mapping[str, Sequence[Blame]]]

@@ -297,9 +297,9 @@ class Causes:
                     diagnoser.update(fault, NOT_TESTED if failed else PASSED, t_ns)
             levels = tests.levels(self._engine.state_of(tests.monitor)[0]) if failed else [math.nan] * len(tests.seen)
             for name, level in zip(tests.seen, levels, strict=True):
-                if failed and verdict[place[name]] == FAILED and not level >= 1.0:
+                if failed and verdict[place[name]] == FAILED and not level >= 1.0 and level != -math.inf:
                     continue
-                now = NOT_TESTED if math.isnan(level) else FAILED if level >= 1.0 else PASSED
+                now = NOT_TESTED if not level > -math.inf else FAILED if level >= 1.0 else PASSED
                 diagnoser.update(name, now, t_ns)
                 diagnoser.size(name, Sized(math.nan, math.nan, {}, 0.0, level) if now == FAILED else None)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ from gateway_fdi.jit import zeros
 from gateway_fdi.structure.analysis import Analysis, analyse
 from gateway_fdi.structure.generator.records import field_name
 from gateway_fdi.structure.isolability import signatures
-from gateway_fdi.structure.model import Model, Quantity, ResidualChoice
+from gateway_fdi.structure.model import Model, ResidualChoice, with_sizes
 
 if TYPE_CHECKING:
     from gateway_fdi.structure.generator.loading import Loaded
@@ -133,16 +132,9 @@ class Residual:
 
     @cached_property
     def _faulty(self) -> Loaded:
-        """The same residual with each fault as a parameter; given solutions, which leave faults out, are not used."""
-        model = self._model
-        sizes = {fault: replace(model.quantities.get(fault, Quantity()), value=0.0) for fault in model.faults}
-        equations = (replace(e, faults=(), solutions={} if e.faults else e.solutions) for e in model.equations)
-        faulty = replace(
-            model, equations=tuple(equations), faults=(), parameters=(*model.parameters, *model.faults),
-            quantities={**model.quantities, **sizes},
-        )  # fmt: skip
+        """The same residual with each fault as a parameter."""
         with as_input("test", self.name):
-            return _made(faulty, self._choice, self.name, differentiate=self._differentiate)
+            return _made(with_sizes(self._model), self._choice, self.name, differentiate=self._differentiate)
 
     def _constants(self, loaded: Loaded, more: Mapping[str, float]) -> np.void:
         c: np.void = zeros(1, loaded.const)[0]

@@ -113,7 +113,7 @@ def of_tests(m: MonitorInstance, network: Network) -> dict[str, tuple[Seen, ...]
 def _blamed(
     m: MonitorInstance, one: Blame, inputs: Mapping[str, SignalRef], network: Network, count: int
 ) -> Iterator[Seen]:
-    power = OWN * one.share / (max(count, 1) if one.share == 1.0 else 1)
+    power = one.share if OWN < one.share < 1.0 else OWN * one.share / (max(count, 1) if one.share == 1.0 else 1)
     if one.kind:
         yield Seen(part_of(m, one.part, one.kind, inputs, network), power, "as the monitor says")
     else:

@@ -377,3 +377,13 @@ def _check_sets(model: Model) -> None:
                 raise ValueError(f'residual {key}: there is no equation "{name}"')
         if residual.consistency not in residual.equations:
             raise ValueError(f"residual {key}: {residual.consistency} is not in its set")
+
+
+def with_sizes(model: Model) -> Model:
+    """Return a model in which the size of each fault is a parameter, 0; solutions without faults are left out."""
+    sizes = {fault: replace(model.quantities.get(fault, Quantity()), value=0.0) for fault in model.faults}
+    equations = (replace(e, faults=(), solutions={} if e.faults else e.solutions) for e in model.equations)
+    return replace(
+        model, equations=tuple(equations), faults=(), parameters=(*model.parameters, *model.faults),
+        quantities={**model.quantities, **sizes},
+    )  # fmt: skip

@@ -7,7 +7,7 @@ import numpy as np
 from gateway_fdi.evidence.model import FINER, SCALES, Fault, Model, Slow
 
 
-def plant(rng, *, faults=4, residuals=3, slow=2, jitter=0.0, walk=0.0, error=0.3, samples=10, unknown=False, **more):
+def plant(rng, *, faults=4, residuals=3, slow=2, jitter=0.0, error=0.3, samples=10):
     """Return a model whose faults move some of the residuals, in other signs and sizes."""
     a = rng.normal(size=(residuals, residuals))
     noise = a @ a.T + 0.3 * np.eye(residuals)
@@ -15,10 +15,8 @@ def plant(rng, *, faults=4, residuals=3, slow=2, jitter=0.0, walk=0.0, error=0.3
     for k in range(faults):
         moves = np.flatnonzero(rng.random(residuals) < 0.7)
         moves = moves if len(moves) else np.array([k % residuals])
-        found.append(Fault(f"f{k}", tuple(moves.tolist()), 3.0, error, per_h=40.0, present=0.2, **more))
-    if unknown:
-        found.append(Fault("unknown", tuple(range(residuals)), 2.0, per_h=20.0, present=0.01, common=False))
-    errors = tuple(Slow(f"x{k}", 0.5, walk) for k in range(slow))
+        found.append(Fault(f"f{k}", tuple(moves.tolist()), 3.0, error))
+    errors = tuple(Slow(f"x{k}", 0.5) for k in range(slow))
     return Model(errors, tuple(found), noise, 0.1, samples, jitter)
 
 
@@ -42,24 +40,20 @@ def columns(model, g, fault, since, n):
 
 
 def covariance(model, h):
-    """Return the covariance of a record without a fault, shape (n m, n m): noise, x, its walk and its jitter."""
+    """Return the covariance of a record without a fault, shape (n m, n m): noise, x, and its jitter."""
     n, m, _ = h.shape
     of = np.arange(n) // model.samples
-    seconds = model.samples * model.period_s
     total = np.kron(np.eye(n), model.noise)
     for k, one in enumerate(model.slow):
-        walked = one.prior**2 + one.walk**2 * seconds * np.minimum(of[:, None], of[None, :])
         moved = (model.jitter * one.prior) ** 2 * (of[:, None] == of[None, :])
         flat = h[:, :, k].reshape(-1)
-        total += np.kron(walked + moved, np.ones((m, m))) * np.outer(flat, flat)
+        total += np.kron(one.prior**2 + moved, np.ones((m, m))) * np.outer(flat, flat)
     return total
 
 
 def sizes(fault, scale):
     """Return the covariance of what a fault's gains are multiplied by."""
     m = len(fault.residuals)
-    if not fault.common:
-        return scale**2 * np.eye(m)
     return scale**2 * (np.ones((m, m)) + fault.error**2 * np.eye(m))
 
 

@@ -1,5 +1,8 @@
 """Which tests are chosen: as few as the toolbox's isolability wants, of the causality asked for, none that drifts."""
 
+import ast
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +13,7 @@ from gateway_fdi.structure.isolability import isolability_of_tests
 from gateway_plants.structural.monitor.choice import choose
 from gateway_plants.structural.monitor.filters import bandwidths, of_meter
 from gateway_plants.structural.monitor.params import Params
+from gateway_plants.structural.monitor.source import module_of
 from gateway_plants.structural.study.battery import battery_model
 
 pytestmark = pytest.mark.long
@@ -140,3 +144,12 @@ def test_a_large_model_hangs_on_no_needlessly_large_test(tmp_path):
     assert plan.isolability.full
     sizes = sorted(len(test.equations) for test in plan.tests)
     assert sizes[:-3] == [4] * sum(size == 4 for size in sizes) + [6] * sum(size == 6 for size in sizes)
+
+
+def test_a_monitor_of_many_tests_hides_no_name():
+    """Its module has a module for each test, and kernels' types beside them: with nine tests one was named f8."""
+    model, plan = chosen("motor")
+    tree = ast.parse(module_of(replace(plan, tests=plan.tests * 4), tuple(model.knowns)))
+    names = [n.asname or n.name for node in ast.walk(tree) if hasattr(node, "names") for n in node.names]
+    assert len(names) > 2 * 4 * len(plan.tests)
+    assert sorted(names) == sorted(set(names))

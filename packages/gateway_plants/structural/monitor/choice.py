@@ -25,7 +25,7 @@ from gateway_fdi.structure.generator.initial import find_initial
 from gateway_fdi.structure.generator.realisation import Realisation, realise
 from gateway_fdi.structure.generator.solving import NotSolvableError
 from gateway_fdi.structure.isolability import isolability_of_model
-from gateway_fdi.structure.model import Model, Quantity, ResidualChoice, state_of
+from gateway_fdi.structure.model import Model, Quantity, ResidualChoice, state_of, with_sizes
 from gateway_fdi.structure.selection import fewest_tests, requirements
 from gateway_fdi.structure.sensors import place_sensors
 from gateway_fdi.structure.sequence import shown
@@ -269,6 +269,7 @@ def _written(
 ) -> Test:
     """Return a test with its code."""
     code = write(name or realised.consistency, realised, sized=p.sizes, observed=observed)
+    faulty = _faulty(model, realised, bool(realised.differentiated), dict.fromkeys(guessed, 0.0) | p.start, observed)
     gains = gains_at_rest(realised)
     return Test(
         name=name,
@@ -289,7 +290,25 @@ def _written(
         measures=code.fault,
         source=code.source,
         observed=observed,
+        faulty=faulty,
     )
+
+
+def _faulty(
+    model: Model, realised: Realisation, differentiate: bool, start: Mapping[str, float], observed: bool
+) -> str:
+    """Return the code of a test with the sizes of faults in its constants; empty: algebra does not find it."""
+    try:
+        found = realise(
+            with_sizes(model),
+            frozenset(realised.equations),
+            realised.consistency,
+            differentiate=differentiate,
+            start=start,
+        )
+        return write(f"{realised.consistency} with faults", found, observed=observed).source
+    except (NotSolvableError, ValueError):
+        return ""
 
 
 def _begins(realised: Realisation) -> bool:

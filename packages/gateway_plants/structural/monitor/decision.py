@@ -22,9 +22,9 @@ from typing import Any
 from gateway.monitors.contract import EVIDENCE, MAX_RESULTS, report
 from gateway_fdi import cusum, likelihood
 from gateway_fdi.isolation import machine, table
-from gateway_fdi.isolation.table import NOTHING
+from gateway_fdi.isolation.table import NOTHING, OPEN
 from gateway_fdi.jit import kernel
-from gateway_fdi.masks import clear, empty, has, include
+from gateway_fdi.masks import clear, empty, has, include, within
 from gateway_plants.structural.monitor.plan import Plan
 from gateway_plants.structural.monitor.records import (
     KINDS,
@@ -174,6 +174,41 @@ def _tell(s: State, c: Const, out: Any, k: int, largest: float) -> None:
 
 
 @kernel
+def _answer(s: State, c: Const) -> int:
+    """Return what the tests say: a group, or OPEN.
+
+    Where they leave it open, it is the smallest group of all faults that are likely by sign and size; a group without
+    one of these is not told.
+    """
+    said = table.answer(s, c)
+    if s.weighed == 0:
+        return int(said)
+    if said >= 0:
+        if within(s.likely, c.group[said]):
+            return int(said)
+        clear(s.explained)
+        return OPEN
+    if s.weighed < 0:
+        return OPEN
+    least = c.faults + 1
+    for k in range(c.groups):
+        count = 0
+        for fault in range(c.faults):
+            count += 1 if has(c.group[k], fault) else 0
+        if count < least and within(s.likely, c.group[k]):
+            said, least = k, count
+    return int(said)
+
+
+@kernel
+def _contradicted(s: State, c: Const) -> bool:
+    """Return whether a test has fired that speaks against the name that stands."""
+    if not machine.contradicted(s):
+        return False
+    return not (s.weighed == 1 and within(s.likely, c.group[s.found]))
+
+
+@kernel
 def decide(s: State, c: Const, out: Any) -> None:
     """Report what the tests say together, once that has stood for long enough."""
     _weigh(s, c)
@@ -187,7 +222,7 @@ def decide(s: State, c: Const, out: Any) -> None:
     if empty(s.fired):
         s.found = NOTHING
     else:
-        machine.decide(s, c, s.norm, table.answer(s, c), machine.contradicted(s))
+        machine.decide(s, c, s.norm, _answer(s, c), 0 <= s.found < c.groups and _contradicted(s, c))
         if before == s.found == NOTHING:
             return  # undecided: neither passed nor failed
     if s.found == before and s.reported_ns != 0 and s.at_ns - s.reported_ns < REPEAT_NS:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Iterator
+from math import inf, nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +13,7 @@ from gateway.monitors.contract import TOGETHER, VAGUE, Blame, Debounce, Fault
 from gateway.monitors.evidence import as_bits, as_digits, words_of
 from gateway_fdi.masks import unpack
 from gateway_fdi.structure.model import Model
+from gateway_plants.structural.monitor import weighing
 from gateway_plants.structural.monitor.decision import AS_BITS, TWO_DIGITS
 from gateway_plants.structural.monitor.plan import Plan, Test
 from gateway_plants.structural.monitor.records import SHOWN
@@ -160,13 +163,22 @@ def blames(model: Model, plan: Plan) -> dict[str, list[Blame]]:
 
 #: How likely a test fires if a fault is there that it sees: of a large one all do, of a small one few.
 _FIRES = 0.8
+#: How likely a fault that is there alone is not found unlikely.
+_FITS = 0.99
 
 
 def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
-    """Return whom the failure of each test blames: the faults that it sees, and the model."""
+    """Return whom the failure of each test blames: the faults that it sees, and the model.
+
+    Behind the tests there are, where faults are weighed, one that fails if a fault fits, and one of each fault that
+    passes if it does not.
+    """
     sensors = _sensors(model)
     parts = {f: Blame(sensors[f]) if f in sensors else Blame(f, "plant") for f in plan.faults}
-    return {
+    every = [one._replace(share=_FIRES) for one in dict.fromkeys(parts.values())]
+    weighed = {"fit": [*every, Blame("model", "model")]}
+    weighed |= {f"fit of {f}": [parts[f]._replace(share=_FITS)] for f in plan.faults}
+    return (weighed if weighing.faults_of(plan) else {}) | {
         test.name: [
             *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
             Blame("model", "model"),
@@ -176,20 +188,40 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
 
 
 def levels(plan: Plan, state: Any) -> list[float]:
-    """Return the levels of the tests: T over J, 1 at least as long as a test counts as one that has fired."""
+    """Return the levels of the tests: T over J, 1 at least as long as a test counts as one that has fired.
+
+    Where sizes say which faults are likely, a test that has not fired says nothing; where they say that there is one
+    more, one that has just fired says nothing: it may be the other fault's.
+    """
     own = state["own"]
+    weighed: list[float] = []
+    said = int(own["weighed"])
+    if weighing.faults_of(plan):
+        likely = unpack(np.asarray(own["likely"])[None, :], len(plan.faults))[0]
+        weighed = [2.0, *(nan if one else 0.0 for one in likely)] if said == 1 else [-inf] * (1 + len(plan.faults))
     fired = unpack(np.asarray(own["fired"])[None, :], len(plan.tests))[0]
-    norms = np.asarray(own["norm"])[: len(plan.tests)]
-    return [max(float(norm), 1.0) if up else min(float(norm), 0.0) for norm, up in zip(norms, fired, strict=True)]
+    levels = [
+        max(float(norm), 1.0) if up else min(float(norm), 0.0) for norm, up in zip(own["norm"], fired, strict=False)
+    ]
+    if said == 1:
+        levels = [nan if level < 1.0 else level for level in levels]
+    if said == -1:
+        levels = [-inf if 1.0 <= level < weighing.SURE else level for level in levels]
+    return weighed + levels
 
 
 def _sensors(model: Model) -> dict[str, str]:
-    """Return the faults that add to what a sensor reads: fault -> its known variable."""
+    """Return the faults that add to what a sensor reads, whatever its factor: fault -> its known variable."""
     found: dict[str, str] = {}
     for equation in model.equations:
-        if equation.relation is None or len(equation.variables) != 1 or len(equation.knowns) != 1:
+        if equation.relation is None or not equation.variables or len(equation.knowns) != 1:
             continue
-        sides = {equation.relation.left.text, equation.relation.right.text}
-        x, z = equation.variables[0], equation.knowns[0]
-        found |= {fault: z for fault in equation.faults if sides == {z, f"{x} + {fault}"}}
+        z, sides = equation.knowns[0], (equation.relation.left, equation.relation.right)
+        for measured in (one.tree for one, other in zip(sides, sides[::-1], strict=True) if other.text == z):
+            if (
+                isinstance(measured, ast.BinOp)
+                and isinstance(measured.op, ast.Add)
+                and isinstance(measured.right, ast.Name)
+            ):
+                found |= {fault: z for fault in equation.faults if fault == measured.right.id}
     return found

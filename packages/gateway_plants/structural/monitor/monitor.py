@@ -35,7 +35,7 @@ from gateway_fdi.masks import pack
 from gateway_fdi.structure.file import find_model, load_own_model
 from gateway_fdi.structure.generator.records import FEED, FEED_SLOPE, fill
 from gateway_fdi.structure.generator.sources import load_source
-from gateway_fdi.structure.model import Model
+from gateway_fdi.structure.model import Model, with_sizes
 from gateway_fdi.structure.model import Quantity as Known
 from gateway_fdi.structure.units import differ
 from gateway_plants.structural.monitor import (
@@ -50,6 +50,7 @@ from gateway_plants.structural.monitor import (
     source,
     summary,
     uncertain,
+    weighing,
 )
 from gateway_plants.structural.monitor.faults import behind, blames, faults_of, levels, names_of, shown
 from gateway_plants.structural.monitor.params import Params, PartParams
@@ -76,6 +77,8 @@ class _Made:
             raise InputError(text, key="model", value=model.name)
         for test in plan.generators:
             load_source(test.name, test.source)
+        for _, test in source.faulty(plan):
+            load_source(f"{test.name} with faults", test.faulty)
         self._module = load_source(model.name, source.module_of(plan, model.knowns, slow))
 
     @cached_property
@@ -217,6 +220,8 @@ class _Made:
         own.memory_s = max(p.confirm_s, records.WINDOW * p.period_ms / 1e3)
         if self.slow:
             self._fill_slow(p, s, c)
+        if source.faulty(plan):
+            self._fill_weighed(p, s, c)
 
     def _fill_observer(self, test: Test, p: PartParams, c: Any) -> None:
         """Fill the gains of a test whose states are corrected.
@@ -252,6 +257,29 @@ class _Made:
             for model in models:
                 for name in model.dtype.names or ():
                     model[name] = getattr(c, field)[name]
+
+    def _fill_weighed(self, p: PartParams, s: Any, c: Any) -> None:
+        """Fill what weighs faults, and the constants of those that run beside the tests."""
+        said = weighing.model_of(self.plan, len(self.slow), p.period_ms / 1e3, p.confirm_s)
+        said.fill(c.fit)
+        gains = {gain: column for column, gain in enumerate(said.gains)}
+        for k, test in source.faulty(self.plan):
+            c[f"column_{k}"] = [gains[self.plan.faults.index(fault), k] for fault in test.faults]
+            fitted = filters.bandwidths(test, p)
+            for one in s[f"faulty_{k}"]:
+                fill(
+                    one,
+                    with_sizes(self.model),
+                    values=p.parameters,
+                    start=dict.fromkeys(test.guessed, 0.0) | p.start,
+                    filter_bandwidth=fitted.filter,
+                    derivative_bandwidth=fitted.derivative,
+                )
+            apart_s = max(p.confirm_s, 1.0 / fitted.filter if test.filtered else 0.0)
+            sigma, c.fit.share[k] = p.nu.get(test.name, math.inf) / decision.NU_OF_NOISE, p.period_ms / 1e3 / apart_s
+            if not math.isfinite(sigma) or sigma <= 0.0:
+                c.fit.share[k] = 0.0
+            c.fit.weight[k, k] = c.fit.share[k] / sigma**2
 
     def _fill_shown(self, own: Any) -> None:
         own.shown[:] = records.NOT_USED

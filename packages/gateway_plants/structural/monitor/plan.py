@@ -51,6 +51,7 @@ class Test:
         observed: its states are corrected by the residual (:mod:`.observer`).
         measures: the fault whose size is minus the residual over the gain that its state shows; empty: none.
         source: its code.
+        faulty: the same with the size of each fault in its constants; empty: algebra does not find it.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Test:
     measures: str
     source: str
     observed: bool = False
+    faulty: str = ""
 
     @property
     def fleeting(self) -> tuple[str, ...]:

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 from gateway_fdi.structure.generator.records import DEAD, GAIN, HOLD, JACOBIAN, SLOPES, field_name
 from gateway_fdi.structure.generator.sources import load_source, module_name
-from gateway_plants.structural.monitor.plan import Plan
+from gateway_plants.structural.monitor.plan import Plan, Test
 from gateway_plants.structural.monitor.records import lengths
 from gateway_plants.structural.monitor.uncertain import STEP, Slow, neighbours
+from gateway_plants.structural.monitor.weighing import STEP as SIZE
+from gateway_plants.structural.monitor.weighing import faults_of, model_of
 
 #: Fields of the state that show how many samples there were, and tests without their inputs, from those of its own.
 COUNTS = {"samples_taken": "samples", "samples_missed": "missed", "tests_without": "without"}
@@ -154,7 +156,7 @@ def _moved(plan: Plan, slow: Sequence[Slow]) -> list[str]:
     begins = "what == sampling.FIRST"
     return [
         f"if following.moves(s.follow, c.follow, s.own, c.own, {begins}):",
-        *(f"    {line}" for line in lines or ["pass"]),
+        *(f"    {line}" for line in [*lines, "s.fit.awake = 0" if faulty(plan) else "pass"]),
     ]
 
 
@@ -180,14 +182,65 @@ def _residuals(plan: Plan, slow: Sequence[Slow]) -> list[str]:
     lines = []
     for k, field in enumerate(fields_of(plan)):
         call = f"m{k}.step(s.{field}, {_model(slow, k, field)}, s.sample, dt)"
-        lines += [f"r = {call}", f"s.own.anew[{k}] = 0 if isfinite(r) else 1"]
+        lines += [f"raw = r = {call}", f"s.own.anew[{k}] = 0 if isfinite(r) else 1"]
         if k < len(plan.tests) and slow:
             lines += [*_corrected(plan, slow, k), "r = s.follow.corrected"]
         elif k < len(plan.tests):
             lines.append(f"s.own.residual[{k}] = r")
+        if k < len(plan.tests) and faulty(plan):
+            lines += _gained(plan, slow, k)
         if k in place:
             lines += [f"s.own.measured[{place[k]}] = r", f"s.own.gain[{place[k]}] = s.{field}.{GAIN}"]
     return lines
+
+
+def _same(one: str, other: str, record: str) -> list[str]:
+    """Return the fields that the records of two modules have both."""
+    there, here = (getattr(load_source("", source), record).dtype.names or () for source in (one, other))
+    return [name for name in here if name in there]
+
+
+def faulty(plan: Plan) -> list[tuple[int, Test]]:
+    """Return the tests, by their numbers, beside which faults run."""
+    return [(k, test) for k, test in enumerate(plan.tests) if test.faults] if faults_of(plan) else []
+
+
+def _gained(plan: Plan, slow: Sequence[Slow], k: int) -> list[str]:
+    """Return the lines that find a test's gains; the residual is ``r``."""
+    test = plan.tests[k]
+    lines = [f"s.fit.r[{k}] = s.own.residual[{k}]" if not slow else f"s.fit.r[{k}] = raw"]
+    if slow:
+        lines += [
+            f"for j in range({len(slow)}):",
+            f"    s.fit.h[{k}, j] = s.follow.h[j]",
+            f"    s.fit.r[{k}] += s.follow.h[j] * (s.follow.point[j] - s.fit.x[j])",
+        ]
+    if test.faults:
+        lines += [
+            f"for i in range({len(test.faults)}):",
+            f"    b = sized{k}.step(s.fault_{k}[i], s.faulty_{k}[i], s.sample, dt)",
+            f"    s.fit.g[c.column_{k}[i]] = (raw - b) * {1.0 / SIZE!r}",
+            "    if not isfinite(b):",
+            f"        s.fit.r[{k}] = nan",
+            f"        s.fit.g[c.column_{k}[i]] = 0.0",
+        ]
+    return ["if s.fit.awake == 1:", *(f"    {line}" for line in lines)]
+
+
+def _begun(plan: Plan, slow: Sequence[Slow]) -> list[str]:
+    """Return the lines that let faults begin beside the tests, in their states."""
+    lines = ["weighing.know(s.fit, c.fit, s.follow.slow)"] if slow else []
+    for k, test in faulty(plan):
+        g = fields_of(plan)[k]
+        same = [f"s.fault_{k}[i].{name} = s.{g}.{name}" for name in _same(test.source, test.faulty, "State")]
+        constants = _same(test.source, test.faulty, "Const")
+        same += [f"s.faulty_{k}[i].{name} = {_model(slow, k, g)}.{name}" for name in constants]
+        lines += [f"for i in range({len(test.faults)}):", *(f"    {line}" for line in same or ["pass"])]
+        names = load_source("", test.faulty).Const.dtype.names
+        for i, fault in enumerate(test.faults):
+            if field_name(fault) in names:
+                lines.append(f"s.faulty_{k}[{i}].{field_name(fault)} = {SIZE!r}")
+    return ["if weighing.begins(s.fit, c.fit, s.own, c.own):", *(f"    {line}" for line in lines)]
 
 
 def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[str]:
@@ -223,6 +276,7 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
             if slow
             else []
         ),
+        *_weighed(plan, slow),
         "class State(Record):",
         "    own: OwnState",
         "    sample: Sample",
@@ -230,6 +284,9 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
         *(f"    beside_{k}: Annotated[list[m{k}.State], {count}]" for k, count in beside),
         *(f"    near_{k}: Annotated[list[m{k}.Const], {count}]" for k, count in beside),
         *(_numbered(plan, "    model_{k}: m{k}.Const") if slow else []),
+        *(f"    fault_{k}: Annotated[list[sized{k}.State], {len(test.faults)}]" for k, test in faulty(plan)),
+        *(f"    faulty_{k}: Annotated[list[sized{k}.Const], {len(test.faults)}]" for k, test in faulty(plan)),
+        *(["    fit: Fit"] if faulty(plan) else []),
         *(["    late: Late"] if is_late(slow) else []),
         *([f"    read: Annotated[list[Sample], {len(slow)}]", "    follow: Followed"] if slow else []),
         *(f"    {name}: f8" for name in (*sizes_of(plan), *(one.field for one in slow), *COUNTS)),
@@ -239,11 +296,24 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
         "    own: OwnConst",
         *_numbered(plan, "    {g}: m{k}.Const"),
         *(f"    acts_{k}: Annotated[i8s, {count}]" for k, count in beside),
+        *(f"    column_{k}: Annotated[i8s, {len(test.faults)}]" for k, test in faulty(plan)),
+        *(["    fit: FitConst"] if faulty(plan) else []),
         *(["    follow: following.Const"] if slow else []),
         *(["    late: delay.Const"] if is_late(slow) else []),
         "",
         "",
     ]
+
+
+def _weighed(plan: Plan, slow: Sequence[Slow]) -> list[str]:
+    """Return the lines of the records that weigh faults."""
+    if not faulty(plan):
+        return []
+    room = model_of(plan, len(slow), 1.0, 1.0).lengths
+    return [
+        f"class Fit(weighing.State, lengths={room}):", "    pass", "", "",
+        f"class FitConst(weighing.Const, lengths={room}):", "    pass", "", "",
+    ]  # fmt: skip
 
 
 def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) -> str:
@@ -254,18 +324,22 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
         knowns: known variables of the model, in the order of the inputs.
         slow: what may be off.
     """
-    rooms = ", ".join(("decision", *(("following",) if slow else ()), "records", "sampling"))
-    imports = [f"import {module_name(test.source)} as m{k}" for k, test in enumerate(plan.generators)]
+    weighed = bool(faulty(plan))
+    rooms = ", ".join(
+        ("decision", *(("following",) if slow else ()), "records", "sampling", *(("weighing",) if weighed else ()))
+    )
+    imports = [f"import {module_name(test.faulty)} as sized{k}" for k, test in faulty(plan)]
+    imports += [f"import {module_name(test.source)} as m{k}" for k, test in enumerate(plan.generators)]
     return "\n".join(
         [
             '"""A monitor made from its model, not by hand."""',
             "",
-            "from math import isfinite",
+            "from math import isfinite, nan",
             "from typing import Annotated, Any",
             "",
             *imports,
             "",
-            f"from gateway_fdi.jit import Record, f8, f8s, {'i8s, ' if slow else ''}kernel",
+            "from gateway_fdi.jit import Record, f8, f8s, i8s, kernel",
             *(["from gateway_fdi.slow import delay"] if is_late(slow) else []),
             "from gateway.monitors import contract",
             f"from gateway_plants.structural.monitor import {rooms}",
@@ -283,8 +357,15 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
             *(f"            {line}" for line in _resets(plan, slow)),
             *_starts(plan, slow),
             "        dt = s.own.dt",
+            *(["        if what != sampling.GO:", "            s.fit.awake = 0"] if weighed else []),
             *(f"        {line}" for line in _residuals(plan, slow)),
+            *(
+                ["        if s.fit.awake == 1:", "            weighing.take(s.fit, c.fit, s.own, c.own)"]
+                if weighed
+                else []
+            ),
             "        decision.decide(s.own, c.own, out)",
+            *(f"        {line}" for line in (_begun(plan, slow) if weighed else [])),
             *(f"        s.{name} = s.own.sizes[{j}]" for j, name in enumerate(sizes_of(plan))),
             *(f"        s.{one.field} = c.follow.bound[{j}] * s.follow.slow.taken[{j}]" for j, one in enumerate(slow)),
             *(f"    s.{name} = s.own.{field}" for name, field in COUNTS.items()),

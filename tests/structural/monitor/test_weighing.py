@@ -1,0 +1,105 @@
+"""Faults that fire the same tests are told apart by sign and size of all residuals; what is not is told as it is."""
+
+import numpy as np
+import pytest
+from structural_config import named
+
+from gateway.config.load import load_config
+from gateway.runtime.app import Gateway
+from gateway_fdi.jit import COMPILED
+from gateway_fdi.masks import unpack
+from gateway_plants.structural.study.drives import calibrated, configuration, frames_of
+from gateway_plants.structural.study.foreign import Plant
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="tens of thousands of samples")
+
+SEED = 67_200
+#: Three sensors of one speed, the third one noisy: of a small fault of one of the others one test fires alone.
+SPEEDS = Plant(
+    "speeds",
+    """
+[unknown]
+v = { unit = "m/s" }
+[known]
+a = { unit = "km/h" }
+b = { unit = "m/s" }
+c = { unit = "m/s" }
+[fault]
+f_a = {}
+f_b = {}
+f_c = {}
+[equation.e1]
+relation = "a = 3.6 * v * (1 + f_a)"
+unique = ["v"]
+[equation.e2]
+relation = "b = 1.0 * v + f_b"
+unique = ["v"]
+[equation.e3]
+relation = "c = v + f_c"
+unique = ["v"]
+""",
+    0.01, {}, lambda _: (), lambda x, u, p: (), lambda rng, seconds: (np.zeros(1), np.zeros((1, 1))),
+    lambda x, u, p: (), ("a", "b", "c"), (0.036, 0.01, 0.3), {}, (), (), "",
+)  # fmt: skip
+
+
+def drive(seed, gain=0.0, bias=0.0, until=40.0):
+    """Readings of a speed that goes up and down; from the middle on one has another gain, or one a bias."""
+    rng, t = np.random.default_rng(seed), np.arange(4000) * 0.01
+    v, late = 10.0 + 10.0 * np.sin(0.5 * t), (t >= 20.0) & (t < until)
+    rows = np.stack([3.6 * v * (1.0 + gain * late), v + bias * late, v], 1)
+    return frames_of(SPEEDS, rows + rng.normal(size=rows.shape) * np.array(SPEEDS.noise))
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    found = configuration(SPEEDS, tmp_path_factory.mktemp("speeds"))
+    calibrated(found, drive(1), drive(2))
+    return found
+
+
+@pytest.mark.parametrize("fault", [{"gain": 0.02}, {"gain": -0.02}, {"bias": 0.2}, {"bias": -0.2}])
+def test_a_fault_of_which_one_test_fires_has_its_name(config, fault):
+    print("seed", SEED)
+    assert named(config, drive(SEED, **fault)) == ["f_a" if "gain" in fault else "f_b"]
+
+
+def weighed(config, frames, until=40.0):
+    """Return what the monitor's state says after so many seconds: likely faults, whether it waits behind a fault."""
+    gateway = Gateway(load_config(config), None, file=config)
+    start = int(frames[0]["t_ns"])
+    gateway.start(start)
+    gateway.feed(frames[frames["t_ns"] < start + until * 1e9])
+    state = gateway.engine.state_of(0)[0]
+    likely = unpack(np.asarray(state["own"]["likely"])[None, :], 3)[0]
+    found = [f for f, one in zip(("f_a", "f_b", "f_c"), likely, strict=True) if one and state["own"]["weighed"] == 1]
+    held = bool(state["fit"]["held"])
+    gateway.close()
+    return found, held
+
+
+def test_behind_a_fault_nothing_is_weighed_until_the_residuals_have_settled(config):
+    frames = drive(SEED, bias=0.2, until=26.0)
+    assert weighed(config, frames, 25.9) == (["f_b"], False)
+    assert weighed(config, frames, 28.0) == (["f_b"], True), "its name stands while its tests come down"
+    assert weighed(config, frames) == ([], False)
+    assert named(config, frames) == ["f_b"]
+
+
+def test_of_two_faults_none_is_likely(config):
+    assert weighed(config, drive(SEED, gain=0.02, bias=-0.2)) == ([], False)
+    assert weighed(config, drive(SEED, bias=-0.2)) == (["f_b"], False)
+
+
+def test_the_cause_is_the_sensor_whatever_its_factor(config):
+    gateway = Gateway(load_config(config), None, file=config)
+    events = []
+    gateway.listen(events.append)
+    frames = drive(SEED, bias=0.2)
+    gateway.start(int(frames[0]["t_ns"]))
+    gateway.feed(frames)
+    own = gateway.engine.state_of(0)[0]
+    assert unpack(np.asarray(own["own"]["likely"])[None, :], 3)[0].tolist() == [False, True, False]
+    gateway.close()
+    causes = [group["cause"] for e in events if e["event"] == "diagnosis" for group in e["groups"]]
+    assert causes[-1] == ["signal b.M1.b"]
