@@ -23,6 +23,7 @@ class Courses(Structural):
 
     A leak and a sensor's gain can leave the same mean; along a drive, with other pressures, they leave other courses.
     The likelihoods are Gaussian, of mean residuals of the parts; something that is no fault of the model fits all.
+    Faults that the same residuals see share: a clogged valve's force is not constant, and a course would blame others.
     """
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
@@ -37,6 +38,9 @@ class Courses(Structural):
         self._noise = MORE * np.sqrt([np.mean(each**2) for each in means])
         norms = [[settled(self._norms(run[k], k)).max() for run in runs] for k in range(len(self._residuals))]
         self._bars = np.maximum(BAR * np.array(norms).max(1), LEAST)
+        sees = np.array([[fault in residual.faults for residual in self._residuals] for fault in self._faults])
+        same = (sees[:, None] == sees).all(2)
+        self._shared = same / same.sum(1)
 
     def _fired(self, norms: Array) -> Bools:
         """Return the tests that fired within the window: what a drive hides now, it has shown before."""
@@ -73,7 +77,7 @@ class Courses(Structural):
         unlike.append(means.size - 2.0 * np.log(OTHER))
         weights = np.exp(-0.5 * (np.array(unlike) - min(unlike)))
         weights /= weights.sum()
-        named: Array = weights[:-1]
+        named: Array = self._shared @ weights[:-1]
         alike = named > named.max() / APART
         if alike.any():
             named[alike] = named[alike].mean()
