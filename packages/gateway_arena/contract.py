@@ -67,6 +67,14 @@ class Dynamics:
     d: Array
 
 
+class WithoutSlopes:
+    """A plant whose equations are not given as slopes of states."""
+
+    def dynamics(self, command: Array) -> Dynamics:
+        """Refuse (:class:`Plant`)."""
+        raise NotForThisPlantError("its equations are not given as slopes of states")
+
+
 class Plant(Protocol):
     """A plant of the arena.
 

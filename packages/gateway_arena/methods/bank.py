@@ -20,11 +20,7 @@ class Bank:
     """Which command or sensor is wrong, by :class:`gateway_plants.linear.arrays.PiBank`."""
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
-        """Design the bank.
-
-        Raises:
-            NotForThisPlantError: no slopes, or no bank for them; says why.
-        """
+        """Design the bank."""
         del faulty
         m = len(plant.commands)
         u0 = joined(healthy)[:, :m].mean(0)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import newton
 
 from gateway_arena.contract import Array, Found, NotForThisPlantError, Plant, Record
-from gateway_arena.methods.accumulated import settled
+from gateway_arena.methods.accumulated import settled, summed
 from gateway_fdi.structure.model import Model, Quantity, der
 
 #: Errors of equations, as a share of what their variables change: the likeliest of these is taken.
@@ -108,11 +108,7 @@ class Ekf:
     """The bank: by how much the likeliest filter with a fault is likelier than the one without, in the last samples."""
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
-        """Scale unknowns and faults, and choose the errors that make healthy records likeliest.
-
-        Raises:
-            NotForThisPlantError: an equation is known by its structure only.
-        """
+        """Scale unknowns and faults, and choose the errors that make healthy records likeliest."""
         del faulty
         model = plant.model
         if any(e.relation is None and not e.differential for e in model.equations):
@@ -226,9 +222,7 @@ class Ekf:
         """Return the largest logarithm of the likelihoods' ratio, and the faults by these."""
         _, likely = self._filtered(record, range(len(self._faults)))
         ahead = np.nan_to_num((likely[:, 1:] - likely[:, :1]) / self._wide, neginf=-1e3, nan=-1e3)
-        sums = np.vstack([np.zeros(ahead.shape[1]), ahead.cumsum(0)])
-        first = np.maximum(np.arange(len(ahead)) + 1 - WINDOW, 0)
-        found = np.hstack([np.zeros((len(ahead), 1)), sums[1:] - sums[first]])
+        found = np.hstack([np.zeros((len(ahead), 1)), summed(ahead, WINDOW)])
         weights = np.exp(found - found.max(1, keepdims=True))
         weights /= weights.sum(1, keepdims=True)
         return Found(found.max(1), weights[:, 1:])

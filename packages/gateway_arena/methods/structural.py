@@ -39,11 +39,7 @@ class Structural:
     every = EVERY
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
-        """Derive the residuals, and learn what is typical of each.
-
-        Raises:
-            NotForThisPlantError: no residual of it can be computed.
-        """
+        """Derive the residuals, and learn what is typical of each."""
         del faulty
         self._faults, self._knowns = tuple(plant.sizes), plant.knowns
         self._residuals = self._derived(plant)
@@ -53,11 +49,6 @@ class Structural:
         self._noise = MORE * np.sqrt([np.mean(np.concatenate(each) ** 2) for each in means])
 
     def _derived(self, plant: Plant) -> Sequence[Any]:
-        """Return the residuals.
-
-        Raises:
-            NotForThisPlantError: there is none.
-        """
         try:
             return residuals(plant.model, filter_bandwidth=BANDWIDTH / plant.period_s)
         except GatewayError as error:

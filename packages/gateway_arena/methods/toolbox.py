@@ -35,31 +35,9 @@ from math import acos, asin, atan, cos, exp, log, pi, sin, sqrt, tan, tanh
 
 from gateway_fdi.jit import kernel
 
-
-@kernel
-def Max(a, b):
-    return max(a, b)
-
-
-@kernel
-def Min(a, b):
-    return min(a, b)
-
-
-@kernel
-def Abs(a):
-    return abs(a)
-
-
-@kernel
-def sign(a):
-    return (a > 0.0) - (a < 0.0)
-
-
-@kernel
-def Piecewise(first, other):
-    return first[0] if first[1] else other[0]
-
+Max, Min, Abs = (kernel(f) for f in (lambda a, b: max(a, b), lambda a, b: min(a, b), lambda a: abs(a)))
+sign = kernel(lambda a: (a > 0.0) - (a < 0.0))
+Piecewise = kernel(lambda first, other: first[0] if first[1] else other[0])
 
 """
 _OVER = """

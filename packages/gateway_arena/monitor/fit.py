@@ -18,7 +18,7 @@ import numpy as np
 from gateway import api
 from gateway.calibration.stopping import propose
 from gateway.cli.present import find_config, print_json, say
-from gateway_arena.contract import SAMPLES, Array, Dynamics, Found, NotForThisPlantError, Record
+from gateway_arena.contract import SAMPLES, Array, Found, NotForThisPlantError, Record, WithoutSlopes
 from gateway_arena.monitor.kept import method_of, write
 from gateway_arena.monitor.monitor import TYPE
 from gateway_arena.monitor.params import Params
@@ -37,7 +37,7 @@ BEYOND = 1e3
 _COMPILED = {"structural": "structural", "fixed": "structural", "pi_bank": "pi_bank", "kalman": "linear_observer"}
 
 
-class Bus:
+class Bus(WithoutSlopes):
     """Facts that a method gets of a plant that is known by a log alone (:class:`gateway_arena.contract.Plant`)."""
 
     source, model = "a log", Model("log", (), ())
@@ -57,14 +57,6 @@ class Bus:
             NotForThisPlantError: always.
         """
         raise NotForThisPlantError("there is a log, and no simulation")
-
-    def dynamics(self, command: Array) -> Dynamics:
-        """Refuse likewise.
-
-        Raises:
-            NotForThisPlantError: always.
-        """
-        raise NotForThisPlantError("there is a log, and no slopes of states")
 
 
 def fit(config: Path | None, logs: Sequence[Path], *, monitor: str | None, faults: Sequence[str], json: bool) -> int:

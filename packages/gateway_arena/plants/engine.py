@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
-from gateway_arena.plants.solved import touches, without_slopes
+from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes
+from gateway_arena.plants.solved import touches
 from gateway_arena.trial import Records
 from gateway_fdi.errors import InputError
 from gateway_fdi.structure.file import load_own_model
@@ -41,7 +41,7 @@ SHARE = 0.3
 _NAME = re.compile(r"_(NF|f_[a-z]+)(?:_[^_]*)?\.csv$")
 
 
-class Engine:
+class Engine(WithoutSlopes):
     """The bench as the arena takes it (:class:`gateway_arena.contract.Plant`): records are cut from the files.
 
     Raises:
@@ -108,14 +108,6 @@ class Engine:
         given = self.records()
         some = [one for one in given.faulty if one.fault == fault] if fault else given.healthy
         return some[seed % len(some)]
-
-    def dynamics(self, command: Array) -> Dynamics:
-        """Refuse (:func:`gateway_arena.plants.solved.without_slopes`).
-
-        Raises:
-            NotForThisPlantError: always.
-        """
-        return without_slopes()
 
 
 def _read(file: Path) -> Array:

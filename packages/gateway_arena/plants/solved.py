@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Dynamics, NotForThisPlantError, Record
+from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
 from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.model import Model
 from gateway_plants.structural.study.drives import off as parameters_off
@@ -40,15 +40,6 @@ def touches(model: Model) -> dict[str, str]:
 def onset_of(seed: int) -> int:
     """Return the sample at which the fault of a record sets in."""
     return int(SAMPLES * np.random.default_rng([seed, 3]).uniform(*ONSET))
-
-
-def without_slopes() -> Dynamics:
-    """Refuse dynamics.
-
-    Raises:
-        NotForThisPlantError: always.
-    """
-    raise NotForThisPlantError("its equations are not given as slopes of states")
 
 
 class SolvedPlant:
