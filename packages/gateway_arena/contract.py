@@ -50,6 +50,11 @@ class Record:
     onset: int
 
 
+def cut(values: Array, length: int = SAMPLES) -> list[Array]:
+    """Return the parts of this length, one after the other."""
+    return [values[k : k + length] for k in range(0, len(values) - length + 1, length)]
+
+
 @dataclass(frozen=True)
 class Dynamics:
     """The plant's states around a commanded value: x(k+1) = phi x(k) + g, y = c x + d.

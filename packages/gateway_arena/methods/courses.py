@@ -10,7 +10,7 @@ import numpy as np
 from gateway_arena.contract import SAMPLES, Array, Plant, Record
 from gateway_arena.indexes import Bools
 from gateway_arena.methods.accumulated import settled
-from gateway_arena.methods.structural import APART, GAIN_ERROR, MORE, OTHER, SMALL, Structural
+from gateway_arena.methods.structural import GAIN_ERROR, MORE, OTHER, SMALL, Structural, apart
 
 #: Samples that are explained at most, and their parts; iterations for a fault's size, and share at which it stays.
 WINDOW, PARTS, ITERATIONS, STAYS = 480, 12, 6, 0.02
@@ -77,11 +77,7 @@ class Courses(Structural):
         unlike.append(means.size - 2.0 * np.log(OTHER))
         weights = np.exp(-0.5 * (np.array(unlike) - min(unlike)))
         weights /= weights.sum()
-        named: Array = self._shared @ weights[:-1]
-        alike = named > named.max() / APART
-        if alike.any():
-            named[alike] = named[alike].mean()
-        return named
+        return apart(self._shared @ weights[:-1])
 
     @staticmethod
     def _unlike(means: Array, noise: Array, gains: Callable[[float], Array]) -> float:

@@ -38,6 +38,9 @@ FASTER: dict[str, Callable[..., Array]] = {
 class Equations:
     """The equations of a model as functions of arrays.
 
+    Raises:
+        NotForThisPlantError: an equation is known by its structure only.
+
     Attributes:
         names: of the unknowns, derivatives among them.
         zero: (unknowns (n, c), known variables (m,), faults (k, c)) -> left less right, (equations, c).
@@ -49,6 +52,8 @@ class Equations:
 
         from gateway_fdi.structure.generator.symbols import Symbols  # noqa: PLC0415
 
+        if any(e.relation is None and not e.differential for e in model.equations):
+            raise NotForThisPlantError("its equations are not written")
         symbols = Symbols(model, faulty=True)
         self._model, self._knowns = model, knowns
         self._equations = [e for e in model.equations if e.relation is not None]
@@ -111,8 +116,6 @@ class Ekf:
         """Scale unknowns and faults, and choose the errors that make healthy records likeliest."""
         del faulty
         model = plant.model
-        if any(e.relation is None and not e.differential for e in model.equations):
-            raise NotForThisPlantError("its equations are not written")
         self._equations = Equations(model, plant.knowns)
         self._noise, names = np.array(plant.noise), self._equations.names
         first = settled(healthy[0].values)[0]
@@ -128,8 +131,7 @@ class Ekf:
                 # implicitly: the state moves by the derivative at its end, which is as unknown as all others
                 self._move[k, k] = 1.0
                 self._change[[k, k, at, at], [k, at, k, at]] = CHANGE**2
-        for k, name in enumerate(names):
-            if name not in model.states and not name.startswith("der("):
+            elif not name.startswith("der("):
                 self._move[k, k], self._change[k, k] = 1.0, CHANGE**2
         self._change[-1, -1] = WALK**2
         self._scale, self._faults, self._states = scale, tuple(plant.sizes), model.states

@@ -104,10 +104,7 @@ class Structural:
         weights = np.zeros(len(self._faults))
         for names, probability in diagnoser.causes():
             weights[[self._faults.index(name) for name in names if name]] += probability
-        alike = weights > weights.max() / APART
-        if alike.any():
-            weights[alike] = weights[alike].mean()
-        return weights
+        return apart(weights)
 
     def _links(self, k: int) -> list[Link]:
         """Return how a test sees each fault: one that leaves no residual there has to fit that none is there."""
@@ -136,6 +133,14 @@ class Structural:
                 if size == 0.0:
                     break
         return found
+
+
+def apart(weights: Array) -> Array:
+    """Have faults share that are not told apart."""
+    alike = weights > weights.max() / APART
+    if alike.any():
+        weights[alike] = weights[alike].mean()
+    return weights
 
 
 def _means(values: Array) -> Array:

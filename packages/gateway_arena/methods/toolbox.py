@@ -24,7 +24,7 @@ from gateway_arena.methods.extended import Equations
 from gateway_arena.methods.structural import Structural
 from gateway_fdi import analyse
 from gateway_fdi.structure.generator.sources import load_source
-from gateway_fdi.structure.model import Model, Solvable, Table
+from gateway_fdi.structure.model import Model, Solvable
 
 #: Steps of Euler's rule in a sample, if a residual integrates: with one the valve's runs away.
 STEPS = 400
@@ -34,6 +34,7 @@ _MODULE = """
 from math import acos, asin, atan, cos, exp, log, pi, sin, sqrt, tan, tanh
 
 from gateway_fdi.jit import kernel
+from gateway_fdi.structure.generator.runtime import interpolate
 
 Max, Min, Abs = (kernel(f) for f in (lambda a, b: max(a, b), lambda a, b: min(a, b), lambda a: abs(a)))
 sign = kernel(lambda a: (a > 0.0) - (a < 0.0))
@@ -62,7 +63,8 @@ class Written:
         text = dedent(text[text.index('"""\n', text.index('"""') + 3) + 4 : text.rindex("    return checked_core")])
         text = re.sub(r"params\['(\w+)'\]", lambda found: repr(model.quantities[found[1]].value), text)
         text = re.sub(r"state\['(\w+)'\]", lambda found: f"state[{self._states.index(found[1])}]", text)
-        tables = "".join(_table(name, table) for name, table in model.tables.items())
+        told = ((name, tuple(t.x), tuple(t.y)) for name, t in model.tables.items())
+        tables = "".join(f"{name} = kernel(lambda at: interpolate({x}, {y}, at))\n" for name, x, y in told)
         self._over = load_source(
             "toolbox", _MODULE + tables + re.sub(r"^def ", "@kernel\ndef ", text, flags=re.M) + _OVER
         ).over
@@ -75,15 +77,6 @@ class Written:
         steps = STEPS if self._states else 1
         self._over(rows, state, float(t_s[1] - t_s[0]) / steps, steps, found)
         return found
-
-
-def _table(name: str, table: Table) -> str:
-    parts = "".join(
-        f"    if x < {b!r}:\n        return {v!r} + (x - {a!r}) * {(w - v) / (b - a)!r}\n"
-        for a, b, v, w in zip(table.x, table.x[1:], table.y, table.y[1:], strict=False)
-    )
-    clipped = f"    x = max(x, {table.x[0]!r})\n"
-    return f"@kernel\ndef {name}(x):\n{clipped}{parts}    return {table.y[-1]!r}\n\n\n"
 
 
 def chosen(model: Model) -> Iterator[Written]:
@@ -155,8 +148,6 @@ class Toolbox(Structural):
     def _derived(self, plant: Plant) -> Sequence[Any]:
         if find_spec("faultdiagnosistoolbox") is None:
             raise NotForThisPlantError("it is absent: pip install faultdiagnosistoolbox")
-        if any(e.relation is None and not e.differential for e in plant.model.equations):
-            raise NotForThisPlantError("its equations are not written")
         found = list(chosen(plant.model.explicit()))
         if not found:
             raise NotForThisPlantError("the toolbox can write no residual")

@@ -18,7 +18,7 @@ import numpy as np
 from gateway import api
 from gateway.calibration.stopping import propose
 from gateway.cli.present import find_config, print_json, say
-from gateway_arena.contract import SAMPLES, Array, Found, NotForThisPlantError, Record, WithoutSlopes
+from gateway_arena.contract import SAMPLES, Array, Found, NotForThisPlantError, Record, WithoutSlopes, cut
 from gateway_arena.monitor.kept import method_of, write
 from gateway_arena.monitor.monitor import TYPE
 from gateway_arena.monitor.params import Params
@@ -91,7 +91,7 @@ def fitted(path: Path, logs: Sequence[Path], *, monitor: str | None, faults: Seq
     healthy = [stretch for log in logs for stretch in _stretches(path, log, p)]
     learned = [values[: int(SHARE * len(values))] for _, values in healthy]
     length = max(2 * p.settle, min(SAMPLES, min(map(len, learned), default=0) // LEAST))
-    records = [_record(piece, p) for values in learned for piece in _pieces(values, length)]
+    records = [_record(piece, p) for values in learned for piece in cut(values, length)]
     if len(records) < LEAST or length <= p.settle:
         need = math.ceil(LEAST * length / SHARE) * p.period_ms / 1e3
         got = sum(len(values) for _, values in healthy)
@@ -149,10 +149,6 @@ def _stretches(path: Path, log: Path, p: Params) -> list[tuple[float, Array]]:
     ends = np.flatnonzero(np.diff(t) > 1.5e6 * p.period_ms) + 1
     values = np.array(best.values)
     return [(float(ts[0]) / 1e9, rows) for ts, rows in zip(np.split(t, ends), np.split(values, ends), strict=True)]
-
-
-def _pieces(values: Array, length: int) -> list[Array]:
-    return [values[k : k + length] for k in range(0, len(values) - length + 1, length)]
 
 
 def _record(values: Array, p: Params, fault: str = "", onset: int | None = None) -> Record:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes
+from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes, cut
 from gateway_arena.plants.solved import touches
 from gateway_arena.trial import Records
 from gateway_fdi.errors import InputError
@@ -87,7 +87,7 @@ class Engine(WithoutSlopes):
         Raises:
             InputError: the drives are too short.
         """
-        pieces = [piece for values in self._fine for piece in _pieces(values)]
+        pieces = [piece for values in self._fine for piece in cut(values)]
         learned = max(4, round(SHARE * len(pieces)))
         first = round(ONSET_S / PERIOD_S)
         begin = first - SAMPLES // 2
@@ -98,7 +98,7 @@ class Engine(WithoutSlopes):
             )
             raise InputError(text, key="--data", value=short[0] if short else "NF")
         fine = [_record(piece) for piece in pieces]
-        before = [_record(piece) for _, _, values in self._bad for piece in _pieces(values[:first])]
+        before = [_record(piece) for _, _, values in self._bad for piece in cut(values[:first])]
         bad = [_record(values[begin : begin + SAMPLES], fault, SAMPLES // 2) for fault, _, values in self._bad]
         return Records(tuple(fine[:learned]), tuple(fine[learned:]), tuple(before), (), tuple(bad))
 
@@ -135,10 +135,6 @@ def _read(file: Path) -> Array:
         text = f"samples are {PERIOD_S:g} s apart, not {steps[late[0]]:g} s"
         raise InputError(text, file=file, line=int(late[0]) + 3, value="time")
     return np.ascontiguousarray(table[:, [names.index(column) for column in COLUMNS.values()]])
-
-
-def _pieces(values: Array) -> list[Array]:
-    return [values[k : k + SAMPLES] for k in range(0, len(values) - SAMPLES + 1, SAMPLES)]
 
 
 def _record(values: Array, fault: str = "", onset: int = SAMPLES) -> Record:

@@ -186,15 +186,10 @@ def simulate(rows: f8s, c: Any, drive: f8s, sizes: f8s, work: f8s) -> None:
             slopes(x, a, y, c, u, f)
             for i in range(0, 5, 2):
                 felt[i] += h / 0.5 * (y[i] - felt[i])
-            for i in range(13):
-                s[i] = x[i] + 0.5 * h * a[i]
-            slopes(s, b, y, c, u, f)
-            for i in range(13):
-                s[i] = x[i] + 0.5 * h * b[i]
-            slopes(s, e, y, c, u, f)
-            for i in range(13):
-                s[i] = x[i] + h * e[i]
-            slopes(s, g, y, c, u, f)
+            for share, before, here in ((0.5, a, b), (0.5, b, e), (1.0, e, g)):
+                for i in range(13):
+                    s[i] = x[i] + share * h * before[i]
+                slopes(s, here, y, c, u, f)
             for i in range(13):
                 x[i] += h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * e[i] + g[i])
 
