@@ -84,13 +84,19 @@ def judged_scenarios(
     return rows
 
 
+def narrow(wide: Table) -> Table:
+    """Return a table without lines, which fits a terminal of 80 columns."""
+    wide.box, wide.pad_edge, wide.padding = None, False, (0, 1, 0, 0)
+    return wide
+
+
 def table(rows: Sequence[ScenarioRow], name: str, told: str) -> Table:
     """Return the table of a method."""
     heads: dict[str, Any] = {
         "fault": lambda row: row.scenario.fault, "mode": lambda row: row.scenario.mode, "runs": lambda row: row.runs,
-        "detected": lambda row: row.detected, "isolated": lambda row: row.isolated,
+        "det.": lambda row: row.detected, "isol.": lambda row: row.isolated,
     }  # fmt: skip
     for key in (field.name for field in fields(Indexes)):
         head, digits = (f"{key}\n[s]", 0) if key.startswith("t_") else (key, 2)
         heads[head] = lambda row, key=key, digits=digits: number(getattr(row.indexes, key), digits)
-    return tabulate(f"DAMADICS: {name}, {told}", [row for row in rows if row.method == name], heads, texts=2)
+    return narrow(tabulate(f"DAMADICS: {name}, {told}", [row for row in rows if row.method == name], heads, texts=2))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -19,33 +19,28 @@ from gateway_arena.plants.engine import Engine
 from gateway_arena.plants.tennessee import NAME as TENNESSEE
 from gateway_arena.plants.tennessee import is_there
 from gateway_arena.plants.valve import ValvePlant
-from gateway_arena.scenarios import ScenarioRow, judged_scenarios, table
+from gateway_arena.scenarios import ScenarioRow, judged_scenarios, narrow, table
 from gateway_arena.score import Row, number, plain, threshold
 from gateway_arena.trial import records, trial
 from gateway_fdi.errors import InputError
 
 
 def _table(rows: Sequence[Row], title: str) -> Table:
-    return tabulate(
-        title,
-        (row for row in rows if not row.refused),
-        {
-            "plant": lambda row: row.plant,
-            "method": lambda row: row.method,
-            "runs": lambda row: row.runs,
-            "detected\n[%]": lambda row: f"{100 * row.detected / row.runs:.0f}",
-            "early": lambda row: row.early,
-            "delay\n[s]": lambda row: number(row.delay_s),
-            "delay\n[samples]": lambda row: number(row.delay, 0),
-            "P of the\ntrue fault": lambda row: number(row.true),
-            "P of its\ngroup": lambda row: number(row.group),
-            "wrong\nname": lambda row: "-" if math.isnan(row.true) else row.wrong,
-            "false\nalarms": lambda row: f"{row.false}/{row.healthy}",
-            "ROC\narea": lambda row: number(row.auc, 3),
-            "CPU\n[us/sample]": lambda row: number(row.us, 1),
-        },
-        texts=2,
-    )
+    columns: dict[str, Callable[[Row], object]] = {
+        "plant": lambda row: row.plant,
+        "method": lambda row: row.method,
+        "runs": lambda row: row.runs,
+        "det.\n[%]": lambda row: f"{100 * row.detected / row.runs:.0f}",
+        "early": lambda row: row.early,
+        "delay": lambda row: number(row.delay, 0),
+        "P\ntrue": lambda row: number(row.true),
+        "P\ngroup": lambda row: number(row.group),
+        "wrong\nname": lambda row: "-" if math.isnan(row.true) else row.wrong,
+        "false\nalarm": lambda row: f"{row.false}/{row.healthy}",
+        "ROC\narea": lambda row: number(row.auc, 3),
+        "CPU\n[us]": lambda row: number(row.us, 1),
+    }
+    return narrow(tabulate(title, (row for row in rows if not row.refused), columns, texts=2))
 
 
 def _enough(count: int, false_alarm: float, key: str) -> None:
@@ -118,7 +113,10 @@ def arena(
         if row.missed:
             missed = ", ".join(f"{fault} {count}" for fault, count in row.missed)
             notes.append(f"{row.plant}: {row.method} did not detect {missed}")
-    notes.append("early: alarms before the fault; P: probability at the end, 0 where nothing is detected")
+    notes.append(
+        "det.: detected; early: alarms before the fault; delay: median [samples]; P: probability of the true fault, and"
+        " of all that equations cannot tell from it, at the end, 0 where nothing is detected; CPU: of a sample"
+    )
     document = {
         "study": "arena", "first_seed": seed, "false_alarm": false_alarm, "off": off, "size": size, "train": train,
         "rows": [plain(asdict(row)) for row in rows], "scenarios": [row.plain() for row in of_scenarios],
