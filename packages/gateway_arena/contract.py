@@ -92,7 +92,6 @@ class Plant(Protocol):
         knowns: known variables, in the order of a record's columns.
         noise: standard deviation of each known variable.
         sizes: fault -> what it does, for people.
-        touches: fault -> the known variable that it makes wrong: a sensor, or a command that is not followed.
     """
 
     name: str
@@ -103,7 +102,6 @@ class Plant(Protocol):
     knowns: tuple[str, ...]
     noise: tuple[float, ...]
     sizes: Mapping[str, str]
-    touches: Mapping[str, str]
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run.

@@ -2,19 +2,22 @@
 
 import math
 from dataclasses import replace
+from io import StringIO
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
+from gateway.cli.folding import FoldingConsole
 from gateway_arena.contract import SAMPLES, Found, NotForThisPlantError
 from gateway_arena.ecu import ECU, TurboFault, TurboParams
-from gateway_arena.indexes import FROM_S, ON_S, decided, indexes
+from gateway_arena.indexes import FROM_S, ON_S, Indexes, decided, indexes
 from gateway_arena.methods import courses, extended, toolbox
 from gateway_arena.plants import plant, turbo, valve
-from gateway_arena.scenarios import judged_scenarios
-from gateway_arena.score import diagnoses
+from gateway_arena.scenarios import ScenarioRow, judged_scenarios, table
+from gateway_arena.score import Row, diagnoses
+from gateway_arena.study import _table
 from gateway_bench.vecu.contract import Run
 from gateway_bench.vecu.databases import message_of
 from gateway_fdi import Residual
@@ -89,6 +92,14 @@ def test_a_fault_has_its_size_in_a_residual_of_the_model(name, equations, checke
     behind = slice(record.onset + 20, None)
     assert float(found[behind] @ gain[behind] / (gain[behind] @ gain[behind])) == pytest.approx(size, rel=0.1)
     assert np.abs(found[240 : record.onset].mean()) < 0.1 * np.abs(found[behind].mean())
+
+
+def test_tables_fit_a_terminal_of_80_columns():
+    run = Row("stiff_motor", "structural", runs=220, detected=220, early=10, delay=1000, true=0.5, group=0.5, us=9999.9)
+    row = ScenarioRow("m", valve.SCENARIOS[0], 20, 20, 20, Indexes(84_999.0, 0, 0, 0, 84_999.0, *[0.5] * 5))
+    screen = FoldingConsole(width=300, file=StringIO())
+    for made in (_table([replace(run, healthy=39, false=10, auc=1.0)], ""), table([row], "m", "")):
+        assert screen.measure(made).maximum <= 80
 
 
 def test_the_indexes_are_those_of_the_definition():
@@ -257,7 +268,7 @@ def test_tests_that_fire_leave_the_faults_that_all_of_them_see():
 
 
 @pytest.mark.long
-def test_courses_name_none_of_faults_that_the_same_residuals_see():
+def test_courses_name_none_of_faults_that_the_structure_cannot_tell_apart():
     made = plant("valve")
     judge = courses.Courses()
     judge.fit(made, [made.record(SEED + k) for k in range(8)], ())

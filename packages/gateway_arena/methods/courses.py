@@ -11,6 +11,7 @@ from gateway_arena.contract import SAMPLES, Array, Plant, Record
 from gateway_arena.indexes import Bools
 from gateway_arena.methods.accumulated import settled
 from gateway_arena.methods.structural import GAIN_ERROR, MORE, OTHER, SMALL, Structural, apart
+from gateway_arena.score import diagnoses
 
 #: Samples that are explained at most, and their parts; iterations for a fault's size, and share at which it stays.
 WINDOW, PARTS, ITERATIONS, STAYS = 480, 12, 6, 0.02
@@ -23,7 +24,7 @@ class Courses(Structural):
 
     A leak and a sensor's gain can leave the same mean; along a drive, with other pressures, they leave other courses.
     The likelihoods are Gaussian, of mean residuals of the parts; something that is no fault of the model fits all.
-    Faults that the same residuals see share: a clogged valve's force is not constant, and a course would blame others.
+    Faults that the structure cannot tell apart share: a clogged valve has no constant force, its course blames others.
     """
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
@@ -38,9 +39,8 @@ class Courses(Structural):
         self._noise = MORE * np.sqrt([np.mean(each**2) for each in means])
         norms = [[settled(self._norms(run[k], k)).max() for run in runs] for k in range(len(self._residuals))]
         self._bars = np.maximum(BAR * np.array(norms).max(1), LEAST)
-        sees = np.array([[fault in residual.faults for residual in self._residuals] for fault in self._faults])
-        same = (sees[:, None] == sees).all(2)
-        self._shared = same / same.sum(1)
+        groups = diagnoses(plant.model, self._faults)
+        self._shared = np.array([np.isin(np.arange(len(groups)), group) / len(group) for group in groups])
 
     def _fired(self, norms: Array) -> Bools:
         """Return the tests that fired within the window: what a drive hides now, it has shown before."""

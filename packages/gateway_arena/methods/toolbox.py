@@ -65,9 +65,8 @@ class Written:
         text = re.sub(r"state\['(\w+)'\]", lambda found: f"state[{self._states.index(found[1])}]", text)
         told = ((name, tuple(t.x), tuple(t.y)) for name, t in model.tables.items())
         tables = "".join(f"{name} = kernel(lambda at: interpolate({x}, {y}, at))\n" for name, x, y in told)
-        self._over = load_source(
-            "toolbox", _MODULE + tables + re.sub(r"^def ", "@kernel\ndef ", text, flags=re.M) + _OVER
-        ).over
+        text = re.sub(r"^def ", "@kernel\ndef ", text, flags=re.M)
+        self._over = load_source("toolbox", _MODULE + tables + text + _OVER).over
 
     def run(self, t_s: Array, values: Mapping[str, Array]) -> Array:
         """Return the residual of a record, shape (n,); its states begin with the first sample."""
@@ -134,10 +133,8 @@ def _written(theirs: Any, model: Model, rows: Array) -> str:
             except (NotImplementedError, IndexError):  # algebra does not solve an equation
                 continue
             text = Path("checked.py").read_text()
-        called = re.findall(
-            r"(\w+)\(", text[text.index("# Residual generator body") : text.rindex("return checked_core")]
-        )
-        if set(called) <= {*re.findall(r"\w+", _MODULE), *model.tables, "ApproxInt", "ApproxDiff"}:
+        called = {*re.findall(r"(\w+)\(", text.rpartition("# Residual generator body")[2])} - {"checked_core"}
+        if called <= {*re.findall(r"\w+", _MODULE), *model.tables, "ApproxInt", "ApproxDiff"}:
             return text
     return ""
 

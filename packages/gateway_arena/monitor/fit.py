@@ -48,7 +48,6 @@ class Bus(WithoutSlopes):
         steps = np.concatenate([np.diff(values, axis=0) for values in healthy])
         self.noise = tuple((steps.std(0) / math.sqrt(2.0)).tolist())
         self.sizes: Mapping[str, str] = dict.fromkeys(p.faults, "of a log")
-        self.touches: Mapping[str, str] = {}
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Refuse: there is a log only.

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes, cut
-from gateway_arena.plants.solved import touches
 from gateway_arena.trial import Records
 from gateway_fdi.errors import InputError
 from gateway_fdi.structure.file import load_own_model
@@ -77,7 +76,6 @@ class Engine(WithoutSlopes):
         self.sizes: Mapping[str, str] = {
             fault: ", ".join(name for one, name, _ in self._bad if one == fault) for fault in faults
         }
-        self.touches: Mapping[str, str] = touches(self.model)
         steps = np.concatenate([np.diff(values, axis=0) for values in self._fine])
         self.noise = tuple((steps.std(0) / np.sqrt(2.0)).tolist())
 

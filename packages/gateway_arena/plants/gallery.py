@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gateway_arena.contract import SAMPLES, Record, WithoutSlopes
-from gateway_arena.plants.solved import onset_of, touches
+from gateway_arena.plants.solved import onset_of
 from gateway_fdi.structure.file import load_own_model
 from gateway_fdi.structure.simulation.plant import Course
 from gateway_fdi.structure.simulation.plant import Plant as Simulation
@@ -35,7 +35,6 @@ class GalleryPlant(WithoutSlopes):
         self.knowns = (*self.commands, *(z for z in self.model.knowns if z not in self.commands))
         self.noise = tuple(ecu.noise.get(z, 0.0) for z in self.knowns)
         self.sizes: Mapping[str, str] = {fault: f"{case.kind} {case.size:g}" for fault, case in self._faults.items()}
-        self.touches: Mapping[str, str] = touches(self.model)
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`); the inputs' courses begin anywhere."""

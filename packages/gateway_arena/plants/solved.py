@@ -10,7 +10,6 @@ import numpy as np
 
 from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
 from gateway_fdi.structure.file import load_model
-from gateway_fdi.structure.model import Model
 from gateway_plants.structural.study.drives import off as parameters_off
 from gateway_plants.structural.study.drives import run
 from gateway_plants.structural.study.foreign import PLANTS
@@ -25,16 +24,6 @@ SOLVED = {
 }
 #: Shares of a record between which the fault sets in.
 ONSET = (0.45, 0.55)
-
-
-def touches(model: Model) -> dict[str, str]:
-    """Return for each fault the known variable of its equation, if that is the only one there."""
-    return {
-        fault: equation.knowns[0]
-        for equation in model.equations
-        for fault in equation.faults
-        if len(equation.knowns) == 1
-    }
 
 
 def onset_of(seed: int) -> int:
@@ -56,7 +45,6 @@ class SolvedPlant:
             fault: ", ".join(f"{key} = {value:g} (healthy {plant.p[key]:g})" for key, value in changed.items())
             for fault, changed in plant.faults.items()
         }
-        self.touches: Mapping[str, str] = touches(self.model)
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`)."""

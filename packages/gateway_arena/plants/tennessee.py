@@ -49,7 +49,6 @@ class TennesseePlant(WithoutSlopes):
         self.model = Model(NAME, (), (), self.knowns, FAULTS)
         told = {one.name: one.description for one in TEP_SCHEMA.disturbances}
         self.sizes: Mapping[str, str] = {fault: told[fault] for fault in FAULTS}
-        self.touches: Mapping[str, str] = {}
         steps = np.diff(self.record(0).values, axis=0)[:, len(self.commands) :]
         self.noise = (*[0.0] * len(self.commands), *(steps.std(0) / np.sqrt(2.0)).tolist())
 

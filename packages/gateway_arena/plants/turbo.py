@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes
-from gateway_arena.plants.solved import onset_of, touches
+from gateway_arena.plants.solved import onset_of
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import f8, f8s, kernel, record, zeros
 from gateway_fdi.structure.file import load_model
@@ -239,7 +239,6 @@ class TurboPlant(WithoutSlopes):
 
     def __init__(self) -> None:
         self.model = load_model(shipped("models/turbo.toml"))
-        self.touches: Mapping[str, str] = touches(self.model)
         told = self.model.quantities
         self.sizes: Mapping[str, str] = {f: f"{told[f].text}, {v:g} {told[f].unit}".strip() for f, v in FAULTS.items()}
 

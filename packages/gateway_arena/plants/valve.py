@@ -18,7 +18,7 @@ import numpy as np
 
 from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes
 from gateway_arena.indexes import FROM_S
-from gateway_arena.plants.solved import onset_of, touches
+from gateway_arena.plants.solved import onset_of
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import f8, f8s, kernel, record, zeros
 from gateway_fdi.structure.file import load_model
@@ -221,7 +221,6 @@ class ValvePlant(WithoutSlopes):
 
     def __init__(self) -> None:
         self.model = load_model(shipped("models/valve.toml"))
-        self.touches: Mapping[str, str] = touches(self.model)
         told = self.model.quantities
         self.sizes: Mapping[str, str] = {f: f"{told[f].text}, strength {v:g}" for f, v in FAULTS.items()}
 
