@@ -114,7 +114,7 @@ def arena(
             missed = ", ".join(f"{fault} {count}" for fault, count in row.missed)
             notes.append(f"{row.plant}: {row.method} did not detect {missed}")
     notes.append(
-        "det.: detected; early: alarms before the fault; delay: median [samples]; P: probability of the true fault, and"
+        "det.: detected; early: alarms before the fault; delay: median, in samples; P: probability of the true fault, and"
         " of all that equations cannot tell from it, at the end, 0 where nothing is detected; CPU: of a sample"
     )
     document = {
