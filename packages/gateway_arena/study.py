@@ -114,8 +114,8 @@ def arena(
             missed = ", ".join(f"{fault} {count}" for fault, count in row.missed)
             notes.append(f"{row.plant}: {row.method} did not detect {missed}")
     notes.append(
-        "det.: detected; early: alarms before the fault; delay: median, in samples; P: probability of the true fault, and"
-        " of all that equations cannot tell from it, at the end, 0 where nothing is detected; CPU: of a sample"
+        "det.: detected; early: alarms before the fault; delay: median, in samples; P: probability of the true fault,"
+        " and of all that equations cannot tell from it, at the end, 0 where nothing is detected; CPU: of a sample"
     )
     document = {
         "study": "arena", "first_seed": seed, "false_alarm": false_alarm, "off": off, "size": size, "train": train,

@@ -13,7 +13,7 @@ from gateway_arena.monitor.runner import collecting
 from gateway_fdi.common.resources import shipped
 
 _TEMPLATE, _COPIED = "examples/battery_voltage", ("battery.dbc", "battery_ecu.py")
-#: What is otherwise than in the example: the monitor; times, for a method settles for 24 s [s].
+#: Differences from the example: the monitor; times, for a method settles for 24 s [s].
 _MONITOR = """type = "method"
 method = "{method}"
 inputs = ["BATT.Voltage"]
