@@ -23,8 +23,8 @@ def evaluate_arena(
     method: Annotated[
         list[str] | None,
         typer.Option(
-            help="Methods: structural, courses, pi_bank, fixed, selected, ekf, pca, svm, forest, kalman, or"
-            " FILE.py:CLASS. Default: all that have a name."
+            help="Methods: structural, courses, pi_bank, fixed, selected, toolbox, ekf, pca, svm, forest,"
+            " kalman, or FILE.py:CLASS. Default: all that have a name."
         ),
     ] = None,
     runs: Annotated[int, typer.Option(min=1, help="Number of records with each fault.")] = 20,

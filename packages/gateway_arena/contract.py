@@ -50,6 +50,11 @@ class Record:
     onset: int
 
 
+def cut(values: Array, length: int = SAMPLES) -> list[Array]:
+    """Return the parts of this length, one after the other."""
+    return [values[k : k + length] for k in range(0, len(values) - length + 1, length)]
+
+
 @dataclass(frozen=True)
 class Dynamics:
     """The plant's states around a commanded value: x(k+1) = phi x(k) + g, y = c x + d.
@@ -67,6 +72,14 @@ class Dynamics:
     d: Array
 
 
+class WithoutSlopes:
+    """A plant whose equations are not given as slopes of states."""
+
+    def dynamics(self, command: Array) -> Dynamics:
+        """Refuse (:class:`Plant`)."""
+        raise NotForThisPlantError("its equations are not given as slopes of states")
+
+
 class Plant(Protocol):
     """A plant of the arena.
 
@@ -79,7 +92,6 @@ class Plant(Protocol):
         knowns: known variables, in the order of a record's columns.
         noise: standard deviation of each known variable.
         sizes: fault -> what it does, for people.
-        touches: fault -> the known variable that it makes wrong: a sensor, or a command that is not followed.
     """
 
     name: str
@@ -90,7 +102,6 @@ class Plant(Protocol):
     knowns: tuple[str, ...]
     noise: tuple[float, ...]
     sizes: Mapping[str, str]
-    touches: Mapping[str, str]
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run.

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from rich.table import Table
@@ -13,7 +12,7 @@ from gateway.cli.study import tabulate
 from gateway_arena.contract import Method
 from gateway_arena.indexes import Indexes, decided, middle
 from gateway_arena.plants.valve import SCENARIOS, Scenario, ValvePlant
-from gateway_arena.score import NAMED, diagnoses
+from gateway_arena.score import NAMED, diagnoses, number, plain
 
 #: Seeds from the first on, further than those of records; explanations of a scenario, if a method gives them in turn.
 SEEDS, EXPLAINED = 50_000, 100
@@ -39,6 +38,13 @@ class ScenarioRow:
     isolated: int
     indexes: Indexes
 
+    def plain(self) -> dict[str, Any]:
+        """Return it as JSON has it."""
+        return {
+            "method": self.method, "fault": self.scenario.fault, "mode": self.scenario.mode, "runs": self.runs,
+            "detected": self.detected, "isolated": self.isolated, **plain(asdict(self.indexes)),
+        }  # fmt: skip
+
 
 def judged_scenarios(
     plant: ValvePlant,
@@ -61,9 +67,9 @@ def judged_scenarios(
     faults = list(plant.sizes)
     alike = diagnoses(plant.model, faults)
     rows = []
-    for number, scenario in enumerate(scenarios):
+    for nth, scenario in enumerate(scenarios):
         count, own = 1 if scenario.develop_s else runs, faults.index(scenario.fault)
-        made = [plant.scenario(scenario, seed + SEEDS + 1000 * number + k, off) for k in range(count)]
+        made = [plant.scenario(scenario, seed + SEEDS + 1000 * nth + k, off) for k in range(count)]
         for name, (method, limit) in fitted.items():
             if hasattr(method, "every"):
                 method.every = max(scenario.lasts_s // EXPLAINED, 15)
@@ -78,30 +84,19 @@ def judged_scenarios(
     return rows
 
 
-def _shown(value: float, digits: int) -> str:
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+def narrow(wide: Table) -> Table:
+    """Return a table without lines, which fits a terminal of 80 columns."""
+    wide.box, wide.pad_edge, wide.padding = None, False, (0, 1, 0, 0)
+    return wide
 
 
 def table(rows: Sequence[ScenarioRow], name: str, told: str) -> Table:
     """Return the table of a method."""
-    columns = {
-        "t_dt\n[s]": ("t_dt", 0), "r_fd": ("r_fd", 2), "r_td": ("r_td", 2), "fs_d": ("fs_d", 2),
-        "t_it\n[s]": ("t_it", 0), "r_fi": ("r_fi", 2), "r_ti": ("r_ti", 2), "r_mi": ("r_mi", 2),
-        "fs_i": ("fs_i", 2), "dacc": ("dacc", 2),
-    }  # fmt: skip
     heads: dict[str, Any] = {
         "fault": lambda row: row.scenario.fault, "mode": lambda row: row.scenario.mode, "runs": lambda row: row.runs,
-        "detected": lambda row: row.detected, "isolated": lambda row: row.isolated,
+        "det.": lambda row: row.detected, "isol.": lambda row: row.isolated,
     }  # fmt: skip
-    for head, (key, digits) in columns.items():
-        heads[head] = lambda row, key=key, digits=digits: _shown(getattr(row.indexes, key), digits)
-    return tabulate(f"DAMADICS: {name}, {told}", [row for row in rows if row.method == name], heads, texts=2)
-
-
-def plain(row: ScenarioRow) -> dict[str, Any]:
-    """Return a row as JSON has it."""
-    numbers = {key: None if math.isnan(value) else value for key, value in asdict(row.indexes).items()}
-    return {
-        "method": row.method, "fault": row.scenario.fault, "mode": row.scenario.mode, "runs": row.runs,
-        "detected": row.detected, "isolated": row.isolated, **numbers,
-    }  # fmt: skip
+    for key in (field.name for field in fields(Indexes)):
+        head, digits = (f"{key}\n[s]", 0) if key.startswith("t_") else (key, 2)
+        heads[head] = lambda row, key=key, digits=digits: number(getattr(row.indexes, key), digits)
+    return narrow(tabulate(f"DAMADICS: {name}, {told}", [row for row in rows if row.method == name], heads, texts=2))

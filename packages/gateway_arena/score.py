@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -73,6 +74,16 @@ def diagnoses(model: Model, faults: Sequence[str]) -> list[list[int]]:
     both = found.confused & found.confused.T & found.detectable & found.detectable[:, None]
     place = [found.faults.index(fault) for fault in faults]
     return [[k for k, j in enumerate(place) if i == j or both[i, j]] for i in place]
+
+
+def number(value: float, digits: int = 2) -> str:
+    """Return a figure as tables show it."""
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return figures as JSON has them: none is NaN."""
+    return {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in values.items()}
 
 
 def threshold(largest: Array, false_alarm: float) -> float:

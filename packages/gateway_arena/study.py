@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 from rich.table import Table
 
-from gateway.cli.present import print_json, say, wide_console
-from gateway.cli.study import tabulate
+from gateway.cli.present import say
+from gateway.cli.study import show, tabulate
 from gateway_arena.contract import Plant
 from gateway_arena.methods import METHODS, method
 from gateway_arena.plants import NAMES, plant
@@ -19,43 +19,28 @@ from gateway_arena.plants.engine import Engine
 from gateway_arena.plants.tennessee import NAME as TENNESSEE
 from gateway_arena.plants.tennessee import is_there
 from gateway_arena.plants.valve import ValvePlant
-from gateway_arena.scenarios import ScenarioRow, judged_scenarios, plain, table
-from gateway_arena.score import Row, threshold
+from gateway_arena.scenarios import ScenarioRow, judged_scenarios, narrow, table
+from gateway_arena.score import Row, number, plain, threshold
 from gateway_arena.trial import records, trial
 from gateway_fdi.errors import InputError
 
 
-def _number(value: float, digits: int = 2) -> str:
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"
-
-
 def _table(rows: Sequence[Row], title: str) -> Table:
-    return tabulate(
-        title,
-        (row for row in rows if not row.refused),
-        {
-            "plant": lambda row: row.plant,
-            "method": lambda row: row.method,
-            "runs": lambda row: row.runs,
-            "detected\n[%]": lambda row: f"{100 * row.detected / row.runs:.0f}",
-            "early": lambda row: row.early,
-            "delay\n[s]": lambda row: _number(row.delay_s),
-            "delay\n[samples]": lambda row: _number(row.delay, 0),
-            "P of the\ntrue fault": lambda row: _number(row.true),
-            "P of its\ngroup": lambda row: _number(row.group),
-            "wrong\nname": lambda row: "-" if math.isnan(row.true) else row.wrong,
-            "false\nalarms": lambda row: f"{row.false}/{row.healthy}",
-            "ROC\narea": lambda row: _number(row.auc, 3),
-            "CPU\n[us/sample]": lambda row: _number(row.us, 1),
-        },
-        texts=2,
-    )
-
-
-def _plain(row: Row) -> dict[str, object]:
-    return {
-        key: None if isinstance(value, float) and math.isnan(value) else value for key, value in asdict(row).items()
+    columns: dict[str, Callable[[Row], object]] = {
+        "plant": lambda row: row.plant,
+        "method": lambda row: row.method,
+        "runs": lambda row: row.runs,
+        "det.\n[%]": lambda row: f"{100 * row.detected / row.runs:.0f}",
+        "early": lambda row: row.early,
+        "delay": lambda row: number(row.delay, 0),
+        "P\ntrue": lambda row: number(row.true),
+        "P\ngroup": lambda row: number(row.group),
+        "wrong\nname": lambda row: "-" if math.isnan(row.true) else row.wrong,
+        "false\nalarm": lambda row: f"{row.false}/{row.healthy}",
+        "ROC\narea": lambda row: number(row.auc, 3),
+        "CPU\n[us]": lambda row: number(row.us, 1),
     }
+    return narrow(tabulate(title, (row for row in rows if not row.refused), columns, texts=2))
 
 
 def _enough(count: int, false_alarm: float, key: str) -> None:
@@ -119,21 +104,21 @@ def arena(
         from gateway_arena.figure import draw  # noqa: PLC0415 - drawing is slow to load
 
         draw(rows, plot)
-    if json:
-        given_as = {"first_seed": seed, "false_alarm": false_alarm, "off": off, "size": size, "train": train}
-        found = {"rows": [_plain(row) for row in rows], "scenarios": [plain(row) for row in of_scenarios]}
-        print_json({"study": "arena", **given_as, **found})
-        return 0
-    console = wide_console()
     told = f"seeds from {seed}, {false_alarm:.0%} false alarms, parameters off {off:.0%}, faults times {size:g}"
-    console.print(_table(rows, f"Arena: {told}"))
-    for row in rows:
-        if row.refused:
-            console.print(f"{row.plant}: {row.method} is not for it: {row.refused}")
-        elif row.missed:
-            told = ", ".join(f"{fault} {count}" for fault, count in row.missed)
-            console.print(f"{row.plant}: {row.method} did not detect {told}")
+    tables = [_table(rows, f"Arena: {told}")]
     for name in dict.fromkeys(row.method for row in of_scenarios):
-        console.print(table(of_scenarios, name, f"seeds from {seed}, parameters off {off:.0%}"))
-    console.print("early: alarms before the fault; P: probability at the end, 0 where nothing is detected")
-    return 0
+        tables.append(table(of_scenarios, name, f"seeds from {seed}, parameters off {off:.0%}"))
+    notes = [f"{row.plant}: {row.method} is not for it: {row.refused}" for row in rows if row.refused]
+    for row in rows:
+        if row.missed:
+            missed = ", ".join(f"{fault} {count}" for fault, count in row.missed)
+            notes.append(f"{row.plant}: {row.method} did not detect {missed}")
+    notes.append(
+        "det.: detected; early: alarms before the fault; delay: median, in samples; P: probability of the true fault,"
+        " and of all that equations cannot tell from it, at the end, 0 where nothing is detected; CPU: of a sample"
+    )
+    document = {
+        "study": "arena", "first_seed": seed, "false_alarm": false_alarm, "off": off, "size": size, "train": train,
+        "rows": [plain(asdict(row)) for row in rows], "scenarios": [row.plain() for row in of_scenarios],
+    }  # fmt: skip
+    return show(document, tables, notes, files=[plot] if plot else [], json=json)

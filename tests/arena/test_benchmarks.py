@@ -2,18 +2,22 @@
 
 import math
 from dataclasses import replace
+from io import StringIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter
 
-from gateway_arena.contract import SAMPLES, Found
+from gateway.cli.folding import FoldingConsole
+from gateway_arena.contract import SAMPLES, Found, NotForThisPlantError
 from gateway_arena.ecu import ECU, TurboFault, TurboParams
-from gateway_arena.indexes import FROM_S, ON_S, decided, indexes
-from gateway_arena.methods import extended
+from gateway_arena.indexes import FROM_S, ON_S, Indexes, decided, indexes
+from gateway_arena.methods import courses, extended, toolbox
 from gateway_arena.plants import plant, turbo, valve
-from gateway_arena.scenarios import judged_scenarios
-from gateway_arena.score import diagnoses
+from gateway_arena.scenarios import ScenarioRow, judged_scenarios, table
+from gateway_arena.score import Row, diagnoses
+from gateway_arena.study import _table
 from gateway_bench.vecu.contract import Run
 from gateway_bench.vecu.databases import message_of
 from gateway_fdi import Residual
@@ -88,6 +92,14 @@ def test_a_fault_has_its_size_in_a_residual_of_the_model(name, equations, checke
     behind = slice(record.onset + 20, None)
     assert float(found[behind] @ gain[behind] / (gain[behind] @ gain[behind])) == pytest.approx(size, rel=0.1)
     assert np.abs(found[240 : record.onset].mean()) < 0.1 * np.abs(found[behind].mean())
+
+
+def test_tables_fit_a_terminal_of_80_columns():
+    run = Row("stiff_motor", "structural", runs=220, detected=220, early=10, delay=1000, true=0.5, group=0.5, us=9999.9)
+    row = ScenarioRow("m", valve.SCENARIOS[0], 20, 20, 20, Indexes(84_999.0, 0, 0, 0, 84_999.0, *[0.5] * 5))
+    screen = FoldingConsole(width=300, file=StringIO())
+    for made in (_table([replace(run, healthy=39, false=10, auc=1.0)], ""), table([row], "m", "")):
+        assert screen.measure(made).maximum <= 80
 
 
 def test_the_indexes_are_those_of_the_definition():
@@ -209,6 +221,61 @@ def test_the_turbo_engine_as_an_ecu_sends_what_its_sensors_show():
     assert ratio[205:300].mean() > 1.05
     with pytest.raises(ValueError, match="fyp_ic"):
         TurboFault(name="fyp_i", from_s=1)
+
+
+@pytest.mark.parametrize(("name", "samples", "near"), [("turbo", 100, 1e-9), ("valve", 6, 1e-6)])
+def test_the_toolboxs_residuals_are_what_its_own_python_computes(name, samples, near, monkeypatch):
+    pytest.importorskip("faultdiagnosistoolbox")
+    texts, made = [], plant(name)
+    written = toolbox._written
+    monkeypatch.setattr(toolbox, "_written", lambda *given: texts.append(written(*given)) or texts[-1])
+    residuals = list(toolbox.chosen(made.model))
+    record = made.record(SEED, "fyp_ic" if name == "turbo" else "f19")
+    rows = record.values[record.onset : record.onset + samples]
+    tables = {key: lambda at, t=t: float(np.interp(at, t.x, t.y)) for key, t in made.model.tables.items()}
+    known = {"Max": max, "Min": min, "Abs": abs, "Piecewise": lambda one, other: one[0] if one[1] else other[0]}
+    parameters = {p: made.model.quantities[p].value for p in made.model.parameters}
+    for residual, text in zip(residuals, [text for text in texts if text][-len(residuals) :], strict=True):
+        space = {}
+        exec(text, space)
+        space |= {**known, **tables, "asin": np.arcsin}
+        names, begun = residual._equations.names, residual._equations.begun(rows[0])
+        state = {key: begun[names.index(key)] for key in residual._states}
+        steps, theirs = toolbox.STEPS if state else 1, []
+        with np.errstate(all="ignore"):
+            for z in rows:
+                for _ in range(steps):
+                    found, state = space["checked"](z, state, parameters, made.period_s / steps)
+                theirs.append(found)
+        ours = residual.run(record.t_s[:samples], dict(zip(made.knowns, rows.T, strict=True)))
+        assert ours == pytest.approx(np.array(theirs), rel=near, abs=near)
+    assert any(residual._states for residual in residuals) == (name == "valve")
+    assert {fault for residual in residuals for fault in residual.faults} >= {*made.sizes} - {"f14"}
+
+
+def test_without_the_toolbox_its_residuals_are_said_to_be_absent(monkeypatch):
+    monkeypatch.setattr(toolbox, "find_spec", lambda _: None)
+    with pytest.raises(NotForThisPlantError, match="pip install faultdiagnosistoolbox"):
+        toolbox.Toolbox().fit(plant("valve"), [], [])
+
+
+def test_tests_that_fire_leave_the_faults_that_all_of_them_see():
+    rival = toolbox.Toolbox()
+    rival._faults = ("a", "b", "c")
+    rival._residuals = [SimpleNamespace(faults=some) for some in (("a", "b"), ("b", "c"), ("a", "c"))]
+    norms = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 2.0, 0.0], [2.0, 2.0, 2.0]])
+    assert rival._weighed(None, (), norms).tolist() == [[0, 0, 0], [0.5, 0.5, 0], [0, 1, 0], [0, 0, 0]]
+
+
+@pytest.mark.long
+def test_courses_name_none_of_faults_that_the_structure_cannot_tell_apart():
+    made = plant("valve")
+    judge = courses.Courses()
+    judge.fit(made, [made.record(SEED + k) for k in range(8)], ())
+    for seed, fault in ((10_000, "f1"), (10_300, "f16"), (10_360, "f19")):
+        weights = dict(zip(made.sizes, judge.run(made.record(SEED + seed, fault)).weights[-1].tolist(), strict=True))
+        assert sum(weights.values()) > 0.9
+        assert weights[fault] == max(weights.values()) < 0.2
 
 
 @pytest.mark.filterwarnings("ignore:An ill-conditioned matrix")

@@ -22,6 +22,7 @@ METHODS = {
     "pi_bank": "bank:Bank",
     "fixed": "structural:Fixed",
     "selected": "selected:Selected",
+    "toolbox": "toolbox:Toolbox",
     "ekf": "extended:Ekf",
     "pca": "learned:Pca",
     "svm": "learned:Svm",
@@ -44,7 +45,7 @@ def method(name: str) -> Method:
         module, _, kind = METHODS[name].partition(":")
         if module in ("learned", "selected"):
             need("arena", "methods that learn from data", key="--method")
-        if module in ("structural", "courses", "selected", "extended"):
+        if module in ("structural", "courses", "selected", "extended", "toolbox"):
             need("structure", "equations", key="--method")
         made: Method = getattr(import_module(f"{__name__}.{module}"), kind)()
         return made

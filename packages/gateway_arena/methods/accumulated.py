@@ -23,6 +23,12 @@ def joined(records: Sequence[Record]) -> Array:
     return np.concatenate([settled(record.values) for record in records])
 
 
+def summed(values: Array, window: int) -> Array:
+    """Return the sums of the last samples up to each, shape (n, columns)."""
+    sums, end = np.vstack([np.zeros(values.shape[1]), values.cumsum(0)]), np.arange(1, len(values) + 1)
+    return np.asarray(sums[end] - sums[np.maximum(end - window, 0)])
+
+
 class Accumulated:
     """CUSUM of a statistic, as learned from healthy records, for any number of runs.
 

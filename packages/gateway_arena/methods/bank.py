@@ -20,11 +20,7 @@ class Bank:
     """Which command or sensor is wrong, by :class:`gateway_plants.linear.arrays.PiBank`."""
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
-        """Design the bank.
-
-        Raises:
-            NotForThisPlantError: no slopes, or no bank for them; says why.
-        """
+        """Design the bank."""
         del faulty
         m = len(plant.commands)
         u0 = joined(healthy)[:, :m].mean(0)
@@ -41,7 +37,9 @@ class Bank:
             start_s=SETTLE * plant.period_s, hold_s=20 * plant.period_s, discrete=True,
         )  # fmt: skip
         columns = [*plant.commands, *plant.knowns[m:]]
-        touched = [plant.touches.get(fault) for fault in plant.sizes]
+        # a sensor, or a command that is not followed, is the only known variable of its fault's equation
+        alone = {f: e.knowns[0] for e in plant.model.equations for f in e.faults if len(e.knowns) == 1}
+        touched = [alone.get(fault) for fault in plant.sizes]
         self._place = [columns.index(z) if z in columns else -1 for z in touched]
         try:
             self._made()

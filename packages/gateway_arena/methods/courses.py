@@ -10,7 +10,8 @@ import numpy as np
 from gateway_arena.contract import SAMPLES, Array, Plant, Record
 from gateway_arena.indexes import Bools
 from gateway_arena.methods.accumulated import settled
-from gateway_arena.methods.structural import APART, GAIN_ERROR, MORE, OTHER, SMALL, Structural
+from gateway_arena.methods.structural import GAIN_ERROR, MORE, OTHER, SMALL, Structural, apart
+from gateway_arena.score import diagnoses
 
 #: Samples that are explained at most, and their parts; iterations for a fault's size, and share at which it stays.
 WINDOW, PARTS, ITERATIONS, STAYS = 480, 12, 6, 0.02
@@ -23,6 +24,7 @@ class Courses(Structural):
 
     A leak and a sensor's gain can leave the same mean; along a drive, with other pressures, they leave other courses.
     The likelihoods are Gaussian, of mean residuals of the parts; something that is no fault of the model fits all.
+    Faults that the structure cannot tell apart share: a clogged valve has no constant force, its course blames others.
     """
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
@@ -37,6 +39,8 @@ class Courses(Structural):
         self._noise = MORE * np.sqrt([np.mean(each**2) for each in means])
         norms = [[settled(self._norms(run[k], k)).max() for run in runs] for k in range(len(self._residuals))]
         self._bars = np.maximum(BAR * np.array(norms).max(1), LEAST)
+        groups = diagnoses(plant.model, self._faults)
+        self._shared = np.array([np.isin(np.arange(len(groups)), group) / len(group) for group in groups])
 
     def _fired(self, norms: Array) -> Bools:
         """Return the tests that fired within the window: what a drive hides now, it has shown before."""
@@ -73,11 +77,7 @@ class Courses(Structural):
         unlike.append(means.size - 2.0 * np.log(OTHER))
         weights = np.exp(-0.5 * (np.array(unlike) - min(unlike)))
         weights /= weights.sum()
-        named: Array = weights[:-1]
-        alike = named > named.max() / APART
-        if alike.any():
-            named[alike] = named[alike].mean()
-        return named
+        return apart(self._shared @ weights[:-1])
 
     @staticmethod
     def _unlike(means: Array, noise: Array, gains: Callable[[float], Array]) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import newton
 
 from gateway_arena.contract import Array, Found, NotForThisPlantError, Plant, Record
-from gateway_arena.methods.accumulated import settled
+from gateway_arena.methods.accumulated import settled, summed
 from gateway_fdi.structure.model import Model, Quantity, der
 
 #: Errors of equations, as a share of what their variables change: the likeliest of these is taken.
@@ -38,6 +38,9 @@ FASTER: dict[str, Callable[..., Array]] = {
 class Equations:
     """The equations of a model as functions of arrays.
 
+    Raises:
+        NotForThisPlantError: an equation is known by its structure only.
+
     Attributes:
         names: of the unknowns, derivatives among them.
         zero: (unknowns (n, c), known variables (m,), faults (k, c)) -> left less right, (equations, c).
@@ -49,6 +52,8 @@ class Equations:
 
         from gateway_fdi.structure.generator.symbols import Symbols  # noqa: PLC0415
 
+        if any(e.relation is None and not e.differential for e in model.equations):
+            raise NotForThisPlantError("its equations are not written")
         symbols = Symbols(model, faulty=True)
         self._model, self._knowns = model, knowns
         self._equations = [e for e in model.equations if e.relation is not None]
@@ -108,15 +113,9 @@ class Ekf:
     """The bank: by how much the likeliest filter with a fault is likelier than the one without, in the last samples."""
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
-        """Scale unknowns and faults, and choose the errors that make healthy records likeliest.
-
-        Raises:
-            NotForThisPlantError: an equation is known by its structure only.
-        """
+        """Scale unknowns and faults, and choose the errors that make healthy records likeliest."""
         del faulty
         model = plant.model
-        if any(e.relation is None and not e.differential for e in model.equations):
-            raise NotForThisPlantError("its equations are not written")
         self._equations = Equations(model, plant.knowns)
         self._noise, names = np.array(plant.noise), self._equations.names
         first = settled(healthy[0].values)[0]
@@ -132,8 +131,7 @@ class Ekf:
                 # implicitly: the state moves by the derivative at its end, which is as unknown as all others
                 self._move[k, k] = 1.0
                 self._change[[k, k, at, at], [k, at, k, at]] = CHANGE**2
-        for k, name in enumerate(names):
-            if name not in model.states and not name.startswith("der("):
+            elif not name.startswith("der("):
                 self._move[k, k], self._change[k, k] = 1.0, CHANGE**2
         self._change[-1, -1] = WALK**2
         self._scale, self._faults, self._states = scale, tuple(plant.sizes), model.states
@@ -226,9 +224,7 @@ class Ekf:
         """Return the largest logarithm of the likelihoods' ratio, and the faults by these."""
         _, likely = self._filtered(record, range(len(self._faults)))
         ahead = np.nan_to_num((likely[:, 1:] - likely[:, :1]) / self._wide, neginf=-1e3, nan=-1e3)
-        sums = np.vstack([np.zeros(ahead.shape[1]), ahead.cumsum(0)])
-        first = np.maximum(np.arange(len(ahead)) + 1 - WINDOW, 0)
-        found = np.hstack([np.zeros((len(ahead), 1)), sums[1:] - sums[first]])
+        found = np.hstack([np.zeros((len(ahead), 1)), summed(ahead, WINDOW)])
         weights = np.exp(found - found.max(1, keepdims=True))
         weights /= weights.sum(1, keepdims=True)
         return Found(found.max(1), weights[:, 1:])

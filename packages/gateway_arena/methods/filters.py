@@ -17,11 +17,7 @@ class Kalman:
     """Innovations of a Kalman filter, squared by their covariance (chi-squared), and their CUSUM."""
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
-        """Choose the disturbance that makes the first healthy record likeliest.
-
-        Raises:
-            NotForThisPlantError: no slopes.
-        """
+        """Choose the disturbance that makes the first healthy record likeliest."""
         del faulty
         self._plant, self._m = plant, len(plant.commands)
         self._r = np.diag(np.array(plant.noise[self._m :]) ** 2)

@@ -10,10 +10,33 @@ import numpy as np
 from scipy.stats import chi2
 
 from gateway_arena.contract import Array, Fed, Found, Plant, Record
-from gateway_arena.methods.accumulated import Accumulated, settled
+from gateway_arena.methods.accumulated import Accumulated, settled, summed
 
 #: Samples of a window; records at the end of the healthy ones that the CUSUM is learned from; seed of what is random.
 WINDOW, KEPT, SEED = 20, 2, 1
+
+
+class Classes:
+    """A classifier of scikit-learn that has seen what is fine, and each fault.
+
+    Args:
+        classifier: not fitted.
+        fine: rows without a fault, shape (n, columns).
+        seen: fault -> rows with it, several times.
+        faults: all of them.
+    """
+
+    def __init__(self, classifier: Any, fine: Array, seen: Sequence[tuple[str, Array]], faults: Sequence[str]) -> None:
+        kinds = [np.zeros(len(fine), np.int64), *(np.full(len(rows), 1 + faults.index(f)) for f, rows in seen)]
+        self._fitted = classifier.fit(np.concatenate([fine, *(rows for _, rows in seen)]), np.concatenate(kinds))
+        self._count = len(faults)
+
+    def judged(self, features: Array) -> tuple[Array, Array]:
+        """Return the probability of any fault, shape (n,), a little more than 0, and of each, shape (n, faults)."""
+        of_class = self._fitted.predict_proba(features)
+        weights = np.zeros((len(of_class), self._count))
+        weights[:, self._fitted.classes_[1:] - 1] = of_class[:, 1:]
+        return 1.0 - of_class[:, 0] + 1e-3, weights
 
 
 class _Learned(Fed):
@@ -55,8 +78,7 @@ class _Learned(Fed):
         before = np.repeat(z[:1], WINDOW - 1, 0) if self._before is None else self._before
         padded = np.vstack([before, z])
         self._before = padded[len(padded) - WINDOW + 1 :]
-        sums = np.vstack([np.zeros(z.shape[1]), padded.cumsum(0)])
-        mean = (sums[WINDOW:] - sums[:-WINDOW]) / WINDOW
+        mean = summed(padded, WINDOW)[WINDOW - 1 :] / WINDOW
         return np.hstack([z, mean, z - padded[: len(z)]])
 
     @abstractmethod
@@ -112,22 +134,16 @@ class Forest(_Learned):
         from sklearn.ensemble import RandomForestClassifier  # noqa: PLC0415 - slow to load, and an extra
 
         rng = np.random.default_rng(SEED)
-        rows, kinds = [features[rng.permutation(len(features))[:3000]]], [np.zeros(min(3000, len(features)), np.int64)]
-        for record in faulty:
-            some = self._features(record)[record.onset + WINDOW :: 2]
-            rows.append(some)
-            kinds.append(np.full(len(some), 1 + self._faults.index(record.fault), np.int64))
         forest = RandomForestClassifier(
             60, max_depth=14, min_samples_leaf=3, class_weight="balanced", random_state=SEED
         )
-        self._forest: Any = forest.fit(np.concatenate(rows), np.concatenate(kinds))
+        fine = features[rng.permutation(len(features))[:3000]]
+        seen = [(record.fault, self._features(record)[record.onset + WINDOW :: 2]) for record in faulty]
+        self._classes = Classes(forest, fine, seen, self._faults)
 
     def _judged(self, features: Array) -> tuple[Array, Array]:
-        of_class = self._forest.predict_proba(features)
-        weights = np.zeros((len(of_class), len(self._faults)))
-        weights[:, self._forest.classes_[1:] - 1] = of_class[:, 1:]
+        statistic, weights = self._classes.judged(features)
         before: Array = np.zeros((WINDOW, weights.shape[1])) if self._begun else self._kept
         rows = np.vstack([before, weights])
         self._kept: Array = rows[len(rows) - WINDOW :]
-        sums = np.vstack([np.zeros(weights.shape[1]), rows.cumsum(0)])
-        return 1.0 - of_class[:, 0] + 1e-3, (sums[WINDOW + 1 :] - sums[1:-WINDOW]) / WINDOW
+        return statistic, summed(rows, WINDOW)[WINDOW:] / WINDOW

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
 from gateway_arena.contract import Array, Found, NotForThisPlantError, Plant, Record
-from gateway_arena.methods.accumulated import Accumulated, settled
-from gateway_arena.methods.learned import KEPT, SEED
+from gateway_arena.methods.accumulated import Accumulated, settled, summed
+from gateway_arena.methods.learned import KEPT, SEED, Classes
 from gateway_arena.methods.structural import BANDWIDTH
 from gateway_fdi import analyse
 from gateway_fdi.residual import of_set
@@ -28,14 +27,10 @@ class Selected:
     supervised = True
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
-        """Derive the residuals, and learn which of them tell what.
-
-        Raises:
-            NotForThisPlantError: no residual of it can be computed.
-        """
+        """Derive the residuals, and learn which of them tell what."""
         from sklearn.linear_model import SGDClassifier  # noqa: PLC0415 - slow to load, and an extra
 
-        self._knowns, self._count, faults = plant.knowns, len(plant.sizes), tuple(plant.sizes)
+        self._knowns = plant.knowns
         analysis = analyse(plant.model)
         usable = np.flatnonzero(analysis.candidates.sets(analysis.candidates.chosen("SDI", "unique")))
         options = {"filter_bandwidth": BANDWIDTH / plant.period_s}
@@ -49,33 +44,25 @@ class Selected:
             raise NotForThisPlantError("no equation of the model can be checked by the others")
         first = [settled(self._means(record)) for record in healthy[:-KEPT]]
         self._scale = np.concatenate(first).std(0) + 1e-12
-        rows, kinds = [self._shaped(each) for each in first], [np.zeros(len(each), np.int64) for each in first]
-        for record in faulty:
-            rows.append(self._shaped(self._means(record)[record.onset + WINDOW :]))
-            kinds.append(np.full(len(rows[-1]), 1 + faults.index(record.fault), np.int64))
         classifier = SGDClassifier(
             loss="log_loss", penalty="l1", alpha=NORM, class_weight="balanced", random_state=SEED
         )
-        self._classifier: Any = classifier.fit(np.concatenate(rows), np.concatenate(kinds))
+        seen = [(r.fault, self._shaped(self._means(r)[r.onset + WINDOW :])) for r in faulty]
+        self._classes = Classes(classifier, self._shaped(np.concatenate(first)), seen, tuple(plant.sizes))
         self._rule = Accumulated([self._judged(record)[0] for record in healthy[-KEPT:]])
 
     def _means(self, record: Record) -> Array:
         """Return the mean residuals of the last samples, shape (n, residuals)."""
         values = dict(zip(self._knowns, record.values.T, strict=True))
         found = np.array([residual.run(record.t_s, values) for residual in self._residuals])
-        sums = np.hstack([np.zeros((len(found), 1)), np.nan_to_num(found).cumsum(1)])
-        begin = np.maximum(np.arange(found.shape[1]) + 1 - WINDOW, 0)
-        return np.asarray(((sums[:, 1:] - sums[:, begin]) / WINDOW).T)
+        return summed(np.nan_to_num(found).T, WINDOW) / WINDOW
 
     def _shaped(self, means: Array) -> Array:
         bent = np.arcsinh(means / self._scale)
         return np.hstack([bent, np.abs(bent)])
 
     def _judged(self, record: Record) -> tuple[Array, Array]:
-        of_class = self._classifier.predict_proba(self._shaped(self._means(record)))
-        weights = np.zeros((len(of_class), self._count))
-        weights[:, self._classifier.classes_[1:] - 1] = of_class[:, 1:]
-        return 1.0 - of_class[:, 0] + 1e-3, weights
+        return self._classes.judged(self._shaped(self._means(record)))
 
     def run(self, record: Record) -> Found:
         """Return the CUSUM of the probability that something is wrong, and that of each fault."""

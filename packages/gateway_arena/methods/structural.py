@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -38,21 +39,20 @@ class Structural:
     every = EVERY
 
     def fit(self, plant: Plant, healthy: Sequence[Record], faulty: Sequence[Record]) -> None:
-        """Derive the residuals, and learn what is typical of each.
-
-        Raises:
-            NotForThisPlantError: no residual of it can be computed.
-        """
+        """Derive the residuals, and learn what is typical of each."""
         del faulty
         self._faults, self._knowns = tuple(plant.sizes), plant.knowns
-        try:
-            self._residuals = residuals(plant.model, filter_bandwidth=BANDWIDTH / plant.period_s)
-        except GatewayError as error:
-            raise NotForThisPlantError(str(error)) from error
+        self._residuals = self._derived(plant)
         runs = [self._computed(record) for record in healthy]
         self._learn([[run[k] for run in runs] for k in range(len(self._residuals))])
         means = [[_means(settled(run[k])) for run in runs] for k in range(len(self._residuals))]
         self._noise = MORE * np.sqrt([np.mean(np.concatenate(each) ** 2) for each in means])
+
+    def _derived(self, plant: Plant) -> Sequence[Any]:
+        try:
+            return residuals(plant.model, filter_bandwidth=BANDWIDTH / plant.period_s)
+        except GatewayError as error:
+            raise NotForThisPlantError(str(error)) from error
 
     def _computed(self, record: Record) -> list[Array]:
         values = dict(zip(self._knowns, record.values.T, strict=True))
@@ -74,11 +74,15 @@ class Structural:
         """Return the largest of the tests, and the causes of those that have fired."""
         computed = self._computed(record)
         norms = np.stack([self._norms(residual, k) for k, residual in enumerate(computed)], 1)
+        return Found(norms.max(1), self._weighed(record, computed, norms))
+
+    def _weighed(self, record: Record, computed: Sequence[Array], norms: Array) -> Array:
+        """Return the probability of each fault, shape (n, faults)."""
         weights = np.zeros((len(norms), len(self._faults)))
         for end in range(self.every, len(norms) + 1, self.every):
             if self._fired(norms[:end]).any():
                 weights[end - 1 : end - 1 + self.every] = self._causes(record, computed, norms[:end])
-        return Found(norms.max(1), weights)
+        return weights
 
     def _fired(self, norms: Array) -> Bools:
         """Return the tests that fire now, shape (tests,)."""
@@ -100,10 +104,7 @@ class Structural:
         weights = np.zeros(len(self._faults))
         for names, probability in diagnoser.causes():
             weights[[self._faults.index(name) for name in names if name]] += probability
-        alike = weights > weights.max() / APART
-        if alike.any():
-            weights[alike] = weights[alike].mean()
-        return weights
+        return apart(weights)
 
     def _links(self, k: int) -> list[Link]:
         """Return how a test sees each fault: one that leaves no residual there has to fit that none is there."""
@@ -132,6 +133,14 @@ class Structural:
                 if size == 0.0:
                     break
         return found
+
+
+def apart(weights: Array) -> Array:
+    """Have faults share that are not told apart."""
+    alike = weights > weights.max() / APART
+    if alike.any():
+        weights[alike] = weights[alike].mean()
+    return weights
 
 
 def _means(values: Array) -> Array:

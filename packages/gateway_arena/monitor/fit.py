@@ -18,7 +18,7 @@ import numpy as np
 from gateway import api
 from gateway.calibration.stopping import propose
 from gateway.cli.present import find_config, print_json, say
-from gateway_arena.contract import SAMPLES, Array, Dynamics, Found, NotForThisPlantError, Record
+from gateway_arena.contract import SAMPLES, Array, Found, NotForThisPlantError, Record, WithoutSlopes, cut
 from gateway_arena.monitor.kept import method_of, write
 from gateway_arena.monitor.monitor import TYPE
 from gateway_arena.monitor.params import Params
@@ -37,7 +37,7 @@ BEYOND = 1e3
 _COMPILED = {"structural": "structural", "fixed": "structural", "pi_bank": "pi_bank", "kalman": "linear_observer"}
 
 
-class Bus:
+class Bus(WithoutSlopes):
     """Facts that a method gets of a plant that is known by a log alone (:class:`gateway_arena.contract.Plant`)."""
 
     source, model = "a log", Model("log", (), ())
@@ -48,7 +48,6 @@ class Bus:
         steps = np.concatenate([np.diff(values, axis=0) for values in healthy])
         self.noise = tuple((steps.std(0) / math.sqrt(2.0)).tolist())
         self.sizes: Mapping[str, str] = dict.fromkeys(p.faults, "of a log")
-        self.touches: Mapping[str, str] = {}
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Refuse: there is a log only.
@@ -57,14 +56,6 @@ class Bus:
             NotForThisPlantError: always.
         """
         raise NotForThisPlantError("there is a log, and no simulation")
-
-    def dynamics(self, command: Array) -> Dynamics:
-        """Refuse likewise.
-
-        Raises:
-            NotForThisPlantError: always.
-        """
-        raise NotForThisPlantError("there is a log, and no slopes of states")
 
 
 def fit(config: Path | None, logs: Sequence[Path], *, monitor: str | None, faults: Sequence[str], json: bool) -> int:
@@ -99,7 +90,7 @@ def fitted(path: Path, logs: Sequence[Path], *, monitor: str | None, faults: Seq
     healthy = [stretch for log in logs for stretch in _stretches(path, log, p)]
     learned = [values[: int(SHARE * len(values))] for _, values in healthy]
     length = max(2 * p.settle, min(SAMPLES, min(map(len, learned), default=0) // LEAST))
-    records = [_record(piece, p) for values in learned for piece in _pieces(values, length)]
+    records = [_record(piece, p) for values in learned for piece in cut(values, length)]
     if len(records) < LEAST or length <= p.settle:
         need = math.ceil(LEAST * length / SHARE) * p.period_ms / 1e3
         got = sum(len(values) for _, values in healthy)
@@ -157,10 +148,6 @@ def _stretches(path: Path, log: Path, p: Params) -> list[tuple[float, Array]]:
     ends = np.flatnonzero(np.diff(t) > 1.5e6 * p.period_ms) + 1
     values = np.array(best.values)
     return [(float(ts[0]) / 1e9, rows) for ts, rows in zip(np.split(t, ends), np.split(values, ends), strict=True)]
-
-
-def _pieces(values: Array, length: int) -> list[Array]:
-    return [values[k : k + length] for k in range(0, len(values) - length + 1, length)]
 
 
 def _record(values: Array, p: Params, fault: str = "", onset: int | None = None) -> Record:

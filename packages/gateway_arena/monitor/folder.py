@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from gateway import api
@@ -12,53 +13,22 @@ from gateway_arena.monitor.runner import collecting
 from gateway_fdi.common.resources import shipped
 
 _TEMPLATE, _COPIED = "examples/battery_voltage", ("battery.dbc", "battery_ecu.py")
-#: Length of the healthy drive, of the other ones, and when a fault begins and ends in them [s].
-_HEALTHY_S, _SECONDS, _FROM_S, _TO_S = 600.0, 120.0, 60.0, 80.0
-_CONFIG = """name = "{name}"
-
-[[bus]]
-name = "can"
-uri = "socketcan:vcan0"
-database = ["battery.dbc"]
-
-[[bus.check]]
-message = "BATT"
-timeout_ms = 500.0
-
-[[monitor]]
-name = "{name}"
-type = "method"
+#: Differences from the example: the monitor; times, for a method settles for 24 s [s].
+_MONITOR = """type = "method"
 method = "{method}"
 inputs = ["BATT.Voltage"]
 period_ms = 100.0
 fitted = "{name}.fit"
 {faults}codes = {{ {code} = "P0562" }}
-
-[output.dtc_frame]
-cycle_ms = 1000.0
 """
-_SCENARIO = """name = "{title}"
-description = "{text}"
-duration_s = {seconds}
-config = "gateway.toml"
-
-[[ecu]]
-type = "battery_ecu:ECU"
-"""
-_FAULT = """
-[[fault]]
-kind = "drained"
-from_s = {from_s}
-to_s = {to_s}
-volts = 10.5
-"""
-_EXPECT = """
-[[expect]]
-dtc = "P0562-00"
-after_s = {from_s}
-by_s = {by_s}
-healed_by_s = {healed_by_s}
-"""
+_TIMES = {
+    "for five seconds": "for 20 seconds", "duration_s = 20.0": "duration_s = 120.0", "from_s = 5.0": "from_s = 60.0",
+    "to_s = 10.0": "to_s = 80.0", "after_s = 5.0": "after_s = 60.0", " = 6.0": " = 80.0", "s = 12.0": "s = 115.0",
+    "P0562-16": "P0562-00",
+}  # fmt: skip
+_HEALTHY = {
+    '"drained"': '"healthy"', "drained for 20 seconds; it is named, and heals": "well", "s = 120.0": "s = 600.0",
+}  # fmt: skip
 _README = """# {name}: a method of the arena as a monitor
 
 | file | what |
@@ -100,24 +70,29 @@ def new_monitor_from(name: str, place: Path, wanted: str) -> list[str]:
     for file in _COPIED:
         (place / file).write_text((shipped(_TEMPLATE) / file).read_text())
     faults = 'faults = ["drained"]\n' if supervised else ""
-    config = place / "gateway.toml"
-    config.write_text(
-        _CONFIG.format(name=name, method=own, faults=faults, code="drained" if supervised else "abnormal")
-    )
-    ecu = {"healthy": (_HEALTHY_S, "The battery is well."), "drained": (_SECONDS, "The battery is drained.")}
-    for title, (seconds, text) in ecu.items():
-        bad = title != "healthy"
-        whole = _SCENARIO.format(title=title, text=text, seconds=seconds)
-        whole += _FAULT.format(from_s=_FROM_S, to_s=_TO_S) if bad else ""
-        (place / f"{title}.toml").write_text(whole)
-        if supervised or not bad:
-            with collecting():
-                api.simulate(place / f"{title}.toml", record=place / f"{title}.log")
-    with (place / "drained.toml").open("a") as file_:
-        file_.write(_EXPECT.format(from_s=_FROM_S, by_s=_TO_S, healed_by_s=_SECONDS - 5.0))
-    told = [f"drained={place / 'drained.log'}@{_FROM_S:g}"] if supervised else []
+    monitor = _MONITOR.format(name=name, method=own, faults=faults, code="drained" if supervised else "abnormal")
+    old = 'type = "battery_voltage:MONITOR"\nlow = 11.0\n'
+    config, drained = place / "gateway.toml", place / "drained.toml"
+    config.write_text(_changed("gateway.toml", {old: monitor, '"battery"': f'"{name}"'}))
+    whole = _changed("drained.toml", _TIMES)
+    (place / "healthy.toml").write_text(_changed("drained.toml", _TIMES | _HEALTHY).partition("\n[[fault]]")[0])
+    drained.write_text(whole.partition("\n[[expect]]")[0])
+    for file in ("healthy.toml", "drained.toml") if supervised else ("healthy.toml",):
+        with collecting():
+            api.simulate(place / file, record=(place / file).with_suffix(".log"))
+    drained.write_text(whole)
+    told = [f"drained={place / 'drained.log'}@60"] if supervised else []
     fitted(config, [place / "healthy.log"], monitor=None, faults=told)
-    option = f" --fault drained=drained.log@{_FROM_S:g}" if supervised else ""
+    option = " --fault drained=drained.log@60" if supervised else ""
     (place / "README.md").write_text(_README.format(name=name, option=option))
     add_own(place.glob("*.py"))
     return sorted(file.name for file in place.iterdir() if file.is_file())
+
+
+def _changed(file: str, otherwise: Mapping[str, str]) -> str:
+    """Return the text of a file of the example, with some words changed."""
+    text = (shipped(_TEMPLATE) / file).read_text()
+    for old, new in otherwise.items():
+        assert old in text, (file, old)
+        text = text.replace(old, new)
+    return text

@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
-from gateway_arena.plants.solved import touches, without_slopes
+from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes, cut
 from gateway_arena.trial import Records
 from gateway_fdi.errors import InputError
 from gateway_fdi.structure.file import load_own_model
@@ -41,7 +40,7 @@ SHARE = 0.3
 _NAME = re.compile(r"_(NF|f_[a-z]+)(?:_[^_]*)?\.csv$")
 
 
-class Engine:
+class Engine(WithoutSlopes):
     """The bench as the arena takes it (:class:`gateway_arena.contract.Plant`): records are cut from the files.
 
     Raises:
@@ -77,7 +76,6 @@ class Engine:
         self.sizes: Mapping[str, str] = {
             fault: ", ".join(name for one, name, _ in self._bad if one == fault) for fault in faults
         }
-        self.touches: Mapping[str, str] = touches(self.model)
         steps = np.concatenate([np.diff(values, axis=0) for values in self._fine])
         self.noise = tuple((steps.std(0) / np.sqrt(2.0)).tolist())
 
@@ -87,7 +85,7 @@ class Engine:
         Raises:
             InputError: the drives are too short.
         """
-        pieces = [piece for values in self._fine for piece in _pieces(values)]
+        pieces = [piece for values in self._fine for piece in cut(values)]
         learned = max(4, round(SHARE * len(pieces)))
         first = round(ONSET_S / PERIOD_S)
         begin = first - SAMPLES // 2
@@ -98,7 +96,7 @@ class Engine:
             )
             raise InputError(text, key="--data", value=short[0] if short else "NF")
         fine = [_record(piece) for piece in pieces]
-        before = [_record(piece) for _, _, values in self._bad for piece in _pieces(values[:first])]
+        before = [_record(piece) for _, _, values in self._bad for piece in cut(values[:first])]
         bad = [_record(values[begin : begin + SAMPLES], fault, SAMPLES // 2) for fault, _, values in self._bad]
         return Records(tuple(fine[:learned]), tuple(fine[learned:]), tuple(before), (), tuple(bad))
 
@@ -108,14 +106,6 @@ class Engine:
         given = self.records()
         some = [one for one in given.faulty if one.fault == fault] if fault else given.healthy
         return some[seed % len(some)]
-
-    def dynamics(self, command: Array) -> Dynamics:
-        """Refuse (:func:`gateway_arena.plants.solved.without_slopes`).
-
-        Raises:
-            NotForThisPlantError: always.
-        """
-        return without_slopes()
 
 
 def _read(file: Path) -> Array:
@@ -143,10 +133,6 @@ def _read(file: Path) -> Array:
         text = f"samples are {PERIOD_S:g} s apart, not {steps[late[0]]:g} s"
         raise InputError(text, file=file, line=int(late[0]) + 3, value="time")
     return np.ascontiguousarray(table[:, [names.index(column) for column in COLUMNS.values()]])
-
-
-def _pieces(values: Array) -> list[Array]:
-    return [values[k : k + SAMPLES] for k in range(0, len(values) - SAMPLES + 1, SAMPLES)]
 
 
 def _record(values: Array, fault: str = "", onset: int = SAMPLES) -> Record:

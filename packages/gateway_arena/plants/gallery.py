@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
-from gateway_arena.plants.solved import onset_of, touches, without_slopes
+from gateway_arena.contract import SAMPLES, Record, WithoutSlopes
+from gateway_arena.plants.solved import onset_of
 from gateway_fdi.structure.file import load_own_model
 from gateway_fdi.structure.simulation.plant import Course
 from gateway_fdi.structure.simulation.plant import Plant as Simulation
@@ -18,7 +18,7 @@ from gateway_plants.structural.study.gallery import PLANTS, cases, scenario
 GALLERY = PLANTS
 
 
-class GalleryPlant:
+class GalleryPlant(WithoutSlopes):
     """A plant of the gallery as the arena takes it; its sensors are sampled together, a fault lasts half a record."""
 
     def __init__(self, name: str) -> None:
@@ -35,7 +35,6 @@ class GalleryPlant:
         self.knowns = (*self.commands, *(z for z in self.model.knowns if z not in self.commands))
         self.noise = tuple(ecu.noise.get(z, 0.0) for z in self.knowns)
         self.sizes: Mapping[str, str] = {fault: f"{case.kind} {case.size:g}" for fault, case in self._faults.items()}
-        self.touches: Mapping[str, str] = touches(self.model)
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`); the inputs' courses begin anywhere."""
@@ -63,14 +62,6 @@ class GalleryPlant:
         rows = plant.run(times, courses, longest_s=self._ecu.longest_ms * 1e-3)
         exact = np.stack([rows[z] for z in self.knowns], 1)
         return Record(times, exact + rng.normal(size=exact.shape) * np.array(self.noise), fault, onset)
-
-    def dynamics(self, command: Array) -> Dynamics:
-        """Refuse (:func:`gateway_arena.plants.solved.without_slopes`).
-
-        Raises:
-            NotForThisPlantError: always.
-        """
-        return without_slopes()
 
 
 def _shifted(points: tuple[tuple[float, float], ...], by: float, repeat: float) -> Course:

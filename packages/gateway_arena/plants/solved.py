@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Dynamics, NotForThisPlantError, Record
+from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
 from gateway_fdi.structure.file import load_model
-from gateway_fdi.structure.model import Model
 from gateway_plants.structural.study.drives import off as parameters_off
 from gateway_plants.structural.study.drives import run
 from gateway_plants.structural.study.foreign import PLANTS
@@ -27,28 +26,9 @@ SOLVED = {
 ONSET = (0.45, 0.55)
 
 
-def touches(model: Model) -> dict[str, str]:
-    """Return for each fault the known variable of its equation, if that is the only one there."""
-    return {
-        fault: equation.knowns[0]
-        for equation in model.equations
-        for fault in equation.faults
-        if len(equation.knowns) == 1
-    }
-
-
 def onset_of(seed: int) -> int:
     """Return the sample at which the fault of a record sets in."""
     return int(SAMPLES * np.random.default_rng([seed, 3]).uniform(*ONSET))
-
-
-def without_slopes() -> Dynamics:
-    """Refuse dynamics.
-
-    Raises:
-        NotForThisPlantError: always.
-    """
-    raise NotForThisPlantError("its equations are not given as slopes of states")
 
 
 class SolvedPlant:
@@ -65,7 +45,6 @@ class SolvedPlant:
             fault: ", ".join(f"{key} = {value:g} (healthy {plant.p[key]:g})" for key, value in changed.items())
             for fault, changed in plant.faults.items()
         }
-        self.touches: Mapping[str, str] = touches(self.model)
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`)."""

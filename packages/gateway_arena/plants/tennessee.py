@@ -10,8 +10,8 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
-from gateway_arena.plants.solved import onset_of, without_slopes
+from gateway_arena.contract import SAMPLES, Record, WithoutSlopes
+from gateway_arena.plants.solved import onset_of
 from gateway_fdi.errors import InputError
 from gateway_fdi.structure.model import Model
 
@@ -29,7 +29,7 @@ def is_there() -> bool:
     return find_spec("tep_studio") is not None
 
 
-class TennesseePlant:
+class TennesseePlant(WithoutSlopes):
     """The process as the arena takes it: 12 h, under control.
 
     Raises:
@@ -49,7 +49,6 @@ class TennesseePlant:
         self.model = Model(NAME, (), (), self.knowns, FAULTS)
         told = {one.name: one.description for one in TEP_SCHEMA.disturbances}
         self.sizes: Mapping[str, str] = {fault: told[fault] for fault in FAULTS}
-        self.touches: Mapping[str, str] = {}
         steps = np.diff(self.record(0).values, axis=0)[:, len(self.commands) :]
         self.noise = (*[0.0] * len(self.commands), *(steps.std(0) / np.sqrt(2.0)).tolist())
 
@@ -78,11 +77,3 @@ class TennesseePlant:
         rows = [[*one.implemented_action, *one.measurements[:CONTINUOUS]] for one in run.results[:SAMPLES]]
         rows += [rows[-1]] * (SAMPLES - len(rows))
         return Record(np.arange(float(SAMPLES)) * self.period_s, np.array(rows), fault, onset)
-
-    def dynamics(self, command: Array) -> Dynamics:
-        """Refuse (:func:`gateway_arena.plants.solved.without_slopes`).
-
-        Raises:
-            NotForThisPlantError: always.
-        """
-        return without_slopes()

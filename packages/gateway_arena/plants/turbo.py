@@ -11,68 +11,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
-from gateway_arena.plants.solved import onset_of, touches, without_slopes
+from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes
+from gateway_arena.plants.solved import onset_of
 from gateway_fdi.common.resources import shipped
-from gateway_fdi.jit import Record as Fields
-from gateway_fdi.jit import f8, f8s, kernel, means, zeros
+from gateway_fdi.jit import f8, f8s, kernel, record, zeros
 from gateway_fdi.structure.file import load_model
 
-#: Time between two samples, and the solver's step [s].
-PERIOD_S, STEPS = 0.1, 50
-#: Fault -> text, size, unit.
+#: Time between two samples [s].
+PERIOD_S = 0.1
+#: Fault -> its size: shares, areas [mm2], [K].
 FAULTS = {
-    "fp_af": ("clogged air filter", 8.0, "times the resistance more"),
-    "fC_vol": ("volumetric efficiency", 0.08, "of it lost"),
-    "fW_af": ("hole behind the air filter", 100.0, "mm2"),
-    "fW_c": ("hole behind the compressor", 10.0, "mm2"),
-    "fW_ic": ("hole behind the intercooler", 10.0, "mm2"),
-    "fW_th": ("hole behind the throttle", 5.0, "mm2"),
-    "fx_th": ("throttle", 4.0, "mm2 more than told"),
-    "fyp_ic": ("sensor of the intercooler's pressure", 0.2, "of it more"),
-    "fyp_im": ("sensor of the intake's pressure", 0.19, "of it more"),
-    "fyT_ic": ("sensor of the intercooler's temperature", -20.0, "K"),
-    "fyW_af": ("sensor of the air flow", 0.2, "of it more"),
-}
+    "fp_af": 8.0, "fC_vol": 0.08, "fW_af": 100.0, "fW_c": 10.0, "fW_ic": 10.0, "fW_th": 5.0, "fx_th": 4.0,
+    "fyp_ic": 0.2, "fyp_im": 0.19, "fyT_ic": -20.0, "fyW_af": 0.2,
+}  # fmt: skip
 #: Commands, then sensors: areas [mm2], shares, [rad/s]; temperatures [K], pressures [kPa], flow [g/s], torque [Nm].
 KNOWNS = (
     "A_th", "u_wg", "w_e", "yT_c", "yp_c", "yT_ic", "yp_ic", "yT_im", "yp_im", "yW_af", "yTq", "yp_em",
 )  # fmt: skip
 #: Noise of the sensors.
 NOISE = (0.0, 0.0, 0.0, 0.5, 0.3, 0.5, 0.3, 0.5, 0.2, 0.2, 1.0, 0.5)
-#: States: mass and temperature of six volumes from the air filter to the exhaust; speed of the turbine [rad/s].
-VOLUMES = 6
 
 
-class Parameters(Fields):
-    """Parameters, SI units; those of the structural model have its names, in its units."""
-
-    H_af: f8 = means("resistance of the air filter")
-    H_ic: f8 = means("of the intercooler")
-    H_es: f8 = means("of the exhaust")
-    D_c: f8 = means("diameter of the compressor [m]")
-    Phi: f8 = means("largest flow parameter of the compressor")
-    Psi: f8 = means("largest head parameter")
-    e_c: f8 = means("largest efficiency of the compressor")
-    e_ic: f8 = means("effectiveness of the intercooler")
-    c_vol: f8 = means("volumetric efficiency")
-    V_d: f8 = means("displacement [m3]")
-    e_ig: f8 = means("indicated efficiency")
-    k_t: f8 = means("flow of the turbine")
-    e_t: f8 = means("efficiency of the turbine")
-    J: f8 = means("inertia of the turbine [kg m2]")
-
-
-#: Their values.
+#: Parameters: those of the structural model in SI units; efficiency of the turbine, its inertia [kg m2].
 VALUES = {
     "H_af": 3e8, "H_ic": 1e9, "H_es": 4e8, "D_c": 0.058, "Phi": 0.125, "Psi": 2.2, "e_c": 0.78, "e_ic": 0.8,
     "c_vol": 0.92, "V_d": 1.8e-3, "e_ig": 0.36, "k_t": 0.016, "e_t": 0.68, "J": 3.5e-5,
 }  # fmt: skip
-#: Surroundings [Pa], [K]; gas constants and heats of air and exhaust [J/kg/K]; stoichiometric ratio.
-P_A, T_A = 101_300.0, 298.0
+Parameters = record(**dict.fromkeys(VALUES, f8))
 
 
 @kernel
@@ -98,11 +67,11 @@ def resisted(h: float, p1: float, p2: float, t: float) -> float:
 
 
 @kernel
-def slopes(x: f8s, d: f8s, y: f8s, c: Parameters, u: f8s, f: f8s) -> None:
+def slopes(x: f8s, d: f8s, y: f8s, c: Any, u: f8s, f: f8s) -> None:
     """Compute slopes and what sensors would show without noise.
 
     Args:
-        x: states, shape (13,): masses, temperatures, speed.
+        x: states, shape (13,): mass and temperature of six volumes from the filter to the exhaust; turbine [rad/s].
         d: their slopes, changed.
         y: of the sensors, shape (9,), SI units, changed.
         c: parameters.
@@ -169,7 +138,7 @@ def slopes(x: f8s, d: f8s, y: f8s, c: Parameters, u: f8s, f: f8s) -> None:
 
 
 @kernel
-def simulate(rows: f8s, c: Parameters, drive: f8s, sizes: f8s, work: f8s) -> None:
+def simulate(rows: f8s, c: Any, drive: f8s, sizes: f8s, work: f8s) -> None:
     """Fill in the exact values of the known variables.
 
     The throttle follows the pressure that the torque wants, by a PI-controller on its sensor; so does the wastegate.
@@ -217,15 +186,10 @@ def simulate(rows: f8s, c: Parameters, drive: f8s, sizes: f8s, work: f8s) -> Non
             slopes(x, a, y, c, u, f)
             for i in range(0, 5, 2):
                 felt[i] += h / 0.5 * (y[i] - felt[i])
-            for i in range(13):
-                s[i] = x[i] + 0.5 * h * a[i]
-            slopes(s, b, y, c, u, f)
-            for i in range(13):
-                s[i] = x[i] + 0.5 * h * b[i]
-            slopes(s, e, y, c, u, f)
-            for i in range(13):
-                s[i] = x[i] + h * e[i]
-            slopes(s, g, y, c, u, f)
+            for share, before, here in ((0.5, a, b), (0.5, b, e), (1.0, e, g)):
+                for i in range(13):
+                    s[i] = x[i] + share * h * before[i]
+                slopes(s, here, y, c, u, f)
             for i in range(13):
                 x[i] += h / 6.0 * (a[i] + 2.0 * b[i] + 2.0 * e[i] + g[i])
 
@@ -245,8 +209,7 @@ def drive_of(rng: np.random.Generator, samples: int = SAMPLES) -> Array:
 
 def in_si(fault: str) -> float:
     """Return the size of a fault in the solver's units."""
-    _, size, unit = FAULTS[fault]
-    return size * (1e-6 if unit.startswith("mm2") else 1.0)
+    return FAULTS[fault] * (1e-6 if fault.startswith(("fW_", "fx_")) else 1.0)
 
 
 def driven(rng: np.random.Generator, drive: Array, sizes: Array, off: float) -> Array:
@@ -266,18 +229,18 @@ def driven(rng: np.random.Generator, drive: Array, sizes: Array, off: float) -> 
     return np.asarray(rows + rng.normal(size=rows.shape) * np.array(NOISE))
 
 
-class TurboPlant:
+class TurboPlant(WithoutSlopes):
     """The engine as the arena takes it, on random drives."""
 
     name, source, period_s = "turbo", "turbocharged engine; Ng, Frisk, Krysander, Eriksson 2020", PERIOD_S
     commands: tuple[str, ...] = KNOWNS[:3]
     knowns: tuple[str, ...] = KNOWNS
     noise: tuple[float, ...] = NOISE
-    sizes: Mapping[str, str] = {f: f"{text}, {size:g} {unit}" for f, (text, size, unit) in FAULTS.items()}
 
     def __init__(self) -> None:
         self.model = load_model(shipped("models/turbo.toml"))
-        self.touches: Mapping[str, str] = touches(self.model)
+        told = self.model.quantities
+        self.sizes: Mapping[str, str] = {f: f"{told[f].text}, {v:g} {told[f].unit}".strip() for f, v in FAULTS.items()}
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`)."""
@@ -287,11 +250,3 @@ class TurboPlant:
             sizes[onset:, [*FAULTS].index(fault)] = size * in_si(fault)
         shown = driven(np.random.default_rng(seed), drive_of(np.random.default_rng([seed, 5])), sizes, off)
         return Record(np.arange(float(SAMPLES)) * PERIOD_S, shown, fault, onset)
-
-    def dynamics(self, command: Array) -> Dynamics:
-        """Refuse (:func:`gateway_arena.plants.solved.without_slopes`).
-
-        Raises:
-            NotForThisPlantError: always.
-        """
-        return without_slopes()

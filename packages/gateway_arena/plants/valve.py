@@ -12,41 +12,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from gateway_arena.contract import SAMPLES, Array, Dynamics, Record
+from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes
 from gateway_arena.indexes import FROM_S
-from gateway_arena.plants.solved import onset_of, touches, without_slopes
+from gateway_arena.plants.solved import onset_of
 from gateway_fdi.common.resources import shipped
-from gateway_fdi.jit import Record as Fields
-from gateway_fdi.jit import f8, f8s, kernel, means, zeros
+from gateway_fdi.jit import f8, f8s, kernel, record, zeros
 from gateway_fdi.structure.file import load_model
 
 #: Time between two samples, and the solver's step [s]; both are the benchmark's [2].
 PERIOD_S, STEP_S = 1.0, 0.0025
-#: Fault -> its text and the strength that it has here: that of "big", or 1 where the benchmark has it creep only [2].
-FAULTS = {
-    "f1": ("valve clogging", 0.75),
-    "f2": ("sedimentation of plug or seat", 0.75),
-    "f3": ("erosion of plug or seat", 1.0),
-    "f4": ("friction of valve or bushing", 1.0),
-    "f5": ("external leakage", 1.0),
-    "f6": ("internal leakage", 1.0),
-    "f7": ("medium evaporates", 0.75),
-    "f8": ("twisted rod", 0.75),
-    "f9": ("leaky housing of the servo-motor", 1.0),
-    "f10": ("perforated diaphragm", 0.75),
-    "f11": ("spring of the servo-motor", 0.75),
-    "f12": ("electro-pneumatic transducer", -0.75),
-    "f13": ("sensor of the displacement", 0.75),
-    "f14": ("sensor of the chamber's pressure", -0.75),
-    "f15": ("feedback of the positioner", 0.75),
-    "f16": ("drop of supply pressure", 0.75),
-    "f17": ("pressure across the valve", 0.75),
-    "f18": ("bypass valve open", 0.75),
-    "f19": ("sensor of the flow", -0.75),
-}
 #: Known variables: control value [1], pressures before and behind the valve [MPa], temperature [C], displacement [1],
 #: flow [t/h]; ranges of the sensors, and their noise as a share of these: 0.0025 s of a density of 5e-9 [2].
 KNOWNS = ("CV", "yP1", "yP2", "yT1", "yX", "yF")
@@ -59,6 +37,11 @@ MODES = {
     "f18": "SMBI", "f19": "SMB",
 }  # fmt: skip
 STRENGTH = {"S": 0.25, "M": 0.5, "B": 0.75, "I": 1.0}
+#: Fault -> its strength in the arena: that of "big", or 1 where the benchmark has it creep only; signs are its own [2].
+FAULTS = {
+    fault: (-1.0 if fault in ("f12", "f14", "f19") else 1.0) * STRENGTH["B" if "B" in modes else "I"]
+    for fault, modes in MODES.items()
+}
 #: Time in which an incipient fault grows, of these and of all others; time behind that [s] (table 1 of the
 #: "Benchmark definition", v1.0).
 DEVELOPS_S, SLOWLY_S, OVER_S = {"f4": 3600, "f17": 3600, "f13": 900}, 84_000, 600
@@ -90,28 +73,13 @@ def _scenario(fault: str, mode: str) -> Scenario:
 SCENARIOS = tuple(_scenario(fault, mode) for fault, modes in MODES.items() for mode in modes)
 
 
-class Parameters(Fields):
-    """Parameters; those of the structural model have its names."""
-
-    K_v: f8 = means("flow coefficient of the open valve [m3/h at 1 bar]")
-    n: f8 = means("exponent of its equal percentage")
-    K_b: f8 = means("flow coefficient of the open bypass [m3/h]")
-    tau: f8 = means("of each of the two lags of the control value [s]")
-    K_p: f8 = means("gain of the positioner")
-    c_in: f8 = means("flow of air at full current [kg/s / sqrt(Pa)]")
-    P_z: f8 = means("supply pressure [Pa]")
-    V_0: f8 = means("dead volume of the chamber [m3]")
-    A_e: f8 = means("area of the diaphragm [m2]")
-    k_s: f8 = means("spring and diaphragm [N/m]")
-    k_v: f8 = means("viscous friction [N s/m]")
-    D_b: f8 = means("width of the hysteresis [stroke]")
-
-
-#: Their values [2]; supply pressure and gain are those of the library, not of [3].
+#: Parameters: those of the structural model in SI units, and the hysteresis' width in strokes. Their values are of [2];
+#: supply pressure and gain are those of the library, not of [3].
 VALUES = {
     "K_v": 120.0, "n": 5.0, "K_b": 19.75, "tau": 0.3, "K_p": 100.0, "c_in": 2.5e-6, "P_z": 6e5, "V_0": 5.5e-3,
     "A_e": 0.029, "k_s": 60892.0, "k_v": 1500.0, "D_b": 0.01,
 }  # fmt: skip
+Parameters = record(**dict.fromkeys(VALUES, f8))
 #: Those that differ if the parameters are off.
 UNCERTAIN = ("K_v", "n", "tau", "K_p", "c_in", "A_e", "k_s")
 
@@ -171,7 +139,7 @@ def travel(fault: int, f: float) -> float:
 
 
 @kernel
-def simulate(rows: f8s, c: Parameters, phases: f8s, fault: int, begin: float, develop: float, most: float) -> None:
+def simulate(rows: f8s, c: Any, phases: f8s, fault: int, begin: float, develop: float, most: float) -> None:
     """Fill in the exact values of the known variables.
 
     Args:
@@ -243,29 +211,29 @@ def simulate(rows: f8s, c: Parameters, phases: f8s, fault: int, begin: float, de
                 row[4], row[5] = sensed / high, flow * (1.0 + (f if fault == 19 else 0.0))
 
 
-class ValvePlant:
+class ValvePlant(WithoutSlopes):
     """The valve as the arena takes it: the benchmark's drive at random phases, faults at once."""
 
     name, source, period_s = "valve", "DAMADICS valve; Bartys, de las Heras 2003", PERIOD_S
     commands: tuple[str, ...] = KNOWNS[:1]
     knowns: tuple[str, ...] = KNOWNS
     noise: tuple[float, ...] = (0.0, *(NOISE * scale for scale in RANGES[1:]))
-    sizes: Mapping[str, str] = {f: f"{text}, strength {strength:g}" for f, (text, strength) in FAULTS.items()}
 
     def __init__(self) -> None:
         self.model = load_model(shipped("models/valve.toml"))
-        self.touches: Mapping[str, str] = touches(self.model)
+        told = self.model.quantities
+        self.sizes: Mapping[str, str] = {f: f"{told[f].text}, strength {v:g}" for f, v in FAULTS.items()}
 
     def record(self, seed: int, fault: str = "", off: float = 0.0, size: float = 1.0) -> Record:
         """Return a run (:class:`gateway_arena.contract.Plant`)."""
         onset = onset_of(seed) if fault else SAMPLES
         phases = np.random.default_rng([seed, 4]).uniform(0.0, 2.0 * np.pi, 3)
-        strength = size * FAULTS[fault][1] if fault else 0.0
+        strength = size * FAULTS[fault] if fault else 0.0
         return self.run(seed, SAMPLES, fault, onset, 0, strength, off, phases)
 
     def scenario(self, which: Scenario, seed: int, off: float) -> tuple[Record, Array]:
         """Return a run of a scenario, with the benchmark's own drive, and the strength of the fault."""
-        sign = math.copysign(1.0, FAULTS[which.fault][1])
+        sign = math.copysign(1.0, FAULTS[which.fault])
         strength = STRENGTH[which.mode]
         phases = np.zeros(3)
         record = self.run(seed, which.lasts_s, which.fault, FROM_S, which.develop_s, sign * strength, off, phases)
@@ -275,18 +243,7 @@ class ValvePlant:
     def run(
         self, seed: int, samples: int, fault: str, onset: int, develop: int, strength: float, off: float, phases: Array
     ) -> Record:
-        """Return a run.
-
-        Args:
-            seed: of noise, and of what is off.
-            samples: its length.
-            fault: "": none.
-            onset: sample at which it begins.
-            develop: samples in which it grows.
-            strength: that it has then.
-            off: share by which parameters differ from the model's.
-            phases: of the drive's sines [rad].
-        """
+        """Return a run of some samples; fault, onset, develop, strength and phases are those of :func:`simulate`."""
         rng = np.random.default_rng(seed)
         c = zeros(1, Parameters)[0]
         for name, value in VALUES.items():
@@ -297,11 +254,3 @@ class ValvePlant:
         simulate(rows, c, phases, number, float(onset), float(develop), strength)
         shown = np.clip(rows + rng.normal(size=rows.shape) * np.array(self.noise), 0.0, RANGES)
         return Record(np.arange(float(samples)) * PERIOD_S, shown, fault, onset)
-
-    def dynamics(self, command: Array) -> Dynamics:
-        """Refuse (:func:`gateway_arena.plants.solved.without_slopes`).
-
-        Raises:
-            NotForThisPlantError: always.
-        """
-        return without_slopes()
