@@ -15,11 +15,13 @@ python bench/crank_judge.py combinations --count 10000 --seed 1
 from __future__ import annotations
 
 import argparse
+import json
 import os
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 
 import cantools
 import numpy as np
@@ -164,7 +166,7 @@ class Run:
 def broken(run, at):
     tooth = run.inner()
     run.keep(~((run.teeth == tooth) & (run.turn >= at)))
-    run.told(("missed_pulse", "two_places", "wrong_wheel"), ("pulses_lost", "relocated", "sync_lost"))
+    run.told(("missed_pulse", "damaged_tooth", "two_places", "wrong_wheel"), ("pulses_lost", "relocated", "sync_lost"))
 
 
 def bent(run, at):
@@ -341,6 +343,7 @@ def main():
     parser.add_argument("what", choices=("wheels", "combinations"))
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rows", help="file for all runs of combinations, a line of JSON each")
     parser.add_argument("--show", type=int, default=20, help="how many failures to print")
     options = parser.parse_args()
     print("seed", options.seed)
@@ -355,11 +358,21 @@ def main():
         for text, late, wrong, names in bad[: options.show]:
             print(f"  {text}: {late:.1f} turns, {wrong} wrong, {names}")
         return
-    rows = list(_pool(one_run, jobs))
+    rows = []
+    with Path(options.rows or os.devnull).open("w") as file:
+        for row in _pool(one_run, jobs):
+            rows.append(row)
+            print(json.dumps(row), file=file, flush=True)
     asked = [row for row in rows if row[5] is not None]
     print(f"{len(rows)} runs, wrong proven later than {GRACE} turns: {sum(row[4] > 0 for row in rows)}")
     print(f"later fault named: {sum(row[5] for row in asked)} of {len(asked)}")
     print(f"runs with a report that blames no part at fault: {sum(bool(row[6]) for row in rows)}")
+    print("pair: runs, wrong, later fault named of those asked, runs with another report")
+    for pair in sorted({tuple(sorted(row[3])) for row in rows}):
+        of = [row for row in rows if tuple(sorted(row[3])) == pair]
+        told = [row[5] for row in of if row[5] is not None]
+        wrong, others = sum(row[4] > 0 for row in of), sum(bool(row[6]) for row in of)
+        print(f"  {' + '.join(pair):20s} {len(of):4d} {wrong:3d} {sum(told):4d} of {len(told):4d} {others:3d}")
     for title, chosen in (
         ("wrong", [row for row in rows if row[4]]),
         ("not named", [row for row in asked if not row[5]]),

@@ -29,8 +29,10 @@ from gateway_plants.crank.monitor.place import (
     TENTATIVE,
     Const,
     State,
+    cover,
     doubt,
     search,
+    uncover,
     unlearned,
 )
 from gateway_plants.crank.monitor.silence import broken_silence, fall_silent
@@ -108,6 +110,7 @@ def recount(s: State, c: Const, number: int) -> None:
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
         doubt(s)
+        uncover(s, c)
         anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
         s.hole = 1
 
@@ -338,6 +341,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.since = 0
         s.suspects = 0
         s.recurring = 0
+        uncover(s, c)
         defects.clear(s.defects)
         s.profile.clean = 0
         s.profile.turn_us = 0.0
@@ -371,6 +375,8 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     following = before + 1 if before + 1 < c.pulses else 0
     if h.associated == 1 and s.index == following:
         profile.note(s.profile, before, y)
+        if s.phase == TENTATIVE:
+            cover(s, c, before)
     else:
         s.profile.clean = 0
     first = best(tr)

@@ -34,6 +34,7 @@ from gateway_plants.crank.monitor.place import (
     shape,
     speed,
     tooth_of,
+    uncover,
 )
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import begin_later
@@ -65,6 +66,8 @@ MARKED = 24
 SURE = 3
 #: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
 EVEN_TURNS = 2
+#: Pairs of turns that have to show a whole wheel behind one that fitted twice, and what its teeth may be off [pitch].
+WHOLE_PAIRS, WHOLE_OFF = 2, 0.1
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
 MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
@@ -171,6 +174,8 @@ def decide(s: State, c: Const, out: Reports) -> None:
         begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= anchor.FEW else 0)
         return
     s.since = 0
+    if missed != added:
+        uncover(s, c)
     if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
         # The place was a guess, and it is the gap that comes elsewhere: that is the place put right.
         s.suspects = 0
@@ -264,12 +269,21 @@ def prove(s: State, c: Const, out: Reports) -> None:
             confirm(s, out)
         return
     proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.since < proof or s.filled == 1 or not decides(s, c) or _held_back(s, c):
+    if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or _held_back(s, c):
         return
     if c.pulses < MARKED and s.tracker.variance > COARSE and s.doubted == NEVER and s.waiting.same <= s.waiting.moved:
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         confirm(s, out)
+
+
+@kernel
+def _two_fit(s: State) -> bool:
+    """Tell whether another place that was seen may be the right one: its gap may be filled now, by a pulse that is off.
+
+    The wheel then seems to have a bent tooth. Where it has none, what came before was none of its turns.
+    """
+    return bool(s.twice == 1 and (s.profile.turns < WHOLE_PAIRS or abs(s.profile.off) > WHOLE_OFF))
 
 
 @kernel
@@ -324,7 +338,8 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         if found == anchor.HERE:
             an.wins = 0
             an.verified = 1
-            _witness(s, c, out)
+            if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
+                _witness(s, c, out)
         elif found == anchor.ABSENT and s.known == 0:
             doubt(s)
         elif found > 0 and s.teeth - s.uneven > c.anchor.length:
@@ -364,6 +379,7 @@ def _broken_off(s: State, c: Const, out: Reports) -> bool:
     if s.defects.turns < SURE:
         return False
     waiting.clear(s.waiting)
+    s.twice = 1
     e = report(out, TWO_PLACES, True, s.defects.turns, SURE).two_places
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
     e.here, e.there = s.rival.here, s.rival.there
@@ -388,6 +404,7 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
         profile.forget(s.profile, c.wheel, s.tracker.pitches)
         anchor.restart(s.anchor)
     rival.clear(s.rival)
+    s.twice = 0
     s.recurring = 0
     confirm(s, out)
 
@@ -420,6 +437,8 @@ def _witness(s: State, c: Const, out: Reports) -> None:
         return
     if s.recurring == 1 and defects.missing(s.defects) > 0 and not _broken_off(s, c, out):
         return
+    if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
+        return  # never proven: in what no frame brought may be another gap
     if s.hole == 1 or s.recurring == 1:
         confirm(s, out)
 
@@ -445,6 +464,8 @@ def relocate(s: State, c: Const, out: Reports, found: int) -> None:
         e.shift, e.tooth, e.speed = off, s.index, speed(s, c)
         s.corrections += off
     doubt(s)
+    s.doubted = NEVER
+    uncover(s, c)
     s.held_fault = -1
     profile.forget(s.profile, c.wheel, s.tracker.pitches)
     runout.forget(s.law)
@@ -489,6 +510,7 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         return
     elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
         _tell_gap(s, c, out, 0.0)
+        s.twice = 1 if 4 * s.waiting.against >= 3 * (s.waiting.turns - 1) else s.twice
     else:
         return
     waiting.clear(wa)

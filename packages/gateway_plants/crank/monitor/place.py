@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1, u1s
 from gateway_plants.crank.monitor import anchor, defects, made, noise, rival, waiting
 from gateway_plants.crank.monitor.faults import RESIDUALS, Shape
 from gateway_plants.crank.monitor.reversal import Reversal
@@ -124,6 +124,9 @@ class State(Record):
     silent: i4 = means("teeth that may still tell whether a silence was one of the sensor")
     silent_us: f8 = means("time of a pitch before that silence", "us")
     hole: i4 = means("1: frames were lost, and the gap was not seen since")
+    covered: Annotated[u1s, MOST_TEETH] = means("1: the slot of the pattern was seen at this place")
+    uncovered: i4 = means("slots that were not")
+    twice: u1 = means("1: the pulses have fitted two places, or no gap was seen, since the engine stood")
     burst: noise.Burst = means("pulses within one tooth")
     rival: rival.Rival = means("another place that explains missing teeth as well")
     seen: Seen = means("wheel that the pulses show")
@@ -306,6 +309,21 @@ def search(s: State, c: Const) -> None:
 
 
 @kernel
+def uncover(s: State, c: Const) -> None:
+    """No slot was seen yet at the place, or since a fault."""
+    for i in range(c.repeats):
+        s.covered[i] = 0
+    s.uncovered = c.repeats
+
+
+@kernel
+def cover(s: State, c: Const, slot: int) -> None:
+    """Note that a slot was seen as it is at the place."""
+    s.uncovered -= 1 - s.covered[slot % c.repeats]
+    s.covered[slot % c.repeats] = 1
+
+
+@kernel
 def displace(s: State) -> None:
     """The place that the cam has told is not known any more."""
     if s.placed == BY_CAM:
@@ -324,6 +342,7 @@ def stand(s: State, c: Const) -> None:
     s.looked = 0
     s.wrong = 0
     s.filled = 0
+    s.twice = 0
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1
