@@ -34,6 +34,7 @@ from gateway_plants.crank.monitor.place import (
     search,
     uncover,
     unlearned,
+    waver,
 )
 from gateway_plants.crank.monitor.silence import broken_silence, fall_silent
 from gateway_plants.crank.monitor.turns import decided, turned, turned_back
@@ -81,7 +82,7 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
     if s.burst.count > 0:
         noise.tell(s.burst, c.firing_us, out)
         search(s, c)
-    _pass_over(s, c, number)
+    _pass_over(s, c, defects.passed(s.defects, c.pulses, int(s.index), number, int(s.teeth)))
     waiting.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
 
 
@@ -95,7 +96,7 @@ def _pass_over(s: State, c: Const, number: int) -> None:
         jump(s.tracker, c.pulses, number)
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
-        doubt(s)
+        waver(s)
         s.hole = 1
     s.y1 = 0.0
     s.y2 = 0.0
@@ -182,6 +183,7 @@ def _wait_for_end(s: State, c: Const, y: float, out: Reports) -> None:
         number = noise.passed(s.burst, best(s.tracker), s.tracker.pitches, c.pulses)
     if number == 0:
         search(s, c)
+    defects.clear(s.defects)
     _pass_over(s, c, max(number, 1))
 
 

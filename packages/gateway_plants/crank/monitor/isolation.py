@@ -14,7 +14,6 @@ from gateway_plants.crank.monitor.faults import (
     NOISE,
     PULSES_LOST,
     RELOCATED,
-    RESIDUALS,
     SYNC_LOST,
     TWO_PLACES,
     UNWATCHED,
@@ -33,6 +32,7 @@ from gateway_plants.crank.monitor.place import (
     search,
     shape,
     speed,
+    tell_held,
     tooth_of,
     uncover,
 )
@@ -66,6 +66,8 @@ MARKED = 24
 SURE = 3
 #: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
 EVEN_TURNS = 2
+#: Two places were told: which one is right, no later turn says.
+TOLD = 2
 #: Pairs of turns that have to show a whole wheel behind one that fitted twice, and what its teeth may be off [pitch].
 WHOLE_PAIRS, WHOLE_OFF = 2, 0.1
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
@@ -258,17 +260,18 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
 def prove(s: State, c: Const, out: Reports) -> None:
     """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
 
-    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. Where single pulses
-    cannot be told from noise the index may slip; if a defect of each turn alone can look like such noise, more turns
-    have to show the gap where the turn before did than elsewhere, at first. None proves it while it is filled by a
-    pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth that are missing
-    of it in each turn.
+    Where the gap was not seen for what it is, or may be a turning point, one turn can fit by chance: a second one has
+    to. Where single pulses cannot be told from noise the index may slip; if a defect of each turn alone can look like
+    such noise, more turns have to show the gap where the turn before did than elsewhere, at first. None proves it while
+    it is filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth
+    that are missing of it in each turn.
     """
     if c.even == 1:
         if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
             confirm(s, out)
         return
-    proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
+    shown = s.sure == 1 and s.reversal.stood == 0
+    proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
     if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or _held_back(s, c):
         return
     if c.pulses < MARKED and s.tracker.variance > COARSE and s.doubted == NEVER and s.waiting.same <= s.waiting.moved:
@@ -283,7 +286,8 @@ def _two_fit(s: State) -> bool:
 
     The wheel then seems to have a bent tooth. Where it has none, what came before was none of its turns.
     """
-    return bool(s.twice == 1 and (s.profile.turns < WHOLE_PAIRS or abs(s.profile.off) > WHOLE_OFF))
+    whole = s.profile.turns >= WHOLE_PAIRS and abs(s.profile.off) <= WHOLE_OFF
+    return bool(s.twice == TOLD or (s.twice == 1 and not whole))
 
 
 @kernel
@@ -302,10 +306,7 @@ def confirm(s: State, out: Reports) -> None:
     s.hole = 0
     s.reversal.stood = 0
     if s.held_fault >= 0:
-        e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
-        e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
-        for k in range(RESIDUALS):
-            e.residual[k] = s.held.residual[k]
+        tell_held(s, s.held_fault, out)
         if s.held_fault == ADDED:
             s.added += int(s.held.count)
         else:
@@ -337,15 +338,23 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         found = anchor.ask(an, c.anchor, c.pulses, c.repeats, s.index)
         if found == anchor.HERE:
             an.wins = 0
+            an.against = 0.0
             an.verified = 1
             if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
                 _witness(s, c, out)
-        elif found == anchor.ABSENT and s.known == 0:
-            doubt(s)
-        elif found > 0 and s.teeth - s.uneven > c.anchor.length:
+        elif s.teeth - s.uneven <= c.anchor.length:
+            if found == anchor.ABSENT and s.known == 0:
+                doubt(s)
+        elif found <= 0:
+            # One turn alone never decides: it may be a burst.
+            an.against += min(anchor.against(an, c.anchor, c.pulses, c.repeats, s.index), anchor.ODDS)
+            if found == anchor.ABSENT or an.against > anchor.ODDS:
+                an.against = 0.0
+                doubt(s)
+        else:
             an.wins = an.wins + 1 if found == an.shift else 1
             an.shift = found
-            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0):
+            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0 and s.hole == 0):
                 relocate(s, c, out, found)
 
 
@@ -379,7 +388,7 @@ def _broken_off(s: State, c: Const, out: Reports) -> bool:
     if s.defects.turns < SURE:
         return False
     waiting.clear(s.waiting)
-    s.twice = 1
+    s.twice = TOLD
     e = report(out, TWO_PLACES, True, s.defects.turns, SURE).two_places
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
     e.here, e.there = s.rival.here, s.rival.there
