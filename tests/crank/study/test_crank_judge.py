@@ -58,6 +58,8 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
         *((81002, k) for k in (257, 881, 2108)),  # no gap for turns, and no pulse decided to be added
         *((81002, k) for k in (1104, 2242, 4954)),  # a broken tooth among the pulses that were lost
         *((81002, k) for k in (895, 2668, 3052, 4301)),
+        *((550101, k) for k in (2943, 4707)),  # what had to be chosen among hypotheses was proven
+        *((550101, k) for k in (218, 699, 5727, 5979)),  # a gap that was filled, at the starter's speed
     ],
 )
 def test_runs_that_once_proved_a_wrong_tooth(judge, seed, number):

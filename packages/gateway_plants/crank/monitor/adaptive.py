@@ -51,6 +51,7 @@ from gateway_plants.crank.pulse_tracking.tracker import (
     reported,
     shift,
     transfer_ripple,
+    unanimous,
 )
 
 #: Mean cost of a pulse [nat] above which the hypotheses are given up.
@@ -366,6 +367,8 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
             lose(s, c, out, cost)
         return
     if tr.open > 5 * c.pulses // 2:
+        if not unanimous(tr):
+            waver(s)  # what is chosen is not proven
         keep_reported(tr)
     h = reported(tr)
     s.index = h.index

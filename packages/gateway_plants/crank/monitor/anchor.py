@@ -65,6 +65,7 @@ class State(Record):
     shift: i4 = means("shift that won last")
     wins: i4 = means("wins of that shift in a row")
     against: f8 = means("odds against the present place, of turns since it was seen", "nat")
+    short: u1 = means("1: the gap came too short: a pulse may be in it, and so the place be wrong")
     verified: u1 = means("1: the gap was seen where it is expected since the last test")
     intervals: Annotated[f8s, MOST_TEETH] = means("intervals of the last turn; 0: not known", "us")
     logs: Annotated[f8s, MOST_TEETH] = means("c_k, contrasts of those intervals")
@@ -92,6 +93,7 @@ def restart(an: State) -> None:
     an.age = 0
     an.wins = 0
     an.against = 0.0
+    an.short = 0
     an.verified = 0
 
 
@@ -129,8 +131,26 @@ def seen(an: State, c: Const, y2: float, y1: float, y: float) -> bool:
     an.age = 0
     an.wins = 0
     an.against = 0.0
+    an.short = 0
     an.verified = 1
     return True
+
+
+@kernel
+def shorter(c: Const, pitches: f8s, pulses: int, y2: float, y1: float, y: float) -> bool:
+    """Tell whether the gap ``y1`` [us], between its neighbours, is too short: a pulse may be in it.
+
+    Args:
+        c: record of Const.
+        pitches: as learned; a bent tooth beside the gap is no pulse in it.
+        pulses: of one turn.
+        y2: interval before the gap [us]; 0: not known.
+        y1: the gap.
+        y: interval behind it.
+    """
+    gap = pitches[pulses - 1]
+    ratio = min(c.ratio, gap * gap / (pitches[pulses - 2] * pitches[0]))
+    return bool(y2 > 0.0 and y1 * y1 * RIGHT < ratio * y * y2)
 
 
 @kernel

@@ -323,6 +323,9 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
     place. A wheel of equal pitches has none.
     """
     an = s.anchor
+    if s.index == 1:
+        pitches = s.tracker.pitches
+        an.short = 1 if s.defects.turns == 0 and anchor.shorter(c.anchor, pitches, c.pulses, s.y2, s.y1, y) else 0
     if c.even == 1:
         if an.age >= c.pulses:
             an.age = c.pulses + anchor.EDGES - c.anchor.length
