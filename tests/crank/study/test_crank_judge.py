@@ -60,6 +60,7 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
         *((81002, k) for k in (895, 2668, 3052, 4301)),
         *((550101, k) for k in (2943, 4707)),  # what had to be chosen among hypotheses was proven
         *((550101, k) for k in (218, 699, 5727, 5979)),  # a gap that was filled, at the starter's speed
+        *((770077, k) for k in (1067, 2780, 8660)),  # one of two equal gaps, behind frames that were lost
     ],
 )
 def test_runs_that_once_proved_a_wrong_tooth(judge, seed, number):

@@ -53,6 +53,7 @@ class Const(Record):
     length: i4 = means("intervals that are looked at")
     ratio: f8 = means("largest gap squared over its neighbours; 0: not distinct")
     width: f8 = means("largest gap", "pitch")
+    alone: u1 = means("1: no other slot of the pattern looks like the largest gap")
     largest: f8 = means("largest contrast")
     contrast: Annotated[f8s, MOST_TEETH] = means("p_i, contrasts of the wheel's slots")
 
@@ -85,6 +86,8 @@ def prepare(c: Const, pitches: NDArray[np.float64]) -> None:
     c.width = pitches.max()
     ratio = float(np.exp(2 * (logs[-1] - (logs[-2] + logs[0]) / 2)))
     c.ratio = ratio if ratio >= DISTINCT else 0.0
+    alike = int((2.0 * c.contrast[: len(logs)] + log(RIGHT) >= log(ratio)).sum())
+    c.alone = alike == sum((np.roll(pitches, k) == pitches).all() for k in range(len(logs)))
 
 
 @kernel

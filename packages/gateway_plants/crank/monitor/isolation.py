@@ -451,6 +451,9 @@ def _witness(s: State, c: Const, out: Reports) -> None:
         return
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap
+    several = s.hole == 1 and s.recurring == 0 and c.anchor.alone == 0
+    if several and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
+        return  # one of several gaps does not tell which
     if s.hole == 1 or s.recurring == 1:
         confirm(s, out)
 
