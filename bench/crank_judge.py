@@ -8,6 +8,8 @@ within 6 turns after its places differ, with no wrong tooth proven.
 a wrong tooth proven later than two turns behind an event, the later fault that was named, and reports that blame no
 part that is at fault.
 
+``same``: the table of docs/crank/crank.md, wheels whose pulses are those of another one with defects.
+
 python bench/crank_judge.py wheels --count 1000 --seed 1
 python bench/crank_judge.py combinations --count 10000 --seed 1
 """
@@ -15,11 +17,13 @@ python bench/crank_judge.py combinations --count 10000 --seed 1
 from __future__ import annotations
 
 import argparse
+import json
 import os
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
+from pathlib import Path
 
 import cantools
 import numpy as np
@@ -34,6 +38,7 @@ from gateway_plants.crank.ecu.kinematics import cam_edges, tooth_times
 from gateway_plants.crank.ecu.tooth_frames import WIRE_NS, cam_frames, tooth_frames
 from gateway_plants.crank.monitor import MONITOR, place
 from gateway_plants.crank.monitor.faults import FAULTS
+from gateway_plants.crank.monitor.made import MADE
 from gateway_plants.crank.monitor.monitor import Params
 from gateway_plants.crank.study import outside
 from gateway_plants.crank.study.follow import follower
@@ -48,6 +53,8 @@ TURNS, FIRST, SECOND = 48, 14, 24
 GRACE = 2
 HALF_MOON = ((100.0, 1), (460.0, 0))
 FOUND = 6
+#: What a tooth is off [pitch] before it counts as bent.
+SAME = 0.15
 #: Ratio from which on two patterns differ.
 DIFFER = 1.3
 
@@ -164,7 +171,7 @@ class Run:
 def broken(run, at):
     tooth = run.inner()
     run.keep(~((run.teeth == tooth) & (run.turn >= at)))
-    run.told(("missed_pulse", "two_places", "wrong_wheel"), ("pulses_lost", "relocated", "sync_lost"))
+    run.told(("missed_pulse", "damaged_tooth", "two_places", "wrong_wheel"), ("pulses_lost", "relocated", "sync_lost"))
 
 
 def bent(run, at):
@@ -279,8 +286,27 @@ def _frames(run, form, with_cam):
     return frames[~lost], ns
 
 
+def elsewhere(run):
+    """Tell whether the last turn's pulses are the wheel's own from another tooth on, but for one bent tooth at most."""
+    last = int(run.turn[-1]) - 1
+    first, end = np.searchsorted(run.turn, (last, last + 1))
+    if end - first != run.wheel.pulses:
+        return False
+    seen = (run.times[first:end] - run.times[first]) / (run.times[end] - run.times[first]) * run.wheel.turn
+    for k in range(1, run.wheel.repeats):
+        other = np.cumsum(np.roll(run.wheel.pitches, -k)) - run.wheel.pitches[k]
+        off = np.abs(seen - other - np.median(seen - other))
+        if (off > SAME).sum() <= 1 and off.max() < 0.5:
+            return True
+    return False
+
+
 def one_run(job):
-    """Return what happened in one run: its conditions, wrong frames, if the later fault was named, other reports."""
+    """Return what happened in one run.
+
+    Its number, wheel, frame and conditions, wrong labels, if the later fault was named, other reports, all of them, and
+    whether the labels were wrong because nothing can tell the place (:func:`elsewhere`, a fault from key-on).
+    """
     seed, number = job
     rng = np.random.default_rng([seed, number, 70])
     text = WHEELS[number % len(WHEELS)]
@@ -321,13 +347,44 @@ def one_run(job):
         near = near or (run.turned and run.turned[0] - 1 <= run.turn[k] <= run.turned[1] + GRACE)
         r = run.wheel.repeats
         wrong += int(not near and value["ToothIndex"] % r != run.teeth[k] % r)
+    same = bool(wrong and 0.0 in begun and elsewhere(run))
     later = order[1] if order[1] not in CONDITIONS else order[0]
     named = None
     came = run.turn[-1] >= at[later] + 6
     if later not in CONDITIONS and run.wanted and came:
         named = bool(run.asked[later] & set(failed)) if later in run.asked else None
     others = sorted(set(failed) - run.allowed - {"frames_lost"})
-    return number, text, form, order, wrong, named, others, dict(failed)
+    return number, text, form, order, 0 if same else wrong, named, others, dict(failed), same
+
+
+def defects_of(told, real):
+    """Return how many teeth broken off and pulses too many make a wheel's pulses those of a real one; None: none do.
+
+    Both in half pitches, from any place on, the real one as often a turn as it fits.
+    """
+    parts = told.turn / real.turn
+    if parts != round(parts):
+        return None
+    size = round(2 * told.turn)
+    whole = {round(2 * p) for p in told.positions}
+    turn = [round(2 * (p + k * real.turn)) for k in range(round(parts)) for p in real.positions]
+    options = [{(p + shift) % size for p in turn} for shift in range(size)]
+    return min(((len(whole - o), len(o - whole)) for o in options), key=lambda edit: (sum(edit), edit))
+
+
+#: Teeth broken off and pulses too many, the columns of the table.
+EDITS = ((1, 0), (2, 0), (0, 1), (0, 2), (1, 1))
+
+
+def same_rows():
+    """Return the rows of the table of wheels whose pulses are those of another one with at most two defects."""
+    rows = []
+    for told in MADE:
+        others = {real: defects_of(Wheel.parse(told), Wheel.parse(real)) for real in MADE if real != told}
+        cells = [", ".join(f"`{real}`" for real, edit in others.items() if edit == column) for column in EDITS]
+        if any(cells):
+            rows.append(f"| `{told}` | {' | '.join(cells)} |")
+    return rows
 
 
 def _pool(work, jobs):
@@ -338,11 +395,15 @@ def _pool(work, jobs):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("wheels", "combinations"))
+    parser.add_argument("what", choices=("wheels", "combinations", "same"))
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rows", help="file for all runs of combinations, a line of JSON each")
     parser.add_argument("--show", type=int, default=20, help="how many failures to print")
     options = parser.parse_args()
+    if options.what == "same":
+        print(*same_rows(), sep="\n")
+        return
     print("seed", options.seed)
     jobs = [(options.seed, k) for k in range(options.count)]
     if options.what == "wheels":
@@ -355,11 +416,22 @@ def main():
         for text, late, wrong, names in bad[: options.show]:
             print(f"  {text}: {late:.1f} turns, {wrong} wrong, {names}")
         return
-    rows = list(_pool(one_run, jobs))
+    rows = []
+    with Path(options.rows or os.devnull).open("w") as file:
+        for row in _pool(one_run, jobs):
+            rows.append(row)
+            print(json.dumps(row), file=file, flush=True)
     asked = [row for row in rows if row[5] is not None]
     print(f"{len(rows)} runs, wrong proven later than {GRACE} turns: {sum(row[4] > 0 for row in rows)}")
+    print(f"  besides, with the pulses of the wheel at another place from key-on: {sum(row[8] for row in rows)}")
     print(f"later fault named: {sum(row[5] for row in asked)} of {len(asked)}")
     print(f"runs with a report that blames no part at fault: {sum(bool(row[6]) for row in rows)}")
+    print("pair: runs, wrong, later fault named of those asked, runs with another report")
+    for pair in sorted({tuple(sorted(row[3])) for row in rows}):
+        of = [row for row in rows if tuple(sorted(row[3])) == pair]
+        told = [row[5] for row in of if row[5] is not None]
+        wrong, others = sum(row[4] > 0 for row in of), sum(bool(row[6]) for row in of)
+        print(f"  {' + '.join(pair):20s} {len(of):4d} {wrong:3d} {sum(told):4d} of {len(told):4d} {others:3d}")
     for title, chosen in (
         ("wrong", [row for row in rows if row[4]]),
         ("not named", [row for row in asked if not row[5]]),

@@ -152,6 +152,21 @@ def test_what_comes_again_is_told_from_what_comes_once():
     assert take((20, 1, 20), (24, 1, 23), (24, 1, 80)) == [True, True, False]
 
 
+def test_lost_pulses_are_counted_with_what_comes_in_each_turn():
+    """15 pulses behind tooth 10 in frames that were lost: a tooth missing, or a pulse too many, is among them."""
+    de = zeros(1, defects.Defects)[0]
+    for net, teeth in ((1, 16), (-1, 14)):
+        defects.clear(de)
+        for number in (20, 78 - net):
+            assert defects.take(de, 58, 20, net, number)
+        assert defects.passed(de, 58, 10, 15, 100) == teeth
+        assert defects.take(de, 58, 20, net, de.pulses[0] + 58 - net), "it is expected a turn later"
+    defects.clear(de)
+    defects.take(de, 58, 20, 1, 20)
+    assert defects.passed(de, 58, 10, 15, 30) == 15
+    assert de.count == 0, "what came once may not come again"
+
+
 @compiled
 @pytest.mark.parametrize("text", ["60-2", "36-1", "36-2-2-2"])
 @pytest.mark.parametrize("share", [1 / 3, 1 / 2, 2 / 3])

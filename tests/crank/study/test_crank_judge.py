@@ -46,3 +46,29 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
     assert _facts(Params(wheel=text))
     wheel = Wheel.parse(text)
     assert wheel.pitches.count(1.0) > wheel.pulses / 2 or sum(wheel.pitches) == pytest.approx(wheel.pulses)
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("seed", "number"),
+    [
+        *((81001, k) for k in (44, 880)),  # a gap in the frames that were lost: which of two it was nobody saw
+        *((81001, k) for k in (406,)),  # a doubled tooth among the pulses that were lost
+        *((81001, k) for k in (208, 965)),  # a gap that fills while another place was as likely
+        *((81002, k) for k in (257, 881, 2108)),  # no gap for turns, and no pulse decided to be added
+        *((81002, k) for k in (1104, 2242, 4954)),  # a broken tooth among the pulses that were lost
+        *((81002, k) for k in (895, 2668, 3052, 4301)),
+        *((550101, k) for k in (2943, 4707)),  # what had to be chosen among hypotheses was proven
+        *((550101, k) for k in (218, 699, 5727, 5979)),  # a gap that was filled, at the starter's speed
+        *((770077, k) for k in (1067, 2780, 8660)),  # one of two equal gaps, behind frames that were lost
+    ],
+)
+def test_runs_that_once_proved_a_wrong_tooth(judge, seed, number):
+    """Each had up to 77 wrong labels, proven, later than two turns behind an event."""
+    assert judge.one_run((seed, number))[4] == 0
+
+
+def test_the_page_has_the_table_of_wheels_that_cannot_be_told(judge):
+    assert "\n".join(judge.same_rows()) in (PATH.parents[1] / "docs/crank/crank.md").read_text()
+    assert judge.defects_of(Wheel.parse("36-1"), Wheel.parse("36-2")) == (1, 0)
+    assert judge.defects_of(Wheel.parse("24-1"), Wheel.parse("36-1")) is None

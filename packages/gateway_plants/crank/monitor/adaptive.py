@@ -29,9 +29,12 @@ from gateway_plants.crank.monitor.place import (
     TENTATIVE,
     Const,
     State,
+    cover,
     doubt,
     search,
+    uncover,
     unlearned,
+    waver,
 )
 from gateway_plants.crank.monitor.silence import broken_silence, fall_silent
 from gateway_plants.crank.monitor.turns import decided, turned, turned_back
@@ -48,6 +51,7 @@ from gateway_plants.crank.pulse_tracking.tracker import (
     reported,
     shift,
     transfer_ripple,
+    unanimous,
 )
 
 #: Mean cost of a pulse [nat] above which the hypotheses are given up.
@@ -79,7 +83,7 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
     if s.burst.count > 0:
         noise.tell(s.burst, c.firing_us, out)
         search(s, c)
-    _pass_over(s, c, number)
+    _pass_over(s, c, defects.passed(s.defects, c.pulses, int(s.index), number, int(s.teeth)))
     waiting.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
 
 
@@ -93,7 +97,7 @@ def _pass_over(s: State, c: Const, number: int) -> None:
         jump(s.tracker, c.pulses, number)
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
-        doubt(s)
+        waver(s)
         s.hole = 1
     s.y1 = 0.0
     s.y2 = 0.0
@@ -108,6 +112,7 @@ def recount(s: State, c: Const, number: int) -> None:
         s.revolutions += (s.index + number) // c.pulses
         s.index = best(s.tracker).index
         doubt(s)
+        uncover(s, c)
         anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
         s.hole = 1
 
@@ -179,6 +184,7 @@ def _wait_for_end(s: State, c: Const, y: float, out: Reports) -> None:
         number = noise.passed(s.burst, best(s.tracker), s.tracker.pitches, c.pulses)
     if number == 0:
         search(s, c)
+    defects.clear(s.defects)
     _pass_over(s, c, max(number, 1))
 
 
@@ -338,6 +344,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.since = 0
         s.suspects = 0
         s.recurring = 0
+        uncover(s, c)
         defects.clear(s.defects)
         s.profile.clean = 0
         s.profile.turn_us = 0.0
@@ -360,6 +367,8 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
             lose(s, c, out, cost)
         return
     if tr.open > 5 * c.pulses // 2:
+        if not unanimous(tr):
+            waver(s)  # what is chosen is not proven
         keep_reported(tr)
     h = reported(tr)
     s.index = h.index
@@ -371,6 +380,8 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     following = before + 1 if before + 1 < c.pulses else 0
     if h.associated == 1 and s.index == following:
         profile.note(s.profile, before, y)
+        if s.phase == TENTATIVE:
+            cover(s, c, before)
     else:
         s.profile.clean = 0
     first = best(tr)

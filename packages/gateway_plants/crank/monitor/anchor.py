@@ -53,6 +53,7 @@ class Const(Record):
     length: i4 = means("intervals that are looked at")
     ratio: f8 = means("largest gap squared over its neighbours; 0: not distinct")
     width: f8 = means("largest gap", "pitch")
+    alone: u1 = means("1: no other slot of the pattern looks like the largest gap")
     largest: f8 = means("largest contrast")
     contrast: Annotated[f8s, MOST_TEETH] = means("p_i, contrasts of the wheel's slots")
 
@@ -64,6 +65,8 @@ class State(Record):
     age: i4 = means("pulses since the gap was seen where it is expected, or since the last test")
     shift: i4 = means("shift that won last")
     wins: i4 = means("wins of that shift in a row")
+    against: f8 = means("odds against the present place, of turns since it was seen", "nat")
+    short: u1 = means("1: the gap came too short: a pulse may be in it, and so the place be wrong")
     verified: u1 = means("1: the gap was seen where it is expected since the last test")
     intervals: Annotated[f8s, MOST_TEETH] = means("intervals of the last turn; 0: not known", "us")
     logs: Annotated[f8s, MOST_TEETH] = means("c_k, contrasts of those intervals")
@@ -83,6 +86,8 @@ def prepare(c: Const, pitches: NDArray[np.float64]) -> None:
     c.width = pitches.max()
     ratio = float(np.exp(2 * (logs[-1] - (logs[-2] + logs[0]) / 2)))
     c.ratio = ratio if ratio >= DISTINCT else 0.0
+    alike = int((2.0 * c.contrast[: len(logs)] + log(RIGHT) >= log(ratio)).sum())
+    c.alone = alike == sum((np.roll(pitches, k) == pitches).all() for k in range(len(logs)))
 
 
 @kernel
@@ -90,6 +95,8 @@ def restart(an: State) -> None:
     """Begin at a new place: what the intervals were stays, what they proved does not."""
     an.age = 0
     an.wins = 0
+    an.against = 0.0
+    an.short = 0
     an.verified = 0
 
 
@@ -126,8 +133,27 @@ def seen(an: State, c: Const, y2: float, y1: float, y: float) -> bool:
         return False
     an.age = 0
     an.wins = 0
+    an.against = 0.0
+    an.short = 0
     an.verified = 1
     return True
+
+
+@kernel
+def shorter(c: Const, pitches: f8s, pulses: int, y2: float, y1: float, y: float) -> bool:
+    """Tell whether the gap ``y1`` [us], between its neighbours, is too short: a pulse may be in it.
+
+    Args:
+        c: record of Const.
+        pitches: as learned; a bent tooth beside the gap is no pulse in it.
+        pulses: of one turn.
+        y2: interval before the gap [us]; 0: not known.
+        y1: the gap.
+        y: interval behind it.
+    """
+    gap = pitches[pulses - 1]
+    ratio = min(c.ratio, gap * gap / (pitches[pulses - 2] * pitches[0]))
+    return bool(y2 > 0.0 and y1 * y1 * RIGHT < ratio * y * y2)
 
 
 @kernel
@@ -167,6 +193,17 @@ def squares(an: State, c: Const, pulses: int, index: int, shift: int) -> float:
             total += min(d * d, MOST)
         slot = slot - 1 if slot > 0 else pulses - 1
     return total
+
+
+@kernel
+def _fits(an: State, c: Const, pulses: int, index: int) -> bool:
+    """Tell whether no contrast of the last turn is as far off as of a pulse missed or added."""
+    slot = (index - 2) % pulses
+    for k in range(1, c.length - 1):
+        if an.logs[k] < UNKNOWN and (an.logs[k] - c.contrast[slot]) ** 2 >= MOST:
+            return False
+        slot = slot - 1 if slot > 0 else pulses - 1
+    return True
 
 
 @kernel
@@ -215,6 +252,35 @@ def unique(first: float, known: int) -> float:
 
 
 @kernel
+def likeliest(an: State, c: Const, pulses: int, repeats: int, index: int) -> tuple[float, float, int]:
+    """Return the least S, the second one, and the shift of the least; the contrasts are in ``logs``."""
+    first, second, shift = np.inf, np.inf, 0
+    for d in range(repeats):
+        rest = squares(an, c, pulses, index, d)
+        if rest < first:
+            second, first, shift = first, rest, d
+        elif rest < second:
+            second = rest
+    return first, second, shift
+
+
+@kernel
+def against(an: State, c: Const, pulses: int, repeats: int, index: int) -> float:
+    """Return the odds [nat] that the last turn gives another place, or a wheel without a gap, against the present one.
+
+    Nothing where the present place is the likeliest, however little: edges that are all a bit off say nothing of it.
+    Arguments are those of :func:`ask`; for the variance see :func:`unique`.
+    """
+    known = contrasts(an, c.length)
+    if known < least_known(pulses):
+        return 0.0
+    first, _second, _shift = likeliest(an, c, pulses, repeats, index)
+    floor = LEAST_VARIANCE * (known - 1)
+    other = max(min(first, plain(an, c.length)), floor)
+    return 0.5 * known * log(max(squares(an, c, pulses, index, 0), floor) / other)
+
+
+@kernel
 def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     """Test the last turn against every shift, and against a wheel without a gap.
 
@@ -231,14 +297,7 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     known = contrasts(an, c.length)
     if known < least_known(pulses):
         return UNDECIDED
-    present = squares(an, c, pulses, index, 0)
-    first, second, shift = present, 1e9, 0
-    for d in range(1, repeats):
-        rest = squares(an, c, pulses, index, d)
-        if rest < first:
-            second, first, shift = first, rest, d
-        elif rest < second:
-            second = rest
+    first, second, shift = likeliest(an, c, pulses, repeats, index)
     variance = max(first / (known - 1), LEAST_VARIANCE)
     even = plain(an, c.length)
     if first - even > 2.0 * ODDS * max(even / (known - 1), LEAST_VARIANCE):
@@ -246,5 +305,5 @@ def ask(an: State, c: Const, pulses: int, repeats: int, index: int) -> int:
     if second - first < unique(first, known) or even - first < 2.0 * ODDS * variance:
         return UNDECIDED
     if shift == 0:
-        return HERE
-    return shift if present - first > 2.0 * ODDS * variance else UNDECIDED
+        return HERE if first < MOST or _fits(an, c, pulses, index) else UNDECIDED
+    return shift if squares(an, c, pulses, index, 0) - first > 2.0 * ODDS * variance else UNDECIDED

@@ -103,6 +103,38 @@ def learn(de: Defects, pulses: int, tooth: int, net: int, number: int) -> None:
 
 
 @kernel
+def passed(de: Defects, pulses: int, tooth: int, number: int, at: int) -> int:
+    """Pass over pulses that no frame brought; returns how many teeth they are, with what comes again in each turn.
+
+    Args:
+        de: record of Defects.
+        pulses: of one turn of the wheel.
+        tooth: the latest one.
+        number: of the pulses that were lost.
+        at: number of the latest pulse.
+    """
+    if de.turns == 0:
+        clear(de)
+        return number
+    for k in range(de.count):
+        de.pulses[k] -= number
+    teeth, left = 0, number
+    while left > 0:
+        tooth = tooth + 1 if tooth + 1 < pulses else 0
+        for k in range(de.count):
+            net = int(de.nets[k])
+            if tooth == (de.teeth[k] if net > 0 else (de.teeth[k] + 1) % pulses):
+                de.pulses[k] = at - left
+                de.next = (k + 1) % de.count
+                teeth += max(net, 0)
+                tooth = (tooth + max(net, 0)) % pulses
+                left += min(net, 0)
+        teeth += 1 if left > 0 else 0
+        left -= 1
+    return teeth
+
+
+@kernel
 def _add(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
     """Add a fault of the first turn; returns whether it is one of these."""
     k = int(de.count)

@@ -113,13 +113,13 @@ def _stray(s: State, number: int, following: int) -> bool:
 
 
 @kernel
-def classic(s: State, c: Const, u: Inputs, out: Reports) -> None:
-    """Take a CTW_PT4."""
+def classic(s: State, c: Const, u: Inputs, out: Reports) -> bool:
+    """Take a CTW_PT4; returns whether it brought pulses, which one from the past does not."""
     counter = int(u.counter)
     if s.linked == 1:
         frames = (counter - s.counter - 1) % 256
         if frames >= 128 and _stray(s, counter, (counter + 1) % 256):
-            return
+            return False
         if frames >= 128:
             stand(s, c, out)
         elif frames > 0:
@@ -143,16 +143,17 @@ def classic(s: State, c: Const, u: Inputs, out: Reports) -> None:
         s.intervals[number] = period_us(code)
         number += 1
     _teeth(s, c, number, out)
+    return True
 
 
 @kernel
-def fd(s: State, c: Const, u: Inputs, out: Reports) -> None:
-    """Take a CTW_FD27; it tells its first pulse's number."""
+def fd(s: State, c: Const, u: Inputs, out: Reports) -> bool:
+    """Take a CTW_FD27, which tells its first pulse's number; returns as :func:`classic`."""
     pulses = int(u.pulses)
     if s.linked == 1:
         number = wrapped(pulses - s.count)
         if number < 0 and _stray(s, pulses, (pulses + int(u.valid)) % 65536):
-            return
+            return False
         if number < 0:
             stand(s, c, out)
         elif number > 0:
@@ -165,3 +166,4 @@ def fd(s: State, c: Const, u: Inputs, out: Reports) -> None:
         s.stalls_ns = u.t_ns + c.stall_ns
         s.intervals[k] = u.intervals[k] * scale
     _teeth(s, c, int(u.valid), out)
+    return True

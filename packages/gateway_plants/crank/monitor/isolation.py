@@ -14,7 +14,6 @@ from gateway_plants.crank.monitor.faults import (
     NOISE,
     PULSES_LOST,
     RELOCATED,
-    RESIDUALS,
     SYNC_LOST,
     TWO_PLACES,
     UNWATCHED,
@@ -33,7 +32,9 @@ from gateway_plants.crank.monitor.place import (
     search,
     shape,
     speed,
+    tell_held,
     tooth_of,
+    uncover,
 )
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import begin_later
@@ -65,6 +66,10 @@ MARKED = 24
 SURE = 3
 #: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
 EVEN_TURNS = 2
+#: Two places were told: which one is right, no later turn says.
+TOLD = 2
+#: Pairs of turns that have to show a whole wheel behind one that fitted twice, and what its teeth may be off [pitch].
+WHOLE_PAIRS, WHOLE_OFF = 2, 0.1
 #: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
 MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
@@ -171,6 +176,8 @@ def decide(s: State, c: Const, out: Reports) -> None:
         begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= anchor.FEW else 0)
         return
     s.since = 0
+    if missed != added:
+        uncover(s, c)
     if s.phase == TENTATIVE and s.sure == 0 and s.hole == 0 and missed != added and _beside_gap(c, tooth):
         # The place was a guess, and it is the gap that comes elsewhere: that is the place put right.
         s.suspects = 0
@@ -253,23 +260,34 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
 def prove(s: State, c: Const, out: Reports) -> None:
     """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
 
-    Where the gap was not seen for what it is, one turn can fit by chance: a second one has to. Where single pulses
-    cannot be told from noise the index may slip; if a defect of each turn alone can look like such noise, more turns
-    have to show the gap where the turn before did than elsewhere, at first. None proves it while it is filled by a
-    pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth that are missing
-    of it in each turn.
+    Where the gap was not seen for what it is, or may be a turning point, one turn can fit by chance: a second one has
+    to. Where single pulses cannot be told from noise the index may slip; if a defect of each turn alone can look like
+    such noise, more turns have to show the gap where the turn before did than elsewhere, at first. None proves it while
+    it is filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth
+    that are missing of it in each turn.
     """
     if c.even == 1:
         if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
             confirm(s, out)
         return
-    proof = c.pulses if s.sure == 1 or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.since < proof or s.filled == 1 or not decides(s, c) or _held_back(s, c):
+    shown = s.sure == 1 and s.reversal.stood == 0
+    proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
+    if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or _held_back(s, c):
         return
     if c.pulses < MARKED and s.tracker.variance > COARSE and s.doubted == NEVER and s.waiting.same <= s.waiting.moved:
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         confirm(s, out)
+
+
+@kernel
+def _two_fit(s: State) -> bool:
+    """Tell whether another place that was seen may be the right one: its gap may be filled now, by a pulse that is off.
+
+    The wheel then seems to have a bent tooth. Where it has none, what came before was none of its turns.
+    """
+    whole = s.profile.turns >= WHOLE_PAIRS and abs(s.profile.off) <= WHOLE_OFF
+    return bool(s.twice == TOLD or (s.twice == 1 and not whole))
 
 
 @kernel
@@ -288,10 +306,7 @@ def confirm(s: State, out: Reports) -> None:
     s.hole = 0
     s.reversal.stood = 0
     if s.held_fault >= 0:
-        e = report(out, s.held_fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
-        e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
-        for k in range(RESIDUALS):
-            e.residual[k] = s.held.residual[k]
+        tell_held(s, s.held_fault, out)
         if s.held_fault == ADDED:
             s.added += int(s.held.count)
         else:
@@ -308,6 +323,9 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
     place. A wheel of equal pitches has none.
     """
     an = s.anchor
+    if s.index == 1:
+        pitches = s.tracker.pitches
+        an.short = 1 if s.defects.turns == 0 and anchor.shorter(c.anchor, pitches, c.pulses, s.y2, s.y1, y) else 0
     if c.even == 1:
         if an.age >= c.pulses:
             an.age = c.pulses + anchor.EDGES - c.anchor.length
@@ -323,14 +341,23 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         found = anchor.ask(an, c.anchor, c.pulses, c.repeats, s.index)
         if found == anchor.HERE:
             an.wins = 0
+            an.against = 0.0
             an.verified = 1
-            _witness(s, c, out)
-        elif found == anchor.ABSENT and s.known == 0:
-            doubt(s)
-        elif found > 0 and s.teeth - s.uneven > c.anchor.length:
+            if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
+                _witness(s, c, out)
+        elif s.teeth - s.uneven <= c.anchor.length:
+            if found == anchor.ABSENT and s.known == 0:
+                doubt(s)
+        elif found <= 0:
+            # One turn alone never decides: it may be a burst.
+            an.against += min(anchor.against(an, c.anchor, c.pulses, c.repeats, s.index), anchor.ODDS)
+            if found == anchor.ABSENT or an.against > anchor.ODDS:
+                an.against = 0.0
+                doubt(s)
+        else:
             an.wins = an.wins + 1 if found == an.shift else 1
             an.shift = found
-            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0):
+            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0 and s.hole == 0):
                 relocate(s, c, out, found)
 
 
@@ -364,6 +391,7 @@ def _broken_off(s: State, c: Const, out: Reports) -> bool:
     if s.defects.turns < SURE:
         return False
     waiting.clear(s.waiting)
+    s.twice = TOLD
     e = report(out, TWO_PLACES, True, s.defects.turns, SURE).two_places
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
     e.here, e.there = s.rival.here, s.rival.there
@@ -388,6 +416,7 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
         profile.forget(s.profile, c.wheel, s.tracker.pitches)
         anchor.restart(s.anchor)
     rival.clear(s.rival)
+    s.twice = 0
     s.recurring = 0
     confirm(s, out)
 
@@ -420,6 +449,11 @@ def _witness(s: State, c: Const, out: Reports) -> None:
         return
     if s.recurring == 1 and defects.missing(s.defects) > 0 and not _broken_off(s, c, out):
         return
+    if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
+        return  # never proven: in what no frame brought may be another gap
+    several = s.hole == 1 and s.recurring == 0 and c.anchor.alone == 0
+    if several and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
+        return  # one of several gaps does not tell which
     if s.hole == 1 or s.recurring == 1:
         confirm(s, out)
 
@@ -445,6 +479,8 @@ def relocate(s: State, c: Const, out: Reports, found: int) -> None:
         e.shift, e.tooth, e.speed = off, s.index, speed(s, c)
         s.corrections += off
     doubt(s)
+    s.doubted = NEVER
+    uncover(s, c)
     s.held_fault = -1
     profile.forget(s.profile, c.wheel, s.tracker.pitches)
     runout.forget(s.law)
@@ -489,6 +525,7 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         return
     elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
         _tell_gap(s, c, out, 0.0)
+        s.twice = 1 if 4 * s.waiting.against >= 3 * (s.waiting.turns - 1) else s.twice
     else:
         return
     waiting.clear(wa)

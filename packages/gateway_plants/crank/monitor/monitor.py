@@ -333,24 +333,26 @@ def _send(s: State, c: Const, t_ns: int, out: Out[Evidence, Outputs]) -> None:
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take one frame of intervals, CTW_BASE, CTW_CAM, or the timer of a standing engine."""
     turns = place.revolutions(s.fast, c.fast) if c.cam.edges > 0 else 0
+    now = True
     if u.trigger == TIMER:
         frames.stand(s, c, out)
     elif c.cam.edges > 0 and u.cam_counter >= 0.0 and int(u.cam_counter) != s.cam.counter:
         _cam(s, c, u, out)  # NaN, while no edge has come, is not >= 0
     elif c.fd == 1:
-        frames.fd(s, c, u, out)
+        now = frames.fd(s, c, u, out)
     elif s.linked == 1 and int(u.counter) == s.counter:
         if u.base_counter >= 0.0 and int(u.base_counter) != s.base_counter:
             frames.base(s, c, u)
     else:
-        frames.classic(s, c, u, out)
+        now = frames.classic(s, c, u, out)
     if c.cam.edges > 0:
         if s.fast.phase == place.CONFIRMED:
             cam.turned(s.cam, out, place.revolutions(s.fast, c.fast) - turns)
         else:
             cam.forget(s.cam)
     _show(s, c)
-    _send(s, c, u.t_ns, out)
+    if now:
+        _send(s, c, u.t_ns, out)
     if s.stalls_ns > u.t_ns:
         out.wake_ns = s.stalls_ns
 

@@ -7,9 +7,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1
+from gateway.monitors.contract import report
+from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1, u1s
 from gateway_plants.crank.monitor import anchor, defects, made, noise, rival, waiting
-from gateway_plants.crank.monitor.faults import RESIDUALS, Shape
+from gateway_plants.crank.monitor.faults import RESIDUALS, Reports, Shape
 from gateway_plants.crank.monitor.reversal import Reversal
 from gateway_plants.crank.monitor.runout import ALLOWED, ALLOWED_RPM, FIRING_RPM, Law
 from gateway_plants.crank.pulse_tracking.acquisition import Search, restart, window_of
@@ -124,6 +125,9 @@ class State(Record):
     silent: i4 = means("teeth that may still tell whether a silence was one of the sensor")
     silent_us: f8 = means("time of a pitch before that silence", "us")
     hole: i4 = means("1: frames were lost, and the gap was not seen since")
+    covered: Annotated[u1s, MOST_TEETH] = means("1: the slot of the pattern was seen at this place")
+    uncovered: i4 = means("slots that were not")
+    twice: u1 = means("since the engine stood, 1: no gap was seen, 2: the pulses have fitted two places")
     burst: noise.Burst = means("pulses within one tooth")
     rival: rival.Rival = means("another place that explains missing teeth as well")
     seen: Seen = means("wheel that the pulses show")
@@ -306,6 +310,21 @@ def search(s: State, c: Const) -> None:
 
 
 @kernel
+def uncover(s: State, c: Const) -> None:
+    """No slot was seen yet at the place, or since a fault."""
+    for i in range(c.repeats):
+        s.covered[i] = 0
+    s.uncovered = c.repeats
+
+
+@kernel
+def cover(s: State, c: Const, slot: int) -> None:
+    """Note that a slot was seen as it is at the place."""
+    s.uncovered -= 1 - s.covered[slot % c.repeats]
+    s.covered[slot % c.repeats] = 1
+
+
+@kernel
 def displace(s: State) -> None:
     """The place that the cam has told is not known any more."""
     if s.placed == BY_CAM:
@@ -324,6 +343,7 @@ def stand(s: State, c: Const) -> None:
     s.looked = 0
     s.wrong = 0
     s.filled = 0
+    s.twice = 0
     s.y1 = 0.0
     s.y2 = 0.0
     s.reversal.index = -1
@@ -332,6 +352,13 @@ def stand(s: State, c: Const) -> None:
 
 @kernel
 def doubt(s: State) -> None:
+    """Ask for one more revolution as a proof of the place on the wheel, and forget its defects."""
+    waver(s)
+    defects.clear(s.defects)
+
+
+@kernel
+def waver(s: State) -> None:
     """Ask for one more revolution as a proof of the place on the wheel."""
     if s.phase == CONFIRMED:
         s.phase = TENTATIVE
@@ -341,7 +368,6 @@ def doubt(s: State) -> None:
     s.since = 0
     s.suspects = 0
     s.recurring = 0
-    defects.clear(s.defects)
     s.profile.clean = 0
 
 
@@ -349,10 +375,10 @@ def doubt(s: State) -> None:
 def proven(s: State) -> bool:
     """Tell whether the tooth of the latest pulse is proven: the place is, and no credible hypothesis has another.
 
-    None is just behind a crowd of pulses, whose end may be yet to come.
+    None is just behind a crowd of pulses, whose end may be yet to come, or behind a gap that came too short.
     """
-    crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST
-    return bool(s.phase == CONFIRMED and s.placed > NOT_TOLD and not crowded and unanimous(s.tracker))
+    odd = s.anchor.short == 1 or noise.crowd(s.burst, s.teeth) >= noise.BURST
+    return bool(s.phase == CONFIRMED and s.placed > NOT_TOLD and not odd and unanimous(s.tracker))
 
 
 @kernel
@@ -393,6 +419,15 @@ def shape(s: State, c: Const, number: int, first: int, e: Shape) -> None:
     e.speed = speed(s, c)
     for k in range(RESIDUALS):
         e.residual[k] = s.residuals[(s.teeth + 1 - RESIDUALS + k) & (RING - 1)]
+
+
+@kernel
+def tell_held(s: State, fault: int, out: Reports) -> None:
+    """Report what was held as a fault."""
+    e = report(out, fault, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
+    e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
+    for k in range(RESIDUALS):
+        e.residual[k] = s.held.residual[k]
 
 
 @kernel

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.monitor.faults import PULSES_LOST, RESIDUALS, Reports
-from gateway_plants.crank.monitor.place import CONFIRMED, Const, State, search, shape
+from gateway_plants.crank.monitor.faults import PULSES_LOST, Reports
+from gateway_plants.crank.monitor.place import CONFIRMED, Const, State, search, shape, tell_held
 from gateway_plants.crank.pulse_tracking.tracker import best
 
 #: Teeth behind a silence among which one has to show the speed before, and within what factor that is the same.
@@ -47,10 +46,7 @@ def fall_silent(s: State, c: Const, out: Reports, pitches: float) -> None:
 def _tell_silence(s: State, out: Reports) -> None:
     s.missed += int(s.held.count)
     s.losses += 1
-    e = report(out, PULSES_LOST, True, s.held.residual[RESIDUALS - 1], 0.5).pulses
-    e.count, e.tooth, e.speed = s.held.count, s.held.tooth, s.held.speed
-    for k in range(RESIDUALS):
-        e.residual[k] = s.held.residual[k]
+    tell_held(s, PULSES_LOST, out)
 
 
 @kernel

@@ -164,13 +164,7 @@ def _place(an: anchor.State, c: anchor.Const, pulses: int, repeats: int) -> int:
     beside = AGAINST if _even(an, c, known) else UNDECIDED
     if largest < LEVEL * c.largest:
         return beside
-    first, second, found = np.inf, np.inf, 0
-    for place in range(repeats):
-        rest = anchor.squares(an, c, pulses, place, 0)
-        if rest < first:
-            second, first, found = first, rest, place
-        elif rest < second:
-            second = rest
+    first, second, found = anchor.likeliest(an, c, pulses, repeats, 0)
     variance = max(first / (known - 1), anchor.LEAST_VARIANCE)
     if (
         second - first < anchor.unique(first, known)

@@ -98,19 +98,17 @@ def _speed(s: State, c: Const) -> float:
 
 
 @kernel
-def _tell_filled(s: State, c: Const, tooth: int, out: Reports) -> None:
-    """Report the pulse too many in a gap. Meanwhile nothing is proven, and the gap is not told as missing."""
-    e = report(out, ADDED, True, s.seen.turns, TURNS).pulses
-    e.count, e.tooth, e.speed = 1.0, tooth, _speed(s, c)
+def _tell_pulses(s: State, c: Const, fault: int, count: int, tooth: int, out: Reports) -> None:
+    """Report a pulse in a gap, or teeth broken off, from ``tooth`` on (-1: not known), in place of a missing gap."""
+    e = report(out, fault, True, s.seen.turns, TURNS).pulses
+    e.count, e.tooth, e.speed = count, tooth, _speed(s, c)
     waiting.clear(s.waiting)
 
 
 @kernel
 def _tell_missing(s: State, c: Const, missing: int, tooth: int, out: Reports) -> None:
-    """Report teeth broken off, from ``tooth`` on (-1: not known), that the tracker could not take for missed ones."""
-    e = report(out, MISSED if missing < LOSS else PULSES_LOST, True, s.seen.turns, TURNS).pulses
-    e.count, e.tooth, e.speed = missing, tooth, _speed(s, c)
-    waiting.clear(s.waiting)
+    """Report teeth broken off that the tracker could not take for missed ones."""
+    _tell_pulses(s, c, MISSED if missing < LOSS else PULSES_LOST, missing, tooth, out)
 
 
 @kernel
@@ -152,7 +150,7 @@ def _judge_defects(s: State, c: Const, parts: int, out: Reports) -> None:
     gap = explained.filled(s, c)
     if gap != explained.NONE:
         s.filled = 1
-        _tell_filled(s, c, gap, out)
+        _tell_pulses(s, c, ADDED, 1, gap, out)
     elif s.recurring == 0 and c.turns == 1:
         _tell_beside(s, c, parts, missing, out)
 

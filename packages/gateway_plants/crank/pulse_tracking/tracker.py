@@ -113,23 +113,19 @@ def keep_best(tr: Tracker) -> None:
 
 @kernel
 def keep_reported(tr: Tracker) -> None:
-    """Drop all hypotheses but one without missed and added pulses, where no pulse for long has told between them.
+    """Drop all hypotheses but one, where no pulse for long has told between them.
 
-    Not the best one: of two that are as likely, that with missed or added pulses would accuse the sensor of nothing
-    that was seen.
+    Of two that are nearly as likely not that with missed or added pulses, which would accuse the sensor of nothing that
+    was seen.
     """
     first = tr.bank * MOST
-    kept = first
     for k in range(tr.count):
         other = tr.banks[first + k]
-        if other.cost < DECISION and other.associated == 1 and other.missed == 0 and other.added == 0:
-            kept = first + k
+        if other.cost < HESITATION and other.associated == 1 and other.missed == 0 and other.added == 0:
+            if k > 0:
+                copy(tr.banks[first], other)
             break
-    if kept != first:
-        copy(tr.banks[first], tr.banks[kept])
-        tr.banks[first].cost = 0.0
-    tr.count = 1
-    tr.open = 0
+    keep_best(tr)
 
 
 @kernel
