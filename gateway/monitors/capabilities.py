@@ -250,8 +250,8 @@ class Blame(NamedTuple):
         kind: of a part that is no signal: "actuator", "plant", "supply", "model", ...; "": it is a signal. With the
             name of a signal it is what that signal commands or measures, the same for all monitors; "message": what
             carries it; "frozen": that, repeating one payload.
-        share: how likely the test fails if this part alone is at fault, against a part that it is there for, 0 to 1;
-            above 0.9 and below 1: as it is.
+        share: how likely the test fails if this part alone is at fault, against a part that it is there for (0.9),
+            0 to 1.1.
     """
 
     part: str

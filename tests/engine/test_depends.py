@@ -241,7 +241,7 @@ def test_a_monitor_may_refine_it(stranger, network):
     [
         ({"loww": [Blame("BATT.Voltage")]}, "no such fault; did you mean low"),
         ({"low": [Blame("BATT.Volage")]}, "no such signal is connected.*did you mean BATT.Voltage"),
-        ({"low": [Blame("BATT.Voltage", share=0.0)]}, "a share above 0, at most 1"),
+        ({"low": [Blame("BATT.Voltage", share=0.0)]}, "a share above 0, at most 1.1"),
         ({"low": "BATT.Voltage"}, "a tuple of Blame"),
         (["low"], "names of faults and what they blame, not list"),
     ],

@@ -46,7 +46,7 @@ def inputs_of(m: MonitorInstance, network: Network) -> dict[str, SignalRef]:
 
 
 def _is_blame(one: object) -> bool:
-    return isinstance(one, Blame) and 0.0 < one.share <= 1.0
+    return isinstance(one, Blame) and 0.0 < OWN * one.share <= 1.0
 
 
 def _known(m: MonitorInstance, faults: Sequence[str], inputs: Mapping[str, SignalRef]) -> Mapping[str, Sequence[Blame]]:
@@ -72,7 +72,7 @@ def _check(
             text = f"the monitor has no such fault{nearest(str(name), faults)}"
             raise InputError(text, file=m.monitor.file, key=key, value=name)
         if not isinstance(blamed, tuple | list) or not all(map(_is_blame, blamed)):
-            text = "a tuple of Blame, each with a share above 0, at most 1"
+            text = "a tuple of Blame, each with a share above 0, at most 1.1"
             raise InputError(text, file=m.monitor.file, key=f"{key}.{name}", value=blamed)
         for one in blamed:
             if not one.kind and one.part not in inputs:
@@ -113,7 +113,7 @@ def of_tests(m: MonitorInstance, network: Network) -> dict[str, tuple[Seen, ...]
 def _blamed(
     m: MonitorInstance, one: Blame, inputs: Mapping[str, SignalRef], network: Network, count: int
 ) -> Iterator[Seen]:
-    power = one.share if OWN < one.share < 1.0 else OWN * one.share / (max(count, 1) if one.share == 1.0 else 1)
+    power = OWN * one.share / (max(count, 1) if one.share == 1.0 else 1)
     if one.kind:
         yield Seen(part_of(m, one.part, one.kind, inputs, network), power, "as the monitor says")
     else:

@@ -163,8 +163,8 @@ def blames(model: Model, plan: Plan) -> dict[str, list[Blame]]:
 
 #: How likely a test fires if a fault is there that it sees: of a large one all do, of a small one few.
 _FIRES = 0.8
-#: How likely a fault that is there alone is not found unlikely.
-_FITS = 0.99
+#: How likely a fault that is there alone is not found unlikely (0.99), as :class:`Blame` has it.
+_FITS = 1.1
 
 
 def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
