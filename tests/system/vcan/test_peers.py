@@ -179,7 +179,7 @@ indicator = true
 
 
 def test_the_kernels_j1939_receives_dm1_by_bam_and_asks_for_dm2(tmp_path):
-    config = write_config(tmp_path, more=J1939)
+    config = write_config(tmp_path, timeout_ms=2000.0, more=J1939)
     config.write_text(config.read_text() + "\n[output.j1939]\naddress = 0xF9\n")
     no_name, no_pgn = socket.J1939_NO_NAME, socket.J1939_NO_PGN
     with (
@@ -205,16 +205,19 @@ def test_the_kernels_j1939_receives_dm1_by_bam_and_asks_for_dm2(tmp_path):
             bytes([0x7F, 0x02, 9, 1]),
             bytes([0x7F, 0x02, 19, 1]),
         }
-        # One heals; DM2 on request has it.
-        for k in range(9, 18):
-            ecu.send(can_frame(0x300, beat(k)))
-        wait_for(lambda: dtcs(running)["U0100-87"] == 0)
-        tester.sendto(bytes.fromhex("cbfe00"), ("vcan0", no_name, 0xEA00, 0xF9))
+        # One heals; DM2 on request has it, if the message was not missing again when the request came.
+        count = 9
         dm2 = b""
         while not dm2 and time.monotonic() < limit:
-            data, (_, _, pgn, address) = tester.recvfrom(256)
-            if (pgn, address) == (0xFECB, 0xF9):
-                dm2 = data
+            for k in range(count, count + 9):
+                ecu.send(can_frame(0x300, beat(k)))
+            count += 9
+            wait_for(lambda: dtcs(running)["U0100-87"] == 0)
+            tester.sendto(bytes.fromhex("cbfe00"), ("vcan0", no_name, 0xEA00, 0xF9))
+            pgn = address = 0
+            while (pgn, address) != (0xFECB, 0xF9) and time.monotonic() < limit:
+                data, (_, _, pgn, address) = tester.recvfrom(256)
+            dm2 = data if dtcs(running)["U0100-87"] == 0 else b""
         assert dm2[2:6] == bytes([0x7F, 0x02, 9, 1]), "previously active"
         assert dm2[6:] == b"\xff\xff"
     assert running.code == 0
