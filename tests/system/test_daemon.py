@@ -242,13 +242,15 @@ def test_a_reload_leaves_nothing_open_and_refuses_what_it_cannot_do(tmp_path):
 
             reload(first, "reloaded")
             usual = descriptors(running)
-            write_config(tmp_path, buses=[("chassis", uri), ("drive", second)])
+            write_config(tmp_path, buses=[("chassis", uri), ("drive", second)], timeout_ms=60_000.0)
             two = config.read_text()
             reload(two, "reloaded")
             assert descriptors(running) == usual + 1
             reload(first, "reloaded")
             assert descriptors(running) == usual
-            write_config(tmp_path, buses=[("chassis", uri), ("drive", second), ("odd", "canalystii:0")])
+            write_config(
+                tmp_path, buses=[("chassis", uri), ("drive", second), ("odd", "canalystii:0")], timeout_ms=60_000.0
+            )
             own = '[fault."odd.Beat.{}"]\ndtc = "{}"\n'
             codes = {"timeout": "U0141-87", "counter": "U0423-82", "length": "U0423-81"}
             text = config.read_text()
