@@ -10,7 +10,7 @@ so that a fault that the plant does not show (U -> 0) has the likelihood ratio 1
 
 from __future__ import annotations
 
-from math import exp, inf, log, sqrt
+from math import exp, inf, log
 from typing import Any
 
 from gateway_fdi.evidence.model import SCALES
@@ -21,24 +21,20 @@ from gateway_fdi.jit import kernel
 @kernel
 def of_fault(s: Any, c: Any, f: int) -> None:
     """Find likelihood and size of a fault, from the form in the scratch that x is integrated out of."""
-    best, total, mean, square = -inf, 0.0, 0.0, 0.0
+    best, total, mean = -inf, 0.0, 0.0
     for n in range(SCALES):
         value = _scaled(s, c, f, c.scale[f, n])
         fewer = exp(min(best - value, 0.0))
         best = max(best, value)
         share = exp(value - best)
-        total, mean, square = total * fewer, mean * fewer, square * fewer
-        total += share
-        mean += share * s.found[f]
-        square += share * (s.found[f] ** 2 + s.spread[f] ** 2)
+        total, mean = total * fewer + share, mean * fewer + share * s.found[f]
     s.likelihood[f] = best + log(total / SCALES)
     s.found[f] = mean / total
-    s.spread[f] = sqrt(max(square / total - (mean / total) ** 2, 0.0))
 
 
 @kernel
 def _scaled(s: Any, c: Any, f: int, scale: float) -> float:
-    """Return the log likelihood ratio of a fault with one scale of its size; leaves the size and its spread."""
+    """Return the log likelihood ratio of a fault with one scale of its size; leaves the size."""
     first = c.slow + c.first[f]
     m = c.first[f + 1] - c.first[f]
     own = scale * c.error[f]
@@ -57,6 +53,5 @@ def _scaled(s: Any, c: Any, f: int, scale: float) -> float:
     gained = 0.0
     for i in range(m):
         gained += blur(s.one_a, s.one_b, m + 1, i, precision)
-    pivot = s.one_a[m, m] + scale**-2
-    s.found[f], s.spread[f] = s.one_b[m] / pivot, 1.0 / sqrt(pivot)
+    s.found[f] = s.one_b[m] / (s.one_a[m, m] + scale**-2)
     return gained + blur(s.one_a, s.one_b, m + 1, m, scale**-2)

@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway_fdi.jit import Record, f8s, i8, i8s, means, zeros
+from gateway_fdi.jit import Record, f8s, i8, i8s, means
 
 #: Each size is a mixture of this number of Gaussians, of which each is FINER times as narrow as the one before: faults
 #: far below their range are as likely as those that fill it.
 SCALES, FINER = 3, 3.0
-#: Lengths of the records; a plant's own classes, or :meth:`Model.records`, say others. "room": a fault's gains + 1.
+#: Lengths of the records; a plant's own classes say others. "room": a fault's gains + 1.
 LENGTHS = {"residuals": 1, "slow": 1, "gains": 1, "columns": 2, "faults": 1, "edges": 2, "room": 2}
 
 
@@ -48,20 +48,6 @@ class State(Record, lengths=LENGTHS):
     one_b: Annotated[f8s, "room"] = means("scratch")
     likelihood: Annotated[f8s, "faults"] = means("log likelihood ratio of a fault, sizes integrated out")
     found: Annotated[f8s, "faults"] = means("size of the fault")
-    spread: Annotated[f8s, "faults"] = means("its standard deviation")
-
-
-@dataclass(frozen=True)
-class Slow:
-    """A slow error.
-
-    Attributes:
-        name: of a parameter, or of a sensor's gain or bias.
-        prior: standard deviation beforehand; of an error within +- b it is b / sqrt(3).
-    """
-
-    name: str
-    prior: float
 
 
 @dataclass(frozen=True)
@@ -86,18 +72,17 @@ class Model:
     """A plant.
 
     Attributes:
-        slow: its slow errors, in the order of the columns of H.
+        slow: standard deviation of each slow error (a parameter, a sensor's gain or bias) beforehand, in the order of
+            the columns of H; of an error within +- b it is b / sqrt(3).
         faults: its faults.
         noise: long-run covariance of the residuals' noise per sample, shape (m, m).
-        period_s: time between two samples [s].
         samples: of a block: at least ten times the correlation time of the noise.
-        jitter: standard deviation of each slow error from block to block, a share of its prior's.
+        jitter: standard deviation of each slow error from block to block, a share of that.
     """
 
-    slow: tuple[Slow, ...]
+    slow: tuple[float, ...]
     faults: tuple[Fault, ...]
     noise: NDArray[np.float64]
-    period_s: float
     samples: int
     jitter: float = 0.0
 
@@ -117,27 +102,13 @@ class Model:
             "room": max((len(fault.residuals) for fault in self.faults), default=1) + 1,
         }  # fmt: skip
 
-    def records(self) -> tuple[Any, Any]:
-        """Return records of State and Const, before the first block."""
-        lengths = self.lengths
-
-        class OwnState(State, lengths=lengths):
-            pass
-
-        class OwnConst(Const, lengths=lengths):
-            pass
-
-        s, c = zeros(1, OwnState)[0], zeros(1, OwnConst)[0]
-        self.fill(c)
-        return s, c
-
     def fill(self, c: Any) -> None:
         """Fill a record of Const, or of a class derived from it, that has room for it."""
         m = len(self.noise)
         c.residuals, c.slow, c.faults, c.samples = m, len(self.slow), len(self.faults), self.samples
         c.weight[:m, :m] = np.linalg.inv(self.noise)
-        for k, one in enumerate(self.slow):
-            c.jitter[k] = (self.jitter * one.prior) ** -2 if self.jitter else inf
+        for k, prior in enumerate(self.slow):
+            c.jitter[k] = (self.jitter * prior) ** -2 if self.jitter else inf
         c.row[: len(self.gains)] = [row for _, row in self.gains]
         for k, fault in enumerate(self.faults):
             c.first[k + 1] = c.first[k] + len(fault.residuals)

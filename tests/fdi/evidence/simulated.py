@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway_fdi.evidence.model import FINER, SCALES, Fault, Model, Slow
+from gateway_fdi.evidence.model import FINER, SCALES, Const, Fault, Model, State
+from gateway_fdi.jit import zeros
 
 
 def plant(rng, *, faults=4, residuals=3, slow=2, jitter=0.0, error=0.3, samples=10):
@@ -16,14 +17,27 @@ def plant(rng, *, faults=4, residuals=3, slow=2, jitter=0.0, error=0.3, samples=
         moves = np.flatnonzero(rng.random(residuals) < 0.7)
         moves = moves if len(moves) else np.array([k % residuals])
         found.append(Fault(f"f{k}", tuple(moves.tolist()), 3.0, error))
-    errors = tuple(Slow(f"x{k}", 0.5) for k in range(slow))
-    return Model(errors, tuple(found), noise, 0.1, samples, jitter)
+    return Model((0.5,) * slow, tuple(found), noise, samples, jitter)
+
+
+def records(model):
+    """Return records of State and Const for a model, before the first block."""
+
+    class OwnState(State, lengths=model.lengths):
+        pass
+
+    class OwnConst(Const, lengths=model.lengths):
+        pass
+
+    s, c = zeros(1, OwnState)[0], zeros(1, OwnConst)[0]
+    model.fill(c)
+    return s, c
 
 
 def drive(rng, model, n):
     """Return sensitivities and gains along a drive of n samples."""
     m, count = len(model.noise), len(model.gains)
-    t = np.arange(n)[:, None] * model.period_s
+    t = np.arange(n)[:, None] * 0.1
     h = 1.0 + np.sin(t * rng.uniform(0.2, 2.0, m * len(model.slow)) + rng.uniform(0, 6, m * len(model.slow)))
     g = rng.normal(size=count) * (1.0 + 0.5 * np.sin(t * rng.uniform(0.2, 2.0, count)))
     return h.reshape(n, m, len(model.slow)), g
@@ -44,10 +58,10 @@ def covariance(model, h):
     n, m, _ = h.shape
     of = np.arange(n) // model.samples
     total = np.kron(np.eye(n), model.noise)
-    for k, one in enumerate(model.slow):
-        moved = (model.jitter * one.prior) ** 2 * (of[:, None] == of[None, :])
+    for k, prior in enumerate(model.slow):
+        moved = (model.jitter * prior) ** 2 * (of[:, None] == of[None, :])
         flat = h[:, :, k].reshape(-1)
-        total += np.kron(one.prior**2 + moved, np.ones((m, m))) * np.outer(flat, flat)
+        total += np.kron(prior**2 + moved, np.ones((m, m))) * np.outer(flat, flat)
     return total
 
 

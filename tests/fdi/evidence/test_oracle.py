@@ -30,7 +30,7 @@ def test_likelihoods_are_those_of_dense_matrices(more):
     r = rng.multivariate_normal(np.zeros(len(model.noise)), model.noise, n)
     r += (simulated.columns(model, g, 1, 16, n) @ np.full(len(model.faults[1].residuals), 1.5)).reshape(r.shape)
     r[5, 0] = r[17, :2] = r[23] = np.nan
-    s, c = model.records()
+    s, c = simulated.records(model)
     whole = c.slow + len(model.gains)
     for at in range(n):
         if blocks.add(s, c, r[at], h[at], g[at]):
@@ -38,8 +38,8 @@ def test_likelihoods_are_those_of_dense_matrices(more):
             s.work_a[:whole, :whole] += s.a[:whole, :whole]
             s.work_b[:whole] += s.b[:whole]
             blocks.drop(s)
-    for k, one in enumerate(model.slow):
-        s.work_a[k, k] += one.prior**-2
+    for k, prior in enumerate(model.slow):
+        s.work_a[k, k] += prior**-2
     for k in range(c.slow):
         blur(s.work_a, s.work_b, whole, k, 0.0)
     for f, fault in enumerate(model.faults):

@@ -107,10 +107,9 @@ def model_of(plan: Plan, slow: int, period_s: float, confirm_s: float) -> model.
         confirm_s: before a name is told [s].
     """
     return model.Model(
-        slow=tuple(model.Slow(str(k), 1.0) for k in range(slow)),
+        slow=(1.0,) * slow,
         faults=faults_of(plan),
         noise=np.eye(len(plan.tests)),
-        period_s=period_s,
         samples=max(round(confirm_s / BLOCKS / period_s), 1),
         jitter=JITTER,
     )
@@ -238,22 +237,25 @@ def _still(s: Any, c: Any, f: int, n: int) -> float:
     for i in range(c.slow):
         for j in range(c.slow):
             s.a[i, j] -= s.known_a[i, j]
-    product, information, size = 0.0, 0.0, s.found[f]
-    for i in range(c.slow + c.first[f], c.slow + c.first[f + 1]):
-        product += s.work_b[i]
-        for j in range(c.slow + c.first[f], c.slow + c.first[f + 1]):
-            information += s.work_a[i, j]
+    (product, information), size = _moments(s, c, f), s.found[f]
     return float(product * size - 0.5 * information * size * size)
 
 
 @kernel
-def _ratio(s: Any, c: Any, f: int) -> float:
-    """Return the logarithm of a fault's likelihood ratio by the form in the scratch, with its size to be found."""
+def _moments(s: Any, c: Any, f: int) -> tuple[float, float]:
+    """Return y and U of a fault's size, one for all of its gains, by the form in the scratch."""
     product, information = 0.0, 0.0
     for i in range(c.slow + c.first[f], c.slow + c.first[f + 1]):
         product += s.work_b[i]
         for j in range(c.slow + c.first[f], c.slow + c.first[f + 1]):
             information += s.work_a[i, j]
+    return product, information
+
+
+@kernel
+def _ratio(s: Any, c: Any, f: int) -> float:
+    """Return the logarithm of a fault's likelihood ratio by the form in the scratch, with its size to be found."""
+    product, information = _moments(s, c, f)
     if not information > 0.0 or product == 0.0:
         return -inf
     for m in range(SCALES):
