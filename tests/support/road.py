@@ -16,6 +16,7 @@ from gateway.faults.catalogue import Catalogue
 from gateway.faults.fleet import FleetParams
 from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
+from gateway.faults.opened import OpenedMemory
 from gateway.runtime.contract import STATISTICS
 
 #: Ports below those of connections (Linux: from 32768), another order in each process of the tests.
@@ -75,6 +76,15 @@ def numbers(folder):
 def occurrences(folder):
     """How often each dtc event is in the tables, by its number."""
     return Counter(json.loads(row["body"])["occurrence"] for row in rows(folder) if row["kind"] == "dtc")
+
+
+def waiting(path):
+    """Rows of a memory's file that have not been taken away, read beside its daemon and its sender."""
+    opened = OpenedMemory(path)
+    try:
+        return opened.store().outgoing()
+    finally:
+        opened.close()
 
 
 def free_port():
