@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,38 +16,24 @@ Bools = NDArray[np.bool_]
 ON_S, FROM_S = 300, 900
 
 
-@dataclass(frozen=True)
-class Indexes:
-    """The indexes of a scenario; NaN: there is none.
-
-    Attributes:
-        t_dt: detection time, to the last leading edge [s].
-        r_fd: false detection rate, share of the time between begin of the zone and fault.
-        r_td: true detection rate, share of the time with the fault.
-        fs_d: strength of the fault at that edge.
-        t_it: isolation time [s].
-        r_fi: false isolation rate.
-        r_ti: true isolation rate.
-        r_mi: mismatch isolation rate: other diagnoses pointed at, on average.
-        fs_i: strength of the fault at the isolation.
-        dacc: diagnosis accuracy, 1 over the faults that are pointed at.
-    """
-
-    t_dt: float
-    r_fd: float
-    r_td: float
-    fs_d: float
-    t_it: float
-    r_fi: float
-    r_ti: float
-    r_mi: float
-    fs_i: float
-    dacc: float
+#: The indexes of a scenario, in their order; NaN: there is none.
+INDEXES = {
+    "t_dt": "detection time, to the last leading edge [s]",
+    "r_fd": "false detection rate, share of the time between begin of the zone and fault",
+    "r_td": "true detection rate, share of the time with the fault",
+    "fs_d": "strength of the fault at that edge",
+    "t_it": "isolation time [s]",
+    "r_fi": "false isolation rate",
+    "r_ti": "true isolation rate",
+    "r_mi": "mismatch isolation rate: other diagnoses pointed at, on average",
+    "fs_i": "strength of the fault at the isolation",
+    "dacc": "diagnosis accuracy, 1 over the faults that are pointed at",
+}
 
 
 def indexes(
     detected: Bools, primary: Bools, others: NDArray[np.int64], strength: Array, faults: NDArray[np.int64]
-) -> Indexes:
+) -> dict[str, float]:
     """Return the indexes of a scenario, sampled each second from 0 to the zone's end.
 
     Args:
@@ -61,7 +46,8 @@ def indexes(
     t_dt, r_fd, r_td, fs_d, _ = _timed(detected, strength)
     t_it, r_fi, r_ti, fs_i, edge = _timed(primary, strength)
     accuracy = 1.0 / float(faults[edge]) if edge >= 0 else math.nan
-    return Indexes(t_dt, r_fd, r_td, fs_d, t_it, r_fi, r_ti, float(others[ON_S:].mean()), fs_i, accuracy)
+    found = (t_dt, r_fd, r_td, fs_d, t_it, r_fi, r_ti, float(others[ON_S:].mean()), fs_i, accuracy)
+    return dict(zip(INDEXES, found, strict=True))
 
 
 def _timed(decision: Bools, strength: Array) -> tuple[float, float, float, float, int]:
@@ -74,7 +60,7 @@ def _timed(decision: Bools, strength: Array) -> tuple[float, float, float, float
     return float(last - FROM_S), false, true, float(strength[last]), last
 
 
-def decided(found: Found, limit: float, own: int, alike: Sequence[Sequence[int]], strength: Array) -> Indexes:
+def decided(found: Found, limit: float, own: int, alike: Sequence[Sequence[int]], strength: Array) -> dict[str, float]:
     """Return the indexes of what a method says.
 
     A diagnosis is pointed at if its faults together have more than half of the probability.
@@ -98,7 +84,7 @@ def decided(found: Found, limit: float, own: int, alike: Sequence[Sequence[int]]
     return indexes(detected, primary, sum(pointed.values(), nothing), strength, count)
 
 
-def middle(runs: Sequence[Indexes]) -> Indexes:
+def middle(runs: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Return the median of each index over the runs that have it."""
-    each = {field.name: [getattr(run, field.name) for run in runs] for field in fields(Indexes)}
-    return Indexes(**{name: float(np.nanmedian(v)) if not np.isnan(v).all() else math.nan for name, v in each.items()})
+    each = {name: [run[name] for run in runs] for name in INDEXES}
+    return {name: float(np.nanmedian(v)) if not np.isnan(v).all() else math.nan for name, v in each.items()}

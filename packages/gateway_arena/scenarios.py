@@ -3,47 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from rich.table import Table
 
 from gateway.cli.study import tabulate
 from gateway_arena.contract import Method
-from gateway_arena.indexes import Indexes, decided, middle
+from gateway_arena.indexes import INDEXES, decided, middle
 from gateway_arena.plants.valve import SCENARIOS, Scenario, ValvePlant
-from gateway_arena.score import NAMED, diagnoses, number, plain
+from gateway_arena.score import NAMED, diagnoses, number
 
 #: Seeds from the first on, further than those of records; explanations of a scenario, if a method gives them in turn.
 SEEDS, EXPLAINED = 50_000, 100
-
-
-@dataclass(frozen=True)
-class ScenarioRow:
-    """A method on a scenario.
-
-    Attributes:
-        method: its name.
-        scenario: the scenario.
-        runs: with other noise.
-        detected: of these with the detection decision at the end.
-        isolated: of these with the fault's diagnosis at the end.
-        indexes: their medians.
-    """
-
-    method: str
-    scenario: Scenario
-    runs: int
-    detected: int
-    isolated: int
-    indexes: Indexes
-
-    def plain(self) -> dict[str, Any]:
-        """Return it as JSON has it."""
-        return {
-            "method": self.method, "fault": self.scenario.fault, "mode": self.scenario.mode, "runs": self.runs,
-            "detected": self.detected, "isolated": self.isolated, **plain(asdict(self.indexes)),
-        }  # fmt: skip
 
 
 def judged_scenarios(
@@ -53,8 +24,8 @@ def judged_scenarios(
     seed: int,
     off: float,
     scenarios: Sequence[Scenario] = SCENARIOS,
-) -> list[ScenarioRow]:
-    """Return what methods say of the scenarios.
+) -> list[dict[str, Any]]:
+    """Return what methods say of the scenarios: how often the fault is detected, and its diagnosis named, at the end.
 
     Args:
         plant: the valve.
@@ -80,7 +51,10 @@ def judged_scenarios(
                 bool(there) and one.weights is not None and one.weights[-1, alike[own]].sum() > NAMED
                 for one, there in zip(said, last, strict=True)
             ]
-            rows.append(ScenarioRow(name, scenario, count, sum(map(bool, last)), sum(map(bool, named)), middle(found)))
+            rows.append({
+                "method": name, "fault": scenario.fault, "mode": scenario.mode, "runs": count,
+                "detected": sum(map(bool, last)), "isolated": sum(map(bool, named)), **middle(found),
+            })  # fmt: skip
     return rows
 
 
@@ -90,13 +64,11 @@ def narrow(wide: Table) -> Table:
     return wide
 
 
-def table(rows: Sequence[ScenarioRow], name: str, told: str) -> Table:
+def table(rows: Sequence[Mapping[str, Any]], name: str, told: str) -> Table:
     """Return the table of a method."""
-    heads: dict[str, Any] = {
-        "fault": lambda row: row.scenario.fault, "mode": lambda row: row.scenario.mode, "runs": lambda row: row.runs,
-        "det.": lambda row: row.detected, "isol.": lambda row: row.isolated,
-    }  # fmt: skip
-    for key in (field.name for field in fields(Indexes)):
+    first = {"fault": "fault", "mode": "mode", "runs": "runs", "det.": "detected", "isol.": "isolated"}
+    heads: dict[str, Any] = {head: lambda row, key=key: row[key] for head, key in first.items()}
+    for key in INDEXES:
         head, digits = (f"{key}\n[s]", 0) if key.startswith("t_") else (key, 2)
-        heads[head] = lambda row, key=key, digits=digits: number(getattr(row.indexes, key), digits)
-    return narrow(tabulate(f"DAMADICS: {name}, {told}", [row for row in rows if row.method == name], heads, texts=2))
+        heads[head] = lambda row, key=key, digits=digits: number(row[key], digits)
+    return narrow(tabulate(f"DAMADICS: {name}, {told}", [row for row in rows if row["method"] == name], heads, texts=2))

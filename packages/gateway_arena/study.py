@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.table import Table
@@ -19,7 +20,7 @@ from gateway_arena.plants.engine import Engine
 from gateway_arena.plants.tennessee import NAME as TENNESSEE
 from gateway_arena.plants.tennessee import is_there
 from gateway_arena.plants.valve import ValvePlant
-from gateway_arena.scenarios import ScenarioRow, judged_scenarios, narrow, table
+from gateway_arena.scenarios import judged_scenarios, narrow, table
 from gateway_arena.score import Row, number, plain, threshold
 from gateway_arena.trial import records, trial
 from gateway_fdi.errors import InputError
@@ -86,7 +87,7 @@ def arena(
     for name in names:
         method(name)
     rows: list[Row] = []
-    of_scenarios: list[ScenarioRow] = []
+    of_scenarios: list[dict[str, Any]] = []
     for each in _plants(plants, data):
         say(f"{each.name} ({each.source}): {len(each.sizes)} faults ...")
         if isinstance(each, Engine):
@@ -106,7 +107,7 @@ def arena(
         draw(rows, plot)
     told = f"seeds from {seed}, {false_alarm:.0%} false alarms, parameters off {off:.0%}, faults times {size:g}"
     tables = [_table(rows, f"Arena: {told}")]
-    for name in dict.fromkeys(row.method for row in of_scenarios):
+    for name in dict.fromkeys(row["method"] for row in of_scenarios):
         tables.append(table(of_scenarios, name, f"seeds from {seed}, parameters off {off:.0%}"))
     notes = [f"{row.plant}: {row.method} is not for it: {row.refused}" for row in rows if row.refused]
     for row in rows:
@@ -119,6 +120,6 @@ def arena(
     )
     document = {
         "study": "arena", "first_seed": seed, "false_alarm": false_alarm, "off": off, "size": size, "train": train,
-        "rows": [plain(asdict(row)) for row in rows], "scenarios": [row.plain() for row in of_scenarios],
+        "rows": [plain(asdict(row)) for row in rows], "scenarios": [*map(plain, of_scenarios)],
     }  # fmt: skip
     return show(document, tables, notes, files=[plot] if plot else [], json=json)
