@@ -90,7 +90,7 @@ def receive(descriptor: int, config: Path, memory: Path) -> None:
             break
     gateway.stop(gateway.engine.now_ns)
     counters = gateway.engine.counters()
-    stored = {entry.fault: entry.occurrence for entry in gateway.memory.entries()}
+    stored = {entry.fault: entry.record.occurrence for entry in gateway.memory.entries()}
     found = {
         "frames": counters["frames"],
         "decoded": counters["decoded"],

@@ -145,7 +145,7 @@ def test_the_fault_of_the_clock_is_set_up_like_any_other(tmp_path):
     gateway.feed(c.step_frame(2 * MS, -500_000))
     (entry,) = gateway.memory.entries()
     assert (str(entry.dtc), bool(entry.status & 0x80)) == ("U3000-64", True)
-    assert entry.first_ns == 2 * MS - 500 * MS
+    assert entry.record.first_ns == 2 * MS - 500 * MS
     assert [e["event"] for e in events] == ["clock", "dtc"]
     gateway.advance(9_999 * MS)
     assert "U3000-64" in dtcs(gateway)

@@ -112,7 +112,7 @@ def test_a_fault_that_stays_is_found_again_in_each_cycle(make):
         rig.fail(0)
         assert rig.status(0) & 0x02
         rig.value(2, 0.5)
-    assert entry(rig, 0).occurrence == 1, "it never went away"
+    assert entry(rig, 0).record.occurrence == 1, "it never went away"
 
 
 def test_a_cycle_that_the_gateways_end_ended_begins_anew(make):
@@ -142,8 +142,8 @@ def test_time_debounce_of_the_configuration(make):
     assert rig.status(0) == 0x50
     rig.wait(2)
     assert rig.status(0) == 0x2F
-    assert entry(rig, 0).first_ns == begun + 100 * MS
-    assert entry(rig, 0).evidence["value"] == 1.0
+    assert entry(rig, 0).record.first_ns == begun + 100 * MS
+    assert entry(rig, 0).record.evidence["value"] == 1.0
 
 
 def test_a_verdict_from_a_timer_has_freeze_frame_and_evidence_like_any_other(tmp_path):
@@ -160,7 +160,7 @@ def test_a_verdict_from_a_timer_has_freeze_frame_and_evidence_like_any_other(tmp
     kept = rig.gateway.memory.entry("b.M1.timeout")
     assert kept.freeze_frames[0].content == {"M0.Value": 7.0, "M1.Value": 8.0}
     assert kept.freeze_frames[0].t_ns == last + 50 * MS
-    assert kept.evidence["silent [ms]"] == 50.0
+    assert kept.record.evidence["silent [ms]"] == 50.0
     rig.close()
 
 
@@ -200,7 +200,7 @@ def test_the_counter_clamps_and_does_not_run_away(make):
     rig.heal(0)
     assert rig.gateway.engine.fault_detection_counter(0) == -128
     assert rig.status(0) & 1 == 0
-    assert entry(rig, 0).occurrence == 1, "and it failed once, not five hundred times"
+    assert entry(rig, 0).record.occurrence == 1, "and it failed once, not five hundred times"
 
 
 RECORDING = """

@@ -96,7 +96,7 @@ def test_prefailed_and_prepassed_are_debounced_failed_and_passed_qualify_at_once
     assert verdicts("prepassed", "prepassed") == [True, False]
     assert verdicts("failed", "prepassed", "prefailed") == [True, True, True]
     assert verdicts("passed", "prefailed") == [False, False]
-    assert bench.gateway.memory.entry(HOT).occurrence == 2
+    assert bench.gateway.memory.entry(HOT).record.occurrence == 2
 
 
 def test_debounce_by_time_goes_on_between_reports(bench):
@@ -124,8 +124,8 @@ def test_a_report_is_stamped_by_the_engine_and_its_data_are_the_evidence(bench):
     (event,) = [e for e in bench.told("dtc") if e["fault"] == HOT]
     assert (event["t_ns"], event["dtc"]) == (now_ns, "P0A7E-98")
     entry = bench.gateway.memory.entry(HOT)
-    assert entry.evidence["temperature [degC]"] == 81.5
-    assert entry.evidence["cell"] is None, "it was not told"
+    assert entry.record.evidence["temperature [degC]"] == 81.5
+    assert entry.record.evidence["cell"] is None, "it was not told"
     assert entry.freeze_frames
 
 

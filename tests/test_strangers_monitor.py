@@ -108,7 +108,7 @@ def test_a_step_that_raises_is_told_with_its_file_and_sets_a_code_of_our_own(tmp
     assert "ValueError: too much" in event["reason"]
     assert event["t_ns"] == 200_000_000
     assert sorted(dtcs(gateway)) == [("P1000-16", True), ("U3000-48", True)], "the healthy one goes on"
-    assert gateway.memory.entry("gateway.monitor_off").evidence["monitors switched off"] == 1.0
+    assert gateway.memory.entry("gateway.monitor_off").record.evidence["monitors switched off"] == 1.0
     gateway.controls.clear(0xFFFFFF)
     feed(gateway, 12.6)
     assert ("U3000-48", True) in dtcs(gateway)[2:], "it is still off"

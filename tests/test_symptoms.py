@@ -322,7 +322,7 @@ def test_a_freeze_frame_of_the_confirmation_is_that_of_the_failure(car):
     one.drive(3.0, Speed=40)
     (frame,) = one.gateway.memory.entry("rules.A").freeze_frames
     assert frame.content == {"Speed.V": 90.0}
-    assert frame.t_ns == one.gateway.memory.entry("rules.A").first_ns
+    assert frame.t_ns == one.gateway.memory.entry("rules.A").record.first_ns
 
 
 @pytest.mark.parametrize("pieces", [7, 150])
@@ -338,7 +338,7 @@ def test_it_is_the_same_however_the_frames_come(tmp_path, pieces):
         events = [
             event for event in one.events if not event.get("fault", "").startswith("gateway.")
         ]  # at ends of batches
-        told.append((events, [(e.status, e.hold, e.cause) for e in one.gateway.memory.entries()]))
+        told.append((events, [(e.status, e.record.hold, e.record.cause) for e in one.gateway.memory.entries()]))
     assert told[0] == told[1]
     assert [event for event in told[0][0] if event["event"] == "symptoms"]
 

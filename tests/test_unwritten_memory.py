@@ -162,7 +162,7 @@ def test_a_damaged_file_is_put_aside_recovered_and_told(make, tmp_path):
     assert event["recovered"] > 3
     assert (tmp_path / event["aside"]).exists()
     entry = rig.gateway.memory.entry(DAMAGED)
-    assert entry.evidence["rows recovered"] == event["recovered"]
+    assert entry.record.evidence["rows recovered"] == event["recovered"]
     assert str(entry.dtc) == "U3000-42"
     rig.gateway.stop(rig.now)
     rig.close()

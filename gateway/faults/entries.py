@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.dtc import Dtc
-from gateway.faults.explained import Cause
 from gateway.faults.records import FreezeFrame, Record
 from gateway.faults.status import NOT_COMPLETED, STATUS, Status
 
@@ -79,40 +78,34 @@ class DtcState(NamedTuple):
 
 @dataclass(frozen=True)
 class Entry:
-    """The memory's knowledge of one DTC, for readers."""
+    """One DTC for readers: a copy of its record, and what records hold as numbers.
 
+    Attributes:
+        record: the copy.
+        dtc: its code.
+        status: its status byte.
+    """
+
+    record: Record
     dtc: Dtc
-    fault: str
     status: Status
-    occurrence: int
-    first_ns: int | None
-    last_ns: int | None
-    evidence: Mapping[str, float | None]
-    inputs: Mapping[str, float | None]
-    freeze_frames: tuple[FreezeFrame, ...]
-    failed_cycles: int
-    aged_cycles: int
-    peak_fdc: int
-    near_misses: int
-    cause: Cause | None
-    hold: str
+
+    @property
+    def fault(self) -> str:
+        """Id of the fault."""
+        return self.record.id
+
+    @property
+    def freeze_frames(self) -> tuple[FreezeFrame, ...]:
+        """Its freeze frames, in order of their record numbers."""
+        return tuple(frame for _, frame in sorted(self.record.freeze_frames.items()))
 
     @property
     def listed(self) -> DtcStatus:
         """The entry as lists have it."""
-        return DtcStatus(self.dtc.value, self.fault, int(self.status))
-
-
-#: Fields that an entry has as its record keeps them.
-_TAKEN = tuple({f.name for f in fields(Entry)} & {f.name for f in fields(Record)} - {"dtc", "status", "freeze_frames"})
+        return DtcStatus(self.record.dtc, self.fault, self.record.status)
 
 
 def entry_of(record: Record) -> Entry:
     """Return a stored record as an entry."""
-    return Entry(
-        dtc=Dtc(record.dtc),
-        fault=record.id,
-        status=STATUS[record.status],
-        freeze_frames=tuple(record.freeze_frames[number] for number in sorted(record.freeze_frames)),
-        **{name: getattr(record, name) for name in _TAKEN},
-    )
+    return Entry(record.copy(), Dtc(record.dtc), STATUS[record.status])

@@ -89,6 +89,14 @@ class Record:
 
 
 _NAMES = tuple(each.name for each in fields(Record))
+#: Fields of a record that count, from 0; and its times and places in an order, which may be missing.
+COUNTERS = tuple(each.name for each in fields(Record) if each.type == "int" and each.default == 0)
+PLACES = tuple(each.name for each in fields(Record) if each.type == "int | None")
+#: Fields that readers get as they are, by these names in JSON; those that count are extended data for SOVD.
+TOLD = (
+    "occurrence", "first_ns", "last_ns", "evidence", "inputs", "failed_cycles", "aged_cycles", "peak_fdc",
+    "near_misses", "hold",
+)  # fmt: skip
 _contents = attrgetter(*_NAMES)
 
 

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 
 from gateway.faults import chain, outgoing, rows
 from gateway.faults.interventions import PROTOCOLS, Intervention
-from gateway.faults.records import Changes, Cycle, FreezeFrame, Permanent, Record, Recording
+from gateway.faults.records import COUNTERS, PLACES, Changes, Cycle, FreezeFrame, Permanent, Record, Recording
 from gateway.faults.rollback import generation_of
 from gateway.faults.vehicle import EcuDtc
 
@@ -30,18 +30,6 @@ SUFFIXES = ("", "-wal", "-shm", "-journal")
 MOST_ROWS = 20_000
 #: Kept in memory by the kernel, so that a full disk does not matter.
 FAST = Path("/dev/shm")  # noqa: S108 - a folder of our own in it
-
-_COUNTERS = (
-    "failed_cycles",
-    "occurrence",
-    "passed_cycles",
-    "aged_cycles",
-    "peak_fdc",
-    "near_misses",
-)
-_NUMBERS = (
-    "first_ns", "last_ns", "first_failed", "last_failed", "first_confirmed", "last_confirmed",
-)  # fmt: skip
 
 
 @dataclass
@@ -259,9 +247,9 @@ def _numbers_by_name(text: object) -> dict[str, float | None]:
 def _record(*row: Any) -> Record:
     values = dict(zip(rows.COLUMNS, row, strict=True))
     record = Record(_name(values["id"]), _whole(values["dtc"], 0, 0xFFFFFF), _whole(values["status"], 0, 0xFF))
-    for name in _COUNTERS:
+    for name in COUNTERS:
         setattr(record, name, _whole(values[name], 0, 2**62))
-    for name in _NUMBERS:
+    for name in PLACES:
         value = values[name]
         setattr(record, name, None if value is None else _whole(value, -(2**63), 2**63 - 1))
     for name in rows.JSON:

@@ -19,7 +19,7 @@ from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.ledger import OVERFLOW
 from gateway.faults.lock import InUseError, is_kept, is_unsaved
 from gateway.faults.memory import FaultMemory
-from gateway.faults.records import Record, Recording
+from gateway.faults.records import TOLD, Record, Recording
 from gateway.faults.remedy import severity_names
 from gateway.faults.restarts import last_restart
 from gateway.faults.status import Status
@@ -32,25 +32,17 @@ from gateway_fdi.errors import GatewayError, InputError
 
 def as_dict(entry: Entry) -> dict[str, Any]:
     """Return an entry in the form of the JSON contract."""
+    cause = entry.record.cause
     return {
         "dtc": str(entry.dtc),
         "fault": entry.fault,
         "status": int(entry.status),
         "confirmed": bool(entry.status & Status.CONFIRMED_DTC),
-        "occurrence": entry.occurrence,
-        "first_ns": entry.first_ns,
-        "last_ns": entry.last_ns,
+        **{name: getattr(entry.record, name) for name in TOLD},
         "freeze_frames": [
             {"record": frame.number, "t_ns": frame.t_ns, "signals": frame.content} for frame in entry.freeze_frames
         ],
-        "evidence": dict(entry.evidence),
-        "inputs": dict(entry.inputs),
-        "failed_cycles": entry.failed_cycles,
-        "aged_cycles": entry.aged_cycles,
-        "peak_fdc": entry.peak_fdc,
-        "near_misses": entry.near_misses,
-        "cause": None if entry.cause is None else entry.cause.as_dict(),
-        "hold": entry.hold,
+        "cause": None if cause is None else cause.as_dict(),
     }
 
 

@@ -214,10 +214,8 @@ class DtcFrameSender(BusServer):
         if not entries:
             self._put(cells[0], t_ns, 0, 0, 0, 0, 0, 0)
         for k, entry in enumerate(entries):
-            counter = self._counter_of(entry.fault)
-            self._put(
-                cells[k], t_ns, entry.dtc.value, int(entry.status), counter, k + 1, len(entries), entry.occurrence
-            )
+            kept, counter = entry.record, self._counter_of(entry.fault)
+            self._put(cells[k], t_ns, kept.dtc, kept.status, counter, k + 1, len(entries), kept.occurrence)
         return frames
 
     @staticmethod

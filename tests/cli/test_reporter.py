@@ -46,7 +46,7 @@ def test_the_command_reports_and_says_goodbye(tmp_path, run):
         assert run(BLIND, "passed", "--socket", tmp_path / "report.sock")[0] == 0
     assert failing(gateway, HOT)
     assert not failing(gateway, BLIND)
-    assert gateway.memory.entry(HOT).evidence["temperature [degC]"] == 81.5
+    assert gateway.memory.entry(HOT).record.evidence["temperature [degC]"] == 81.5
     assert gateway.reports.counters()["reporters_lost"] == 0
 
 
@@ -239,7 +239,7 @@ def test_a_c_program_reports_and_is_lost_when_it_is_killed(tmp_path, compiled):
         started.send_signal(signal.SIGKILL)
     assert said == ["0", "0", "1 unknown_fault", "1 data", "0", "0"]
     assert failing(gateway, HOT)
-    assert gateway.memory.entry(HOT).evidence["cell"] == 3.0
+    assert gateway.memory.entry(HOT).record.evidence["cell"] == 3.0
     states = {state["reporter"]: state["lost"] for state in gateway.reports.states()}
     assert states == {"battery": [], "camera": [BLIND], "": []}, "it said goodbye before, and reported this again"
 

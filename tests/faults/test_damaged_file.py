@@ -11,7 +11,8 @@ from stored_memories import fill, kept, listed
 from gateway.faults import rows, service
 from gateway.faults.kept import KeptStore
 from gateway.faults.outage import FIRST_NS
-from gateway.faults.salvage import _NUMBERS, _record, salvage
+from gateway.faults.records import PLACES
+from gateway.faults.salvage import _record, salvage
 from gateway.faults.store import DamagedError
 from gateway_fdi.errors import InputError
 
@@ -189,7 +190,7 @@ def test_numbers_of_a_row_are_those_that_sqlite_keeps():
     """64 bits with their sign; what is more is damage."""
     row = dict.fromkeys(rows.COLUMNS, 0) | {"id": "b.fault"}
     for value in (2**63 - 1, -(2**63)):
-        record = _record(*(row | dict.fromkeys(_NUMBERS, value)).values())
-        assert {getattr(record, name) for name in _NUMBERS} == {value}
+        record = _record(*(row | dict.fromkeys(PLACES, value)).values())
+        assert {getattr(record, name) for name in PLACES} == {value}
     with pytest.raises(ValueError, match=str(2**63)):
-        _record(*(row | dict.fromkeys(_NUMBERS, 2**63)).values())
+        _record(*(row | dict.fromkeys(PLACES, 2**63)).values())

@@ -69,7 +69,7 @@ def content(path):
         if store.detached:
             told.append("cannot be opened")
         said = (
-            [(e.fault, e.occurrence, int(e.status), e.freeze_frames) for e in memory.entries()],
+            [(e.fault, e.record.occurrence, int(e.status), e.freeze_frames) for e in memory.entries()],
             store.recordings(), store.cycles(), store.identifiers(), store.facts(), store.interventions(),
         )  # fmt: skip
         return told, said

@@ -28,7 +28,7 @@ def test_what_a_full_memory_refused_is_entered_when_there_is_room():
     assert change.definition.id == "m.f3", "the more important of the two"
     assert (int(change.old_status), int(change.new_status), change.t_ns) == (0x23, 0x2F, 10)
     entry = memory.entry("m.f3")
-    assert (entry.occurrence, entry.first_ns) == (1, 3), "as it was when it failed"
+    assert (entry.record.occurrence, entry.record.first_ns) == (1, 3), "as it was when it failed"
     assert entry.freeze_frames[0].content == {"x": 3.0}
     memory.apply(event(2, False, 11), nothing)
     memory.clear()

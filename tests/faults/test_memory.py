@@ -208,7 +208,7 @@ def test_a_bounded_memory_never_holds_more_and_never_less_important_than_it_coul
         for gone in before - now:
             assert priority[int(gone[3])] >= priority[fault]
         for entry in memory.entries():
-            assert entry.occurrence
+            assert entry.record.occurrence
         for definition in memory.catalogue:
             if memory.status(definition.id) & Status.CONFIRMED_DTC:
                 assert definition.id in now, "confirmed means stored"
@@ -234,9 +234,9 @@ def test_aging_goes_on_where_it_was_after_a_restart(tmp_path):
     life(True)
     life(False)  # ends the pending state
     for k in (1, 2):
-        assert life(False).entry("m.f0").aged_cycles == (k if k < 2 else 0)
+        assert life(False).entry("m.f0").record.aged_cycles == (k if k < 2 else 0)
     assert life().entries() == []
-    assert life(True, False).entry("m.f0").occurrence == 1
+    assert life(True, False).entry("m.f0").record.occurrence == 1
 
 
 def permanent(memory):
@@ -326,7 +326,7 @@ def test_each_fault_has_its_operation_cycle_and_its_aging_cycle():
     for k in range(3):
         memory.start_cycle(8, "warm_up")
         memory.end_cycle(9, "warm_up")
-        assert memory.entry("m.f0").aged_cycles == k + 1, "warm-up cycles age it, power cycles do not"
+        assert memory.entry("m.f0").record.aged_cycles == k + 1, "warm-up cycles age it, power cycles do not"
 
 
 def test_the_power_cycle_ends_the_cycles_within_it_before_itself():
@@ -339,7 +339,7 @@ def test_the_power_cycle_ends_the_cycles_within_it_before_itself():
             (heal if k else fail)(memory, 0)
             for name in ends:
                 memory.end_cycle(2 * k + 1, name)
-            found.append((memory.status("m.f0"), memory.entry("m.f0").aged_cycles))
+            found.append((memory.status("m.f0"), memory.entry("m.f0").record.aged_cycles))
         return found
 
     assert aged("power") == aged("driving", "power")
@@ -379,10 +379,10 @@ def test_near_misses_add_up_over_cycles_and_go_with_a_clear():
     memory.end_cycle(1)
     memory.fold_statistics()
     entry = memory.entry("m.f0")
-    assert (entry.near_misses, entry.peak_fdc) == (3, 100)
+    assert (entry.record.near_misses, entry.record.peak_fdc) == (3, 100)
     memory.clear()
     entry = memory.entry("m.f0")
-    assert (entry.near_misses, entry.peak_fdc) == (0, 0)
+    assert (entry.record.near_misses, entry.record.peak_fdc) == (0, 0)
 
 
 @pytest.mark.evidence("AUTOSAR DEM: readiness")
@@ -423,8 +423,8 @@ def test_a_file_of_the_first_version_is_brought_up_to_date_and_keeps_everything(
     assert listed["m.f0"]["occurrence"] == 5
     assert listed["m.f0"]["freeze_frames"] == [{"record": 1, "t_ns": 100, "signals": {"x": 1.0}}]
     memory = AtOnce(catalogue(confirm=(2, 1)), Store(path))
-    assert (int(memory.status("m.f0")), memory.entry("m.f0").failed_cycles) == (0x2E, 2)
-    assert memory.entry("m.f1").evidence == {"value": 2.5}
+    assert (int(memory.status("m.f0")), memory.entry("m.f0").record.failed_cycles) == (0x2E, 2)
+    assert memory.entry("m.f1").record.evidence == {"value": 2.5}
     assert [e.fault for e in memory.in_order("first_failed")] == ["m.f1", "m.f0"]
     assert [e.fault for e in memory.in_order("last_confirmed")] == ["m.f1", "m.f0"]
     memory.start_cycle(1000)

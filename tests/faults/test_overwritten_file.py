@@ -109,7 +109,7 @@ def test_whatever_is_changed_in_place_is_noticed_or_harmless(tmp_path, part):
         verdict, found = as_found(path, tmp_path / "found")
         told = [(m.kind, m.reason, m.recovered, m.lost) for m in mishaps]
         assert verdict["broken"] == [], (seed, way, told)
-        assert found == {e.fault: e.occurrence for e in memory.entries()}, (seed, way, told)
+        assert found == {e.fault: e.record.occurrence for e in memory.entries()}, (seed, way, told)
         assert verdict["counted"]["intervention"] == len(memory.interventions()), (seed, way, told)
         lost = sum(m.lost for m in mishaps)
         assert len(store.recordings()) + lost >= len(recordings), (seed, way, told)

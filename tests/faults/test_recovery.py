@@ -124,8 +124,8 @@ def test_what_is_recovered_has_no_values_and_says_so(telling, tmp_path):
     assert telling.memory.recovered == (("m.f0", "m.f1"), 0)
     entry = telling.memory.entry("m.f0")
     assert int(entry.status) == 0x2F
-    assert (entry.occurrence, entry.first_ns, entry.last_ns) == (1, 1, 1)
-    assert set(entry.evidence.values()) == {None}
+    assert (entry.record.occurrence, entry.record.first_ns, entry.record.last_ns) == (1, 1, 1)
+    assert set(entry.record.evidence.values()) == {None}
     assert [frame.content for frame in entry.freeze_frames] == [{"a.B.C": None}]
     telling.kill(tmp_path / "2.sqlite")
     telling.open()

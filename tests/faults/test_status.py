@@ -308,7 +308,7 @@ def test_healing_and_aging_by_hand():
     assert one_cycle(memory, 1, False) == 0x28
     assert one_cycle(memory, 1) == 0x68, "a cycle without a test does not age"
     assert one_cycle(memory, 1, False) == 0x28
-    assert memory.entry("m.f1").occurrence == 1
+    assert memory.entry("m.f1").record.occurrence == 1
     assert one_cycle(memory, 1, False) == 0x20, "aged: only that it failed since the clear is known"
     assert memory.entries() == []
 
@@ -353,7 +353,7 @@ def test_a_failure_outside_its_operation_cycle_is_no_trip():
     memory.apply(event(0, False), nothing)
     memory.apply(event(0, True), nothing)
     assert int(memory.status("m.f0")) == 0x27, "the drive is over"
-    assert memory.entry("m.f0").occurrence == 1
+    assert memory.entry("m.f0").record.occurrence == 1
     memory.start_cycle(3, "drive")
     memory.apply(event(0, True), nothing)
     assert int(memory.status("m.f0")) == 0x2F, "the second trip"

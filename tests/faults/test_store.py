@@ -36,9 +36,9 @@ def test_everything_survives_a_restart(tmp_path):
     again = FaultMemory(catalogue(), Store(path))
     (entry,) = again.entries()
     assert (str(entry.dtc), entry.fault) == ("P0300-11", "m.f0")
-    assert (entry.occurrence, entry.first_ns, entry.last_ns) == (2, 10, 12)
+    assert (entry.record.occurrence, entry.record.first_ns, entry.record.last_ns) == (2, 10, 12)
     assert int(entry.status) == 0x2F
-    assert entry.evidence == {"value": 3.5, "threshold": 1.0, "residual": 7.0, "tooth": 3.0}
+    assert entry.record.evidence == {"value": 3.5, "threshold": 1.0, "residual": 7.0, "tooth": 3.0}
     assert [(f.number, f.t_ns, f.content) for f in entry.freeze_frames] == [
         (1, 10, {"a.B.C": 4.0, "a.B.D": None}),
         (2, 12, {"a.B.C": 5.0, "a.B.D": 1.0}),
@@ -104,7 +104,7 @@ memory.start_cycle(0)
 for k in range(10**9):
     memory.apply(event(k % 9, (k // 9) % 2 == 0, k), frame({{"x": float(k)}}))
     memory.commit()
-    status = {{e.fault: (e.occurrence, e.last_ns) for e in memory.entries()}}
+    status = {{e.fault: (e.record.occurrence, e.record.last_ns) for e in memory.entries()}}
     print(k, status, flush=True)
 """
 
@@ -241,7 +241,7 @@ def test_occurrences_stop_at_255():
     for k in range(300):
         memory.apply(event(0, True, k), nothing)
         memory.apply(event(0, False, k), nothing)
-    assert memory.entries()[0].occurrence == 255
+    assert memory.entries()[0].record.occurrence == 255
 
 
 def test_two_faults_with_one_dtc_are_refused():

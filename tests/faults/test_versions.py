@@ -49,7 +49,7 @@ def test_a_file_of_each_version_is_brought_to_today_and_loses_nothing(tmp_path, 
     verdict = store.verify()
     assert verdict.broken == []
     assert verdict.counted["fault"] == 3
-    assert [(e.fault, e.occurrence, e.first_ns) for e in memory.entries()] == [
+    assert [(e.fault, e.record.occurrence, e.record.first_ns) for e in memory.entries()] == [
         ("m.f0", 2 if version > 1 else 1, 1000), ("m.f1", 2, 1001),
     ]  # fmt: skip
     assert memory.entries()[1].freeze_frames[1].content == {"M.A": 1 / 3, "M.B": None}

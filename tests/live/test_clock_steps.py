@@ -172,7 +172,7 @@ def test_a_step_is_a_fault_of_the_gateway_that_heals(step_s, at, tmp_path):
     assert 2.0 <= (healed_at - set_at) / 1e9 < 2.1
     wall = world.start_ns + 1_700_000_000 * 10**9 + round(step_s * 1e9)
     entry = next(e for e in world.entries if e.fault == "gateway.clock_stepped")
-    assert entry.first_ns == failed["t_ns"] > wall, "by the clock as it was set"
+    assert entry.record.first_ns == failed["t_ns"] > wall, "by the clock as it was set"
     assert [d for d, _ in world.dtcs() if d != "U3000-62"] == ["U0401-82"] * 2 + ["U0100-87"] * 2
 
 

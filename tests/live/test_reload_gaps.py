@@ -135,7 +135,7 @@ def test_a_failure_between_two_steps_is_kept_and_told(place, when, bench):
     world = bench(place, when, act)
     assert world.dtcs() == [("U0401-82", 1), ("U0401-82", 0)]
     (entry,) = world.entries
-    assert (str(entry.dtc), entry.occurrence) == ("U0401-82", 1)
+    assert (str(entry.dtc), entry.record.occurrence) == ("U0401-82", 1)
     assert world.stored["U0401-82"]["occurrence"] == 1
     told = [data for _, _, can_id, data in world.sent if can_id == GW_DTC and data[5] == 0]
     changes = [data[3] & 1 for data in told if data[:3].hex() == "c40182"]

@@ -96,9 +96,9 @@ def test_faults_have_status_environment_and_evidence_and_are_filtered(doors):
         assert client("GET", f"faults?{wrong}")[0] == 400, wrong
     detail = client.good("GET", f"faults/{code}")
     entry = doors.gateway.memory.entries()[-1]
-    assert detail["environment_data"]["extended_data_records"]["last_ns"] == entry.last_ns
+    assert detail["environment_data"]["extended_data_records"]["last_ns"] == entry.record.last_ns
     assert detail["environment_data"]["snapshots"][0]["record"] == 1
-    assert detail["x-gateway"]["evidence"] == dict(entry.evidence)
+    assert detail["x-gateway"]["evidence"] == dict(entry.record.evidence)
     bare = client.good("GET", f"faults/{code}?include-snapshot-data=false&include-extended-data=false")
     assert bare["environment_data"] == {}
     for path in ("/sovd/v1/areas/b", "/sovd/v1/apps/b.M2", "/sovd/v1/components/A"):

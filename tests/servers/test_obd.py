@@ -226,8 +226,8 @@ def test_mode_06_gives_the_residual_and_its_threshold(rig, ask):
     assert (monitor, test) == (0xE1, 0x80)
     step = {0x81: 1, 0x82: 0.1, 0x83: 0.01, 0x84: 0.001, 0x85: 0.0000305, 0x86: 0.000305}[scaling]
     entry = rig.gateway.memory.entry("b.M0.length")
-    assert value * step == pytest.approx(entry.evidence["value"], abs=step)
-    assert low * step == pytest.approx(entry.evidence["threshold"], abs=step), "bytes: at least so many"
+    assert value * step == pytest.approx(entry.record.evidence["value"], abs=step)
+    assert low * step == pytest.approx(entry.record.evidence["threshold"], abs=step), "bytes: at least so many"
     assert high == 0x7FFF
     assert value < low, "failed: outside"
     rig.heal(0)

@@ -167,18 +167,18 @@ def test_dtcs_snapshots_and_extended_data_have_our_names(tmp_path):
 
         got = made.ask("reportDTCExtDataRecordByDTCNumber", DTC=int(entry.dtc.value), RecordNumber=0xFF)
         records = dict(one["record"] for one in got["records"])
-        assert records["occurrence"] == {"occurrence": entry.occurrence}
+        assert records["occurrence"] == {"occurrence": entry.record.occurrence}
         first_s = sum(records["first_ns"].values())
-        assert first_s == pytest.approx(entry.first_ns / 1e9, abs=1e-6)
+        assert first_s == pytest.approx(entry.record.first_ns / 1e9, abs=1e-6)
         evidence = records["evidence"]["evidence"]
-        assert list(evidence.values()) == [math.nan if v is None else v for v in entry.evidence.values()]
-        assert list(entry.evidence) in [
+        assert list(evidence.values()) == [math.nan if v is None else v for v in entry.record.evidence.values()]
+        assert list(entry.record.evidence) in [
             [p.long_name or p.short_name for p in each.parameters]
             for each in made.ecu.diag_data_dictionary_spec.env_datas
             if int(entry.dtc.value) in each.dtc_values
         ]
         inputs = records["inputs"]["inputs"]
-        assert inputs == {name.replace(".", "_"): v for name, v in entry.inputs.items()}
+        assert inputs == {name.replace(".", "_"): v for name, v in entry.record.inputs.items()}
         (units,) = [
             d
             for d in made.ecu.diag_data_dictionary_spec.env_datas

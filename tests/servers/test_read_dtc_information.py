@@ -171,7 +171,7 @@ def test_extended_data_is_what_the_memory_knows(uds):
     rig.fail(0)
     rig.heal(0)
     rig.fail(0)
-    first, last = rig.gateway.memory.entry("b.M0.length").first_ns, rig.now
+    first, last = rig.gateway.memory.entry("b.M0.length").record.first_ns, rig.now
     answer = bytes.fromhex(ask(f"1906{hexed(0)}ff"))
     assert answer[6:8] == b"\x01\x02"
     at = answer.index(b"\x10" + struct.pack(">q", first))
@@ -207,7 +207,7 @@ def test_what_explains_a_fault_is_an_extended_data_record(uds):
     (record,) = read.service_data.dtcs[0].extended_data
     assert record.record_number == 0x30
     role, hold, lead, causes, rest = causes_of(record.raw_data)
-    cause = rig.gateway.memory.entry(rig.fault(0)).cause
+    cause = rig.gateway.memory.entry(rig.fault(0)).record.cause
     assert (role, hold, rest) == (["open", "cause", "symptom"].index(cause.role), 0, b"")
     assert lead == (hexed(0) if cause.proven else "000000")
     assert causes == [(list(one.components), pytest.approx(one.probability, abs=1e-4)) for one in cause.ranked]

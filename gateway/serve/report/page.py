@@ -85,7 +85,7 @@ class _Page:
     def __init__(self, gateway: Gateway, found: Collector, told: Told) -> None:
         self._gateway, self._found, self._told = gateway, found, told
         self._figures: list[Figure] = []
-        self._entries = sorted(gateway.memory.entries(), key=lambda entry: (entry.first_ns or 0, str(entry.dtc)))
+        self._entries = sorted(gateway.memory.entries(), key=lambda entry: (entry.record.first_ns or 0, str(entry.dtc)))
         self._summary = gateway.found()
         kinds = [kind for answer in self._summary.answers for kind in answer.symptoms]
         #: Faults that show what another one shows, which stands for them.
@@ -200,19 +200,19 @@ class _Page:
         return f'<section class="case{" proven" if case.proven else ""}">{head}{body}</section>'
 
     def _code(self, entry: Entry, shown: Mapping[str, Any]) -> str:
-        definition = self._gateway.memory.definition(entry.fault)
+        definition, kept = self._gateway.memory.definition(entry.fault), entry.record
         severity, _ = severity_names(definition.severity)
         words = told_in_words({**shown, "remedy": definition.remedy, "severity": severity, "tested": definition.tested})
         bits = ", ".join((bit.name or "").replace("_", " ").lower() for bit in Status(entry.status)) or "none"
         parts = [
             f'<article class="dtc" data-dtc="{entry.dtc}"><div class="more"><h3>{entry.dtc} {escape(entry.fault)}</h3>',
             f'<p class="muted">{escape(definition.description)}</p>',
-            f"<p>status 0x{int(entry.status):02X}: {escape(bits)}; occurrence {entry.occurrence};"
-            f" first {self._seconds(entry.first_ns):.4f} s, last {self._seconds(entry.last_ns):.4f} s</p>",
+            f"<p>status 0x{int(entry.status):02X}: {escape(bits)}; occurrence {kept.occurrence};"
+            f" first {self._seconds(kept.first_ns):.4f} s, last {self._seconds(kept.last_ns):.4f} s</p>",
             "<ul>" + "".join(f"<li>{escape(text)}</li>" for text in words) + "</ul>",
         ]
-        if entry.inputs:
-            parts.append(_values("Inputs of its monitor then", entry.inputs))
+        if kept.inputs:
+            parts.append(_values("Inputs of its monitor then", kept.inputs))
         parts += [
             _values(f"Freeze frame {frame.number}, {self._seconds(frame.t_ns):.4f} s", frame.content)
             for frame in entry.freeze_frames

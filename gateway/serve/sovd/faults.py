@@ -14,6 +14,7 @@ from typing import Any, Literal
 from pydantic import Field, create_model
 
 from gateway.faults.dtc import Dtc
+from gateway.faults.records import COUNTERS, TOLD
 from gateway.serve.memory import BITS
 from gateway.serve.sovd.components import OWN, Component, known
 from gateway.serve.sovd.errors import SovdError
@@ -25,7 +26,7 @@ from gateway_fdi.errors import GatewayError, InputError
 SCOPE = "primary"
 SEVERITY = {"immediately": 1, "next_halt": 2, "maintenance": 3}
 #: Keys of an entry that are extended data, and those that only we know.
-_EXTENDED = ("occurrence", "failed_cycles", "aged_cycles", "peak_fdc", "near_misses", "permanent")
+_EXTENDED = (*(name for name in TOLD if name in COUNTERS), "permanent")
 _OURS = ("evidence", "inputs", "cause", "hold", "words", "remedy", "stored")
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _Bit = Literal["0", "1"]

@@ -57,7 +57,7 @@ def dtc_bytes(spn: int, fmi: int, occurrence: int) -> bytes:
 
 def _coded_dtc(coded: Coded) -> bytes:
     definition, entry = coded
-    return dtc_bytes(definition.spn or 0, definition.fmi or 0, entry.occurrence)
+    return dtc_bytes(definition.spn or 0, definition.fmi or 0, entry.record.occurrence)
 
 
 def lamp_bytes(lit: Collection[str], available: Collection[str]) -> bytes:

@@ -46,13 +46,13 @@ def _cause(entry: Entry) -> bytes:
     probability in 1/10000, 2 bytes; number of its components (0: a false alarm), 1 byte; of each component the number
     of bytes, 1 byte, and its name in UTF-8, "signal can0.SPEED.SPEED".
     """
-    cause = entry.cause
-    if cause is None and not entry.hold:
+    cause = entry.record.cause
+    if cause is None and not entry.record.hold:
         return b""
     ranked = () if cause is None else cause.ranked
     role = 0 if cause is None else ROLES.index(cause.role)
     lead = bytes(Dtc.parse(cause.lead_dtc)) if cause is not None and cause.lead_dtc else bytes(3)
-    made = bytes([role, HOLDS.index(entry.hold)]) + lead + bytes([len(ranked)])
+    made = bytes([role, HOLDS.index(entry.record.hold)]) + lead + bytes([len(ranked)])
     for components, probability in ranked:
         made += struct.pack(">HB", round(probability * 1e4), min(len(components), 255))
         for name in components[:255]:
@@ -76,14 +76,14 @@ class ExtendedData(NamedTuple):
 
 #: Extended data records by number.
 EXTENDED_DATA: Mapping[int, ExtendedData] = {
-    0x01: ExtendedData("occurrence", "B", lambda entry: _clipped(entry.occurrence)),
-    0x02: ExtendedData("aged_cycles", "B", lambda entry: _clipped(entry.aged_cycles)),
-    0x03: ExtendedData("peak_fdc", "b", lambda entry: struct.pack(">b", entry.peak_fdc)),
-    0x04: ExtendedData("failed_cycles", "B", lambda entry: _clipped(entry.failed_cycles)),
-    0x05: ExtendedData("near_misses", "B", lambda entry: _clipped(entry.near_misses)),
-    0x10: ExtendedData("first_ns", "q", lambda entry: _time(entry.first_ns)),
-    0x11: ExtendedData("last_ns", "q", lambda entry: _time(entry.last_ns)),
-    0x20: ExtendedData("evidence", "", lambda entry: _numbers(entry.evidence.values())),
-    0x21: ExtendedData("inputs", "", lambda entry: _numbers(entry.inputs.values())),
+    0x01: ExtendedData("occurrence", "B", lambda entry: _clipped(entry.record.occurrence)),
+    0x02: ExtendedData("aged_cycles", "B", lambda entry: _clipped(entry.record.aged_cycles)),
+    0x03: ExtendedData("peak_fdc", "b", lambda entry: struct.pack(">b", entry.record.peak_fdc)),
+    0x04: ExtendedData("failed_cycles", "B", lambda entry: _clipped(entry.record.failed_cycles)),
+    0x05: ExtendedData("near_misses", "B", lambda entry: _clipped(entry.record.near_misses)),
+    0x10: ExtendedData("first_ns", "q", lambda entry: _time(entry.record.first_ns)),
+    0x11: ExtendedData("last_ns", "q", lambda entry: _time(entry.record.last_ns)),
+    0x20: ExtendedData("evidence", "", lambda entry: _numbers(entry.record.evidence.values())),
+    0x21: ExtendedData("inputs", "", lambda entry: _numbers(entry.record.inputs.values())),
     0x30: ExtendedData("cause", "", _cause),
 }

@@ -31,7 +31,7 @@ from gateway.common.trust import file_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.faults.cases import named
-from gateway.faults.entries import entry_of
+from gateway.faults.dtc import Dtc
 from gateway.faults.explained import Cause
 from gateway.faults.records import Record
 from gateway.faults.status import Status
@@ -320,18 +320,18 @@ def _rows(
         return None if t_ns is None else t_ns + origin
 
     records = {record.id: record for record in gateway.store.load()}
-    entries = [entry_of(record) for record in records.values() if record.id in watch.first]
+    failed = [record for record in records.values() if record.id in watch.first]
     metres = gateway.memory.usage.driven().cleared_m
     counters = gateway.engine.counters()
     verdict = Verdict()
     verdict.dtcs = [
         who
         | {
-            "dtc": str(entry.dtc), "fault": entry.fault, "status": int(entry.status),
-            "first": wall(watch.first[entry.fault]), "last": wall(entry.last_ns), "occurrence": entry.occurrence,
-            "failed_cycles": entry.failed_cycles, "evidence": line(dict(entry.evidence)), **_cause(entry.cause),
+            "dtc": str(Dtc(r.dtc)), "fault": r.id, "status": r.status, "first": wall(watch.first[r.id]),
+            "last": wall(r.last_ns), "occurrence": r.occurrence, "failed_cycles": r.failed_cycles,
+            "evidence": line(r.evidence), **_cause(r.cause),
         }
-        for entry in sorted(entries, key=lambda entry: (watch.first[entry.fault], entry.fault))
+        for r in sorted(failed, key=lambda r: (watch.first[r.id], r.id))
     ]  # fmt: skip
     verdict.tests = [who | row | {"worst_t": wall(row["worst_t"])} for row in _tests(gateway, records, old)]
     verdict.events = [who | event | {"t": wall(event["t"])} for event in watch.events]

@@ -38,7 +38,7 @@ def test_the_size_in_freeze_frame_evidence_and_identifier(tmp_path):
     rig.now = int(frames[-1]["t_ns"])
     ask = Asked(rig)
     entry = rig.gateway.memory.entry("motor.f_R")
-    (told,) = [v for name, v in entry.evidence.items() if name.startswith("size of the fault: the winding")]
+    (told,) = [v for name, v in entry.record.evidence.items() if name.startswith("size of the fault: the winding")]
     assert told == pytest.approx(SIZE, rel=0.2)
 
     frame = ask(f"1904{DTC}01")
@@ -53,8 +53,8 @@ def test_the_size_in_freeze_frame_evidence_and_identifier(tmp_path):
     assert signals["Sensors.Speed"] > 20
 
     extended = bytes.fromhex(ask(f"1906{DTC}20"))
-    values = struct.unpack(f">{len(entry.evidence)}d", extended[7:])
-    names = list(entry.evidence)
+    values = struct.unpack(f">{len(entry.record.evidence)}d", extended[7:])
+    names = list(entry.record.evidence)
     assert values[names.index(next(n for n in names if n.startswith("size of the fault: the winding")))] == told
 
     now = bytes.fromhex(ask("222100"))[3:]

@@ -72,7 +72,7 @@ def extended_data(c: Context, rest: bytes) -> bytes:
     entry, record = entry_of_dtc(c, rest[:3]), rest[3]
     refuse_unless(record in EXTENDED_DATA or record == ALL_RECORDS, Nrc.REQUEST_OUT_OF_RANGE)
     made = with_status(c, [entry.listed])
-    if not entry.occurrence:
+    if not entry.record.occurrence:
         return made
     for number, kind in EXTENDED_DATA.items():
         data = kind.encode(entry)
