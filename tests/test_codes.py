@@ -8,8 +8,8 @@ import pytest
 from gateway.engine.checks import (
     bus_health,
     clock_health,
-    communication,
     door_health,
+    kinds,
     memory_health,
     monitor_health,
     monitoring_health,
@@ -26,7 +26,7 @@ KNOWN = {
     "crank": crank.FAULTS,
     "steering": steering.FAULTS,
     "truck": truck.faults_of(("t1_x",)),
-    "check": communication.FAULTS,
+    "check": [kind.fault for kind in kinds.KINDS],
     "bus": bus_health.FAULTS,
     "gateway": (
         *clock_health.OWN_FAULTS,

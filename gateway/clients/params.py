@@ -11,7 +11,7 @@ from gateway.answers.model import TWO_BYTES, Address, request_name
 from gateway.answers.obd_on_uds import PAGES
 from gateway.answers.weave import READ_SERVICES
 from gateway.clients import pgn
-from gateway.engine.checks.communication import Params as CheckParams
+from gateway.engine.checks.message import Params as CheckParams
 from gateway.faults.settings import ConditionSettings, DtcText
 from gateway.isotp.place import PlaceParams
 from gateway.monitors.contract import Debounce, Fault

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 
 from gateway.config.model import Config
-from gateway.engine.checks import bus_health, communication
+from gateway.engine.checks import bus_health, message
 from gateway.monitors.contract import Fault
 from gateway.monitors.network_codes import NetworkCodes, Pair
 from gateway.signals.database import Database
@@ -27,7 +27,7 @@ def network_codes(config: Config, faults: Iterable[Fault]) -> NetworkCodes:
     taken |= {fault.dtc for fault in faults}
     taken |= set(bus_health.codes_of([bus.health for bus in config.buses]))
     if any(bus.codes == "same" for bus in config.buses):
-        taken |= {communication.LOST, communication.INVALID}
+        taken |= {message.LOST, message.INVALID}
     return NetworkCodes(taken)
 
 

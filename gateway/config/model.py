@@ -10,7 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr,
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of, parse_uri
 from gateway.clients.params import AskParams, EcuParams
-from gateway.engine.checks import bus_health, communication
+from gateway.engine.checks import bus_health, message
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.depends.params import DiagnosisParams
 from gateway.faults.fleet import FleetParams
@@ -62,7 +62,7 @@ class BusConfig(StrictModel):
     data_bitrate: int | None = Field(
         None, ge=1000, le=20_000_000, description="bit rate of CAN FD's data phase [bit/s]; for the bus load"
     )
-    check: tuple[communication.Params, ...] = Field((), description="communication checks")
+    check: tuple[message.Params, ...] = Field((), description="communication checks")
     codes: Literal["same", "own"] = Field(
         "same",
         description="base codes of checks that give none: same: U0100 and U0401 for each; own: U01xx, U02xx and U04xx, "

@@ -12,7 +12,8 @@ from gateway.bus.frames import CYCLIC, FRAME, Frames, copied, empty, joined
 from gateway.engine import loop
 from gateway.engine.buckets import Buckets, take
 from gateway.engine.checks.bus_health import ACTIVITIES, COUNTED, GONE, OFF, SILENT, SPOKEN, WHOLE
-from gateway.engine.checks.communication import COMES, NOT_YET, PROVEN, RULE, SAMPLES
+from gateway.engine.checks.communication import COMES, NOT_YET, PROVEN, SAMPLES
+from gateway.engine.checks.kinds import RULE
 from gateway.engine.checks.runs import tell_all_runs
 from gateway.engine.debounce import all_detection_counters, fault_detection_counter, fold, reset_all
 from gateway.engine.events import Events

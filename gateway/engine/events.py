@@ -48,7 +48,7 @@ ACTIVITY = 12
 LOSSY = 13
 
 #: A message of a bus that sleeps never was as its check says since it came: ``fault`` is its row, ``result`` the kind
-#: of the check (``communication.FAULTS``), ``value`` what it is now, ``threshold`` the limit of the check.
+#: of the check (``kinds.KINDS``), ``value`` what it is now, ``threshold`` the limit of the check.
 OTHER = 14
 
 #: Slips of a monitor's author that the loop puts right, as bits of ``slips`` of its handler.

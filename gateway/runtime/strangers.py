@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import ID_MASK
-from gateway.engine.checks.communication import COUNTER, CRC, FAULTS, LENGTH, SECURED
-from gateway.engine.checks.senders import EARLY_FAULT, SECOND_FAULT
+from gateway.engine.checks.kinds import KINDS
 from gateway.engine.checks.strangers import MOST
 from gateway.engine.core import Engine
 from gateway.engine.events import Event
 from gateway.runtime.security import Security
 
 #: Faults of a message's check that are events, too: frames that its sender does not send.
-_KINDS = (EARLY_FAULT.name, SECOND_FAULT.name, FAULTS[LENGTH].name, SECURED[CRC].name, SECURED[COUNTER].name)
+_KINDS = {name for kind in KINDS for name in kind.foreign}
 
 
 class Strangers:

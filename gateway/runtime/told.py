@@ -7,7 +7,7 @@ from typing import Any
 
 from gateway.bus.frames import ID_MASK
 from gateway.engine.checks.bus_health import ACTIVITIES
-from gateway.engine.checks.communication import FAULTS
+from gateway.engine.checks.kinds import KINDS
 from gateway.engine.events import Event
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
@@ -60,7 +60,7 @@ def short_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
 def other_event(event: Event, plan: DecodePlan, bus: str) -> dict[str, Any]:
     """Tell that a message never was as its check says since it came: its ECU has another software, or is another."""
     told: dict[str, Any] = {"bus": bus, "message": plan.message_names[event.fault][1]}
-    told |= {"what": FAULTS[event.result].name, "now": round(event.value, 1), "learned": event.threshold}
+    told |= {"what": KINDS[event.result].fault.name, "now": round(event.value, 1), "learned": event.threshold}
     _log.warning("another software of its ECU, or another ECU: it never was as its check says", **told)
     return {"event": "other_software", "t_ns": event.t_ns, **told}
 

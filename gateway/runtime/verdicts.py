@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gateway.config.model import Config
-from gateway.engine.checks.communication import RULE
+from gateway.engine.checks.kinds import RULE
 from gateway.engine.events import (
     ACTIVITY,
     CLOCK_STEPPED,

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.bus.frames import EXTENDED, FD, empty, put
 from gateway.engine.build import build_engine
-from gateway.engine.checks import communication
+from gateway.engine.checks import message
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.instances import MonitorInstance
 from gateway.monitors import contract
@@ -134,7 +134,7 @@ def build(database):
         instances = [
             MonitorInstance(name, SCRIPTED, Params(**params), 0, priority) for name, priority, params in monitors
         ]
-        rows = [CheckInstance(communication.Params(**check), 0, f"comm.{check['message']}") for check in checks]
+        rows = [CheckInstance(message.Params(**check), 0, f"comm.{check['message']}") for check in checks]
         return build_engine([(0, database)], instances, rows, **options)
 
     return make

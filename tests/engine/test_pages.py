@@ -7,7 +7,8 @@ from battery_bus import PERIOD_NS, battery_database
 from gateway.bus.frames import empty, put
 from gateway.engine.adopt import adopt
 from gateway.engine.build import build_engine
-from gateway.engine.checks.communication import CheckInstance, Params
+from gateway.engine.checks.communication import CheckInstance
+from gateway.engine.checks.message import Params
 from gateway.engine.instances import MonitorInstance
 from gateway.monitors import contract
 from gateway.monitors.contract import Fault, Monitor, MonitorParams, Signal, report

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gateway.bus.frames import FD, empty, put
 from gateway.engine.build import build_engine
-from gateway.engine.checks import communication
+from gateway.engine.checks import message
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.signals.database import load_database
@@ -42,8 +42,8 @@ def database(tmp_path_factory):
 
 def engine_of(database):
     checks = [
-        CheckInstance(communication.Params(message="Plant"), 0, "can.Plant"),
-        CheckInstance(communication.Params(message="Whole", invalid="U0402"), 0, "can.Whole"),
+        CheckInstance(message.Params(message="Plant"), 0, "can.Plant"),
+        CheckInstance(message.Params(message="Whole", invalid="U0402"), 0, "can.Whole"),
     ]
     extra = {*REFS, SignalRef(0, "Whole", "Value")}
     return build_engine([(0, database)], [], checks, extra=extra)
@@ -105,7 +105,7 @@ def test_a_message_of_integers_has_no_such_fault(database):
 
 
 def test_it_can_be_left_out(database):
-    check = CheckInstance(communication.Params(message="Plant", value=False), 0, "can.Plant")
+    check = CheckInstance(message.Params(message="Plant", value=False), 0, "can.Plant")
     engine = build_engine([(0, database)], [], [check], extra=set(REFS))
     assert not any("value" in slot.id for slot in engine.faults)
     feed(engine, [(np.nan, 1.0)])

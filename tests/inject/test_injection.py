@@ -8,7 +8,8 @@ import pytest
 from amount import amount
 
 from gateway.bus.frames import empty, payload, put
-from gateway.engine.checks.communication import CheckInstance, Params
+from gateway.engine.checks.communication import CheckInstance
+from gateway.engine.checks.message import Params
 from gateway.runtime.injection import FRAME_KINDS, SIGNAL_KINDS, Injection, Injector, parse_injection
 from gateway.signals.database import load_database
 from gateway_fdi.errors import InputError

@@ -5,7 +5,8 @@ import crccheck
 
 from gateway.bus.frames import empty, put
 from gateway.engine.build import build_engine
-from gateway.engine.checks.communication import CheckInstance, Params
+from gateway.engine.checks.communication import CheckInstance
+from gateway.engine.checks.message import Params
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef

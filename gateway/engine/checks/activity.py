@@ -16,7 +16,8 @@ from typing import Any
 
 from gateway.common.times import NEVER
 from gateway.engine.checks.bus_health import ASLEEP, AWAITED, AWAKE, FALLING, PART, WAKING
-from gateway.engine.checks.communication import COMES, FIRST, MISSES, MISSING, NOT_YET, STOPPED, TIMEOUT
+from gateway.engine.checks.communication import COMES, FIRST, MISSES, MISSING, NOT_YET, STOPPED
+from gateway.engine.checks.kinds import TIMEOUT
 from gateway.engine.checks.software import ENOUGH, FIRST_NS, is_other
 from gateway.engine.events import ACTIVITY, LOSSY
 from gateway.engine.gate import said_awake

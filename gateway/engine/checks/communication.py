@@ -4,10 +4,6 @@ It stands beside the decoder and judges the frame itself, before any other monit
 a frame that is too short, fails its CRC or repeats its alive counter never reaches the mailbox, so
 that corrupt data cannot look like a physical fault. A jump of the counter (frames lost) is reported,
 but the frame's data are good and are used (AUTOSAR E2E: OKSOMELOST against REPEATED).
-
-Failure type bytes (SAE J2012): 87 missing message, 82 alive counter incorrect, 83 protection
-calculation incorrect, 81 invalid serial data received, 29 signal invalid, 56 invalid configuration, 37 signal
-frequency too high, 62 signal compare failure.
 """
 
 from __future__ import annotations
@@ -16,17 +12,16 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import Field
-
 from gateway.common.times import NEVER
 from gateway.engine.checks import senders
-from gateway.engine.checks.senders import EARLY_FAULT, SECOND_FAULT, Most, SenderConst, SenderState
+from gateway.engine.checks.kinds import KINDS, LENGTH, TIMEOUT, VALUE
+from gateway.engine.checks.message import Params
+from gateway.engine.checks.senders import SenderConst, SenderState
 from gateway.engine.instances import FaultSlot
-from gateway.monitors.contract import Debounce, Fault, MonitorParams
 from gateway.signals.bits import field_of, mask_of
 from gateway.signals.database import Database
 from gateway.signals.protection import protection
-from gateway.signals.protection.params import ProtectionParams, protection_for
+from gateway.signals.protection.params import protection_for
 from gateway.signals.protection.protection import Protection, ProtectionConst, Tables
 from gateway.signals.tables import DecodePlan, SignalRef
 from gateway_fdi.errors import InputError, under
@@ -34,8 +29,6 @@ from gateway_fdi.jit import Record, i4, i4s, i8, means, u1, u8, u8s
 
 if TYPE_CHECKING:
     from cantools.database.can import Message
-
-TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE, EARLY, SECOND = range(8)
 
 #: How a message comes: it does; it has not yet since its bus woke; its time is over, and others may stop, too (see
 #: ``activity``); it is missing.
@@ -50,91 +43,6 @@ ACCEPT = 0
 REJECT = 1
 #: Verdict on a frame: some of its signals carry no value; a monitor that asks for that may use the others.
 IN_PART = 2
-
-FAULTS = (
-    Fault(
-        "timeout",
-        "U0100-87",
-        "message missing for longer than its timeout",
-        ("silent [ms]",),
-        Debounce(failed_after=1, passed_after=5),
-        remedy="check the sender: powered, awake, its wires to this bus; and that it does send this message",
-        tested="silent [ms]",
-    ),
-    Fault(
-        "counter",
-        "U0401-82",
-        "alive counter jumped (frames lost) or stands still (frame repeated)",
-        ("step", "last", "received"),
-        Debounce(failed_after=3, passed_after=50),
-        remedy="check the bus for lost frames (gateway doctor, load), the sender for a standstill",
-        tested="step of the counter",
-    ),
-    Fault(
-        "crc",
-        "U0401-83",
-        "CRC does not match the payload, or a constant of the header is another",
-        ("received", "computed", "constant of the header"),
-        Debounce(failed_after=2, passed_after=50),
-        remedy="check the wires of the bus for disturbances",
-    ),
-    Fault(
-        "length",
-        "U0401-81",
-        "frame shorter than its message, or of another length than it may have",
-        ("length [byte]",),
-        Debounce(failed_after=2, passed_after=50),
-        remedy="check the sender's software against the database",
-        tested="length [byte]",
-    ),
-    Fault(
-        "value",
-        "U0401-29",
-        "a floating-point signal is no number, or far outside of its range in the database",
-        ("signal's place in the message", "received"),
-        Debounce(failed_after=2, passed_after=50),
-        remedy="check what the sender computes; and the type of the signal in the database",
-    ),
-    Fault(
-        "rule",
-        "U0401-56",
-        "no frame, or too few, ever passed the CRC or checksum: the configured rule is not the sender's",
-        ("frames", "received", "computed", "constant of the header"),
-        Debounce(failed_after=1, passed_after=1, jump_down=True),
-        remedy="see the event `protection`, or the log: they name rules that fit; correct [[bus.check]]",
-    ),
-    EARLY_FAULT,
-    SECOND_FAULT,
-)
-
-#: Of a message that SecOC secures, instead of those of its checksum and counter.
-SECURED = {
-    CRC: Fault(
-        "mac",
-        "U0401-83",
-        "MAC is wrong for every freshness value that the frame may have: forged, or made with another key",
-        ("received", "computed"),
-        Debounce(failed_after=2, passed_after=50),
-        remedy="look who else sends this identifier; check whether the sender, or its key, was changed",
-    ),
-    COUNTER: Fault(
-        "freshness",
-        "U0401-82",
-        "MAC is right, but for a freshness value that was seen or is older: replayed, or the sender began again",
-        ("received", "least that is new"),
-        Debounce(failed_after=2, passed_after=50),
-        remedy="look who else sends this identifier; where the sender's counter was set back, give another `start`",
-        tested="freshness value",
-    ),
-    RULE: Fault(
-        "rule",
-        "U0401-56",
-        "no frame ever passed: key, data id, lengths or first freshness value are not the sender's",
-        ("frames", "received", "computed", "constant of the header"),
-        Debounce(failed_after=1, passed_after=1, jump_down=True),
-        remedy="correct secoc of [[bus.check]]: key, data_id, freshness, start",
-    ),
-}
 
 #: Evidence for a checksum's rule is counted in half bits (see ``weigh_rule``). From this much on the rule is the
 #: sender's: any frames give it by chance once in 2**20 times.
@@ -151,58 +59,10 @@ SAMPLES = 4
 MOST_LOSSES = 10
 
 
-#: Base codes of the DTCs of checks that give none, on a bus whose messages have none of their own.
-LOST, INVALID = "U0100", "U0401"
-
-#: Base code of a DTC in TOML: a network code without its failure type.
-BaseCode = Annotated[str, Field(pattern=r"^U[0-3][0-9A-F]{3}$")]
-
-
-class Params(MonitorParams, ProtectionParams):
-    """Checks of one message."""
-
-    message: str = Field(description="name of the message in the bus's database")
-    timeout_ms: float | None = Field(None, gt=0, le=3.6e6, description="longest silence [ms]; none: not watched")
-    wake_ms: float | None = Field(
-        None,
-        ge=0,
-        le=3.6e6,
-        description="time that it has to come after the bus was silent, or asleep, and at a start [ms], its timeout at"
-        " least; default: that of the bus",
-    )
-    most: Most | None = Field(
-        None, description="how often it may come: `early`, and where its counter runs twice `second_sender`"
-    )
-    length: bool | int = Field(
-        True,
-        ge=0,
-        le=64,
-        description="judge frames shorter than the message; a number: frames of any other length [byte]",
-    )
-    value: bool = Field(
-        True,
-        description="judge floating-point signals that are used: NaN, infinite, far outside of their range",
-    )
-    lost: BaseCode = Field(LOST, description="base code of the timeout's DTC: lost communication, U01xx")
-    invalid: BaseCode = Field(INVALID, description="base code of the other checks' DTCs: invalid data received, U04xx")
-
-    @property
-    def cycle_ms(self) -> float | None:
-        """How often E2E's state machine is run where no frame comes [ms]."""
-        window = None if self.e2e is None else self.e2e.window
-        return None if window is None else window.cycle_ms or self.timeout_ms
-
-    def fault_of(self, kind: int) -> Fault:
-        """Return one of :data:`FAULTS`, or of :data:`SECURED`, with the DTC it has for this message."""
-        fault = FAULTS[kind] if self.secoc is None else SECURED.get(kind, FAULTS[kind])
-        base = self.lost if kind == TIMEOUT else self.invalid
-        return replace(fault, dtc=f"{base}-{fault.dtc.rpartition('-')[2]}")
-
-
 class CheckPlace(Record):
     """Places in other tables."""
 
-    fault: Annotated[i4s, len(FAULTS)] = means("the engine's index of each fault; -1: not asked for")
+    fault: Annotated[i4s, len(KINDS)] = means("the engine's index of each fault; -1: not asked for")
     presence: i4 = means("place of a multiplexed signal of the protection among the message's; -1: always there")
     timer: i4 = means("its timer")
     row: i4 = means("of its message")
@@ -429,30 +289,21 @@ def fill(
     place = plan.message(check.bus, p.message)
     with under(_key(check)):
         asked = protection_for(message, p)
-    summed = asked.checksum is not None
-    wanted = (
-        p.timeout_ms is not None,
-        asked.counter is not None or (asked.freshness is not None and asked.freshness.bits > 0),
-        summed,
-        p.length is not False,
-        p.value and bool(plan.messages[place]["floats"]),
-        summed,
-        p.most is not None,
-        p.most is not None and asked.counter is not None,
-    )
     slots: list[FaultSlot] = []
     row["row"] = place
-    places = [-1] * len(wanted)
-    for kind in (kind for kind, is_wanted in enumerate(wanted) if is_wanted):
-        fault = p.fault_of(kind)
-        if kind == TIMEOUT and plan.by_pgn[place]:
+    places = [-1] * len(KINDS)
+    for k, kind in enumerate(KINDS):
+        if not kind.asked(p, asked) or (k == VALUE and not plan.messages[place]["floats"]):
+            continue
+        fault = kind.fault_of(p)
+        if k == TIMEOUT and plan.by_pgn[place]:
             fault = replace(fault, evidence=(*fault.evidence, "source address"))
-        places[kind] = first_fault + len(slots)
+        places[k] = first_fault + len(slots)
         slots.append(FaultSlot(f"{check.name}.{fault.name}", fault, check.bus))
     row["fault"] = places
     row["bus"] = check.bus
     row["length"] = message.length
-    if named and f"{check.name}.{p.fault_of(LENGTH).name}" in named:
+    if named and f"{check.name}.{KINDS[LENGTH].fault.name}" in named:
         row["longest"] = message.length
     row["only_length"] = 0 if isinstance(p.length, bool) else p.length
     row["need"] = (_bits(asked).bit_length() + 7) // 8

@@ -13,24 +13,19 @@ from gateway.engine.checks.communication import (
     ACCEPT,
     AGAINST,
     COMES,
-    COUNTER,
-    CRC,
     FIRST,
     IN_PART,
-    LENGTH,
     MISFITS,
     MISSING,
     MOST_LOSSES,
     NOT_YET,
     PROVEN,
     REJECT,
-    RULE,
     SAMPLES,
     STOPPED,
-    TIMEOUT,
-    VALUE,
     WIDE,
 )
+from gateway.engine.checks.kinds import COUNTER, CRC, LENGTH, RULE, TIMEOUT, VALUE
 from gateway.engine.checks.runs import begin_run, go_on, tell_run
 from gateway.engine.checks.secured_steps import FORGED, UNKNOWN, judge_secured, take_freshness
 from gateway.engine.checks.senders_steps import (

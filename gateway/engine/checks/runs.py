@@ -13,7 +13,7 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.engine.buckets import note_alike
-from gateway.engine.checks.communication import COUNTER, CRC, EARLY, RULE
+from gateway.engine.checks.kinds import COUNTER, CRC, EARLY, RULE
 from gateway.engine.debounce import is_settled
 from gateway.engine.gate import is_lasting
 from gateway_fdi.jit import kernel

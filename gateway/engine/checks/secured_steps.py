@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.engine.checks.communication import COUNTER
+from gateway.engine.checks.kinds import COUNTER
 from gateway.engine.results import report_result, store_evidence
 from gateway.signals.bits import read_bits
 from gateway.signals.protection.cmac import mac_of

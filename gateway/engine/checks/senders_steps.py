@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.engine.checks.activity import is_lossy
-from gateway.engine.checks.communication import COUNTER, CRC, EARLY, SECOND
+from gateway.engine.checks.kinds import COUNTER, CRC, EARLY, SECOND
 from gateway.engine.checks.software import FIRST_NS, is_other
 from gateway.engine.debounce import is_settled
 from gateway.engine.results import not_tested, report_result, store_evidence

@@ -12,7 +12,8 @@ from typing import Any
 from gateway.common.times import NEVER
 from gateway.engine.checks.activity import UNUSUAL, set_activity, watch_silence
 from gateway.engine.checks.bus_health import ASLEEP, AWAITED, SILENT, SPOKEN, WHOLE, Params, Silence
-from gateway.engine.checks.communication import TIMEOUT, CheckInstance
+from gateway.engine.checks.communication import CheckInstance
+from gateway.engine.checks.kinds import TIMEOUT
 from gateway.engine.gate import said_awake, sleeps
 from gateway.engine.results import not_tested
 from gateway.engine.timers import arm

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from gateway.engine.checks.communication import TIMEOUT
 from gateway.engine.checks.communication_steps import end_run
+from gateway.engine.checks.kinds import TIMEOUT
 from gateway.engine.events import SOURCE
 from gateway.engine.gate import sleeps
 from gateway.engine.results import announce, report_result, store_evidence

@@ -5,25 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gateway.engine.checks.communication import CheckInstance
+from gateway.engine.checks.kinds import KIND_OF
 from gateway.engine.depends.parts import Network, Seen, component
 
-#: Check -> probability that it fails if the message, or its sender, is at fault. A message is missing or wrong, in one
-#: of several ways: what one check sees the others do not, so that their passes clear little. An ECU that fails mostly
-#: dies, and all of its messages stop; or a part of them, which its dead half sends. No check sees the bus. While it is
-#: cut off nothing is tested but its silence; a frame that it damages is dropped by each controller, before any check;
-#: where it loses frames that is told, and counters wait. So it is well wherever a check fails.
-_POWERS = {
-    "timeout": (0.6, 0.95),
-    "counter": (0.3, 0.1),
-    "crc": (0.3, 0.1),
-    "mac": (0.3, 0.1),
-    "freshness": (0.3, 0.1),
-    "length": (0.3, 0.1),
-    "value": (0.3, 0.1),
-    "early": (0.1, 0.02),
-    "second_sender": (0.01, 0.01),
-}
-#: Likewise that a message is missing, if the ECU is dead that sends some of those whose sender nobody names.
+#: Probability that a message is missing, if the ECU is dead that sends some of those whose sender nobody names.
 _UNNAMED = 0.05
 #: Fault of a bus -> probability that it fails if the bus is at fault.
 _HEALTH = {"bus_off": 0.5, "bus_passive": 0.5, "bus_errors": 0.5, "bus_lost": 0.9, "bus_silent": 0.99}
@@ -33,14 +18,15 @@ def of_check(check: CheckInstance, fault: str, network: Network) -> Iterator[See
     """Yield what a check of a message depends on."""
     name = check.params.message
     message = network.message(check.bus, name)
-    if fault == "rule":
+    powers = KIND_OF[fault].powers
+    if powers is None:
         yield Seen(component("model", network.names[check.bus], name, "checksum"), 0.9, "its rule, as configured")
         return
     if fault in ("early", "second_sender"):
         yield Seen(network.second_sender(check.bus, name), 0.9, "another one sends it, too")
     if fault == "counter":
         yield Seen(network.frozen(check.bus, name), 0.9, "its counter stands, too")
-    of_message, of_sender = _POWERS[fault]
+    of_message, of_sender = powers
     yield Seen(message, of_message, "the message itself")
     for sender in network.senders(check.bus, name):
         yield Seen(sender, of_sender, f"sends {name}")

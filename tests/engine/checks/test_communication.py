@@ -5,15 +5,8 @@ import pytest
 from checked import frame, run
 from pydantic import ValidationError
 
-from gateway.engine.checks.communication import (
-    COUNTER,
-    CRC,
-    FAULTS,
-    LENGTH,
-    TIMEOUT,
-    VALUE,
-    Params,
-)
+from gateway.engine.checks.kinds import COUNTER, CRC, KINDS, LENGTH, TIMEOUT, VALUE
+from gateway.engine.checks.message import Params
 from gateway_fdi.errors import InputError
 
 
@@ -95,8 +88,8 @@ def test_a_crc_of_another_width_is_refused():
 def test_messages_have_dtcs_of_their_own():
     """U01xx lost communication, U04xx invalid data received; the failure type stays that of the check."""
     params = Params(message="SAS", timeout_ms=100.0, lost="U0126", invalid="U0428")
-    codes = [params.fault_of(kind).dtc for kind in (TIMEOUT, COUNTER, CRC, LENGTH, VALUE)]
+    codes = [KINDS[kind].fault_of(params).dtc for kind in (TIMEOUT, COUNTER, CRC, LENGTH, VALUE)]
     assert codes == ["U0126-87", "U0428-82", "U0428-83", "U0428-81", "U0428-29"]
-    assert [Params(message="SAS").fault_of(k).dtc for k in range(len(FAULTS))] == [f.dtc for f in FAULTS]
+    assert [k.fault_of(Params(message="SAS")).dtc for k in KINDS] == [k.fault.dtc for k in KINDS]
     with pytest.raises(ValidationError, match="lost"):
         Params(message="SAS", lost="P0126")

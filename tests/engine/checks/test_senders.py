@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from checked import MS, frame, run
 
-from gateway.engine.checks.communication import Params, SenderConst, senders
+from gateway.engine.checks.communication import SenderConst, senders
+from gateway.engine.checks.message import Params
 
 PERIOD = 10.0
 MOST = {"frames": 15, "ms": 100.0}
