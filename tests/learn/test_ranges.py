@@ -6,7 +6,9 @@ import pytest
 
 from gateway_fdi.tails import exceeded_once, shape_of
 from gateway_fleet.learn.course import Course
+from gateway_fleet.learn.novelty import in_words, per_minute
 from gateway_fleet.learn.ranges import SWINGS, Shown, is_careful, range_of, waiting
+from gateway_fleet.learn.snapshots import Snapshots
 from gateway_fleet.learn.standards import standard
 from gateway_fleet.learn.tails import Rate
 
@@ -106,3 +108,21 @@ def test_a_heavy_tail_is_followed_where_it_is_proven(seed):
     assert exceeded_once(heavy, 1e6, heavy=True) == pytest.approx(wanted, rel=0.6), f"seed {seed}"
     assert exceeded_once(heavy, 1e6) < 0.5 * wanted
     assert shape_of(np.sort(rng.exponential(size=200))) < 0.25
+
+
+def test_each_minute_says_what_it_has_shown_that_none_before_had():
+    seen, step = Snapshots(4), 1_000_000_000
+    ends = (10.0, 20.0, 20.1, 5.0, 12.0, 30.0, *[7.0] * 6)  # farther in the first, the second and the sixth minute
+    for minute, end in enumerate(ends):
+        t_ns = np.arange(60, dtype=np.int64) * step + minute * 60 * step
+        seen.grid(int(t_ns[0]), int(t_ns[-1]))
+        values = np.stack([np.linspace(0.0, end, 60), -np.linspace(0.0, end, 60), np.full(60, 3.0)], 1)
+        seen.put(slice(0, 3), t_ns, values)
+        if minute >= 3:
+            seen.put(slice(3, 4), t_ns, np.ones((60, 1)))  # a constant that comes late
+        seen.end()
+    assert per_minute(seen) == [3, 2, 0, 1, 0, 2, 0, 0, 0, 0, 0, 0]
+    assert "none for 6 min: on drives like these at most one in 2.0 min (95 %)" in in_words(per_minute(seen))
+    assert in_words([9, 4, 1, 0, 0]).endswith("more drive teaches more")
+    assert in_words([*range(20, 0, -1)]).count(",") == 12
+    assert per_minute(Snapshots(2)) == []

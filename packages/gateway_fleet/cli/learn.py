@@ -13,6 +13,7 @@ from gateway.cli.present import print_json
 from gateway.signals.database import SUFFIXES
 from gateway_fleet.learn.car import Asking, asked_for, learned
 from gateway_fleet.learn.learn import Asked, Progress, Result
+from gateway_fleet.learn.novelty import in_words
 from gateway_fleet.learn.report import data, observed, summary
 
 #: Time between two lines where no terminal is [s].
@@ -55,6 +56,7 @@ def _say(asked: Asked, result: Result) -> None:
         f" {found['checksums']} checksums),\n  limits of {found['signals']} signals, {found['relations']} relations;"
         f" from {found['frames']} frames, {found['seconds']:.0f} s"
     )
+    print(in_words(found["new_per_minute"]))
     if found["kept"]:
         print(f"kept: {found['kept']} lines that were changed, taken out or added by hand")
     for finding in result.learned.findings:

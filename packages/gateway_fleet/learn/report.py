@@ -10,6 +10,7 @@ from typing import Any
 from gateway_fleet.learn.figures import by_kind
 from gateway_fleet.learn.learn import Asked, Result
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, inline, shown
+from gateway_fleet.learn.novelty import in_words, per_minute
 from gateway_fleet.learn.observers import OBSERVERS
 from gateway_fleet.learn.trial import Outcome, Smallest
 
@@ -36,6 +37,7 @@ def summary(result: Result) -> dict[str, Any]:
         "faults_tried": len(result.outcomes),
         "faults_named": sum(outcome.named for outcome in result.outcomes),
         "everyday": by_kind(result.trials.everyday),
+        "new_per_minute": per_minute(result.observation.snapshots),
         "kept": result.kept,
         "dropped": result.dropped,
     } | observed(result)
@@ -88,6 +90,7 @@ def markdown(asked: Asked, result: Result) -> str:
         f" {found['held_out_frames']} frames, {found['held_out_s']:.0f} s were held out.",
         f"{found['messages']} messages: {found['timeouts']} timeouts, {found['counters']} counters,"
         f" {found['checksums']} checksums. {found['signals']} signals with limits, {found['relations']} relations.",
+        f"{in_words(found['new_per_minute']).capitalize()}.",
         _silence(result),
         f"The logs themselves: {', '.join(result.conditions)}." if result.conditions else "",
         *_list("Faults that the logs may have: learn from others", result.learned.findings),
