@@ -1,4 +1,4 @@
-"""What each minute of the drives has shown that no minute before it had: whether more drive would teach more."""
+"""Values that a minute of the drives shows and no minute before it: whether more drive would teach more."""
 
 from __future__ import annotations
 
