@@ -36,6 +36,7 @@ class Plugin:
         protections: carmakers' rules of checksums: name in ``checksum.rule`` -> function of a
             ``gateway.signals.protection.rules.Frame`` that returns the checksum.
         keys: key functions of UDS security access: of seed, secret and level.
+        servers: on a bus, for tables ``[[server]]`` (``gateway.servers.types.ServerType``).
         observers: values that ``gateway learn`` shows of a message beside its signals
             (``gateway_fleet.learn.observers.Observer``).
     """
@@ -50,6 +51,7 @@ class Plugin:
     keys: Places = field(default_factory=dict)
     measures: Places = field(default_factory=dict)
     observers: Places = field(default_factory=dict)
+    servers: Places = field(default_factory=dict)
 
     @staticmethod
     def joined(parts: Iterable[Plugin]) -> Plugin:

@@ -255,6 +255,7 @@ def test_a_package_brings_a_command_a_log_format_a_checksum_and_a_key_function(t
     told = json.loads(run("doctor", "--json", cwd=tmp_path, path=site).stdout)["plugins"]
     assert {door: list(names) for door, names in told.items() if names} == {
         "command": ["workshop"], "reader": [".bench"], "protection": ["workshop"], "key": ["workshop"],
+        "server": ["workshop"],
     }  # fmt: skip
     code = (
         "from gateway.signals.protection.rules import Frame, rule_of;"

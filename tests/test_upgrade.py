@@ -95,7 +95,7 @@ def test_strangers_packages_survive_an_upgrade(wheels, environment, tmp_path):
         brought = json.loads(gateway("doctor", "--json"))["plugins"]
         assert {door: list(names) for door, names in brought.items() if names} == {
             "monitor": ["motor_load"], "ecu": ["motor"], "command": ["workshop"], "reader": [".bench"],
-            "protection": ["workshop"], "key": ["workshop"],
+            "protection": ["workshop"], "key": ["workshop"], "server": ["workshop"],
         }  # fmt: skip
         for folder in (plant, monitor):
             gateway("check", "gateway.toml", cwd=folder)

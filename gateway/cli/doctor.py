@@ -32,10 +32,17 @@ _DOORS = {
     "protection": ("gateway.protections", "gateway.signals.protection.rules", "OTHERS"),
     "key": ("gateway.keys", "gateway.servers.uds.security", "KEYS"),
     "measure": ("gateway.measures", "gateway.cli.doctor", "MEASURES"),
+    "server": ("gateway.servers", "gateway.servers.types", "SERVERS"),
     "observer": ("gateway.observers", "gateway_fleet.learn.observers", "OBSERVERS"),
 }
 #: Of these the words for people, where they are others.
-_WORDS = {"monitor": "monitor type", "ecu": "ecu type", "reader": "log reader", "key": "key function"}
+_WORDS = {
+    "monitor": "monitor type",
+    "ecu": "ecu type",
+    "reader": "log reader",
+    "key": "key function",
+    "server": "server type",
+}
 _LIBRARIES = ("numpy", "numba", "cantools", "python-can", "pydantic")
 
 

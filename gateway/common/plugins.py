@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 
 from gateway.common import trust
 from gateway.plugin import API, DOORS, Plugin
-from gateway_fdi.errors import InputError
+from gateway_fdi.errors import InputError, nearest
 
 T = TypeVar("T")
 
@@ -171,6 +171,27 @@ class Registry(Mapping[str, T], Generic[T]):
             place = type_ if ":" in type_ else self._place(type_)
             self._known[type_] = self._accept(_load(place), place)
         return self._known[type_]
+
+    def find(self, type_: str, key: str) -> T:
+        """Return what a type stands for that a configuration names.
+
+        Args:
+            type_: the type.
+            key: path of the table that names it.
+
+        Raises:
+            InputError: no package has it; it cannot be imported, is not what it should be, or two packages have it.
+        """
+        try:
+            found = self.get(type_)
+            if found is None:
+                raise InputError(f"the types are {', '.join(self) or 'none'}{nearest(type_, [*self])}", value=type_)
+        except InputError as error:
+            of_type = (error.key or "").partition('".')[2]  # which part of the plug-in it is
+            text = f"{of_type}: {error.message}" if of_type else error.message
+            place = f"{key}.type" if key else "type"
+            raise InputError(text, file=error.file, line=error.line, key=place, value=type_) from error
+        return found
 
     def _place(self, type_: str) -> str:
         own = self._own.get(type_)

@@ -15,7 +15,7 @@ from gateway.servers.access_review import wrong_rules
 from gateway.servers.doip.params import RouteParams
 from gateway.servers.identifiers import check_unique
 from gateway.servers.uds.params import BusRouteParams
-from gateway_fdi.errors import InputError, InputErrors, nearest, under
+from gateway_fdi.errors import InputError, InputErrors, each_of, nearest, under
 
 
 def cross_check(config: Config) -> Iterator[InputError]:
@@ -26,6 +26,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
         _reporters(config),
         _checks(config),
         _outputs(config),
+        _servers_of_others(config),
         check_unique(config.did),
         _cycles(config),
         _access(config),
@@ -39,7 +40,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
 
 
 def _names(config: Config) -> Iterator[InputError]:
-    named = {kind: [entry.name for entry in getattr(config, kind)] for kind in ("bus", "monitor", "ecu")}
+    named = {kind: [entry.name for entry in getattr(config, kind)] for kind in ("bus", "monitor", "ecu", "server")}
     for kind, found in named.items():
         for k, name in enumerate(found):
             if name in found[:k]:
@@ -145,6 +146,18 @@ def _outputs(config: Config) -> Iterator[InputError]:
             config.diagnostic_address_is_shared()
         except InputError as error:
             yield error
+
+
+def _servers_of_others(config: Config) -> Iterator[InputError]:
+    try:
+        servers = config.servers
+    except (InputError, InputErrors) as error:
+        yield from each_of(error)
+        return
+    for k, server in enumerate(servers):
+        if config.bus[server.bus].listen_only:
+            text = "this sends on a bus that is only listened to; take it out, or listen_only of the bus"
+            yield InputError(text, key=f"server[{k}]", value=config.bus[server.bus].name)
 
 
 def _doip(config: Config) -> Iterator[InputError]:

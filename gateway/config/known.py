@@ -36,6 +36,8 @@ def _known(config: Config, bus: int) -> tuple[int, ...]:
     for k in config.answered.get(bus, ()):
         place = config.ecu[k].place
         found |= {place.request, place.response}
+    for server in config.servers:
+        found |= set(server.identifiers) if server.bus == bus else set()
     if frame is not None and config.bus_index(frame.bus) == bus:
         found.add(_with_flag(int(message_of(shipped("dbc/gateway.dbc")).frame_id)))
     return tuple(sorted(found))

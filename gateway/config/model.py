@@ -25,9 +25,10 @@ from gateway.servers.dtc_frame import DtcFrameParams
 from gateway.servers.identifiers import DidParams
 from gateway.servers.j1939.params import J1939Params
 from gateway.servers.obd.params import ObdParams
+from gateway.servers.types import SERVERS, Server
 from gateway.servers.uds.params import UdsParams
-from gateway_fdi.common.tomlfile import StrictModel
-from gateway_fdi.errors import InputError, nearest
+from gateway_fdi.common.tomlfile import StrictModel, validate
+from gateway_fdi.errors import InputError, nearest, under
 
 
 class DatabaseOfBus(StrictModel):
@@ -150,6 +151,16 @@ class MemoryConfig(StrictModel):
     )
 
 
+class ServerConfig(BaseModel):
+    """A server of another package; keys beyond these are the parameters of its type."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="for people")
+    type: str = Field(description="type of the server, or module:NAME")
+    bus: str | None = Field(None, description="name of its bus; may be left out when there is one")
+
+
 class PowerConfig(StrictModel):
     """When the vehicle is awake, and its supply good: senders that are silent otherwise are not at fault.
 
@@ -218,6 +229,7 @@ class Config(StrictModel):
     clock: ClockParams = Field(ClockParams(), description="the wall clock that stamps frames")
     memory: MemoryConfig = MemoryConfig()
     output: OutputConfig = OutputConfig()
+    server: tuple[ServerConfig, ...] = Field((), description="servers of other packages (docs/plugins.md)")
     access: AccessParams = Field(AccessParams(), description="who may intervene, and when")
     usage: UsageParams | None = Field(
         None, description="how the vehicle is used: distance, running time, performance ratios of monitors"
@@ -273,10 +285,26 @@ class Config(StrictModel):
         return keys[check]
 
     @property
+    def servers(self) -> tuple[Server, ...]:
+        """The servers of other packages.
+
+        Raises:
+            InputError, InputErrors: no such type; wrong parameters; no such bus.
+        """
+        made = []
+        for k, entry in enumerate(self.server):
+            kind = SERVERS.find(entry.type, f"server[{k}]")
+            params = validate(dict(entry.model_extra or {}), kind.params, None, f"server[{k}]")
+            with under(f"server[{k}].bus", entry.bus):
+                made.append(Server(kind, params, entry.name, self.bus_index(entry.bus)))
+        return tuple(made)
+
+    @property
     def has_doors(self) -> bool:
         """Whether testers, readers, reporters or asked ECUs are heard, so that their bytes can make handling fail."""
         asked = (self.output.uds, self.output.obd, self.output.j1939, self.status, self.report)
-        return self.access.watched and (bool(self.ecu) or any(each is not None for each in asked))
+        others = bool(self.ecu or self.server)
+        return self.access.watched and (others or any(each is not None for each in asked))
 
     @property
     def access_rules(self) -> AccessParams:

@@ -10,7 +10,7 @@ from gateway.monitors.conformance import made
 from gateway.monitors.contract import Family, Monitor, MonitorParams
 from gateway.monitors.registry import MONITORS
 from gateway_fdi.common.tomlfile import validate
-from gateway_fdi.errors import InputError, nearest, under
+from gateway_fdi.errors import under
 
 
 def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor[Any], MonitorParams]:
@@ -23,18 +23,7 @@ def monitor_of(entry: MonitorConfig, key: str = "") -> tuple[Monitor[Any], Monit
     Raises:
         InputError, InputErrors: no such type; wrong parameters.
     """
-    try:
-        monitor = MONITORS.get(entry.type)
-        if monitor is None:
-            known = sorted(MONITORS)
-            text = f"the types are {', '.join(known)}{nearest(entry.type, known)}"
-            raise InputError(text, value=entry.type)
-    except InputError as error:
-        of_type = (error.key or "").partition('".')[2]  # which part of the plug-in it is
-        raise InputError(
-            f"{of_type}: {error.message}" if of_type else error.message,
-            file=error.file, line=error.line, key=f"{key}.type" if key else "type", value=entry.type,
-        ) from error  # fmt: skip
+    monitor = MONITORS.find(entry.type, key)
     given = dict(entry.model_extra or {})
     if not isinstance(monitor, Family):
         with author_of(monitor, "params"):

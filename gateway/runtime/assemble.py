@@ -400,6 +400,7 @@ def servers_of(
             asked.j1939.name, asked.j1939.address, index, commandable=asked.j1939.commanded_address
         )
         made.append(J1939Server(asked.j1939, endpoint, memory, control, authority, config.bus[index].name))
+    made += [server.made(memory, identifiers, authority) for server in config.servers]
     return [*made, _local_server(config, testers)]
 
 

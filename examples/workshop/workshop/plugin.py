@@ -7,4 +7,5 @@ PLUGIN = Plugin(
     readers={".bench": "workshop.reader:BenchLog"},
     protections={"workshop": "workshop.rule:checksum"},
     keys={"workshop": "workshop.key:key"},
+    servers={"workshop": "workshop.server:SERVER"},
 )
