@@ -47,3 +47,22 @@ def test_likelihoods_are_those_of_dense_matrices(more):
         each = [dense(model, h, g, r, f, scale) for scale in simulated.scales(fault)]
         wanted = np.logaddexp.reduce(each) - np.log(len(each))
         assert s.likelihood[f] == pytest.approx(wanted, rel=1e-9, abs=1e-9), fault.name
+
+
+def test_what_jitter_explains_lessens_the_sum_of_squares():
+    """As much as against dense matrices: r' V^-1 r of each block, with its jitter and without."""
+    print("seed", SEED)
+    rng = np.random.default_rng(SEED)
+    model = simulated.plant(rng, samples=6, jitter=0.4)
+    h, g = simulated.drive(rng, model, 12)
+    r = rng.normal(size=(12, len(model.noise)))
+    s, c = simulated.records(model)
+    for at in range(12):
+        if blocks.add(s, c, r[at], h[at], g[at]):
+            lessened, block = blocks.close(s, c), slice(at - 5, at + 1)
+            flat, z = r[block].reshape(-1), h[block].reshape(-1, len(model.slow))
+            noise = np.kron(np.eye(6), model.noise)
+            moved = noise + z @ np.diag((0.4 * np.array(model.slow)) ** 2) @ z.T
+            wanted = flat @ np.linalg.solve(noise, flat) - flat @ np.linalg.solve(moved, flat)
+            assert lessened == pytest.approx(wanted, rel=1e-9)
+            blocks.drop(s)

@@ -1,5 +1,7 @@
 """Faults that fire the same tests are told apart by sign and size of all residuals; what is not is told as it is."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from structural_config import named
@@ -7,7 +9,8 @@ from structural_config import named
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway_fdi.jit import COMPILED
-from gateway_fdi.masks import unpack
+from gateway_fdi.masks import pack, unpack
+from gateway_plants.structural.monitor.faults import levels
 from gateway_plants.structural.study.drives import calibrated, configuration, frames_of
 from gateway_plants.structural.study.foreign import Plant
 
@@ -91,6 +94,53 @@ def test_of_two_faults_none_is_likely(config, gain):
     """One leaves more than a single fault may; the smaller one is seen by its likelihood beside the other only."""
     assert weighed(config, drive(SEED, gain=gain, bias=-0.2)) == ([], False)
     assert weighed(config, drive(SEED, bias=-0.2)) == (["f_b"], False)
+
+
+def still(seed, offset=0.0, since=20.0):
+    """Readings of a speed that stands, noise apart; from a time on one sensor has an offset."""
+    rng, t = np.random.default_rng(seed), np.arange(4000) * 0.01
+    rows = np.stack([np.full(4000, 36.0), 10.0 + offset * (t >= since), np.full(4000, 10.0)], 1)
+    return frames_of(SPEEDS, rows + rng.normal(size=rows.shape) * np.array(SPEEDS.noise))
+
+
+def events_of(config, frames):
+    """Return all events, and the end state of the monitor."""
+    gateway, events = Gateway(load_config(config), None, file=config), []
+    gateway.listen(events.append)
+    gateway.start(int(frames[0]["t_ns"]))
+    gateway.feed(frames)
+    state = gateway.engine.state_of(0)[0].copy()
+    gateway.close()
+    return events, state
+
+
+def test_one_of_two_that_nothing_tells_apart_is_told_soon(config):
+    """A gain of one, an offset of the other: of a speed that stands the same, until the noisy third one says which."""
+    frames = still(SEED, 0.2)
+    events, _ = events_of(config, frames)
+    told = [e for e in events if e["event"] == "dtc" and e["status"] & 1]
+    assert told[0]["fault"].endswith(".unisolated")
+    assert (told[0]["t_ns"] - int(frames[0]["t_ns"])) / 1e9 - 20.0 < 4.0, "not after 5 confirm_s"
+    (ranked,) = (value for name, value in told[0]["evidence"].items() if name.startswith("faults that explain"))
+    assert sorted(divmod(int(ranked), 100)) == [1, 2], "f_a and f_b"
+
+
+def test_a_test_that_fires_without_sizes_that_are_sure_is_no_code(config):
+    events, state = events_of(config, still(SEED, 0.02))
+    assert state["own"]["norm"].max() > 1.0
+    assert [e["fault"] for e in events if e["event"] == "dtc"] == []
+
+
+def test_of_faults_that_sizes_leave_no_test_proves_one():
+    """What only one of them makes fire is in their sizes already."""
+    seen = {"f_a": [0, 1], "f_b": [0]}
+    tests = [SimpleNamespace(faults=tuple(f for f, of in seen.items() if k in of), faulty="code") for k in (0, 1)]
+    plan = SimpleNamespace(faults=tuple(seen), tests=tests, seen_by=seen.get)
+    both = pack([[0, 1]], 2)[0]
+    own = {"weighed": 1, "likely": both, "fired": both, "norm": [5.0, 5.0]}
+    assert np.array_equal(levels(plan, {"own": own}), [2.0, np.nan, np.nan, 5.0, -np.inf], equal_nan=True)
+    alone = own | {"likely": pack([[0]], 2)[0]}
+    assert np.array_equal(levels(plan, {"own": alone}), [2.0, np.nan, 0.0, 5.0, 5.0], equal_nan=True)
 
 
 def test_the_cause_is_the_sensor_whatever_its_factor(config):

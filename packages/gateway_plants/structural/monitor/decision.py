@@ -23,8 +23,8 @@ from gateway.monitors.contract import EVIDENCE, MAX_RESULTS, report
 from gateway_fdi import cusum, likelihood
 from gateway_fdi.isolation import machine, table
 from gateway_fdi.isolation.table import NOTHING, OPEN
-from gateway_fdi.jit import kernel
-from gateway_fdi.masks import clear, empty, has, include, within
+from gateway_fdi.jit import i8s, kernel
+from gateway_fdi.masks import clear, copy, empty, has, include, within
 from gateway_plants.structural.monitor.plan import Plan
 from gateway_plants.structural.monitor.records import (
     KINDS,
@@ -41,6 +41,8 @@ from gateway_plants.structural.monitor.records import (
 REPEAT_NS = 1_000_000_000
 #: Times of ``confirm_s`` for which nothing may join before what has fired is told as not isolated.
 PENDING = 5
+#: Faults that are told as one of several, at most.
+MOST_TOGETHER = 3
 #: Tests up to which evidence has those that have fired as bits; faults up to which it ranks them with two digits.
 AS_BITS, TWO_DIGITS = 48, 99
 #: Faults that the evidence ranks, with two digits; with three, and tests that it lists.
@@ -160,6 +162,8 @@ def _tell(s: State, c: Const, out: Any, k: int, largest: float) -> None:
     if k != s.found:
         return
     table.explain(s, c)
+    if s.weighed == 1:
+        copy(s.explained, s.likely)
     for j in range(EVIDENCE):
         what = c.shown[k, j]
         if what >= 0:
@@ -171,6 +175,15 @@ def _tell(s: State, c: Const, out: Any, k: int, largest: float) -> None:
             many = c.faults > TWO_DIGITS
             most = MOST_RANKED_LONG if many else MOST_RANKED
             e.value[j] = table.ranked(s, c, s.norm, 1000.0 if many else 100.0, most)
+
+
+@kernel
+def _count(mask: i8s, size: int) -> int:
+    """Return how many are in a mask."""
+    count = 0
+    for k in range(size):
+        count += 1 if has(mask, k) else 0
+    return count
 
 
 @kernel
@@ -192,9 +205,7 @@ def _answer(s: State, c: Const) -> int:
         return OPEN
     least = c.faults + 1
     for k in range(c.groups):
-        count = 0
-        for fault in range(c.faults):
-            count += 1 if has(c.group[k], fault) else 0
+        count = _count(c.group[k], c.faults)
         if count < least and within(s.likely, c.group[k]):
             said, least = k, count
     return int(said)
@@ -222,7 +233,13 @@ def decide(s: State, c: Const, out: Any) -> None:
     if empty(s.fired):
         s.found = NOTHING
     else:
-        machine.decide(s, c, s.norm, _answer(s, c), 0 <= s.found < c.groups and _contradicted(s, c))
+        said = _answer(s, c)
+        if said == OPEN and s.found == NOTHING and s.awaits == 1:
+            return
+        if said == OPEN and s.found == NOTHING and s.weighed == 1 and _count(s.likely, c.faults) <= MOST_TOGETHER:
+            s.found = c.groups
+        else:
+            machine.decide(s, c, s.norm, said, 0 <= s.found < c.groups and _contradicted(s, c))
         if before == s.found == NOTHING:
             return  # undecided: neither passed nor failed
     if s.found == before and s.reported_ns != 0 and s.at_ns - s.reported_ns < REPEAT_NS:

@@ -190,8 +190,9 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
 def levels(plan: Plan, state: Any) -> list[float]:
     """Return the levels of the tests: T over J, 1 at least as long as a test counts as one that has fired.
 
-    Where sizes say which faults are likely, a test that has not fired says nothing; where they say that there is one
-    more, one that has just fired says nothing: it may be the other fault's.
+    Where sizes say which faults are likely, a test that has not fired says nothing; nor does one that some of these do
+    not see: its residual is in what they say. One that has just fired says nothing where sizes have spoken: it may be
+    another fault's.
     """
     own = state["own"]
     weighed: list[float] = []
@@ -203,10 +204,14 @@ def levels(plan: Plan, state: Any) -> list[float]:
     levels = [
         max(float(norm), 1.0) if up else min(float(norm), 0.0) for norm, up in zip(own["norm"], fired, strict=False)
     ]
-    if said == 1:
-        levels = [nan if level < 1.0 else level for level in levels]
-    if said == -1:
-        levels = [-inf if 1.0 <= level < weighing.SURE else level for level in levels]
+    if said != 0:
+        names = [f for f, one in zip(plan.faults, likely, strict=True) if one] if said == 1 else []
+        levels = [
+            (nan if said == 1 else level) if level < 1.0
+            else level if level >= weighing.SURE and set(names) <= set(test.faults)
+            else -inf
+            for level, test in zip(levels, plan.tests, strict=True)
+        ]  # fmt: skip
     return weighed + levels
 
 

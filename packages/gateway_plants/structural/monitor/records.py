@@ -85,6 +85,7 @@ class State(machine.State, lengths=MOST):
     waits: Annotated[i8s, "tests"] = means("1: what may be off is not known well enough to judge it")
     weighed: i8 = means("1: sign and size of residuals say which faults are likely; -1: one of these is, and another")
     likely: Annotated[i8s, "words"] = means("those faults, a mask")
+    awaits: i8 = means("1: sign and size will soon say more")
     norm: Annotated[f8s, "tests"] = means("T over J: above 1 a test has fired")
     cusum: Annotated[list[cusum.State], "tests"] = means("CUSUM of each test")
     begun_jump: Annotated[f8s, "tests", WINDOW, 1] = means("sums of each beginning of a jump in the window")

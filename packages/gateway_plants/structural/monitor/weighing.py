@@ -9,8 +9,14 @@ that its model lacks, and most of them look like its parameters. Noise is taken 
 
 Of each fault the likelihood is that of :mod:`gateway_fdi.evidence.hypotheses`, with the scale of its size from what it
 fits best, so that no prior of a size is asked for. As much as the best fault leaves beyond the noise, all are worth
-less. A fault is **likely** if it fits as well as the best one; or a little less well, and it sees all tests that have
-fired.
+less. What a block says counts less with each block that follows: what a model lacks lasts as long as a manoeuvre, and
+would add up for ever; what a fault leaves comes again.
+
+A fault is **likely** if it fits as well as the best one; or a little less well, and it sees all tests that have fired.
+As long as a test fires and sizes are not sure, more is **awaited**: nothing is told that the tests leave open. They are
+sure where the likelihood ratio of the best fault is large enough. Faults that are likely part as long as one of them
+is on its way to be unlikely, more than half of it; that has then taken longer than the rest will. Others may stay
+together: up to :data:`~.decision.MOST_TOGETHER` of them are told as one of several, when that has stood.
 
 What was found may be no single fault of this model. Then the tests decide alone:
 
@@ -20,7 +26,7 @@ What was found may be no single fault of this model. Then the tests decide alone
   one. Of faults that fit as well as each other the tests name none alone, in this case too.
 - **No fault of the model.** Of what the residuals have beyond their noise the best one leaves more than a share, beside
   what a model leaves that is off.
-- **A test** that the best one does not see has fired for sure; or none has for sure: it may be no fault at all.
+- **A test** has fired for sure that none of those that fit best sees.
 
 **The fault has ended.** Of each block alone, with y and U its form by the size s, what may be off integrated out as it
 was known before, y s - U s^2 / 2 is the logarithm of the likelihood that the fault has its size still, against that it
@@ -54,13 +60,13 @@ MOST_COLUMNS = 150
 #: By which what may be off moves from block to block, a share of its bound; error of a gain, a share of it.
 JITTER, ERROR = 0.3, 0.3
 #: Logarithm of the likelihood, and share of the best one's, by which a fault that fits less well is unlikely; that it
-#: takes to speak at all.
-LESS, NEARLY, SPEAKS = 6.0, 0.1, 10.0
-#: Share of what is beyond noise that the best fault has to explain; variances of the noise that it may leave besides:
-#: a healthy model that is 8 % off leaves 1 to 2 mostly. T over J of a test that is no chance.
-FITS, BEYOND, SURE = 0.9, 2.0, 3.0
-#: Blocks in the time to confirm.
-BLOCKS = 2
+#: takes to speak at all: of healthy cars that are 8 % off one reached it in 12 hours.
+LESS, NEARLY, SPEAKS = 6.0, 0.1, 20.0
+#: Share of what is beyond noise that the best fault has to explain; variances of the noise that it may leave besides.
+#: T over J of a test that is no chance.
+FITS, BEYOND, SURE = 0.9, 1.0, 3.0
+#: Blocks in the time to confirm; share of what they say that the next one leaves.
+BLOCKS, KEPT = 2, 0.975
 
 
 class Const(model.Const, lengths=model.LENGTHS):
@@ -87,6 +93,7 @@ class State(model.State, lengths=model.LENGTHS):
     squares: f8 = means("sum of squares of the residuals over their noise")
     looks: f8 = means("number of independent residuals")
     alone: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each fault alone")
+    stands: i8 = means("blocks since it is sure")
     excess: f8 = means("variance of what the best fault leaves, over that of the noise, 1 at least")
 
 
@@ -127,7 +134,7 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
     if near:
         s.near_ns = own.at_ns
     if s.held == 1:
-        s.awake = 0
+        s.awake = own.awaits = 0
         if empty(own.fired) or _is_another(own, own_const):
             own.weighed = 0
         if not near and own.at_ns - s.near_ns >= own_const.settle_ns:
@@ -135,7 +142,7 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
         return False
     if near and s.awake == 1:
         return False
-    s.awake = 1 if near else 0
+    s.awake = own.awaits = 1 if near else 0
     own.weighed = 0
     if not near:
         return False
@@ -146,7 +153,7 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
         for j in range(n):
             s.since_a[i, j] = 0.0
     s.squares = s.looks = s.gone = 0.0
-    s.first = -1
+    s.first, s.stands = -1, 0
     return True
 
 
@@ -198,17 +205,19 @@ def take(s: Any, c: Any, own: Any, own_const: Any) -> None:
     if not blocks.add(s, c, s.r, s.h, s.g):
         return
     n = c.slow + c.first[c.faults]
-    s.squares -= 2.0 * blocks.close(s, c)
+    s.squares -= blocks.close(s, c)
     if s.first >= 0:
         s.gone = min(s.gone, 0.0) + _still(s, c, s.first, n)
         if s.gone < -LESS * s.excess:
             s.held = 1
             own.weighed = own.weighed if 0 <= own.found < own_const.groups else 0
             return
+    s.squares *= KEPT
+    s.looks *= KEPT
     for i in range(n):
-        s.since_b[i] += s.b[i]
+        s.since_b[i] = KEPT * s.since_b[i] + s.b[i]
         for j in range(n):
-            s.since_a[i, j] += s.a[i, j]
+            s.since_a[i, j] = KEPT * s.since_a[i, j] + (1.0 - KEPT) * s.known_a[i, j] + s.a[i, j]
     blocks.drop(s)
     _judge(s, c, own, own_const, n)
 
@@ -276,30 +285,31 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
             best, s.first = s.likelihood[f], f
     s.excess = max((left + s.looks - 2.0 * best) / s.looks, 1.0)
     best /= s.excess
-    own.weighed = 0
     clear(own.likely)
-    sure = False
+    own.weighed, own.awaits, known = 0, 1, False
     for k in range(own_const.tests):
-        sure = sure or own.norm[k] > SURE
-    if best <= SPEAKS or not sure:
+        known = known or own.norm[k] > 1.0
+    if known and left > 2.0 * SPEAKS * s.excess:
+        own.awaits = 1 if left - 2.0 * best * s.excess <= (1.0 - FITS) * left + BEYOND * s.looks else 0
+    if own.awaits == 0 or not known or best <= SPEAKS:
+        s.stands = 0
         return
-    unexplained = left - 2.0 * best * s.excess
-    if unexplained > (1.0 - FITS) * left + BEYOND * s.looks:
-        return
-    single = _second(s, c, n) <= SPEAKS * s.excess
+    s.stands += 1
+    own.awaits = 1 if s.stands <= BLOCKS else 0
+    single, seen = _second(s, c, n) <= SPEAKS * s.excess, False
     for f in range(c.faults):
-        value = s.alone[f] / s.excess
-        if value < (1.0 - NEARLY) * best - LESS:
+        less = best - s.alone[f] / s.excess - NEARLY * best
+        if less > LESS:
             continue
-        best_too, missed = value >= best - LESS, False
+        best_too, missed = less <= LESS - NEARLY * best, False
         for k in range(own_const.tests):
             missed = missed or (own.norm[k] > (SURE if best_too else 1.0) and not has(own_const.may[f], k))
-        if missed and best_too:
-            clear(own.likely)
-            return
-        if not missed:
+        seen = seen or (best_too and not missed)
+        if best_too or not missed:
             include(own.likely, f)
-    own.weighed = 0 if empty(own.likely) else 1 if single else -1
+            own.awaits = 1 if 2.0 * less > LESS else own.awaits
+    own.weighed = 1 if single and seen else -1
+    own.awaits = own.awaits if own.weighed == 1 else 0
 
 
 @kernel
