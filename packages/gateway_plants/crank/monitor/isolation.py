@@ -529,6 +529,11 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         pass  # it has no gap that could be missing
     elif fires and c.polar == 1 and waiting.polarity(wa):
         _tell_gap(s, c, out, 1.0)
+    elif fires and s.phase == TENTATIVE and s.recurring == 1 and s.defects.turns >= SURE and s.twice != TOLD:
+        number = defects.missing(s.defects)
+        shape(s, c, number if number > 0 else s.defects.count, 0, s.held)
+        s.held.tooth = -1  # every place that is left has it, each at another tooth
+        tell_held(s, MISSED if number > 0 else ADDED, out)
     elif _open(s, c) and wa.pulses < LONG_PATIENCE * patience:
         return
     elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
