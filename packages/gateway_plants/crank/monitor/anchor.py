@@ -38,7 +38,7 @@ EDGES, FEW = 2, 10
 UNKNOWN = 1e9
 #: The gap is where it is expected when the square of its ratio is right within this factor.
 RIGHT = 1.65
-#: Neighbours of a gap are alike within this factor; pieces of a filled gap that look like the gap beside a pitch are not.
+#: Neighbours of a gap are alike within this factor; a pitch, and a piece of a filled gap, are not.
 LEVEL = 1.35
 #: A gap whose squared ratio to its neighbours is less than this is no mark of its own.
 DISTINCT = 2.4

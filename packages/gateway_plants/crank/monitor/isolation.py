@@ -158,6 +158,13 @@ def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
 
 
 @kernel
+def _spoil(s: State, c: Const, tooth: int, net: int) -> None:
+    """Learn nothing from a turn with pulses missed or added, but those that come again in each."""
+    if s.phase != CONFIRMED or c.pulses < MARKED or not defects.knows(s.defects, tooth, net):
+        s.profile.clean = 0
+
+
+@kernel
 def decide(s: State, c: Const, out: Reports) -> None:
     """Act on missed or added pulses that all hypotheses agree on."""
     h = best(s.tracker)
@@ -165,8 +172,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     tooth = int(h.missed_at if missed > 0 else h.added_at)
     added_at = int(h.added_at)
     marginalise_decided(s.tracker)
-    if s.phase != CONFIRMED or c.pulses < MARKED or not defects.knows(s.defects, tooth, missed - added):
-        s.profile.clean = 0
+    _spoil(s, c, tooth, missed - added)
     s.fitted = -1  # this turn does not count
     s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
     if s.phase == CONFIRMED and (s.tracker.took > min(LATE, c.pulses // 2) or wrong_wheel.unsure(s, c)):
@@ -459,8 +465,10 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
         return
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap
-    if not sure and s.hole == 1 and s.recurring == 0:
-        if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
+    if s.hole == 1 and s.recurring == 0:
+        if s.defects.turns == 0 and s.teeth - s.uneven <= 2 * c.pulses:
+            return  # a pulse too many in each turn may be in the gap
+        if not sure and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
             return
     if s.hole == 1 or s.recurring == 1:
         confirm(s, out)
