@@ -466,7 +466,7 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap
     if s.hole == 1 and s.recurring == 0:
-        if s.defects.turns == 0 and s.teeth - s.uneven <= 2 * c.pulses:
+        if s.defects.turns == 0 and s.doubted < s.uneven > s.teeth - 2 * c.pulses:
             return  # a pulse too many in each turn may be in the gap
         if not sure and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
             return
