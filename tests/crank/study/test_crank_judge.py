@@ -61,11 +61,27 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
         *((550101, k) for k in (2943, 4707)),  # what had to be chosen among hypotheses was proven
         *((550101, k) for k in (218, 699, 5727, 5979)),  # a gap that was filled, at the starter's speed
         *((770077, k) for k in (1067, 2780, 8660)),  # one of two equal gaps, behind frames that were lost
+        *((70001, k) for k in (388, 2224)),  # pieces of a filled gap like the gap and a pitch, behind lost frames
     ],
 )
 def test_runs_that_once_proved_a_wrong_tooth(judge, seed, number):
     """Each had up to 77 wrong labels, proven, later than two turns behind an event."""
     assert judge.one_run((seed, number))[4] == 0
+
+
+@compiled
+@pytest.mark.parametrize(
+    "number",
+    [
+        *(236, 251, 259),  # a bent tooth on an old wheel: it was learned in forty turns
+        *(132, 298),  # a bent tooth where a pulse too many comes in each turn: such a turn taught nothing
+        *(165, 597, 801, 1161),  # a defect of each turn on 12+1, whose tooth nothing tells
+        *(1125, 2133),  # a bent tooth that made the edges look noisy
+    ],
+)
+def test_a_later_fault_that_was_not_named_is_named(judge, number):
+    row = judge.one_run((70001, number))
+    assert (row[4], row[5], row[6]) == (0, True, [])
 
 
 def test_the_page_has_the_table_of_wheels_that_cannot_be_told(judge):

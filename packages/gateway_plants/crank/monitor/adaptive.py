@@ -378,12 +378,9 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     old_ahead = profile.smooth(s.profile, s.index)
     profile.follow(s.profile, c.wheel, h.period, tr.pitches)
     following = before + 1 if before + 1 < c.pulses else 0
-    if h.associated == 1 and s.index == following:
-        profile.note(s.profile, before, y)
-        if s.phase == TENTATIVE:
-            cover(s, c, before)
-    else:
-        s.profile.clean = 0
+    profile.note_pulse(s.profile, tr.pitches, c.pulses, before, s.index, h.associated == 1, y)
+    if s.phase == TENTATIVE and h.associated == 1 and s.index == following:
+        cover(s, c, before)
     first = best(tr)
     if first.associated == 1 and (first.missed != 0 or first.added != 0) and agreed(tr):
         s.index = first.index

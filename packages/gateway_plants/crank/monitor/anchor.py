@@ -38,6 +38,8 @@ EDGES, FEW = 2, 10
 UNKNOWN = 1e9
 #: The gap is where it is expected when the square of its ratio is right within this factor.
 RIGHT = 1.65
+#: Neighbours of a gap are alike within this factor; a pitch, and a piece of a filled gap, are not.
+LEVEL = 1.35
 #: A gap whose squared ratio to its neighbours is less than this is no mark of its own.
 DISTINCT = 2.4
 #: Wins of a shift in a row after which it is believed.
@@ -154,6 +156,13 @@ def shorter(c: Const, pitches: f8s, pulses: int, y2: float, y1: float, y: float)
     gap = pitches[pulses - 1]
     ratio = min(c.ratio, gap * gap / (pitches[pulses - 2] * pitches[0]))
     return bool(y2 > 0.0 and y1 * y1 * RIGHT < ratio * y * y2)
+
+
+@kernel
+def level(pitches: f8s, pulses: int, y2: float, y: float) -> bool:
+    """Tell whether the neighbours of the gap are as long as each other [us]: else one may be a piece of it."""
+    ratio = y * pitches[pulses - 2] / (y2 * pitches[0])
+    return bool(1.0 / LEVEL < ratio < LEVEL)
 
 
 @kernel

@@ -158,6 +158,13 @@ def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
 
 
 @kernel
+def _spoil(s: State, c: Const, tooth: int, net: int) -> None:
+    """Learn nothing from a turn with pulses missed or added, but those that come again in each."""
+    if s.phase != CONFIRMED or c.pulses < MARKED or not defects.knows(s.defects, tooth, net):
+        s.profile.clean = 0
+
+
+@kernel
 def decide(s: State, c: Const, out: Reports) -> None:
     """Act on missed or added pulses that all hypotheses agree on."""
     h = best(s.tracker)
@@ -165,7 +172,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     tooth = int(h.missed_at if missed > 0 else h.added_at)
     added_at = int(h.added_at)
     marginalise_decided(s.tracker)
-    s.profile.clean = 0
+    _spoil(s, c, tooth, missed - added)
     s.fitted = -1  # this turn does not count
     s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
     if s.phase == CONFIRMED and (s.tracker.took > min(LATE, c.pulses // 2) or wrong_wheel.unsure(s, c)):
@@ -331,7 +338,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             an.age = c.pulses + anchor.EDGES - c.anchor.length
         an.verified = 1
     elif s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
-        _witness(s, c, out)
+        _witness(s, c, c.anchor.alone == 1 and anchor.level(s.tracker.pitches, c.pulses, s.y2, y), out)
     elif an.age >= c.pulses + anchor.EDGES and not decides(s, c):
         an.age = c.pulses + anchor.EDGES - c.anchor.length
         an.verified = 1
@@ -344,7 +351,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             an.against = 0.0
             an.verified = 1
             if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
-                _witness(s, c, out)
+                _witness(s, c, True, out)
         elif s.teeth - s.uneven <= c.anchor.length:
             if found == anchor.ABSENT and s.known == 0:
                 doubt(s)
@@ -437,8 +444,15 @@ def place_by_cam(s: State, c: Const, number: int) -> None:
 
 
 @kernel
-def _witness(s: State, c: Const, out: Reports) -> None:
-    """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given."""
+def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
+    """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        sure: whether it can be no other gap, nor a piece of one.
+        out: record of Out.
+    """
     h = best(s.tracker)
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
     if told:
@@ -451,9 +465,11 @@ def _witness(s: State, c: Const, out: Reports) -> None:
         return
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap
-    several = s.hole == 1 and s.recurring == 0 and c.anchor.alone == 0
-    if several and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
-        return  # one of several gaps does not tell which
+    if s.hole == 1 and s.recurring == 0:
+        if s.defects.turns == 0 and s.doubted < s.uneven > s.teeth - 2 * c.pulses:
+            return  # a pulse too many in each turn may be in the gap
+        if not sure and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
+            return
     if s.hole == 1 or s.recurring == 1:
         confirm(s, out)
 
@@ -521,11 +537,16 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         pass  # it has no gap that could be missing
     elif fires and c.polar == 1 and waiting.polarity(wa):
         _tell_gap(s, c, out, 1.0)
+    elif fires and s.phase == TENTATIVE and s.recurring == 1 and s.defects.turns >= SURE and s.twice != TOLD:
+        number = defects.missing(s.defects)
+        shape(s, c, number if number > 0 else s.defects.count, 0, s.held)
+        s.held.tooth = -1  # every place that is left has it, each at another tooth
+        tell_held(s, MISSED if number > 0 else ADDED, out)
     elif _open(s, c) and wa.pulses < LONG_PATIENCE * patience:
         return
     elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
         _tell_gap(s, c, out, 0.0)
-        s.twice = 1 if 4 * s.waiting.against >= 3 * (s.waiting.turns - 1) else s.twice
+        s.twice = max(s.twice, 1)
     else:
         return
     waiting.clear(wa)

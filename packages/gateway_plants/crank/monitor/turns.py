@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.monitor import runout
+from gateway_plants.crank.monitor import defects, runout
 from gateway_plants.crank.monitor.faults import (
-    CRANK_FAULTS,
+    CAM_CORRELATION,
+    CAM_SILENT,
     DAMAGED,
     DOUBLED,
-    NOISE,
-    RELOCATED,
     RUNOUT,
-    TWO_PLACES,
-    UNWATCHED,
     WRONG_WHEEL,
     Reports,
 )
@@ -58,7 +55,7 @@ def trust(s: State, c: Const) -> None:
 def turned(s: State) -> None:
     """End a revolution, which :func:`decided` takes when its gap is."""
     s.revolutions += 1
-    if s.anchor.verified == 0 or s.anchor.wins > 0:
+    if s.anchor.wins > 0 or (s.anchor.verified == 0 and s.defects.turns == 0):
         s.profile.clean = 0
     profile.end(s.profile)
 
@@ -86,7 +83,10 @@ def decided(s: State, c: Const, out: Reports) -> None:
 
 @kernel
 def _take_turn(s: State, c: Const, out: Reports) -> None:
-    """Take a revolution: speed, learning, passed results of a clean one, doubled edges, runout."""
+    """Take a revolution: speed, learning, doubled edges, passed results of a clean one, runout, bent teeth.
+
+    One that has only what is missing or added in each turn is learned from, and judged, but passes nothing.
+    """
     us = s.profile.ended_us
     before = s.profile.turns
     clean = profile.turn(s.profile, c.wheel, s.tracker.pitches, s.index)
@@ -117,16 +117,12 @@ def _take_turn(s: State, c: Const, out: Reports) -> None:
         note_speed(s, speed(s, c))
     if not clean:
         return
-    s.recent_missed = 0
-    s.recent_added = 0
-    for fault in range(CRANK_FAULTS):
-        if fault != RUNOUT:
-            report(out, fault, False, 0.0, 0.0)
-    report(out, RELOCATED, False, 0.0, 0.0)
-    report(out, UNWATCHED, False, 0.0, 0.0)
-    report(out, NOISE, False, 0.0, 0.0)
-    report(out, TWO_PLACES, False, 0.0, 0.0)
-    report(out, WRONG_WHEEL, False, 0.0, 0.0)
+    if s.teeth - s.uneven > c.pulses + DECIDED_BY:
+        s.recent_missed = 0
+        s.recent_added = 0
+        for fault in range(WRONG_WHEEL + 1):
+            if fault not in (RUNOUT, DAMAGED, CAM_CORRELATION, CAM_SILENT):
+                report(out, fault, False, 0.0, 0.0)
     if c.turns == 1 and s.profile.turns > LEARNED and s.speed_rpm > RUNOUT_RPM:
         _judge_wheel(s, c, out)
 
@@ -151,5 +147,7 @@ def _judge_wheel(s: State, c: Const, out: Reports) -> None:
         r.speed = s.speed_rpm
     off = s.profile.off
     limit = max(BENT, min(BENT_SIGMAS * s.profile.scatter, BENT_MOST))
+    if abs(off) <= limit and defects.missing(s.defects) > 0:
+        return  # a tooth is damaged: it is missing
     d = report(out, DAMAGED, abs(off) > limit, abs(off), limit).damaged
     d.tooth, d.off, d.speed = tooth_of(s, c, s.profile.bent), off, s.speed_rpm

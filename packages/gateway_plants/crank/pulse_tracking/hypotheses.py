@@ -222,7 +222,7 @@ def take(tr: Tracker, pulses: int, acceleration: float, ripple: float, y: float)
         return least
     tr.mean_cost += 0.1 * (least - tr.mean_cost)
     chosen = best(tr)
-    if chosen.associated == 1 and chosen.missed == 0 and chosen.added == 0:
+    if chosen.associated == 1 and chosen.outlier == 0 and chosen.missed == 0 and chosen.added == 0:
         v = spread(chosen, 1.0, scale) + 1.0
         _adapt(tr, e / max(v, 1.0) ** 0.5)
     return least

@@ -34,6 +34,8 @@ from gateway_plants.crank.wheel import MOST_TEETH
 SHARE = 0.15
 #: Pairs of turns after which the profile is old; from then on so many turns are passed over between two pairs.
 SETTLED, REST = 12, 6
+#: None is passed over while the tooth that is off most differs by more than this from what was learned [pitch].
+STILL = 0.05
 #: A revolution whose squared speed changed by more than this share teaches nothing.
 MOST_TREND = 0.25
 #: Nor does one whose trend is not that of the revolution before, by so much: the torque changed inside.
@@ -44,6 +46,8 @@ MOST_ORDERS = 6
 MOST_OFF, MOST_GAP_OFF = 0.35, 0.4
 #: Share of the turn that a gap and its part in the first order have at most, so that its error can be told from that.
 MOST_SHARE = 0.5
+#: Slots that one interval is shared by, at most.
+MOST_SHARED = 4
 #: Pulses below which the first order is the teeth's own errors.
 FEWEST = 6
 #: Neighbouring pitches over which the edges' jitter is averaged.
@@ -91,6 +95,7 @@ class Profile(Record):
     logs: Annotated[f8s, MOST_TEETH] = means("learned ln(pitch / nominal)")
     ripple: Annotated[f8s, MOST_TEETH] = means("low orders of logs")
     ahead: Annotated[f8s, MOST_TEETH] = means("intervals of this revolution while the one before is not decided", "us")
+    part: f8 = means("time since the last tooth that no slot has yet", "us")
     turn_us: f8 = means("sum of the intervals of this revolution", "us")
     ended_us: f8 = means("that sum of the revolution before", "us")
     last_us: f8 = means("that sum of the last clean revolution; 0: none", "us")
@@ -125,6 +130,7 @@ def forget(pr: Profile, wh: LearnedWheel, pitches: f8s) -> None:
     pr.ended = 0
     pr.paired = 0
     pr.resting = 0
+    pr.part = 0.0
     pr.turn_us = 0.0
     pr.last_us = 0.0
     pr.trend = 0.0
@@ -144,6 +150,42 @@ def note(pr: Profile, slot: int, y: float) -> None:
     else:
         pr.intervals[slot] = y
     pr.turn_us += y
+
+
+@kernel
+def note_pulse(pr: Profile, pitches: f8s, pulses: int, before: int, index: int, tooth: bool, y: float) -> None:
+    """Note the interval of a pulse [us], which need not be the next tooth.
+
+    That of a pulse too many is part of the slot it is in; one over missing teeth is shared by their slots.
+
+    Args:
+        pr: record of Profile.
+        pitches: as learned.
+        pulses: of a turn.
+        before: tooth of the pulse before.
+        index: tooth of the pulse.
+        tooth: whether the pulse is that tooth; else it is none.
+        y: the interval.
+    """
+    pr.part += y
+    last = index if index > 0 else pulses
+    if index == before and not tooth:
+        return
+    if index == before and index > 0:
+        last, before = index, index - 1  # the pulse before was none, and is taken back
+        pr.part += pr.ahead[before] if pr.ended == 1 else pr.intervals[before]
+        pr.turn_us -= pr.part - y
+    elif not tooth or last <= before or last - before > MOST_SHARED:
+        pr.clean = 0
+        pr.part = 0.0
+        return
+    span = 0.0
+    for slot in range(before, last):
+        span += pitches[slot]
+    share = pr.part / span
+    for slot in range(before, last):
+        note(pr, slot, share * pitches[slot])
+    pr.part = 0.0
 
 
 @kernel
@@ -167,7 +209,7 @@ def turn(pr: Profile, wh: LearnedWheel, pitches: f8s, index: int) -> bool:
         index: of the latest tooth, in the revolution after it.
     """
     clean = pr.ended_clean == 1 and pr.clean == 1
-    us = pr.ended_us
+    us, off = pr.ended_us, abs(pr.off)
     pr.ended = 0
     if clean and pr.last_us > 0.0:
         ratio = us / pr.last_us
@@ -176,7 +218,7 @@ def turn(pr: Profile, wh: LearnedWheel, pitches: f8s, index: int) -> bool:
         if abs(trend) < MOST_TREND and abs(trend - pr.trend) < MOST_CHANGE and pr.resting == 0:
             if _learn(pr, wh, us, trend / wh.whole):
                 apply(pr, wh, us / wh.whole, pitches)
-                if pr.turns >= SETTLED:
+                if pr.turns >= SETTLED and abs(pr.off) - off < SHARE * STILL:
                     pr.resting = REST
                     pr.paired = 0
             elif pr.turns > 0:
@@ -237,8 +279,8 @@ def _learn(pr: Profile, wh: LearnedWheel, us: float, growth: float) -> bool:
     _harmonics(pr, wh)
     for i in range(wh.pulses):
         most = (MOST_GAP_OFF if wh.gap[i] == 1 else MOST_OFF) / wh.nominal[i]
-        own = pr.logs[i] - pr.ripple[i]
-        pr.logs[i] = pr.ripple[i] + min(max(own, -most), most)
+        pr.intervals[i] = min(max(pr.logs[i] - pr.ripple[i], -most), most)
+        pr.logs[i] = pr.ripple[i] + pr.intervals[i]
     _inspect(pr, wh)
     return True
 
@@ -247,9 +289,13 @@ def _learn(pr: Profile, wh: LearnedWheel, us: float, growth: float) -> bool:
 def _measure(pr: Profile, wh: LearnedWheel) -> None:
     """Measure what this turn had beyond the profile: its first order, and the rms of what is smooth in it.
 
-    ``intervals`` hold what is beyond; a mean over :data:`SMOOTHED` neighbours takes the edges' jitter off, which
-    changes its sign from one interval to the next.
+    ``intervals`` hold what is beyond, without the tooth that is off most: on a small wheel one bent tooth would count
+    as ripple. A mean over :data:`SMOOTHED` neighbours takes the edges' jitter off, which changes its sign from one
+    interval to the next.
     """
+    tooth, off, _total = _farthest(wh, pr.intervals)
+    pr.intervals[tooth - 1 if tooth > 0 else wh.pulses - 1] -= off
+    pr.intervals[tooth] += off
     even, odd, square = 0.0, 0.0, 0.0
     width = min(SMOOTHED, wh.pulses // 4)
     total = 0.0
@@ -345,37 +391,46 @@ def follow(pr: Profile, wh: LearnedWheel, period: float, pitches: f8s) -> None:
 
 
 @kernel
-def _bend(pr: Profile, wh: LearnedWheel, tooth: int) -> float:
+def _bend(wh: LearnedWheel, own: f8s, tooth: int) -> float:
     """Return how much later a tooth is than the middle of its neighbours says [pitch].
 
     A tooth late by d makes the pitch before it d longer and the one behind it d shorter: half the difference of the
-    two. What their ripple has is taken off. Zero beside a gap, whose own error would count.
+    two. Zero beside a gap, whose own error would count.
+
+    Args:
+        wh: record of LearnedWheel.
+        own: ln(pitch / nominal) without ripple.
+        tooth: the tooth.
     """
     before = tooth - 1 if tooth > 0 else wh.pulses - 1
     if wh.gap[before] == 1 or wh.gap[tooth] == 1:
         return 0.0
-    late = wh.nominal[before] * (pr.logs[before] - pr.ripple[before])
-    early = wh.nominal[tooth] * (pr.logs[tooth] - pr.ripple[tooth])
-    return float(0.5 * (late - early))
+    return float(0.5 * (wh.nominal[before] * own[before] - wh.nominal[tooth] * own[tooth]))
+
+
+@kernel
+def _farthest(wh: LearnedWheel, own: f8s) -> tuple[int, float, float]:
+    """Return the tooth that is off most, what it is off, and the sum of what all are [pitch]; see :func:`_bend`."""
+    tooth, most, total = 0, 0.0, 0.0
+    for i in range(wh.pulses):
+        off = _bend(wh, own, i)
+        total += abs(off)
+        if abs(off) > abs(most):
+            tooth, most = i, off
+    return tooth, most, total
 
 
 @kernel
 def _inspect(pr: Profile, wh: LearnedWheel) -> None:
-    """Find the slot whose pitch is farthest from nominal, and the tooth that is off most."""
+    """Find the slot whose pitch is farthest from nominal, and the tooth that is off most, by its own ``intervals``."""
     most = 0.0
     pr.worst = 0
     for i in range(wh.pulses):
         error = abs(pr.logs[i])
         if error > most:
             pr.worst, most = i, error
-    pr.bent, pr.off = 0, 0.0
-    total = 0.0
-    for i in range(wh.pulses):
-        off = _bend(pr, wh, i)
-        total += abs(off)
-        if abs(off) > abs(pr.off):
-            pr.bent, pr.off = i, off
+    pr.bent, pr.off, total = _farthest(wh, pr.intervals)
     for i in range(pr.bent - 1, pr.bent + 2):
-        total -= abs(_bend(pr, wh, i % wh.pulses))
+        total -= abs(_bend(wh, pr.intervals, i % wh.pulses))
     # Of a normal distribution the mean of the absolute value is 0.8 standard deviations.
     pr.scatter = 1.25 * total / max(wh.pulses - 3, 1)
