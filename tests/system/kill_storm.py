@@ -6,6 +6,7 @@ import threading
 
 import can
 import cantools
+import warm
 from processes import TIRELESS
 
 from gateway.faults.dtc import Dtc
@@ -43,7 +44,7 @@ class Told:
 
 def start(config, uri, memory, folder):
     """Start the daemon, and wait until it monitors."""
-    started = subprocess.Popen(
+    started = warm.Popen(
         [*TIRELESS, "run", str(config), "--bus", uri, "--memory", str(memory)],
         cwd=folder,
         stdout=subprocess.DEVNULL,

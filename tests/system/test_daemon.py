@@ -21,6 +21,7 @@ from kernel_can import daemon, events_in, wait_for
 from processes import bus, gateway, process
 
 from gateway.bus.ring import read_recording, segments
+from gateway.faults.service import daemon_state
 
 pytestmark = pytest.mark.system
 
@@ -85,6 +86,8 @@ def test_the_hub_ends_and_comes_back_and_the_daemon_stays(tmp_path):
                 wait_for(lambda: ("U0401-82", 1) in dtcs(running))
         wait_for(lambda: dtcs(running)[-1] == ("U0001-31", 1))
         wait_for(lambda: doctor(tmp_path)["buses"][0]["state"] == "lost")
+        told = gateway("doctor", "--memory", "f.sqlite", "--json", cwd=tmp_path)
+        assert json.loads(told.stdout)["daemon"]["buses"][0]["state"] == "lost"
         ill = gateway("doctor", "--running", "--memory", "f.sqlite", cwd=tmp_path)
         assert ill.returncode == 1
         assert "chassis (loopback:" in ill.stdout
@@ -107,8 +110,7 @@ def test_the_hub_ends_and_comes_back_and_the_daemon_stays(tmp_path):
 
 
 def doctor(folder):
-    said = gateway("doctor", "--memory", "f.sqlite", "--json", cwd=folder).stdout
-    return json.loads(said)["daemon"]
+    return daemon_state(folder / "f.sqlite")
 
 
 def dtcs(running):
@@ -194,6 +196,7 @@ def test_a_reload_may_change_buses(tmp_path):
                 for k in (22, 25, 28, 31):  # jumps of the bus that has another index now
                     send(k)
                 wait_for(lambda: dtcs(running))
+                wait_for(lambda: [b["received"] for b in doctor(tmp_path)["buses"]] == [10, 24])
                 write_config(tmp_path, buses=[("drive", second)], timeout_ms=60_000.0)
                 running.send_signal(signal.SIGHUP)
                 wait_for(lambda: len(configs(running)) == 2)
