@@ -54,7 +54,7 @@ def start(config, uri, memory, folder):
     line = said_last = ""
     while "monitoring" not in line or "memory" in line:
         line = started.stderr.readline()
-        assert line, (said_last, started.wait(5))
+        assert line, (said_last, started.wait(60))
         said_last = line
     return started
 

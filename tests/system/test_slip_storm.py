@@ -88,7 +88,7 @@ class Run:
         self.wait_for(lambda: "monitoring" in self._log.read_text())
 
     def wait_for(self, come):
-        until = time.monotonic() + 60
+        until = time.monotonic() + 300
         while not come():
             assert self.process.poll() is None, (self.process.poll(), self._log.read_text()[-2000:])
             assert time.monotonic() < until, self._log.read_text()[-2000:]
@@ -96,7 +96,7 @@ class Run:
 
     def kill(self):
         os.kill(self.process.pid, signal.SIGKILL)
-        self.process.wait(10)
+        self.process.wait(60)
 
     @property
     def events(self):
