@@ -19,6 +19,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import warm
 from amount import amount
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
@@ -52,7 +53,7 @@ class Served(tuple):
 @contextmanager
 def server(folder, *options, program=PROGRAM):
     """The page of a gateway that does not run; yields address, port, control token, process identifier."""
-    started = subprocess.Popen(
+    started = warm.Popen(
         [sys.executable, "-c", program, "serve", "--status", str(folder / "nobody"), "--port", "0", *map(str, options)],
         stderr=subprocess.PIPE, text=True, cwd=folder,
     )  # fmt: skip

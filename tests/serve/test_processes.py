@@ -10,6 +10,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+import warm
 from kernel_can import wait_for
 from processes import bus, gateway, process
 
@@ -32,7 +33,7 @@ def page_in(lines):
 
 
 def test_a_demo_shows_truth_and_dtc_and_ends_in_good_order(tmp_path):
-    started = subprocess.Popen(
+    started = warm.Popen(
         [sys.executable, "-c", "from gateway.cli import main; main()", "demo", "--serve", "--no-open", "--port", "0",
          "--speed", "8"],
         cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=(tmp_path / "said").open("w"),

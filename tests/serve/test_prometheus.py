@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import warm
 from debian import program
 from kernel_can import wait_for
 from processes import GATEWAY, bus, process
@@ -60,7 +61,7 @@ def failing_gateway(folder):
             process("run", "gateway.toml", "--status", "status", ready="monitoring", **options),
             process("serve", "--status", "status", "--port", "0", ready="page:", **options) as page,
         ):
-            ecu = subprocess.Popen(
+            ecu = warm.Popen(
                 [*GATEWAY, "simulate", "crank_missed_tooth", "--bus", uri],
                 cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )  # fmt: skip

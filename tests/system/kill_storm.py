@@ -6,6 +6,7 @@ import threading
 
 import can
 import cantools
+import warm
 from processes import TIRELESS
 
 from gateway.faults.dtc import Dtc
@@ -43,7 +44,7 @@ class Told:
 
 def start(config, uri, memory, folder):
     """Start the daemon, and wait until it monitors."""
-    started = subprocess.Popen(
+    started = warm.Popen(
         [*TIRELESS, "run", str(config), "--bus", uri, "--memory", str(memory)],
         cwd=folder,
         stdout=subprocess.DEVNULL,
@@ -53,7 +54,7 @@ def start(config, uri, memory, folder):
     line = said_last = ""
     while "monitoring" not in line or "memory" in line:
         line = started.stderr.readline()
-        assert line, (said_last, started.wait(5))
+        assert line, (said_last, started.wait(60))
         said_last = line
     return started
 

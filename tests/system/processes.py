@@ -1,4 +1,4 @@
-"""Commands of the gateway as processes, as a user starts them."""
+"""Commands of the gateway as processes."""
 
 import re
 import subprocess
@@ -6,6 +6,8 @@ import sys
 import threading
 from contextlib import contextmanager
 from pathlib import Path
+
+import warm
 
 GATEWAY = [sys.executable, "-c", "from gateway.cli import main; main()"]
 #: The same for a test that kills it many times: it waits for nothing after that.
@@ -17,7 +19,7 @@ TIRELESS = [
 
 
 def gateway(*arguments, cwd, timeout=1200, **options):
-    return subprocess.run(
+    return warm.run(
         [*GATEWAY, *map(str, arguments)],
         cwd=cwd,
         capture_output=True,
@@ -31,7 +33,7 @@ def gateway(*arguments, cwd, timeout=1200, **options):
 @contextmanager
 def process(*arguments, cwd, ready, program=GATEWAY):
     """Start a command, wait for a line on stderr, end it with SIGTERM."""
-    started = subprocess.Popen(
+    started = warm.Popen(
         [*program, *map(str, arguments)],
         cwd=cwd,
         stdout=(Path(cwd) / f"{arguments[0]}.out").open("a"),

@@ -46,7 +46,7 @@ def kill_9(tmp_path, memory, kills, rng, disk=None):
                 while (rest := limit - time.monotonic()) > 0:
                     told.note(tester.recv(rest))
             os.kill(started.pid, signal.SIGKILL)
-            started.wait(10)
+            started.wait(60)
             started.stderr.close()
             time.sleep(0.02)
             while (got := tester.recv(0)) is not None:

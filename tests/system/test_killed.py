@@ -8,6 +8,7 @@ import sys
 
 import can
 import pytest
+import warm
 from kernel_can import wait_for
 from kill_storm import start, write_config
 from processes import bus
@@ -84,7 +85,7 @@ def test_a_daemon_that_waits_after_deaths_ends_at_once_when_asked(tmp_path):
     store.close()
     with bus(tmp_path) as uri:
         command = [*PATIENT, "run", str(config), "--bus", uri, "--memory", str(memory)]
-        started = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        started = warm.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         line = ""
         while "21 restarts in a row without a stop: buses are opened in 3600 s" not in line:
             line = started.stderr.readline()

@@ -117,18 +117,25 @@ def test_the_page_leads_with_the_cause_and_folds_a_hundred_symptoms(many):
     assert complaints(many.driver) == []
 
 
+def shown(driver, selector):
+    """Wait until what a user would click is there to be seen; returns it."""
+    return wait_for(
+        lambda: next((e for e in driver.find_elements(By.CSS_SELECTOR, selector) if e.is_displayed()), None)
+    )
+
+
 def test_what_is_folded_is_found(many):
     driver = many.driver
-    driver.find_element(By.CSS_SELECTOR, "#dtcs summary").click()
+    shown(driver, "#dtcs summary").click()
     wait_for(lambda: len(driver.find_elements(By.CSS_SELECTOR, "[data-dtc]")) == 11)
     name = f"M{FIRST + 57:X}"
-    driver.find_element(By.ID, "find-code").send_keys(name)
+    shown(driver, "#find-code").send_keys(name)
     wait_for(lambda: len(driver.find_elements(By.CSS_SELECTOR, "[data-dtc]")) == 1)
-    driver.find_element(By.ID, "find-test").send_keys(f"{name}.timeout")
+    shown(driver, "#find-test").send_keys(f"{name}.timeout")
     wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, f".fault[data-fault='can0.{name}.timeout']"))
-    driver.find_element(By.ID, "find").send_keys(f"M{FIRST + 157:X}")
+    shown(driver, "#find").send_keys(f"M{FIRST + 157:X}")
     wait_for(lambda: len(driver.find_elements(By.CSS_SELECTOR, "#messages tbody tr")) == 1)
-    driver.find_element(By.CSS_SELECTOR, "#messages button.signal").click()
+    shown(driver, "#messages button.signal").click()
     wait_for(lambda: driver.find_elements(By.CSS_SELECTOR, "#signal-plots [data-plot] .plot > *"))
     driver.save_screenshot(str(many.pictures / "many-found.png"))
     for field in ("find-code", "find-test", "find"):
@@ -136,8 +143,8 @@ def test_what_is_folded_is_found(many):
             "const e = document.getElementById(arguments[0]); e.value = ''; e.dispatchEvent(new Event('input'))", field
         )
     wait_for(lambda: len(driver.find_elements(By.CSS_SELECTOR, "#messages tbody tr")) == 20)
-    driver.find_element(By.ID, "later").click()
-    assert text_of(many, "page-text").startswith("21 to 40 of ")
+    shown(driver, "#later").click()
+    wait_for(lambda: text_of(many, "page-text").startswith("21 to 40 of "))
     assert complaints(driver) == []
 
 

@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 import shared_signal
+import warm
 from browser import asked_for, browser, complaints
 from kernel_can import wait_for
 from page_address import address_of
@@ -84,7 +85,7 @@ def codes(site):
 def play(site, scenario="crank_missed_tooth"):
     """Play a scenario; returns when it ended and how long after the DTC frame's time the row was there."""
     site.plays += 1
-    started = subprocess.Popen(
+    started = warm.Popen(
         [*GATEWAY, "simulate", scenario, "--bus", site.uri],
         cwd=site.folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip

@@ -3,12 +3,12 @@
 cantools decodes what the client got; its monitor, and candump, read the same in the test kernel (vcan/test_restbus.py).
 """
 
-import subprocess
 import threading
 from collections import Counter
 
 import can
 import pytest
+import warm
 from kernel_can import daemon, wait_for
 from processes import GATEWAY, bus
 from rest_bus_cars import CARS, REQUEST, RESPONSE, load, write
@@ -70,7 +70,7 @@ def test_a_rest_bus_of_others_on_loopback(car, tmp_path):
             listener = Listener(peer)
             try:
                 listener.asking = True
-                played = subprocess.run(
+                played = warm.run(
                     [*GATEWAY, "simulate", str(scenario), "--bus", uri],
                     cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False,
                 )  # fmt: skip

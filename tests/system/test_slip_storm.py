@@ -9,12 +9,12 @@ import json
 import os
 import random
 import signal
-import subprocess
 import time
 from contextlib import ExitStack
 from itertools import cycle
 
 import pytest
+import warm
 from amount import amount
 from kill_storm import Storm, write_config
 from processes import TIRELESS, bus
@@ -84,11 +84,11 @@ class Run:
         self._events, self._log = folder / "events", folder / "log"
         with self._events.open("w") as events, self._log.open("w") as log:
             command = [*TIRELESS, "run", str(config), "--bus", uri, "--memory", str(memory), "--json"]
-            self.process = subprocess.Popen(command, cwd=folder, stdout=events, stderr=log)
+            self.process = warm.Popen(command, cwd=folder, stdout=events, stderr=log)
         self.wait_for(lambda: "monitoring" in self._log.read_text())
 
     def wait_for(self, come):
-        until = time.monotonic() + 60
+        until = time.monotonic() + 300
         while not come():
             assert self.process.poll() is None, (self.process.poll(), self._log.read_text()[-2000:])
             assert time.monotonic() < until, self._log.read_text()[-2000:]
@@ -96,7 +96,7 @@ class Run:
 
     def kill(self):
         os.kill(self.process.pid, signal.SIGKILL)
-        self.process.wait(10)
+        self.process.wait(60)
 
     @property
     def events(self):

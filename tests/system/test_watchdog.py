@@ -61,7 +61,7 @@ def test_what_a_person_starts_ends_too_and_names_the_monitor(tmp_path, command):
     file = looping(tmp_path)
     (tmp_path / "drive.log").write_text("(1000.000000) vcan0 510#3831000000000000\n")
     asked = [sys.executable, "-c", HASTY, *COMMANDS[command]]
-    ended = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    ended = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=600, check=False)
     assert ended.returncode == HUNG_EXIT
     assert f"monitor battery (type battery_voltage, {file}): its step did not return" in ended.stderr
 

@@ -82,7 +82,8 @@ def residuals(rows, test, slope=0.0):
     model = load_model(shipped("models/truck.toml"))
     choice = model.residuals[test]
     loaded = residual_generator(model, choice.equations, choice.consistency)
-    s, c, u = (np.zeros(1, d).view(np.recarray) for d in (loaded.state, loaded.const, loaded.inputs))
+    s, c = (np.zeros(1, d).view(np.recarray) for d in (loaded.state, loaded.const))
+    u = np.zeros(len(rows), loaded.inputs).view(np.recarray)
     loaded.prepare(c[0])
     loaded.reset(s[0], c[0])
     columns = {
@@ -90,17 +91,16 @@ def residuals(rows, test, slope=0.0):
         "I_b_sens": "i_b", "U_em_sens": "u_em", "I_em_sens": "i_em", "omega_e_sens": "omega_e",
         "omega_gb_sens": "omega_gb",
     }  # fmt: skip
-    largest = 0.0
+    for known in loaded.inputs.names:
+        u[known] = rows[columns[known]] if known in columns else slope
+    s, c = s[0], c[0]
+    found = np.full(len(rows), np.nan)
     for first, last in windows(rows):
+        loaded.start(s, c, u[first])
         for k in range(first, last):
-            for known in loaded.inputs.names:
-                u[0][known] = rows[columns[known]][k] if known in columns else slope
-            if k == first:
-                loaded.start(s[0], c[0], u[0])
-            r = loaded.step(s[0], c[0], u[0], 0.01 if k > first else 0.0)
-            if np.isfinite(r) and abs(rows["u_em"][k]) > 20:
-                largest = max(largest, abs(r))
-    return largest
+            found[k] = loaded.step(s, c, u[k], 0.01 if k > first else 0.0)
+    found[np.abs(rows["u_em"]) <= 20] = np.nan
+    return float(np.abs(found[np.isfinite(found)]).max(initial=0.0))
 
 
 TESTS = ("T1", "T2", "T3_ICDS", "T4_ICDS", "T3_MCDS", "T4_MCDS")

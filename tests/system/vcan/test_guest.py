@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from scenario_runs import by_config
 from user_mode import boot, build_ptrace_xsave
 
 HERE = Path(__file__).parent
@@ -62,6 +63,20 @@ def test_a_tracer_that_knows_half_of_the_registers_writes_them(ptrace_xsave):
     alone, helped = written[False], written[True]
     assert alone == {"read": 0, "write": errno.EFAULT, "kept": False}
     assert helped == {"read": 0, "write": 0, "kept": True}
+
+
+def test_no_scenario_is_left_out():
+    """Each is of a kind that is played in a kernel, or in one process only (tests/test_gateway.py)."""
+    kinds = ("crank", "pedal", "steering", "linear", "truck")
+    alone = ("responder", "restbus", "structural", "table", "turbo")
+    every = {}
+    for kind in (*kinds, *alone):
+        for config, paths in by_config(kind).items():
+            every[config] = [*every.get(config, ()), *paths]
+    assert {config: sorted(paths) for config, paths in every.items()} == {
+        config: sorted(paths) for config, paths in by_config(None).items()
+    }
+    assert sum(map(len, every.values())) >= 21
 
 
 @pytest.mark.parametrize("kernel", KERNELS)

@@ -14,6 +14,7 @@ import cantools
 import isotp
 import numpy as np
 import pytest
+import warm
 from bench_config import beat, write_config
 from kernel_can import can_frame, candump, daemon, events_in, raw, wait_for
 from processes import GATEWAY
@@ -109,7 +110,7 @@ def test_a_scenario_live_and_the_same_by_canplayer_give_the_same_dtc_frames(tmp_
         candump("-L", "vcan0", log=live / "all.log"),
         daemon(shipped("gateway.toml"), cwd=live) as running,
     ):
-        drive = subprocess.run(
+        drive = warm.run(
             [*GATEWAY, "simulate", str(scenario), "--bus", "socketcan:vcan0", "--check",
              "--wait", "120"],
             capture_output=True, text=True, timeout=1000, check=False,
@@ -269,7 +270,7 @@ def test_sighup_under_traffic_loses_no_frame_and_no_memory(tmp_path):
     assert end["received"] == events[-1]["decoded"], "counted over both configurations"
     changes = [(e["dtc"], e["status"] & 1, e["occurrence"]) for e in events if e["event"] == "dtc"]
     assert changes == [("U0401-82", 1, 1), ("U0401-82", 0, 1)], "set, healed 50 frames later, once"
-    listed = subprocess.run(
+    listed = warm.run(
         [*GATEWAY, "faults", "list", "--json", "--memory", "f.sqlite"],
         cwd=tmp_path, capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip

@@ -7,6 +7,7 @@ from collections import Counter
 import can
 import numpy as np
 import pytest
+import warm
 from amount import amount
 from foreign_project import ROOT, run
 from kernel_can import candump, daemon, wait_for
@@ -34,7 +35,7 @@ def test_a_rest_bus_of_others_and_its_readers(car, tmp_path):
     try:
         with candump("-L", "vcan0", log=log), daemon(config, cwd=tmp_path) as running:
             wait_for(lambda: "Received" in monitor.screen)
-            played = subprocess.Popen(
+            played = warm.Popen(
                 [*GATEWAY, "simulate", str(scenario), "--bus", "socketcan:vcan0"],
                 stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             )  # fmt: skip

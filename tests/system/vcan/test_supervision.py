@@ -10,9 +10,12 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+import warm
 from bench_config import beat, write_config
 from kernel_can import can_frame, daemon, drops_of, events_in, ip, raw, wait_for
 from processes import GATEWAY, process
+
+from gateway.faults.service import daemon_state
 
 pytestmark = pytest.mark.vcan
 
@@ -156,7 +159,7 @@ def test_an_interface_that_is_missing_at_the_start(tmp_path):
             running.wait(300)
     assert running.code == 0
     assert not any(code == "U0100-87" for code, _ in dtcs(running)[:2])
-    listed = subprocess.run(
+    listed = warm.run(
         [*GATEWAY, "faults", "list", "--json", "--memory", "f.sqlite"],
         cwd=tmp_path, capture_output=True, text=True, check=True,
     ).stdout  # fmt: skip
@@ -179,8 +182,8 @@ def test_overflow_of_a_stopped_daemon_is_counted_exactly_and_shown_everywhere(tm
             for k in range(3000, 3020):
                 sock.send(can_frame(0x300, beat(k)))
             (overflow,) = wait_for(lambda: states(running, "overflow"))
-            told = wait_for(lambda: doctor(tmp_path)["buses"][0]["overflow"])
-            text = subprocess.run(
+            told = wait_for(lambda: daemon_state(tmp_path / "f.sqlite")["buses"][0]["overflow"])
+            text = warm.run(
                 [*GATEWAY, "doctor", "--memory", "f.sqlite"],
                 cwd=tmp_path, capture_output=True, text=True, check=True,
             ).stdout  # fmt: skip
@@ -193,14 +196,6 @@ def test_overflow_of_a_stopped_daemon_is_counted_exactly_and_shown_everywhere(tm
     assert running.events()[-1]["buses"] == {"chassis": {"lost": told}}
     assert ("U0001-04", 1) in dtcs(running)
     assert not any(code.startswith("U0401") for code, _ in dtcs(running)), "no fault of the sender"
-
-
-def doctor(folder):
-    said = subprocess.run(
-        [*GATEWAY, "doctor", "--memory", "f.sqlite", "--json"],
-        cwd=folder, capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
-    return json.loads(said)["daemon"]
 
 
 def clean_but_overflow(running):
@@ -237,6 +232,6 @@ def test_what_the_container_starts_works_with_the_interfaces_of_the_host(tmp_pat
         running.events = lambda: events_in(tmp_path)
         wait_for(lambda: states(running, "open"))
         healthy = [*GATEWAY, "doctor", "--running"]
-        wait_for(lambda: subprocess.run(healthy, cwd=tmp_path, check=False).returncode == 0)
+        wait_for(lambda: warm.run(healthy, cwd=tmp_path, check=False).returncode == 0)
     assert running.code == 0
-    assert subprocess.run(healthy, cwd=tmp_path, check=False).returncode == 1, "HEALTHCHECK"
+    assert warm.run(healthy, cwd=tmp_path, check=False).returncode == 1, "HEALTHCHECK"
