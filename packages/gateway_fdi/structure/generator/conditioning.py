@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,9 +35,7 @@ class _Numbers:
     def __init__(self, realisation: Realisation) -> None:
         self.realisation, self.of = realisation, realisation.symbols.of
         model = realisation.model
-        tables = {name: _function(table) for name, table in model.tables.items()}
-        tables |= {f"{SLOPE}{name}": _slope(table) for name, table in model.tables.items()}
-        self._modules = [tables, "numpy"]
+        self._tables = tuple(model.tables.items())
         values = {p: model.quantities[p].value for p in model.parameters}
         self._parameters = {self.of[p]: value for p, value in values.items() if value is not None}
 
@@ -46,9 +45,16 @@ class _Numbers:
 
     def function(self, expression: Algebra) -> Callable[[Mapping[Algebra, float]], float]:
         """Return an expression as a function of the values of its symbols."""
-        symbols = sorted(expression.free_symbols, key=str)
-        run = sympy.lambdify(symbols, expression, modules=self._modules)
-        return lambda values: float(run(*(values[x] for x in symbols)))
+        return _compiled(expression, self._tables)
+
+
+@lru_cache(maxsize=10_000)  # the generators of a model share most of their equations
+def _compiled(expression: Algebra, tables: tuple[tuple[str, Table], ...]) -> Callable[[Mapping[Algebra, float]], float]:
+    known = {name: _function(table) for name, table in tables}
+    known |= {f"{SLOPE}{name}": _slope(table) for name, table in tables}
+    symbols = sorted(expression.free_symbols, key=str)
+    run = sympy.lambdify(symbols, expression, modules=[known, "numpy"])
+    return lambda values: float(run(*(values[x] for x in symbols)))
 
 
 def _function(table: Table) -> Callable[[float], float]:

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import sympy
 from sympy.core.function import AppliedUndef
@@ -117,6 +117,7 @@ def _table(name: str) -> Algebra:
     return type(name, (sympy.Function,), {"fdiff": lambda self, _=1: flat(self.args[0])})
 
 
+@lru_cache(maxsize=10_000)  # the generators of a model share most of their equations
 def slope(expression: Algebra, symbol: Algebra) -> Algebra:
     """Return the derivative of an expression as code can compute it: of abs, sign, min, max and tables to a side.
 
