@@ -5,17 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from gateway.engine.checks import (
-    bus_health,
-    clock_health,
-    door_health,
-    kinds,
-    memory_health,
-    monitor_health,
-    monitoring_health,
-    reporter_health,
-    restart_health,
-)
+from gateway.engine.checks import bus_health, clock_health, kinds, own_health
 from gateway_fdi.common.resources import all_shipped
 from gateway_plants.crank.monitor import faults as crank
 from gateway_plants.steering.monitor import faults as steering
@@ -28,15 +18,7 @@ KNOWN = {
     "truck": truck.faults_of(("t1_x",)),
     "check": [kind.fault for kind in kinds.KINDS],
     "bus": bus_health.FAULTS,
-    "gateway": (
-        *clock_health.OWN_FAULTS,
-        *memory_health.FAULTS,
-        *restart_health.FAULTS,
-        *monitor_health.FAULTS,
-        *reporter_health.FAULTS,
-        *monitoring_health.FAULTS,
-        *door_health.FAULTS,
-    ),
+    "gateway": (*clock_health.OWN_FAULTS, *own_health.FAULTS),
 }
 
 

@@ -47,7 +47,7 @@ class SlowDisk:
     def go_on(self, rig):
         """Let writes go on, and wait for the one under way as the gateway would find it done."""
         self._gate.set()
-        rig.gateway.memory.under_way(60.0)
+        rig.gateway.memory.ledger.under_way(60.0)
 
 
 @pytest.fixture
@@ -71,7 +71,7 @@ def test_the_journal_takes_verdicts_only_between_writes_and_each_by_the_latest_c
     state, digests = rig.gateway.journal.state[0], set()
     for k in range(3):
         while not state.armed:
-            rig.gateway.memory.under_way(60.0)
+            rig.gateway.memory.ledger.under_way(60.0)
             rig.wait(10)
             rig.gateway.quiet()
         assert bytes(state.digest) == chain_head(rig)
@@ -99,9 +99,9 @@ def test_a_write_that_was_looked_at_between_tells_nothing_of_the_next_one(make, 
     rig.wait(20)
     assert [e["fault"] for e in of(rig, "dtc")] == ["b.M0.length"]
     assert rig.gateway.memory.clean
-    assert not rig.gateway.memory.under_way(60.0), "the log is looked after"
+    assert not rig.gateway.memory.ledger.under_way(60.0), "the log is looked after"
     slow.stall()
-    rig.gateway.memory.note_buses([])
+    rig.gateway.memory.ledger.note_buses([])
     may = rig.gateway._upkeep.settle(rig.gateway.engine.now_ns, Noted(1, 1), lambda events: None)
     assert may == NOTHING, "the disk has not answered"
     slow.go_on(rig)
@@ -178,7 +178,7 @@ def test_attempts_that_take_long_hold_nobody_up_and_all_is_written_at_their_end(
     for _ in range(3):  # as many attempts, each of which takes as long as it likes
         slow.stall()
         rig.wait(1000)
-        assert rig.gateway.memory.under_way()
+        assert rig.gateway.memory.ledger.under_way()
         assert tester.ask("3E00").hex() == "7e00"
         slow.go_on(rig)
         failures += 1

@@ -255,7 +255,7 @@ def test_a_file_that_is_emptied_in_place_is_told_with_a_dtc_and_written_again(ma
         file.truncate(0)
     rig.fail(1)
     rig.wait(50)
-    rig.gateway.memory.under_way(60.0)
+    rig.gateway.memory.ledger.under_way(60.0)
     rig.wait(50)
     (event,) = of(rig, "memory")
     assert event["state"] == "overwritten"
@@ -275,7 +275,7 @@ def test_a_change_in_place_is_noticed_without_any_other_change(make):
     path.write_bytes(b"mine\n" * 1000)
     for _ in range(3):
         rig.gateway.serve_requests()
-        rig.gateway.memory.under_way(60.0)
+        rig.gateway.memory.ledger.under_way(60.0)
         rig.wait(50)
     assert [e["state"] for e in of(rig, "memory")] == ["overwritten"]
     assert set(stored(rig)) == {"b.M0.length", DAMAGED}

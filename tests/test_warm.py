@@ -37,7 +37,7 @@ def test_each_is_one_of_its_own_and_ends_with_its_own_code(tmp_path):
         warm.run([*PYTHON, "raise SystemExit(1)"], check=True)
 
 
-def test_signals_end_it_and_are_told(monkeypatch):
+def test_signals_end_it_and_are_told():
     waits = "import time; print('there', flush=True); time.sleep(600)"
     for number in (signal.SIGKILL, signal.SIGTERM):
         with warm.Popen([*PYTHON, waits], stdout=subprocess.PIPE, text=True) as started:
@@ -49,14 +49,13 @@ def test_signals_end_it_and_are_told(monkeypatch):
             assert started.wait(60) == started.poll() == -number
 
 
-def test_it_has_no_file_of_another_and_only_of_the_same_environment_it_is_a_copy(monkeypatch):
+def test_it_has_no_file_of_another_and_only_of_the_same_environment_it_is_a_copy():
     shows = (
         "import os, sys; print(len(os.listdir('/proc/self/fd')), 'gateway.cli.run' in sys.modules, os.environ.get('X'))"
     )
     with warm.Popen([*PYTHON, "input()"], stdin=subprocess.PIPE) as waiting:
         # three of its own, and the folder that is listed
-        assert said([shows]) == (0, ["4", "True", "None"])
-        monkeypatch.setenv("X", "1")
-        assert said([shows]) == (0, ["4", "False", "1"])
+        assert said([shows], env=warm.ENVIRONMENT) == (0, ["4", "True", "None"])
+        assert said([shows], env={**warm.ENVIRONMENT, "X": "1"}) == (0, ["4", "False", "1"])
         waiting.communicate(b"\n")
     assert waiting.returncode == 0

@@ -8,10 +8,9 @@ such: known here, not stored.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Sequence
 from contextlib import suppress
 from itertools import compress
-from typing import Any
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Event
 from gateway.faults import status as transition
@@ -32,14 +31,14 @@ from gateway.faults.operation_cycles import OperationCycles
 from gateway.faults.outage import Outage
 from gateway.faults.performance import Performance
 from gateway.faults.reading import Readable
-from gateway.faults.records import Description, FreezeFrame, Record, Recording
+from gateway.faults.records import Description, FreezeFrame, Record
 from gateway.faults.recovery import Recovered, event_of, unseen
 from gateway.faults.restarts import Restarts
 from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, STATUS, Status
 from gateway.faults.store import Store, StoreError
 from gateway.faults.usage import Usage, UsageParams
-from gateway.faults.vehicle import EcuDtc, Told, VehicleMemory
+from gateway.faults.vehicle import VehicleMemory
 from gateway_fdi.common.log import get_logger
 
 log = get_logger(__name__)
@@ -65,6 +64,7 @@ class FaultMemory(Readable):
         fleet: that the car is in; None: in none.
 
     Attributes:
+        ledger: its contents in memory, and their way to the file.
         cycles: operation cycles.
         restarts: starts after the death of a process.
         performance: how often monitors have run.
@@ -87,21 +87,21 @@ class FaultMemory(Readable):
     ) -> None:
         self.catalogue = catalogue
         self._statistics = statistics
-        self._held = Ledger(store, recordings, ahead=ahead)
-        self._records = self._held.records
+        self.ledger = Ledger(store, recordings, ahead=ahead)
+        self._records = self.ledger.records
         self._definitions: dict[str, FaultDefinition] = {}
         self._now_ns = 0
         self._define()
-        self.identifiers = self._held.identifiers
-        self._entries = EventMemory(self._held, self._definitions, catalogue, size)
-        self.cycles = OperationCycles(self._held, self._definitions, self._entries, self.fold_statistics)
-        self.restarts = Restarts(self._held, self.cycles)
-        self.fleet = FleetQueue(self._held, fleet)
+        self.identifiers = self.ledger.identifiers
+        self._entries = EventMemory(self.ledger, self._definitions, catalogue, size)
+        self.cycles = OperationCycles(self.ledger, self._definitions, self._entries, self.fold_statistics)
+        self.restarts = Restarts(self.ledger, self.cycles)
+        self.fleet = FleetQueue(self.ledger, fleet)
         asked = usage or UsageParams()
-        self.usage = Usage(self._held, distances=bool(asked.speed or asked.odometer), times=bool(asked.running))
-        self.performance = Performance(self._held, self.cycles, catalogue, asked.counted_cycle)
+        self.usage = Usage(self.ledger, distances=bool(asked.speed or asked.odometer), times=bool(asked.running))
+        self.performance = Performance(self.ledger, self.cycles, catalogue, asked.counted_cycle)
         self._clearing = Clearing(
-            self._held, self._definitions, catalogue, self._entries, self.fold_statistics, self.usage
+            self.ledger, self._definitions, catalogue, self._entries, self.fold_statistics, self.usage
         )
         self.recovered = self._recover()
 
@@ -110,8 +110,8 @@ class FaultMemory(Readable):
         self._definitions.update({definition.id: definition for definition in self.catalogue})
         for definition in self.catalogue:
             if definition.id not in self._records:
-                self._held.add(Record(definition.id, definition.dtc.value, int(CLEARED)))
-            for view in (self._records, self._held.shown):
+                self.ledger.add(Record(definition.id, definition.dtc.value, int(CLEARED)))
+            for view in (self._records, self.ledger.shown):
                 view[definition.id].dtc = definition.dtc.value
         for record in self._records.values():  # no longer in the catalogue: usual rules
             self._definitions.setdefault(record.id, FaultDefinition(record.id, Dtc(record.dtc), "no longer monitored"))
@@ -122,7 +122,7 @@ class FaultMemory(Readable):
 
     def succeed(self, old: FaultMemory) -> None:
         """Go on with what another memory of the same store knows, written or not."""
-        self._held.succeed(old._held)
+        self.ledger.succeed(old.ledger)
         self._entries.succeed(old._entries)
         self.cycles.succeed(old.cycles)
         self.restarts.succeed(old.restarts)
@@ -189,23 +189,19 @@ class FaultMemory(Readable):
     def foresee(self, fault: str) -> Foreseen:
         """Return what the next verdict of a fault of the catalogue will make of its DTC; nothing changes.
 
-        It holds until :meth:`take_touched` names the fault.
+        It holds until the ledger names the fault as touched.
         """
         definition = self._definitions[fault]
         if not self.cycles.counts(definition.cycle):
             return Foreseen()
         return self._entries.foresee(definition, self._records[fault])
 
-    def take_touched(self) -> set[str]:
-        """Return ids of all faults of which anything may have changed since the last call; first: all."""
-        return self._held.take_touched()
-
     def _recover(self) -> Recovered:
         """Take the verdicts that were told, and that a power cut kept from the file; returns what became of them.
 
         Their status byte is the one that was told, also where the configuration has other rules now.
         """
-        waiting = self._held.store.take_waiting()
+        waiting = self.ledger.store.take_waiting()
         known = {name_of(fault): definition for fault, definition in self._definitions.items()} if waiting else {}
         faults, lost = [], 0
         for verdict in waiting:
@@ -219,7 +215,7 @@ class FaultMemory(Readable):
             record = self._records[definition.id]
             if record.occurrence == verdict.occurrence:
                 record.status = verdict.status
-                self._held.touch(record.id)
+                self.ledger.touch(record.id)
                 faults.append(record.id)
             else:
                 lost += 1
@@ -243,7 +239,7 @@ class FaultMemory(Readable):
         if not all(map(self.cycles.counts, set(map(self._cycle_of.__getitem__, places)))):
             counting = [self.cycles.counts(self._cycle_of[place]) for place in places]
             records, statuses = [*compress(records, counting)], [*compress(statuses, counting)]
-        self._held.complete(records, statuses)
+        self.ledger.complete(records, statuses)
         if self.performance.offered or self._entries.waits:
             for record in records:
                 self.performance.completed(record.id)
@@ -257,7 +253,7 @@ class FaultMemory(Readable):
         new = STATUS[record.status]
         if new == old:
             return []
-        self._held.touch(record.id)
+        self.ledger.touch(record.id)
         evidence = dict(record.evidence) if record.status & _TEST_FAILED else {}
         return [DtcChange(definition, old, new, fdc, record.occurrence, t_ns, evidence)]
 
@@ -273,17 +269,17 @@ class FaultMemory(Readable):
 
     def unsettled(self) -> list[Record]:
         """Return the records whose confirmation waits, or is held, in order of their ids; not to be changed."""
-        return sorted((record for record in self._held.failed() if record.hold), key=lambda record: record.id)
+        return sorted((record for record in self.ledger.failed() if record.hold), key=lambda record: record.id)
 
     def explain(self, fault: str, cause: Cause) -> None:
         """Keep what explains an entry; nothing becomes of its status byte."""
         self._records[fault].cause = cause
-        self._held.touch(fault)
+        self.ledger.touch(fault)
 
     def hold(self, fault: str) -> None:
         """Keep a DTC that waits from being confirmed: a proven cause explains it."""
         self._records[fault].hold = HELD
-        self._held.touch(fault)
+        self.ledger.touch(fault)
 
     def confirm(self, fault: str, fdc: int, t_ns: int) -> list[DtcChange]:
         """Confirm a DTC that has waited or was held; returns what changed (see :meth:`apply`).
@@ -322,22 +318,22 @@ class FaultMemory(Readable):
     @property
     def outage(self) -> Outage:
         """Since when, and why, the file cannot be written."""
-        return self._held.outage
+        return self.ledger.outage
 
     @property
     def unsaved(self) -> int:
         """How many faults have changes that are not durable, and one for all else."""
-        return self._held.unsaved
+        return self.ledger.unsaved
 
     @property
     def clean(self) -> bool:
         """Whether there is nothing unsaved."""
-        return self._held.clean
+        return self.ledger.clean
 
     @property
     def commits(self) -> int:
         """How often changes were written."""
-        return self._held.commits
+        return self.ledger.commits
 
     def commit(self, t_ns: int | None = None, *, final: bool = False) -> bool:
         """Make all changes durable; returns whether they are.
@@ -349,57 +345,29 @@ class FaultMemory(Readable):
             final: try in any case.
         """
         self._now_ns = max(self._now_ns, t_ns or 0)
-        return self._held.commit(self._now_ns, final=final)
+        return self.ledger.commit(self._now_ns, final=final)
 
     def begin(self, t_ns: int, writer: Writer, *, anew: bool = False) -> None:
-        """Have all changes made durable by a thread (see :meth:`under_way`), in a new file if need be."""
+        """Have all changes made durable by a thread (``ledger.under_way`` tells), in a new file if need be."""
         self._now_ns = max(self._now_ns, t_ns)
-        self._held.begin(self._now_ns, writer, anew=anew)
-
-    def under_way(self, patience_s: float = 0.0) -> bool:
-        """Return whether a thread writes still, after waiting this time at most [s]."""
-        return self._held.under_way(patience_s)
-
-    def tend(self, writer: Writer, work: Callable[[], None]) -> None:
-        """Have a thread take care of the file's log between writes (see :meth:`under_way`)."""
-        self._held.tend(writer, work)
+        self.ledger.begin(self._now_ns, writer, anew=anew)
 
     def join(self) -> bool:
         """Wait for the thread that writes: the store is for this one then. Returns whether one did."""
-        return self._held.join()
-
-    def rewrite(self) -> None:
-        """Have everything written by the next commit: the file is gone."""
-        self._held.rewrite()
-
-    def add_recordings(self, recordings: Iterable[Recording]) -> None:
-        """Keep frames recorded around failures, unless their fault was cleared meanwhile."""
-        self._held.add_recordings(recordings)
-
-    def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
-        """Store each bus's state with the next commit."""
-        self._held.note_buses(states)
+        return self.ledger.join()
 
     @property
     def vehicle(self) -> VehicleMemory:
         """The DTCs of other ECUs."""
-        return self._held.vehicle
-
-    def note_ecu_dtcs(self, told: Told, t_ns: int) -> list[tuple[EcuDtc, str]]:
-        """Keep what an answer says of the DTCs of another ECU, with the next commit; returns what to tell of it."""
-        return self._held.note_ecu_dtcs(told, t_ns)
-
-    def note_intervention(self, intervention: Intervention) -> Intervention | None:
-        """Keep what a tester did, with the next commit; returns what to tell of it, None: nothing."""
-        return self._held.note_intervention(intervention)
+        return self.ledger.vehicle
 
     def interventions(self) -> list[Intervention]:
         """Return what testers did, the oldest first."""
-        return self._held.interventions.all()
+        return self.ledger.interventions.all()
 
     def note_descriptions(self) -> None:
         """Keep what the faults are called, with the next commit, for readers without the configuration."""
-        self._held.describe({d.id: Description(d.description, d.severity, d.remedy) for d in self.catalogue})
+        self.ledger.describe({d.id: Description(d.description, d.severity, d.remedy) for d in self.catalogue})
 
     def write_identifier(self, did: int, data: bytes) -> None:
         """Keep what a tester wrote; durable on return.
@@ -407,43 +375,43 @@ class FaultMemory(Readable):
         Raises:
             StoreError: it could not be written; the value is what it was.
         """
-        with self._held.undoing():
-            self._held.set_identifier(did, data)
-            self._held.write(self._now_ns)
+        with self.ledger.undoing():
+            self.ledger.set_identifier(did, data)
+            self.ledger.write(self._now_ns)
 
     def attempts(self, lock: str) -> int:
         """Return how many wrong attempts a lock of testers has had since the last right one."""
-        return self._held.fact(f"attempts.{lock}")
+        return self.ledger.fact(f"attempts.{lock}")
 
     def keep_attempts(self, lock: str, wrong: int) -> None:
         """Keep how many wrong attempts a lock has had; durable on return, if anything can be written."""
-        self._held.set_fact(f"attempts.{lock}", wrong)
+        self.ledger.set_fact(f"attempts.{lock}", wrong)
         with suppress(StoreError):  # it is tried again, and counts in this process in any case
-            self._held.write(self._now_ns)
+            self.ledger.write(self._now_ns)
 
     def proven(self, rule: str) -> int:
         """Return the digest of a checksum's rule that was proven last, by its name; 0: none."""
-        return self._held.fact(f"proven.{rule}")
+        return self.ledger.fact(f"proven.{rule}")
 
     def keep_proven(self, rule: str, digest: int) -> None:
         """Keep the digest of a rule that has been proven, with the next commit; 0: none."""
-        self._held.set_fact(f"proven.{rule}", digest)
+        self.ledger.set_fact(f"proven.{rule}", digest)
 
     def freshness(self, rule: str) -> int:
         """Return the least freshness value that is new by a rule of SecOC, as it was kept last; 0: none was."""
-        return self._held.fact(f"freshness.{rule}") & 0xFFFFFFFFFFFFFFFF
+        return self.ledger.fact(f"freshness.{rule}") & 0xFFFFFFFFFFFFFFFF
 
     def keep_freshness(self, rule: str, least: int) -> None:
         """Keep the least freshness value that is new, of 64 bits, with the next commit."""
-        self._held.set_fact(f"freshness.{rule}", least - (least >> 63 << 64))
+        self.ledger.set_fact(f"freshness.{rule}", least - (least >> 63 << 64))
 
     def spoken(self, ecu: str) -> int:
         """Return the number of the protocol that another ECU answered; 0: it is not known."""
-        return self._held.fact(f"speaks.{ecu}")
+        return self.ledger.fact(f"speaks.{ecu}")
 
     def keep_spoken(self, ecu: str, number: int) -> None:
         """Keep the number of the protocol that another ECU answers, with the next commit."""
-        self._held.set_fact(f"speaks.{ecu}", number)
+        self.ledger.set_fact(f"speaks.{ecu}", number)
 
     def fold_statistics(self) -> None:
         """Take over what the debounce has counted since the last time."""
@@ -455,7 +423,7 @@ class FaultMemory(Readable):
             if near or peak > record.peak_fdc:
                 record.near_misses += near
                 record.peak_fdc = max(record.peak_fdc, peak)
-                self._held.touch(record.id)
+                self.ledger.touch(record.id)
 
     # Clearing
 

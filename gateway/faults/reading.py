@@ -17,14 +17,14 @@ class Readable:
     """
 
     catalogue: Catalogue
-    _held: Ledger
+    ledger: Ledger
     _definitions: dict[str, FaultDefinition]
     _order: list[tuple[str, bool]]  # ids in order of DTC, and whether the fault is in the catalogue
     _by_dtc: dict[int, list[tuple[str, bool]]]
 
     def _put_in_order(self) -> None:
         """Put the faults in order of DTC; to be called when there are others."""
-        found = sorted(self._held.records.values(), key=lambda record: (record.dtc, record.id))
+        found = sorted(self.ledger.records.values(), key=lambda record: (record.dtc, record.id))
         self._order = [(record.id, self.catalogue.get(record.id) is not None) for record in found]
         self._by_dtc = {}
         for record, place in zip(found, self._order, strict=True):
@@ -32,7 +32,7 @@ class Readable:
 
     def entries(self) -> list[Entry]:
         """Return every DTC that has failed since it was cleared, in order of DTC."""
-        found = [entry_of(r) for r in self._held.shown_failed()]
+        found = [entry_of(r) for r in self.ledger.shown_failed()]
         return sorted(found, key=lambda entry: (entry.dtc, entry.fault))
 
     def supported(self, mask: int | None = None) -> list[DtcStatus]:
@@ -41,7 +41,7 @@ class Readable:
         Args:
             mask: only those with any of these status bits set; None: all.
         """
-        found = ((self._held.shown[fault], monitored) for fault, monitored in self._order)
+        found = ((self.ledger.shown[fault], monitored) for fault, monitored in self._order)
         return [
             DtcStatus(record.dtc, record.id, record.status)
             for record, monitored in found
@@ -51,17 +51,17 @@ class Readable:
     def entry_of_dtc(self, dtc: int) -> Entry | None:
         """Return what is known of a DTC of the catalogue, or of one that is still stored; None: it is neither."""
         for fault, monitored in self._by_dtc.get(dtc, ()):
-            if monitored or self._held.shown[fault].occurrence:
+            if monitored or self.ledger.shown[fault].occurrence:
                 return self.entry(fault)
         return None
 
     def entry(self, fault: str) -> Entry:
         """Return what is known of one fault, also when it has not failed since it was cleared."""
-        return entry_of(self._held.shown[fault])
+        return entry_of(self.ledger.shown[fault])
 
     def state(self, fault: str) -> DtcState:
         """Return what frames tell of one fault: the short way, for each change."""
-        record = self._held.shown[fault]
+        record = self.ledger.shown[fault]
         return DtcState(record.dtc, record.status, record.occurrence)
 
     def definition(self, fault: str) -> FaultDefinition:
@@ -74,21 +74,21 @@ class Readable:
 
     def count_by_status_mask(self, mask: int) -> int:
         """Return how many entries :meth:`by_status_mask` finds."""
-        return self._held.count_failed(mask)
+        return self.ledger.count_failed(mask)
 
     def status(self, fault: str) -> Status:
         """Return the status byte of a fault."""
-        return Status(self._held.shown[fault].status)
+        return Status(self.ledger.shown[fault].status)
 
     def is_mil_on(self) -> bool:
         """Return whether a DTC asks for the MIL."""
-        return is_mil_on(self._held.shown.values(), self._definitions)
+        return is_mil_on(self.ledger.shown.values(), self._definitions)
 
     def permanent(self) -> list[Permanent]:
         """Return the permanent DTCs, the oldest first."""
-        return self._held.shown_permanent
+        return self.ledger.shown_permanent
 
     def in_order(self, what: str) -> list[Entry]:
         """Return faults in order of ``first_failed``, ``last_failed``, ``first_confirmed``, ``last_confirmed``."""
-        known = [r for r in self._held.shown_failed() if getattr(r, what) is not None]
+        known = [r for r in self.ledger.shown_failed() if getattr(r, what) is not None]
         return [entry_of(r) for r in sorted(known, key=lambda r: getattr(r, what))]

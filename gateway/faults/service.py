@@ -318,7 +318,7 @@ def clear(path: Path, dtc: str | None = None, *, force: bool = False, why: str =
         memory.clear(group)
         request = b"\x14" + group.to_bytes(3, "big")
         by = f"{user_in_words()}, command line{f': {why}' if why else ''}"
-        memory.note_intervention(Intervention(time.time_ns(), "local", "", 0, "clear", request, role=by))
+        memory.ledger.note_intervention(Intervention(time.time_ns(), "local", "", 0, "clear", request, role=by))
         memory.commit(final=True)
         return count
 

@@ -98,7 +98,7 @@ class Gateway(Passage):
         self._proofs.look(final=True)
         sent = self.poll(t_ns)  # answers that were promised
         if self._recorder is not None:
-            self.memory.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
+            self.memory.ledger.add_recordings(self._recorder.on_time(self.engine.now_ns, final=True))
         if not self._upkeep.beside:  # else the successor has it from this one, and writes it
             self.memory.commit(self.engine.now_ns)
         self.memory.join()
@@ -176,7 +176,7 @@ class Gateway(Passage):
     def stop(self, t_ns: int, *, complete: bool = True) -> None:
         """Keep everything, and end the operation cycle if that is complete; else the next start goes on with it."""
         if self._recorder is not None:
-            self.memory.add_recordings(self._recorder.on_time(t_ns, final=True))
+            self.memory.ledger.add_recordings(self._recorder.on_time(t_ns, final=True))
         self._meter.stop()
         self._suspicions.look()
         self._proofs.look(final=True)
@@ -207,7 +207,7 @@ class Gateway(Passage):
     @property
     def writing(self) -> bool:
         """Whether a thread writes the fault memory at present."""
-        return self.memory.under_way()
+        return self.memory.ledger.under_way()
 
     @property
     def stored(self) -> bool:
@@ -217,7 +217,7 @@ class Gateway(Passage):
     def note_buses(self, states: Sequence[Mapping[str, Any]]) -> None:
         """Store each bus's state in the fault memory so that other processes can read it."""
         activity = {bus.name: self.engine.activity(k) for k, bus in enumerate(self.config.bus)}
-        self.memory.note_buses([{**state, "activity": activity[state["bus"]]} for state in states])
+        self.memory.ledger.note_buses([{**state, "activity": activity[state["bus"]]} for state in states])
 
     @property
     def databases(self) -> Sequence[Database]:

@@ -18,14 +18,7 @@ from gateway.common.uncollected import uncollected
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
-from gateway.engine.checks import (
-    door_health,
-    memory_health,
-    monitor_health,
-    monitoring_health,
-    reporter_health,
-    restart_health,
-)
+from gateway.engine.checks import own_health
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
 from gateway.engine.depends.behind import Tests
@@ -41,7 +34,6 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.params import IsoTpParams
-from gateway.monitors.contract import Fault
 from gateway.runtime.answers import ecus_of
 from gateway.servers.authority import Authority
 from gateway.servers.bus_route import BusRoute
@@ -71,18 +63,6 @@ from gateway_fdi.errors import InputError, InputErrors, named
 
 if TYPE_CHECKING:
     from ssl import SSLContext
-
-#: Faults of the gateway itself.
-_OWN = (
-    *memory_health.FAULTS,
-    *restart_health.FAULTS,
-    *monitoring_health.FAULTS,
-    *monitor_health.FAULTS,
-    *reporter_health.FAULTS,
-    *door_health.FAULTS,
-)
-#: Most faults have other names: they are told apart at once.
-_OWN_NAMES = {fault.name for fault in _OWN}
 
 
 @dataclass(frozen=True)
@@ -224,16 +204,16 @@ def _refuse_unknown(config: Config, engine: Engine) -> None:
 
 def _own_faults(config: Config, monitors: Iterable[MonitorInstance]) -> list[FaultSlot]:
     """Return the faults of the gateway itself, on its first bus."""
-    watched: list[Fault] = [*memory_health.FAULTS, *restart_health.FAULTS] if config.memory.watched else []
-    if config.access.watched:
-        watched += monitoring_health.FAULTS
-    if any(instance.monitor.outside for instance in monitors):
-        watched += monitor_health.FAULTS
-    if config.report is not None:
-        watched += reporter_health.FAULTS
-    if config.has_doors:
-        watched += door_health.FAULTS
-    return [FaultSlot(f"{memory_health.OWNER}.{fault.name}", fault, 0) for fault in watched]
+    watched = {
+        own_health.NOT_WRITTEN: config.memory.watched,
+        own_health.DAMAGED: config.memory.watched,
+        own_health.RESTARTED: config.memory.watched,
+        own_health.MONITORING_OFF: config.access.watched,
+        own_health.SWITCHED_OFF: any(instance.monitor.outside for instance in monitors),
+        own_health.REPORTER_LOST: config.report is not None,
+        own_health.EXCEPTIONS: config.has_doors,
+    }
+    return [FaultSlot(f"{own_health.OWNER}.{fault.name}", fault, 0) for fault in own_health.FAULTS if watched[fault]]
 
 
 def _reported_faults(config: Config) -> list[FaultSlot]:
@@ -272,10 +252,10 @@ def _definition(resolved: Resolved, slot: FaultSlot) -> FaultDefinition:
 def _settings(config: Config, slot: FaultSlot) -> FaultOverride | None:
     """Return what the configuration sets of a fault; one of the gateway itself is none of the vehicle's."""
     settings = config.fault.get(slot.id)
-    if slot.fault.name not in _OWN_NAMES or slot.fault not in _OWN:
+    if slot.id != f"{own_health.OWNER}.{slot.fault.name}" or slot.fault not in own_health.FAULTS:
         return settings
     asked = {} if settings is None else settings.model_dump(exclude_unset=True)
-    own = {"emission_related": False, "priority": memory_health.PRIORITY}
+    own = {"emission_related": False, "priority": own_health.PRIORITY}
     return FaultOverride.model_validate({**own, **asked})
 
 

@@ -9,8 +9,7 @@ from collections import deque
 from collections.abc import Callable
 
 from gateway.common.fence import Fence
-from gateway.engine.checks.door_health import EXCEPTIONS, REPEATED, WINDOW_NS
-from gateway.engine.checks.memory_health import OWNER
+from gateway.engine.checks.own_health import EXCEPTIONS, OWNER, REPEATED, WINDOW_NS
 from gateway.engine.core import Engine, Sink
 from gateway.faults.status import NOT_COMPLETED, Status
 from gateway.runtime.security import Security

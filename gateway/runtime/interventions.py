@@ -53,7 +53,7 @@ class Interventions:
 
     def note(self, intervention: Intervention) -> None:
         """Keep an intervention; it is told when it is stored."""
-        told = self._memory.note_intervention(intervention)
+        told = self._memory.ledger.note_intervention(intervention)
         if told is not None:
             self._outbox.note(intervention_event(told))
 

@@ -199,7 +199,7 @@ class Passage(Connected):
         self._doubts.poll()
         self._standing.settle(self._verdicts.take)
         if self._recorder is not None and self._recorder.busy:
-            self.memory.add_recordings(self._recorder.on_time(now))
+            self.memory.ledger.add_recordings(self._recorder.on_time(now))
         if self.memory.room:
             self._verdicts.note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
             self._explainer.look_soon()

@@ -15,8 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gateway.common.times import NEVER
-from gateway.engine.checks.memory_health import OWNER
-from gateway.engine.checks.reporter_health import REPORTER_LOST
+from gateway.engine.checks.own_health import OWNER, REPORTER_LOST
 from gateway.engine.core import Engine, Sink
 from gateway.faults.reported import ReporterParams, ReportParams, key_of
 from gateway.host.process import user

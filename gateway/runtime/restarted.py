@@ -6,8 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gateway.engine.checks.memory_health import OWNER
-from gateway.engine.checks.restart_health import RESTARTED
+from gateway.engine.checks.own_health import OWNER, RESTARTED
 from gateway.engine.core import Engine, Sink
 from gateway.faults.hung import hung_beside
 from gateway.faults.memory import FaultMemory

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gateway.engine.checks.memory_health import OWNER
-from gateway.engine.checks.monitoring_health import MONITORING_OFF
+from gateway.engine.checks.own_health import MONITORING_OFF, OWNER
 from gateway.engine.core import Engine, Sink
 from gateway.runtime.controls import Controls
 

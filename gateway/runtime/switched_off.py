@@ -12,8 +12,7 @@ import numpy as np
 
 from gateway.bus.conditions import name_digest, overtime_frame
 from gateway.bus.frames import Frames, empty, joined
-from gateway.engine.checks.memory_health import OWNER
-from gateway.engine.checks.monitor_health import SWITCHED_OFF
+from gateway.engine.checks.own_health import OWNER, SWITCHED_OFF
 from gateway.engine.core import Engine, Sink
 from gateway.engine.events import MISCOUNTED, NO_FAULT, NO_NUMBER, TOO_MANY, TOO_SOON, Event
 from gateway.engine.instances import MonitorInstance

@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gateway.engine.checks.memory_health import DAMAGED, NOT_WRITTEN, OWNER
+from gateway.engine.checks.own_health import DAMAGED, NOT_WRITTEN, OWNER
 from gateway.engine.core import Engine, Sink
 from gateway.faults.beside import Writer, WriterThread
 from gateway.faults.kept import KeptStore
@@ -179,14 +179,14 @@ class Upkeep:
         memory = self._memory
         down = bool(memory.outage.reason)
         patience_s = self._patience_s if self._pace.calm and not down else 0.0
-        if memory.under_way(patience_s):
+        if memory.ledger.under_way(patience_s):
             return noted if down else NOTHING
         done = self._written(t_ns, sink)
         if memory.unsaved and not self._paused and self._is_time(t_ns):
             down = bool(memory.outage.reason)
             memory.begin(t_ns, writer, anew=not self._store.look() or self._store.doubtful)
             self._under_way = NOTHING if down else noted - done  # in an outage it is told at once
-            if not down and not memory.under_way(patience_s):
+            if not down and not memory.ledger.under_way(patience_s):
                 done += self._written(t_ns, sink)
         return noted if memory.outage.reason else done
 
@@ -201,7 +201,7 @@ class Upkeep:
         joined = memory.join()
         done, self._under_way = self._under_way, NOTHING
         if joined and not memory.outage.reason and not self._store.look():
-            memory.rewrite()  # written, but into a file that no reader will find
+            memory.ledger.rewrite()  # written, but into a file that no reader will find
             done = NOTHING
         self._judge(t_ns, sink)
         return done
@@ -209,20 +209,20 @@ class Upkeep:
     def look(self, t_ns: int) -> None:
         """Look whether the file is still there; if not, all is written again."""
         self._store.look_at_journal()
-        if self._memory.under_way():
+        if self._memory.ledger.under_way():
             return
         self._memory.join()
         if not self.beside:
             self._store.examine()
         if not self._store.look() and not self._memory.outage.reason:
-            self._memory.rewrite()
+            self._memory.ledger.rewrite()
             if not self.beside:
                 self._memory.commit(t_ns)
 
     def tend(self) -> None:
         """Have the thread look after the file's log, if nothing waits to be written."""
         if self._writer is not None and not self._paused and self._memory.clean and self._store.log_is_due:
-            self._memory.tend(self._writer, self._store.tend_log)
+            self._memory.ledger.tend(self._writer, self._store.tend_log)
 
     def _judge(self, t_ns: int, sink: Sink) -> bool:
         """Report what became of the file, where that is news; returns whether there was any."""

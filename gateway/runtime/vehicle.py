@@ -67,7 +67,7 @@ class Vehicle(BusServer):
         """Take what the answer tells."""
         told = self._asking.told.popleft()
         now_ns = self._engine.wall_ns(int(frame["t_ns"]))
-        for dtc, state in self._memory.note_ecu_dtcs(told, now_ns):
+        for dtc, state in self._memory.ledger.note_ecu_dtcs(told, now_ns):
             self._note(ecu_dtc_event(dtc, state, now_ns))
             if state == "came":
                 self._asking.on_dtc(told.ecu, t_ns)

@@ -64,7 +64,7 @@ class Foretold:
     def foresee(self) -> None:
         """Have it foreseen what the next verdicts make of the DTCs; to be called after any change."""
         memory, following = self._memory, self.tables.following
-        touched = memory.take_touched()
+        touched = memory.ledger.take_touched()
         if not (touched or self._stale):
             return
         self._stale |= touched & self._places.keys()

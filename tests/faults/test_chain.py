@@ -40,7 +40,7 @@ def filled(path):
     memory.start_cycle(10)
     memory.clear(0x030111)
     for k, action in enumerate(("clear", "reset", "routine")):
-        memory.note_intervention(Intervention(k, "uds", "pt", 0x7E0, action, b"\x14\xff"))
+        memory.ledger.note_intervention(Intervention(k, "uds", "pt", 0x7E0, action, b"\x14\xff"))
     memory.commit()
     store.save(Changes(permanent=[Permanent("m.f0", 0x030011, 5)]))
     store.close()
@@ -111,10 +111,10 @@ def test_random_changes_are_whole_at_each_commit_and_one_changed_row_is_found(tm
         fault = rng.randrange(5)
         memory.apply(event(fault, rng.random() < 0.6, step), frame({"x": rng.random()}))
         if rng.random() < 0.3:
-            memory.add_recordings([Recording(f"m.f{fault}", step, 1, 0, rng.randbytes(5))])
+            memory.ledger.add_recordings([Recording(f"m.f{fault}", step, 1, 0, rng.randbytes(5))])
         if rng.random() < 0.2:
             memory.clear(rng.choice([0xFFFFFF, 0x030011 + (fault << 8)]))
-        memory.note_intervention(Intervention(step, "uds", "pt", 0x7E0, rng.choice(["clear", "reset"])))
+        memory.ledger.note_intervention(Intervention(step, "uds", "pt", 0x7E0, rng.choice(["clear", "reset"])))
         memory.commit()
         verdict = store.verify()
         assert verdict.broken == []
@@ -134,7 +134,7 @@ def test_random_changes_are_whole_at_each_commit_and_one_changed_row_is_found(tm
 def test_interventions_that_had_to_go_are_no_loss(tmp_path):
     store, memory = kept(tmp_path / "f.sqlite")
     for k in range(MOST + 20):
-        memory.note_intervention(Intervention(k, "uds", "pt", k, "clear"))
+        memory.ledger.note_intervention(Intervention(k, "uds", "pt", k, "clear"))
         if k % 7 == 0:
             memory.commit()
     memory.commit()

@@ -39,7 +39,7 @@ class Images:
             rng = random.Random(seed)
             for step in range(12):
                 telling.verdicts((rng.randrange(3), step % 2 == 0))
-                telling.memory.add_recordings([Recording("m.f1", step, 1, 0, rng.randbytes(3000))])
+                telling.memory.ledger.add_recordings([Recording("m.f1", step, 1, 0, rng.randbytes(3000))])
                 telling.commit()
                 if step == 6 and name == "m":
                     self._copy(path, self.before)

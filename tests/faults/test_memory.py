@@ -124,10 +124,10 @@ def test_a_recording_of_a_fault_that_is_cleared_before_it_is_written_is_not_kept
     memory = AtOnce(catalogue(confirm=(1, 1)), store)
     fail(memory, 0)
     fail(memory, 1)
-    memory.add_recordings([Recording(f"m.f{k}", 0, 1, 0, b"x") for k in range(2)])
+    memory.ledger.add_recordings([Recording(f"m.f{k}", 0, 1, 0, b"x") for k in range(2)])
     memory.clear(memory.catalogue[0].dtc.value)
     assert [recording.fault for recording in store.recordings()] == ["m.f1"]
-    memory.add_recordings([Recording("m.f0", 0, 1, 0, b"late")])
+    memory.ledger.add_recordings([Recording("m.f0", 0, 1, 0, b"late")])
     memory.commit()
     assert [recording.fault for recording in store.recordings()] == ["m.f1"]
 
@@ -149,7 +149,7 @@ def test_a_full_memory_keeps_the_more_important():
     fail(memory, 0)
     assert stored(memory) == ["m.f0", "m.f1"], "the least important gave way"
     memory.commit()
-    assert memory._held.store.facts()["overflow"] == 1
+    assert memory.ledger.store.facts()["overflow"] == 1
     assert int(memory.status("m.f2")) == 0x23, "no longer pending or confirmed; it still fails"
     fail(memory, 3)
     assert stored(memory) == ["m.f0", "m.f1"], "one of the same priority that failed in this cycle stays"

@@ -71,7 +71,7 @@ def test_a_file_put_in_its_place_is_put_aside_and_kept(tmp_path):
     memory.start_cycle(5)
     other.rename(path)
     assert store.look() is False
-    memory.rewrite()
+    memory.ledger.rewrite()
     assert memory.commit(6) is True
     (mishap,) = store.mishaps()
     assert mishap.kind == "replaced"
@@ -195,7 +195,7 @@ def test_a_file_that_cannot_be_opened_again_leaves_what_is_read_meanwhile(tmp_pa
     for file in tmp_path.glob("f.sqlite*"):
         file.unlink()
     for k in range(2, 6):
-        memory.rewrite()
+        memory.ledger.rewrite()
         assert not memory.commit(k * 100 * S)
         with store.transaction():
             assert store.requests() == []

@@ -92,8 +92,10 @@ def test_whatever_is_changed_in_place_is_noticed_or_harmless(tmp_path, part):
         memory.start_cycle(0)
         for step in range(1, rng.randrange(3, 30)):
             memory.apply(event(rng.randrange(COUNT), rng.random() < 0.6, step), frame({"x": rng.random()}))
-            memory.add_recordings([Recording("m.f1", step, 1, 0, rng.randbytes(3000))] if rng.random() < 0.3 else [])
-            memory.note_intervention(Intervention(step, "uds", "pt", step, "clear"))
+            memory.ledger.add_recordings(
+                [Recording("m.f1", step, 1, 0, rng.randbytes(3000))] if rng.random() < 0.3 else []
+            )
+            memory.ledger.note_intervention(Intervention(step, "uds", "pt", step, "clear"))
             memory.commit()
             if step == 2:
                 shutil.copyfile(path, tmp_path / "backup")
@@ -194,7 +196,7 @@ def test_a_clear_of_another_process_is_not_done_in_a_file_that_was_changed(tmp_p
     assert memory.serve_requests() == []
     assert reader.answer(number) is None
     reader.close()
-    memory.rewrite()
+    memory.ledger.rewrite()
     assert memory.commit(LONGEST_NS) is True
     assert [m.kind for m in store.mishaps()] == ["overwritten"]
     store.close()
@@ -215,7 +217,7 @@ def test_nothing_is_told_as_stored_in_a_file_that_is_cut_off_meanwhile(tmp_path,
 
     monkeypatch.setattr(Store, "save", cut_and_save)
     memory.apply(event(1, True, 7), nothing)
-    changes = memory._held._pending
+    changes = memory.ledger._pending
     with pytest.raises(StoreError, match="cut off in place: 0 of"):
         store.save(changes)
     assert memory.commit(LONGEST_NS) is True
@@ -279,7 +281,7 @@ def test_a_log_that_is_changed_in_place_is_noticed(tmp_path, way, asked):
         memory.serve_requests()
         reader.close()
     memory.apply(event(1, True, 7), nothing)
-    memory.rewrite()
+    memory.ledger.rewrite()
     assert memory.commit(LONGEST_NS) is True
     (mishap,) = store.mishaps()
     assert mishap.kind in ("overwritten", "damaged")
@@ -353,7 +355,7 @@ def test_a_log_whose_index_is_gone_does_not_leave_other_processes_behind(tmp_pat
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as reader:
         assert reader.stdout.readline() == "\n"
         memory.apply(event(1, True, 7), nothing)
-        memory.rewrite()
+        memory.ledger.rewrite()
         assert memory.commit(LONGEST_NS) is True
         found, _ = reader.communicate("\n", 60)
     assert found.split() == ["m.f0", "m.f1"]

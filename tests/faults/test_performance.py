@@ -105,12 +105,12 @@ def test_of_a_group_the_lowest_ratio_is_shown_and_of_alike_ones_that_of_more_cha
 @pytest.mark.evidence("AUTOSAR DEM: IUMPR groups")
 def test_counts_at_their_end_are_halved_together():
     kept = memory()
-    kept._held.set_fact("numerator.m.f2", MOST)
-    kept._held.set_fact("denominator.m.f2", MOST - 1)
+    kept.ledger.set_fact("numerator.m.f2", MOST)
+    kept.ledger.set_fact("denominator.m.f2", MOST - 1)
     kept.start_cycle(0)
     passes(kept, 2)
     assert kept.performance.of("m.f2") == (MOST // 2 + 1, (MOST - 1) // 2)
-    kept._held.set_fact("ignition_cycles", MOST)
+    kept.ledger.set_fact("ignition_cycles", MOST)
     kept.start_cycle(1)
     assert kept.performance.ignition_cycles == 0, "this one begins anew"
 
@@ -122,7 +122,7 @@ def test_without_a_denominator_nothing_is_counted():
     kept.performance.conditions_met()
     assert not kept.performance.offered
     assert kept.performance.by_group() == {}
-    assert kept._held.store.facts() == {}
+    assert kept.ledger.store.facts() == {}
 
 
 def test_counts_against_a_model_over_restarts_and_kills(tmp_path):
@@ -150,7 +150,7 @@ def test_counts_against_a_model_over_restarts_and_kills(tmp_path):
             kept.clear(ALL_DTCS)
         elif kind < 0.72:
             kept.commit()
-            kept._held.store.close()  # kill: the cycle is not ended
+            kept.ledger.store.close()  # kill: the cycle is not ended
             kept = memory(path)
             kept.start_cycle(step)  # it goes on: nothing counts again
         elif kind < 0.9:
@@ -161,7 +161,7 @@ def test_counts_against_a_model_over_restarts_and_kills(tmp_path):
         assert ratios == [(n, denominator) for n in numerators]
         assert (kept.performance.ignition_cycles, kept.performance.conditions) == (cycles, denominator)
     assert min(numerators) > 0
-    kept._held.store.close()
+    kept.ledger.store.close()
 
 
 def test_what_was_driven_is_kept_written_seldom_and_reset_by_a_clear_of_all(tmp_path):
@@ -178,14 +178,14 @@ def test_what_was_driven_is_kept_written_seldom_and_reset_by_a_clear_of_all(tmp_
     assert (cleared_m, cleared_s) == (pytest.approx(6500), pytest.approx(650))
     kept.usage.flush()
     kept.commit()
-    kept._held.store.close()
+    kept.ledger.store.close()
     kept = memory(path)
     assert kept.usage.driven().cleared_m == pytest.approx(6500, abs=1)
     kept.clear(0x030011)
     assert kept.usage.driven().cleared_m == pytest.approx(6500, abs=1), "one DTC is not all"
     kept.clear(EMISSION_DTCS)
     assert kept.usage.driven() == (0, 0, 0, 0)
-    kept._held.store.close()
+    kept.ledger.store.close()
 
 
 def test_with_the_mil_on_begins_anew_when_it_is_lit():

@@ -33,7 +33,7 @@ class Failing(Store):
 
 def looked_through(memory):
     """What there is, by looking at every record."""
-    shown = memory._held.shown.values()
+    shown = memory.ledger.shown.values()
     failed = sorted((entry_of(r) for r in shown if r.occurrence), key=lambda entry: (entry.dtc, entry.fault))
     known = sorted(
         DtcStatus(r.dtc, r.id, r.status) for r in shown if r.occurrence or memory.catalogue.get(r.id) is not None
@@ -77,8 +77,8 @@ def test_entries_and_dtcs_are_those_of_all_records(actions, size):
             failed, known = looked_through(memory)
             assert memory.entries() == failed
             assert memory.supported() == known
-            stored = {r.id for r in memory._held.records.values() if r.occurrence}
-            assert {r.id for r in memory._held.failed()} == stored
+            stored = {r.id for r in memory.ledger.records.values() if r.occurrence}
+            assert {r.id for r in memory.ledger.failed()} == stored
             assert size is None or len(stored) <= size
             for mask in (0x01, 0x08, 0x50, 0xFF):
                 assert memory.supported(mask) == [dtc for dtc in known if dtc.status & mask]

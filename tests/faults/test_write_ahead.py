@@ -180,15 +180,15 @@ def test_a_live_gateway_tends_the_log(make):
     rig = make()
     rig.gateway.write_beside()
     rig.wait(50)
-    rig.gateway.memory.under_way(60.0)
+    rig.gateway.memory.ledger.under_way(60.0)
     rig.wait(20)
     log = log_of(rig.gateway.store)
     assert log.stat().st_size < write_ahead.LENGTH
     rig.gateway.serve_requests()
-    assert not rig.gateway.memory.under_way(60.0)
+    assert not rig.gateway.memory.ledger.under_way(60.0)
     assert log.stat().st_size == write_ahead.LENGTH
     rig.fail(0)
-    rig.gateway.memory.under_way(60.0)
+    rig.gateway.memory.ledger.under_way(60.0)
     rig.wait(20)
     assert rig.gateway.stored
     assert log.stat().st_size == write_ahead.LENGTH

@@ -203,7 +203,7 @@ def test_while_the_file_cannot_be_written_the_bytes_are_kept_to_and_what_goes_is
     for n in range(1, 301):
         memory.post(event(n))
     assert not memory.commit()
-    pending = memory.memory._held._pending
+    pending = memory.memory.ledger._pending
     assert sum(len(each.body) for each in pending.outgoing) <= 10_000
     monkeypatch.setattr(type(memory.store), "save", save)
     assert memory.commit()

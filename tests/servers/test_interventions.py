@@ -172,7 +172,7 @@ def test_the_trace_is_bounded_in_the_file_and_in_an_outage(uds, tmp_path, monkey
 
     def note(first, last):
         for k in range(first, last):
-            memory.note_intervention(Intervention(k, "uds", "b", k, "clear"))
+            memory.ledger.note_intervention(Intervention(k, "uds", "b", k, "clear"))
 
     def stored():
         return [each["address"] for each in service.interventions(path)]
@@ -192,7 +192,7 @@ def test_the_trace_is_bounded_in_the_file_and_in_an_outage(uds, tmp_path, monkey
     note(350, 2000)
     assert not memory.commit(rig.now, final=True)
     note(2000, 3000)
-    assert len(memory._held._pending.interventions) <= MOST
+    assert len(memory.ledger._pending.interventions) <= MOST
     monkeypatch.setattr(KeptStore, "save", write)
     assert memory.commit(rig.now, final=True)
     assert stored() == list(range(3000 - MOST, 3000))

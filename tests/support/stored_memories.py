@@ -30,7 +30,7 @@ def fill(path, count=3):
     memory.start_cycle(0)
     for k in range(count):
         memory.apply(event(k, True, k + 1), frame({"x": float(k)}))
-    memory.add_recordings([Recording(f"m.f{k}", k, 1, 0, b"log") for k in range(count)])
+    memory.ledger.add_recordings([Recording(f"m.f{k}", k, 1, 0, b"log") for k in range(count)])
     memory.write_identifier(0xF190, b"VIN")
     memory.end_cycle(count + 1)
     store.close()

@@ -13,14 +13,11 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from gateway.common.times import NEVER, zone_of
+from gateway.engine.checks.own_health import OWNER
 from gateway.engine.events import NO_BUS
 from gateway.engine.instances import FaultSlot
 from gateway.monitors.contract import Debounce, Fault, MonitorParams
 from gateway_fdi.errors import InputError
-
-#: First part of the ids of the gateway's own faults.
-OWN = "gateway"
-
 
 OWN_FAULTS = (
     Fault(
@@ -78,4 +75,4 @@ def fill(row: Any, params: ClockParams | None, first_fault: int) -> list[FaultSl
         round(params.heals_after_s * 1e9),
     )
     row["fault"][-len(OWN_FAULTS) :] = first_fault + np.arange(len(OWN_FAULTS))
-    return [FaultSlot(f"{OWN}.{fault.name}", fault, NO_BUS) for fault in OWN_FAULTS]
+    return [FaultSlot(f"{OWNER}.{fault.name}", fault, NO_BUS) for fault in OWN_FAULTS]

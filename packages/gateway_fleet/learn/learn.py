@@ -15,7 +15,7 @@ from gateway.bus.frames import ID_MASK
 from gateway.calibration.logs import read_answered
 from gateway.config.model import BusConfig, Config
 from gateway.config.resolve import answer_buses, load_databases
-from gateway.engine.checks.memory_health import OWNER
+from gateway.engine.checks.own_health import OWNER
 from gateway.signals.database import Database
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.derive import derive

@@ -93,7 +93,7 @@ class Work:
         writer, begun, writes = WriterThread("fault-memory"), None, 0
         for _ in range(count):
             self.verdicts(self.rng.randrange(1, 3))
-            if not self.memory.under_way(0.001):
+            if not self.memory.ledger.under_way(0.001):
                 self.memory.join()
                 self.say_all("told", begun or [])
                 if reload and writes % reload == reload - 1:
@@ -139,7 +139,7 @@ def clear(work):
 def checkpoint(work):
     for k in range(12):
         work.verdicts(2)
-        work.memory.add_recordings([Recording("m.f1", k, 1, 0, np.random.default_rng(k).bytes(9000))])
+        work.memory.ledger.add_recordings([Recording("m.f1", k, 1, 0, np.random.default_rng(k).bytes(9000))])
         work.commit()
         if k % 3 == 2:
             work.store.tend_log()
