@@ -17,6 +17,9 @@ from gateway.engine.checks.senders import EARLY_FAULT, SECOND_FAULT
 from gateway.monitors.contract import Debounce, Fault
 from gateway.signals.protection.protection import Protection
 
+#: Debounce of a frame that is wrong, and of a rule that never fits.
+WRONG = Debounce(failed_after=2, passed_after=50)
+AT_ONCE = Debounce(failed_after=1, passed_after=1, jump_down=True)
 #: Places in :data:`KINDS`.
 TIMEOUT, COUNTER, CRC, LENGTH, VALUE, RULE, EARLY, SECOND = range(8)
 
@@ -55,120 +58,80 @@ class CheckKind:
 KINDS = (
     CheckKind(
         Fault(
-            "timeout",
-            "U0100-87",
-            "message missing for longer than its timeout",
-            ("silent [ms]",),
-            Debounce(failed_after=1, passed_after=5),
+            "timeout", "U0100-87", "message missing for longer than its timeout", ("silent [ms]",),
+            Debounce(failed_after=1, passed_after=5), tested="silent [ms]",
             remedy="check the sender: powered, awake, its wires to this bus; and that it does send this message",
-            tested="silent [ms]",
         ),
-        lambda p, _: p.timeout_ms is not None,
-        powers=(0.6, 0.95),
+        lambda p, _: p.timeout_ms is not None, powers=(0.6, 0.95),
     ),
     CheckKind(
         Fault(
-            "counter",
-            "U0401-82",
-            "alive counter jumped (frames lost) or stands still (frame repeated)",
-            ("step", "last", "received"),
-            Debounce(failed_after=3, passed_after=50),
+            "counter", "U0401-82", "alive counter jumped (frames lost) or stands still (frame repeated)",
+            ("step", "last", "received"), Debounce(failed_after=3, passed_after=50), tested="step of the counter",
             remedy="check the bus for lost frames (gateway doctor, load), the sender for a standstill",
-            tested="step of the counter",
         ),
         lambda _, asked: asked.counter is not None or (asked.freshness is not None and asked.freshness.bits > 0),
         powers=(0.3, 0.1),
         secured=Fault(
-            "freshness",
-            "U0401-82",
+            "freshness", "U0401-82",
             "MAC is right, but for a freshness value that was seen or is older: replayed, or the sender began again",
-            ("received", "least that is new"),
-            Debounce(failed_after=2, passed_after=50),
+            ("received", "least that is new"), WRONG, tested="freshness value",
             remedy="look who else sends this identifier; where the sender's counter was set back, give another `start`",
-            tested="freshness value",
         ),
         foreign=("freshness",),
     ),
     CheckKind(
         Fault(
-            "crc",
-            "U0401-83",
-            "CRC does not match the payload, or a constant of the header is another",
-            ("received", "computed", "constant of the header"),
-            Debounce(failed_after=2, passed_after=50),
+            "crc", "U0401-83", "CRC does not match the payload, or a constant of the header is another",
+            ("received", "computed", "constant of the header"), WRONG,
             remedy="check the wires of the bus for disturbances",
         ),
-        lambda _, asked: asked.checksum is not None,
-        powers=(0.3, 0.1),
+        lambda _, asked: asked.checksum is not None, powers=(0.3, 0.1),
         secured=Fault(
-            "mac",
-            "U0401-83",
+            "mac", "U0401-83",
             "MAC is wrong for every freshness value that the frame may have: forged, or made with another key",
-            ("received", "computed"),
-            Debounce(failed_after=2, passed_after=50),
+            ("received", "computed"), WRONG,
             remedy="look who else sends this identifier; check whether the sender, or its key, was changed",
         ),
         foreign=("mac",),
     ),
     CheckKind(
         Fault(
-            "length",
-            "U0401-81",
-            "frame shorter than its message, or of another length than it may have",
-            ("length [byte]",),
-            Debounce(failed_after=2, passed_after=50),
+            "length", "U0401-81", "frame shorter than its message, or of another length than it may have",
+            ("length [byte]",), WRONG, tested="length [byte]",
             remedy="check the sender's software against the database",
-            tested="length [byte]",
         ),
-        lambda p, _: p.length is not False,
-        powers=(0.3, 0.1),
-        foreign=("length",),
+        lambda p, _: p.length is not False, powers=(0.3, 0.1), foreign=("length",),
     ),
     CheckKind(
         Fault(
-            "value",
-            "U0401-29",
-            "a floating-point signal is no number, or far outside of its range in the database",
-            ("signal's place in the message", "received"),
-            Debounce(failed_after=2, passed_after=50),
+            "value", "U0401-29", "a floating-point signal is no number, or far outside of its range in the database",
+            ("signal's place in the message", "received"), WRONG,
             remedy="check what the sender computes; and the type of the signal in the database",
         ),
-        lambda p, _: p.value,
-        powers=(0.3, 0.1),
+        lambda p, _: p.value, powers=(0.3, 0.1),
     ),
     CheckKind(
         Fault(
-            "rule",
-            "U0401-56",
+            "rule", "U0401-56",
             "no frame, or too few, ever passed the CRC or checksum: the configured rule is not the sender's",
-            ("frames", "received", "computed", "constant of the header"),
-            Debounce(failed_after=1, passed_after=1, jump_down=True),
+            ("frames", "received", "computed", "constant of the header"), AT_ONCE,
             remedy="see the event `protection`, or the log: they name rules that fit; correct [[bus.check]]",
         ),
-        lambda _, asked: asked.checksum is not None,
-        powers=None,
+        lambda _, asked: asked.checksum is not None, powers=None,
         secured=Fault(
-            "rule",
-            "U0401-56",
+            "rule", "U0401-56",
             "no frame ever passed: key, data id, lengths or first freshness value are not the sender's",
-            ("frames", "received", "computed", "constant of the header"),
-            Debounce(failed_after=1, passed_after=1, jump_down=True),
+            ("frames", "received", "computed", "constant of the header"), AT_ONCE,
             remedy="correct secoc of [[bus.check]]: key, data_id, freshness, start",
         ),
     ),
+    CheckKind(EARLY_FAULT, lambda p, _: p.most is not None, powers=(0.1, 0.02), foreign=("early",)),
     CheckKind(
-        EARLY_FAULT,
-        lambda p, _: p.most is not None,
-        powers=(0.1, 0.02),
-        foreign=("early",),
-    ),
-    CheckKind(
-        SECOND_FAULT,
-        lambda p, asked: p.most is not None and asked.counter is not None,
-        powers=(0.01, 0.01),
+        SECOND_FAULT, lambda p, asked: p.most is not None and asked.counter is not None, powers=(0.01, 0.01),
         foreign=("second_sender",),
     ),
-)
+)  # fmt: skip
 
 #: Fault -> its kind.
 KIND_OF = {fault.name: kind for kind in KINDS for fault in (kind.fault, kind.secured) if fault is not None}
