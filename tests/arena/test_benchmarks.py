@@ -313,3 +313,16 @@ def test_the_bank_of_filters_computes_what_filterpy_does():
             oracle.update(-value[:, None], lambda _, h: h, lambda _, y: y, r, (slopes[0],), (nothing,))
         assert squared[k] == pytest.approx(float((oracle.y.T @ oracle.SI @ oracle.y)[0, 0]), rel=1e-4), k
     assert np.isfinite(likely).all()
+
+
+@pytest.mark.long
+def test_courses_test_each_fault_with_the_fewest_equations_too():
+    """A sensor of temperature against another: with the fewest tests alone it drowns in noise of pressures."""
+    made, judge = plant("turbo"), courses.Courses()
+    fewest, more = (method._derived(made) for method in (super(courses.Courses, judge), judge))
+    assert len(fewest) < len(more) <= len(fewest) + len(made.sizes)
+    least = {fault: min(len(r.knowns) for r in more if fault in r.faults) for fault in made.sizes}
+    before = {fault: min(len(r.knowns) for r in fewest if fault in r.faults) for fault in made.sizes}
+    assert all(least[fault] <= before[fault] for fault in made.sizes)
+    assert (least["fyT_ic"], before["fyT_ic"]) == (2, 4)
+    assert np.isnan(courses._mean(np.array([np.nan, *[0.0] * 99]))).sum() == courses.MEAN, "a hole ends"

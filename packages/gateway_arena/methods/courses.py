@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import islice
+from typing import Any
 
 import numpy as np
 
 from gateway_arena.contract import SAMPLES, Array, Plant, Record
 from gateway_arena.indexes import Bools
 from gateway_arena.methods.accumulated import settled
-from gateway_arena.methods.structural import GAIN_ERROR, MORE, OTHER, SMALL, Structural, apart
+from gateway_arena.methods.structural import BANDWIDTH, GAIN_ERROR, MORE, OTHER, SMALL, Structural, apart
 from gateway_arena.score import diagnoses
+from gateway_fdi import analyse
+from gateway_fdi.residual import of_set
 
-#: Samples that are explained at most, and their parts; iterations for a fault's size, and share at which it stays.
-WINDOW, PARTS, ITERATIONS, STAYS = 480, 12, 6, 0.02
+#: Samples that are explained at most, and their parts; iterations for a fault's size, and share at which it stays;
+#: samples whose mean is tested.
+WINDOW, PARTS, ITERATIONS, STAYS, MEAN = 480, 12, 6, 0.02, 30
 #: A test counts above the largest T over J of healthy records by this factor, and above the least one.
 BAR, LEAST = 1.2, 0.05
 
@@ -41,6 +46,22 @@ class Courses(Structural):
         self._bars = np.maximum(BAR * np.array(norms).max(1), LEAST)
         groups = diagnoses(plant.model, self._faults)
         self._shared = np.array([np.isin(np.arange(len(groups)), group) / len(group) for group in groups])
+
+    def _derived(self, plant: Plant) -> Sequence[Any]:
+        """Derive the fewest residuals, and for each fault the one of the fewest equations: it has the least noise."""
+        found, analysis = list(super()._derived(plant)), analyse(plant.model)
+        usable = np.flatnonzero(analysis.candidates.sets(analysis.candidates.chosen("SDI", "unique")))
+        small = usable[np.argsort(analysis.msos[usable].sum(1), kind="stable")]
+        sees = analysis.signature[small]
+        for number in sorted({*small[sees[:, sees.any(0)].argmax(0)].tolist()} - {*analysis.fewest.tolist()}):
+            found += islice(of_set(analysis, number, {"filter_bandwidth": BANDWIDTH / plant.period_s}), 1)
+        return found
+
+    def _learn(self, healthy: list[list[Array]]) -> None:
+        super()._learn([[_mean(run) for run in each] for each in healthy])
+
+    def _norms(self, residual: Array, k: int) -> Array:
+        return super()._norms(_mean(residual), k)
 
     def _fired(self, norms: Array) -> Bools:
         """Return the tests that fired within the window: what a drive hides now, it has shown before."""
@@ -97,3 +118,8 @@ class Courses(Structural):
                 break
         variance = noise**2 + (GAIN_ERROR * gain * size) ** 2
         return float(((means - gain * size) ** 2 / variance).sum())
+
+
+def _mean(residual: Array) -> Array:
+    """Return the mean of the last samples: what a drive's changes leave comes and goes."""
+    return np.convolve(residual, np.full(MEAN, 1.0 / MEAN))[: len(residual)]

@@ -32,10 +32,9 @@ FAULTS = {
 KNOWNS = (
     "A_th", "u_wg", "w_e", "yT_c", "yp_c", "yT_ic", "yp_ic", "yT_im", "yp_im", "yW_af", "yTq", "yp_em",
 )  # fmt: skip
-#: Noise of the sensors.
+#: Noise of the sensors: of the virtual ECU, and of the testbed, 1/120 of the signal's root mean square.
 NOISE = (0.0, 0.0, 0.0, 0.5, 0.3, 0.5, 0.3, 0.5, 0.2, 0.2, 1.0, 0.5)
-
-
+TESTBED = (0.0, 0.0, 0.0, 2.55, 0.9, 2.5, 0.87, 2.5, 0.61, 0.25, 0.75, 0.95)
 #: Parameters: those of the structural model in SI units; efficiency of the turbine, its inertia [kg m2].
 VALUES = {
     "H_af": 3e8, "H_ic": 1e9, "H_es": 4e8, "D_c": 0.058, "Phi": 0.125, "Psi": 2.2, "e_c": 0.78, "e_ic": 0.8,
@@ -212,7 +211,7 @@ def in_si(fault: str) -> float:
     return FAULTS[fault] * (1e-6 if fault.startswith(("fW_", "fx_")) else 1.0)
 
 
-def driven(rng: np.random.Generator, drive: Array, sizes: Array, off: float) -> Array:
+def driven(rng: np.random.Generator, drive: Array, sizes: Array, off: float, noise: tuple[float, ...] = NOISE) -> Array:
     """Return the values of the known variables as sensors show them, shape (n, 12).
 
     Args:
@@ -220,13 +219,14 @@ def driven(rng: np.random.Generator, drive: Array, sizes: Array, off: float) -> 
         drive: shape (n + 1, 2).
         sizes: of the faults in the solver's units, shape (n, 11).
         off: share by which parameters differ from the model's.
+        noise: of each known variable.
     """
     c = zeros(1, Parameters)[0]
     for name, value in VALUES.items():
         c[name] = value * (1.0 + off * rng.choice([-1.0, 1.0]))
     rows = np.zeros((len(sizes), len(KNOWNS)))
     simulate(rows, c, drive, sizes, np.zeros((10, 13)))
-    return np.asarray(rows + rng.normal(size=rows.shape) * np.array(NOISE))
+    return np.asarray(rows + rng.normal(size=rows.shape) * np.array(noise))
 
 
 class TurboPlant(WithoutSlopes):
@@ -235,7 +235,7 @@ class TurboPlant(WithoutSlopes):
     name, source, period_s = "turbo", "turbocharged engine; Ng, Frisk, Krysander, Eriksson 2020", PERIOD_S
     commands: tuple[str, ...] = KNOWNS[:3]
     knowns: tuple[str, ...] = KNOWNS
-    noise: tuple[float, ...] = NOISE
+    noise: tuple[float, ...] = TESTBED
 
     def __init__(self) -> None:
         self.model = load_model(shipped("models/turbo.toml"))
@@ -248,5 +248,5 @@ class TurboPlant(WithoutSlopes):
         sizes = np.zeros((SAMPLES, len(FAULTS)))
         if fault:
             sizes[onset:, [*FAULTS].index(fault)] = size * in_si(fault)
-        shown = driven(np.random.default_rng(seed), drive_of(np.random.default_rng([seed, 5])), sizes, off)
+        shown = driven(np.random.default_rng(seed), drive_of(np.random.default_rng([seed, 5])), sizes, off, TESTBED)
         return Record(np.arange(float(SAMPLES)) * PERIOD_S, shown, fault, onset)
