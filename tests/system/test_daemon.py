@@ -85,7 +85,7 @@ def test_the_hub_ends_and_comes_back_and_the_daemon_stays(tmp_path):
                     send(k)
                 wait_for(lambda: ("U0401-82", 1) in dtcs(running))
         wait_for(lambda: dtcs(running)[-1] == ("U0001-31", 1))
-        wait_for(lambda: doctor(tmp_path)["buses"][0]["state"] == "lost")
+        wait_for(lambda: [b["state"] for b in doctor(tmp_path)["buses"]][:1] == ["lost"])
         told = gateway("doctor", "--memory", "f.sqlite", "--json", cwd=tmp_path)
         assert json.loads(told.stdout)["daemon"]["buses"][0]["state"] == "lost"
         ill = gateway("doctor", "--running", "--memory", "f.sqlite", cwd=tmp_path)
@@ -99,7 +99,7 @@ def test_the_hub_ends_and_comes_back_and_the_daemon_stays(tmp_path):
                 for k in range(9, 70):
                     send(k)
                 wait_for(lambda: dtcs(running)[-1] == ("U0401-82", 0))
-            wait_for(lambda: doctor(tmp_path)["buses"][0]["state"] == "open")
+            wait_for(lambda: [b["state"] for b in doctor(tmp_path)["buses"]][:1] == ["open"])
             well = gateway("doctor", "--running", "--memory", "f.sqlite", cwd=tmp_path)
             assert well.returncode == 0, well.stdout
             running.terminate()
@@ -159,7 +159,7 @@ def test_a_reload_under_traffic_loses_no_frame_no_memory_and_no_state(tmp_path):
             until(4)
             say(60)
             # what is still in a socket when the daemon is told to end is lost with it, rightly
-            wait_for(lambda: doctor(tmp_path)["buses"][0]["received"] >= len(sent))
+            wait_for(lambda: sum(b["received"] for b in doctor(tmp_path)["buses"]) >= len(sent))
     assert running.code == 0
     events = running.events()
     assert configs(running) == ["reloaded", "refused", "reloaded", "refused"], "-- memory overrides"
