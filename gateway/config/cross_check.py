@@ -150,14 +150,9 @@ def _outputs(config: Config) -> Iterator[InputError]:
 
 def _servers_of_others(config: Config) -> Iterator[InputError]:
     try:
-        servers = config.servers
+        _ = config.servers
     except (InputError, InputErrors) as error:
         yield from each_of(error)
-        return
-    for k, server in enumerate(servers):
-        if config.bus[server.bus].listen_only:
-            text = "this sends on a bus that is only listened to; take it out, or listen_only of the bus"
-            yield InputError(text, key=f"server[{k}]", value=config.bus[server.bus].name)
 
 
 def _doip(config: Config) -> Iterator[InputError]:
@@ -343,6 +338,7 @@ def _only_listened_to(config: Config) -> Iterator[InputError]:
     senders = [(f"output.{name}", getattr(output, name)) for name in ("dtc_frame", "uds", "obd", "j1939")]
     senders += [] if output.uds is None else [(f"output.uds.further[{k}]", e) for k, e in enumerate(output.uds.further)]
     senders += [(f"monitor[{k}]", entry) for k, entry in enumerate(config.monitor) if entry.send]
+    senders += [(f"server[{k}]", entry) for k, entry in enumerate(config.server)]
     for key, sender in senders:
         bus = None if sender is None else _index(config, sender.bus)
         if bus is not None and config.bus[bus].listen_only:

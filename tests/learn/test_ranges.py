@@ -126,3 +126,5 @@ def test_each_minute_says_what_it_has_shown_that_none_before_had():
     assert in_words([9, 4, 1, 0, 0]).endswith("more drive teaches more")
     assert in_words([*range(20, 0, -1)]).count(",") == 12
     assert per_minute(Snapshots(2)) == []
+    seen._step_ns = 200 * step  # drives of weeks: a row is longer than a minute
+    assert len(per_minute(seen)) == len(seen.matrix())

@@ -15,7 +15,7 @@ SHOWN = 12
 
 def per_minute(seen: Snapshots) -> list[int]:
     """Return how many signals came for the first time, or went farther than ever before, in each minute of the logs."""
-    matrix, minute = seen.matrix(), round(60.0 / seen.step_s)
+    matrix, minute = seen.matrix(), max(1, round(60.0 / seen.step_s))
     starts = np.arange(0, len(matrix), minute)
     if not matrix.size:
         return []
