@@ -5,6 +5,7 @@ from rig import Rig, write_config
 
 from gateway.config.load import load_config
 from gateway.config.schema import schema
+from gateway.engine.checks.kinds import KINDS
 from gateway.servers.types import SERVERS
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
@@ -88,3 +89,12 @@ def test_the_schema_has_the_keys_of_each_type(file, monkeypatch):
     assert mine["properties"]["type"] == {"const": "workshop"}
     assert mine["required"] == ["type", "request", "response"]
     assert other["properties"]["type"]["pattern"] == ":"
+
+
+def test_frames_of_another_length_are_an_event_of_security_and_so_are_five_kinds(file):
+    rig = Rig(file)
+    rig.fail(1)
+    told = [event for event in rig.events if event["event"] == "security"]
+    assert [(event["sensor"], event["kind"]) for event in told] == [("b.M1", "length")]
+    assert {name for kind in KINDS for name in kind.foreign} == {"length", "mac", "freshness", "early", "second_sender"}
+    rig.close()
