@@ -80,3 +80,18 @@ def test_a_signal_that_rests_for_seconds_is_stuck_when_it_rests_for_much_longer(
 def test_less_than_ten_minutes_teach_no_rest(tmp_path):
     _, lines = learned(tmp_path, 590.0, 13)
     assert "stuck" not in lines["Pedal.Travel"].keys
+
+
+def test_a_signal_that_dithers_about_a_large_value_keeps_the_ends_of_what_it_does(tmp_path):
+    """Rounded to three digits both ends were one, which no configuration may have: learning ended with an error."""
+    rng = random.Random(13)
+    print("seed", 13)
+    values = [rng.randrange(51143, 51147) for _ in range(6000)]
+    (tmp_path / "car.dbc").write_text(DBC)
+    dithers = (256, 0.01, lambda k: values[k % len(values)].to_bytes(2, "little") + bytes(6), 0.0)
+    result = learn(
+        asked(tmp_path / "car.toml", drive(tmp_path / "drive.log", 60.0, [dithers]), databases=(tmp_path / "car.dbc",)),
+        quiet,
+    )
+    (stuck,) = (line.keys["stuck"] for place, line in result.learned.lines.items() if place[1] == SIGNAL)
+    assert stuck["inside"] == [5114.3, 5114.6]
