@@ -70,6 +70,7 @@ class State(Record):
     against: f8 = means("odds against the present place, of turns since it was seen", "nat")
     short: u1 = means("1: the gap came too short: a pulse may be in it, and so the place be wrong")
     verified: u1 = means("1: the gap was seen where it is expected since the last test")
+    unchecked: u1 = means("1: a pulse is believed missed, or the engine turned back, and it was not seen so since")
     intervals: Annotated[f8s, MOST_TEETH] = means("intervals of the last turn; 0: not known", "us")
     logs: Annotated[f8s, MOST_TEETH] = means("c_k, contrasts of those intervals")
 
@@ -100,6 +101,7 @@ def restart(an: State) -> None:
     an.against = 0.0
     an.short = 0
     an.verified = 0
+    an.unchecked = 0
 
 
 @kernel
@@ -134,11 +136,18 @@ def seen(an: State, c: Const, y2: float, y1: float, y: float) -> bool:
     if ratio * RIGHT < expected or ratio > RIGHT * expected:
         return False
     an.age = 0
+    an.short = 0
+    hold(an)
+    return True
+
+
+@kernel
+def hold(an: State) -> None:
+    """The gap is where it is expected: nothing speaks against the place."""
     an.wins = 0
     an.against = 0.0
-    an.short = 0
     an.verified = 1
-    return True
+    an.unchecked = 0
 
 
 @kernel

@@ -21,6 +21,7 @@ from gateway_plants.crank.monitor.faults import (
 )
 from gateway_plants.crank.monitor.place import (
     BY_CAM,
+    BY_GAP,
     CONFIRMED,
     NEVER,
     NOT_TOLD,
@@ -165,6 +166,24 @@ def _spoil(s: State, c: Const, tooth: int, net: int) -> None:
 
 
 @kernel
+def _disturb(s: State, c: Const, tooth: int, missed: int, added: int, own: bool) -> None:
+    """Count missed or added pulses with those just before; the gap has to bear out that one was missed.
+
+    Not those that come again in each turn (``own``), and none beside the gap, which may be filled from now on.
+    """
+    if own or s.teeth - s.decided > TOGETHER:
+        s.burst_missed = 0
+        s.burst_added = 0
+        s.burst_tooth = tooth
+    s.burst_missed += missed
+    s.burst_added += added
+    if not own:
+        s.decided = s.teeth
+        if missed > 0 and c.even == 0 and not _beside_gap(c, tooth):
+            s.anchor.unchecked = 1
+
+
+@kernel
 def decide(s: State, c: Const, out: Reports) -> None:
     """Act on missed or added pulses that all hypotheses agree on."""
     h = best(s.tracker)
@@ -204,13 +223,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     if missed == added:
         # One missed and one too many: an edge far off. Only when it comes again it says that nothing fits (above).
         return
-    if own or s.teeth - s.decided > TOGETHER:
-        s.burst_missed = 0
-        s.burst_added = 0
-        s.burst_tooth = tooth
-    s.decided = s.decided if own else s.teeth
-    s.burst_missed += missed
-    s.burst_added += added
+    _disturb(s, c, tooth, missed, added, own)
     if s.phase == CONFIRMED:
         s.missed += missed
         s.added += added
@@ -306,6 +319,7 @@ def _held_back(s: State, c: Const) -> bool:
 @kernel
 def confirm(s: State, out: Reports) -> None:
     """Take the place on the wheel for proven, and report what was held until then."""
+    s.anchor.unchecked = 1 if s.placed == BY_GAP and (s.reversal.stood == 1 or s.refused > 1) else 0
     s.phase = CONFIRMED
     s.refused = 0
     waiting.clear(s.waiting)
@@ -347,9 +361,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         an.verified = 0
         found = anchor.ask(an, c.anchor, c.pulses, c.repeats, s.index)
         if found == anchor.HERE:
-            an.wins = 0
-            an.against = 0.0
-            an.verified = 1
+            anchor.hold(an)
             if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
                 _witness(s, c, True, out)
         elif s.teeth - s.uneven <= c.anchor.length:

@@ -375,9 +375,10 @@ def waver(s: State) -> None:
 def proven(s: State) -> bool:
     """Tell whether the tooth of the latest pulse is proven: the place is, and no credible hypothesis has another.
 
-    None is just behind a crowd of pulses, whose end may be yet to come, or behind a gap that came too short.
+    None is just behind a crowd of pulses, whose end may be yet to come, behind a gap that came too short, or by a pulse
+    that is believed missed before the next gap says so.
     """
-    odd = s.anchor.short == 1 or noise.crowd(s.burst, s.teeth) >= noise.BURST
+    odd = s.anchor.short == 1 or s.anchor.unchecked == 1 or noise.crowd(s.burst, s.teeth) >= noise.BURST
     return bool(s.phase == CONFIRMED and s.placed > NOT_TOLD and not odd and unanimous(s.tracker))
 
 
