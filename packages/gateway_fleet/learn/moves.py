@@ -180,7 +180,7 @@ def _asked(
         limit = -limit_above(-mine, 1.0, 0.25 * scatter, rate)
         share = short(min(limit, OF_LEAST * float(mine.min())), 2)
         if share >= LEAST_SHARE:
-            condition: dict[str, Any] = {"inside": [short(start, 3), short(high, 3)]}
+            condition: dict[str, Any] = {"inside": [start, high]}
             if speed is not None:
                 most = short(max(4.0 * speed.most, 100.0), 2)
                 condition = {"during": speed.name, "within": [short(start, 3), most]}
