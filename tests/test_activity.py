@@ -203,6 +203,8 @@ def test_a_recorder_that_takes_frames_now_and_then_accuses_nobody(tmp_path):
     assert (codes, told) == (set(), [])
     (lossy,) = [e for e in events if e["event"] == "lossy"]
     assert lossy["lossy"]
+    never = np.isin(frames["can_id"], (0x110, 0x121, 0x131))
+    assert run(config, frames[~never], 30)[:2] == (set(), []), "what it never takes is not missing"
     slow = {"drive": {ecu: [(i, 4 * cycle) for i, cycle in some] for ecu, some in NETWORK["drive"].items()}}
     frames = traffic(slow, rng, 60, lambda b, e, i, t: taken[i][int(t / 0.32)])  # a fourth of the frames
     config = networks.config_of(tmp_path, slow, 5.0, health=SLEEPS, check=RATE)

@@ -142,7 +142,7 @@ def waits_to_settle(T: Any, due: int, c: Any) -> bool:
             waits = (
                 part
                 or (h.activity == FALLING and due < h.fell_ns + _AFTER_RUN_NS)
-                or (is_lossy(due, h) and _lost_ns(h, c) > c.wake_ns)
+                or (is_lossy(due, h) and (h.share > _HALF or _lost_ns(h, c) > c.wake_ns))
                 or (h.signs >= ENOUGH and is_other(T, due, c, TIMEOUT, 0, 0.0, 1.0))
             )
             if part and h.activity in (WAKING, AWAKE):
