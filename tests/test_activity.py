@@ -146,6 +146,29 @@ def test_frames_that_get_lost_everywhere_are_told_and_accuse_nobody(tmp_path, sh
 
 
 @pytest.mark.evidence("Healthy parts: lost frames")
+@pytest.mark.parametrize("share", [0.03, 0.1, 0.3])
+@pytest.mark.parametrize("seed", [902, 907])
+def test_a_bus_that_loses_frames_falls_asleep_as_any_other(tmp_path, seed, share):
+    """Ignition off: one ECU stops at once, others 2.5 and 5 s later, two run on."""
+    rng = random.Random(seed)
+    off = dict(zip(rng.sample([*NETWORK["drive"]], 5), (0.0, 2.5, 5.0, 40.0, 40.0), strict=True))
+    frames = traffic(NETWORK, rng, 40, lambda b, e, i, t: t < 8 + off[e] and rng.random() > share)
+    codes, told, events = run(config_of(tmp_path), frames, 40)
+    assert (codes, told) == (set(), [])
+    assert ("running", "falling asleep") in activities(events)
+
+
+@pytest.mark.parametrize("seed", [900, 901, 902, 903])
+@pytest.mark.parametrize("share", [0.03, 0.3])
+def test_two_ecus_that_die_on_a_bus_that_loses_frames_are_not_switched_off(tmp_path, seed, share):
+    rng = random.Random(seed)
+    dead = rng.sample([*NETWORK["drive"]], 5)[:2]
+    frames = traffic(NETWORK, rng, 40, lambda b, e, i, t: (t < 12 or e not in dead) and rng.random() > share)
+    codes, _, _ = run(config_of(tmp_path), frames, 40)
+    assert codes == {f"drive.M{can_id:X}.timeout" for ecu in dead for can_id, _ in NETWORK["drive"][ecu]}
+
+
+@pytest.mark.evidence("Healthy parts: lost frames")
 @pytest.mark.parametrize("cycles", [1.4, 2.5, 3.1])
 def test_timeouts_of_few_cycles_take_no_healthy_bus_for_a_lossy_one(tmp_path, cycles):
     """A gap counted from 5/16 of the timeout on: each frame had one, and a dead message was told minutes later."""
@@ -180,6 +203,8 @@ def test_a_recorder_that_takes_frames_now_and_then_accuses_nobody(tmp_path):
     assert (codes, told) == (set(), [])
     (lossy,) = [e for e in events if e["event"] == "lossy"]
     assert lossy["lossy"]
+    never = np.isin(frames["can_id"], (0x110, 0x121, 0x131))
+    assert run(config, frames[~never], 30)[:2] == (set(), []), "what it never takes is not missing"
     slow = {"drive": {ecu: [(i, 4 * cycle) for i, cycle in some] for ecu, some in NETWORK["drive"].items()}}
     frames = traffic(slow, rng, 60, lambda b, e, i, t: taken[i][int(t / 0.32)])  # a fourth of the frames
     config = networks.config_of(tmp_path, slow, 5.0, health=SLEEPS, check=RATE)

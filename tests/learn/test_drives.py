@@ -100,9 +100,19 @@ def test_a_fault_is_there_between_its_begin_and_its_end_only(kind, drive):
     end_ns = made.start_ns + round((END + 0.05) * made.seconds * 1e9)
     if kind == "jitter":
         end_ns += 10**10
+        for can_id in np.unique(before["can_id"]):
+            orders = [frames["data"][frames["can_id"] == can_id] for frames in (before, after)]
+            assert np.array_equal(*orders), "no frame of a message overtakes another"
     assert np.array_equal(after[after["t_ns"] > end_ns], before[before["t_ns"] > end_ns])
     assert (np.diff(after["t_ns"].astype(np.int64)) >= 0).all()
     assert fault.right <= fault.concerned
+
+
+def test_an_unknown_identifier_is_in_no_database(drive):
+    made = drive()
+    assert {message.frame_id for message in made._parts.databases[0]} <= made.known, "also those that do not come"
+    made.known |= set(range(0, 0x6FF, 2))
+    assert int(KINDS["unknown identifier"](made).about, 16) % 2 == 1
 
 
 def test_two_swapped_signals_have_each_others_values(drive):

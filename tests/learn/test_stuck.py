@@ -82,16 +82,21 @@ def test_less_than_ten_minutes_teach_no_rest(tmp_path):
     assert "stuck" not in lines["Pedal.Travel"].keys
 
 
-def test_a_signal_that_dithers_about_a_large_value_keeps_the_ends_of_what_it_does(tmp_path):
-    """Rounded to three digits both ends were one, which no configuration may have: learning ended with an error."""
-    rng = random.Random(13)
-    print("seed", 13)
-    values = [rng.randrange(51143, 51147) for _ in range(6000)]
-    (tmp_path / "car.dbc").write_text(DBC)
-    dithers = (256, 0.01, lambda k: values[k % len(values)].to_bytes(2, "little") + bytes(6), 0.0)
-    result = learn(
-        asked(tmp_path / "car.toml", drive(tmp_path / "drive.log", 60.0, [dithers]), databases=(tmp_path / "car.dbc",)),
-        quiet,
+def test_a_signal_that_moves_far_less_than_its_value_has_a_place_where_it_must_move(tmp_path):
+    (tmp_path / "car.dbc").write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 Air: 8 A\n SG_ Pressure : 0|24@1+ (0.001,0) [0|16777] "hPa" A\n'
+        ' SG_ Mode : 24|8@1+ (1,0) [0|1] "" A\n'
     )
-    (stuck,) = (line.keys["stuck"] for place, line in result.learned.lines.items() if place[1] == SIGNAL)
-    assert stuck["inside"] == [5114.3, 5114.6]
+    rng = random.Random(14)
+    raw = [
+        (1013_400 + rng.randrange(-60, 61)).to_bytes(3, "little") + bytes([rng.randrange(2), 0, 0, 0, 0])
+        for _ in range(2001)
+    ]
+    log = drive(tmp_path / "drive.log", 60.0, [(256, 0.03, raw.__getitem__, 0.0)])
+    result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
+    write(result.files(tmp_path / "car.toml"))
+    load_config(tmp_path / "car.toml")
+    lines = {place[2]: line.keys for place, line in result.learned.lines.items() if place[1] == SIGNAL}
+    low, high = lines["Air.Pressure"]["stuck"]["inside"]
+    assert (1013.3 < low < 1013.35, 1013.45 < high < 1013.5) == (True, True)
+    assert "stuck" not in lines.get("Air.Mode", {}), "nothing lies between 0 and 1"

@@ -142,7 +142,7 @@ def waits_to_settle(T: Any, due: int, c: Any) -> bool:
             waits = (
                 part
                 or (h.activity == FALLING and due < h.fell_ns + _AFTER_RUN_NS)
-                or (is_lossy(due, h) and _lost_ns(h, c) > c.wake_ns)
+                or (is_lossy(due, h) and (h.share > _HALF or _lost_ns(h, c) > c.wake_ns))
                 or (h.signs >= ENOUGH and is_other(T, due, c, TIMEOUT, 0, 0.0, 1.0))
             )
             if part and h.activity in (WAKING, AWAKE):
@@ -165,7 +165,7 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
         c.coming, c.overdue_ns = STOPPED, due
         if not lossy:
             _note_stop(h, c, due)
-        if h.activity in (AWAKE, PART) and h.stops > 1:
+        if h.activity in (AWAKE, PART) and h.stops > 1 and not lossy:
             _fall(T, due, c.bus)
     until_ns = h.stopped_ns + h.settle_ns
     if h.activity in (AWAKE, PART) and due >= until_ns and _are_many(T, due, c.bus, STOPPED):
@@ -177,9 +177,12 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
     elif due < h.joined_ns + _WEIGHED_NS:
         until_ns = max(until_ns, h.joined_ns + _WEIGHED_NS)
     elif lossy:
-        until_ns = max(until_ns, c.overdue_ns + _lost_ns(h, c))
+        until_ns = max(until_ns, c.overdue_ns + max(_lost_ns(h, c), h.settle_ns))
     if due >= until_ns:
-        return False
+        if h.activity == FALLING or not _stopped_apart(T, due, c.bus):
+            return False
+        _fall(T, due, c.bus)
+        until_ns = h.fell_ns + _AFTER_RUN_NS
     c.deadline_ns = min(until_ns, due + max(h.settle_ns, c.timeout_ns))
     return True
 
@@ -285,6 +288,12 @@ def is_gone(T: Any, t_ns: int, c: Any) -> bool:
             h.dipped_ns = t_ns if first else h.dipped_ns
             T.clock[0].timeouts += 1
             return False
+    return _is_not_lost(t_ns, h, c)
+
+
+@kernel
+def _is_not_lost(t_ns: int, h: Any, c: Any) -> bool:
+    """Return whether a message that has stopped is away for longer than a row of lost frames is."""
     return bool(not is_lossy(t_ns, h) or t_ns >= c.overdue_ns + _lost_ns(h, c))
 
 
@@ -315,6 +324,19 @@ def _note_stop(h: Any, c: Any, due: int) -> None:
 
 
 @kernel
+def _stopped_apart(T: Any, due: int, bus: int) -> bool:
+    """Return whether messages that are not only lost stopped at several times: each did after its last frame."""
+    h = T.health[bus]
+    latest_ns, until_ns = 0, NEVER
+    for k in range(T.checks.shape[0]):
+        c = T.checks[k]
+        last_ns = c.overdue_ns - c.timeout_ns
+        if c.bus == bus and c.timeout_ns > 0 and c.coming == STOPPED and _is_not_lost(due, h, c):
+            latest_ns, until_ns = max(latest_ns, last_ns), min(until_ns, last_ns + _lost_ns(h, c))
+    return latest_ns > until_ns
+
+
+@kernel
 def _are_many(T: Any, due: int, bus: int, coming: int) -> bool:
     """Return whether the senders that have stopped, or not come yet, are more than are at fault at one time."""
     h = T.health[bus]
@@ -323,7 +345,7 @@ def _are_many(T: Any, due: int, bus: int, coming: int) -> bool:
         c = T.checks[k]
         if c.bus != bus or c.timeout_ns <= 0:
             continue
-        if c.coming == coming:
+        if c.coming == coming and (coming == NOT_YET or _is_not_lost(due, h, c)):
             away += 1
             halves += 1 if c.sender < 0 else 2 * _is_first(T, k)
         elif c.coming == COMES and (coming == NOT_YET or c.timeout_ns <= due - h.stop_until_ns):

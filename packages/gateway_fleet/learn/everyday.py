@@ -96,6 +96,8 @@ class Drive:
         self.start_ns, end_ns = int(frames["t_ns"][0]), int(frames["t_ns"][-1])
         self.seconds = (end_ns - self.start_ns) * 1e-9
         self.sent = list(self._messages())
+        self.known = {message.frame_id for database in parts.databases for message in database}
+        self.known.update((frames["can_id"] & ID_MASK).tolist())
 
     def _messages(self) -> Iterator[_Sent]:
         for bus, database in enumerate(self._parts.databases):
@@ -251,8 +253,9 @@ def _lost(drive: Drive) -> Fault | None:
 def _jitter(drive: Drive) -> Fault | None:
     if (sent := drive.any_message()) is None:
         return None
-    frames, hit = drive.frames.copy(), drive.hit(sent)
-    frames["t_ns"][hit] += drive.rng.integers(0, max(1, round(CYCLES * sent.cycle_ns)), int(hit.sum()))
+    frames, mine = drive.frames.copy(), drive.of(sent)
+    frames["t_ns"] += drive.hit(sent) * drive.rng.integers(0, max(1, round(CYCLES * sent.cycle_ns)), len(frames))
+    frames["t_ns"][mine] = np.sort(frames["t_ns"][mine])  # no frame of a message overtakes another
     frames = frames[np.argsort(frames["t_ns"], kind="stable")]
     return drive.fault("jitter", drive.place(sent), frames, drive.carriers(sent), [sent])
 
@@ -284,8 +287,7 @@ def _away(drive: Drive) -> Fault | None:
 
 
 def _unknown(drive: Drive) -> Fault | None:
-    seen = set((drive.frames["can_id"] & ID_MASK).tolist())
-    new = hex(next(k for k in drive.rng.integers(1, 0x6FF, 2000).tolist() if k not in seen))
+    new = hex(next(k for k in drive.rng.integers(1, 0x6FF, 2000).tolist() if k not in drive.known))
     asked = Injection("unknown", 0, new, from_s=BEGIN * drive.seconds, to_s=END * drive.seconds)
     return drive.fault(UNKNOWN, new, drive.with_([asked]), set(), [])
 

@@ -162,6 +162,8 @@ def signal_lines(
             why.append(text)
         if "stuck" in keys and signal.name != checksum:
             keys["stuck"] = keys["stuck"] | _inside(signal, course, keys["stuck"])
+            if np.diff(keys["stuck"].get("inside", (0.0, 1.0))) <= 0.0:
+                del keys["stuck"]  # nothing lies between its ends
         if keys:
             name = f"{seen.message.name}.{signal.name}"
             head: dict[str, Any] = {"signal": name}

@@ -180,8 +180,7 @@ def _asked(
         limit = -limit_above(-mine, 1.0, 0.25 * scatter, rate)
         share = short(min(limit, OF_LEAST * float(mine.min())), 2)
         if share >= LEAST_SHARE:
-            # Not rounded: the ends of a signal that dithers about a large value would become one.
-            condition: dict[str, Any] = {"inside": [float(f"{end:.12g}") for end in (start, high)]}
+            condition: dict[str, Any] = {"inside": [start, high]}
             if speed is not None:
                 most = short(max(4.0 * speed.most, 100.0), 2)
                 condition = {"during": speed.name, "within": [short(start, 3), most]}
