@@ -24,7 +24,7 @@ from gateway.bus.readers.candump import Candump
 from gateway.bus.readers.csv import Csv
 from gateway.bus.readers.mf4 import Mf4
 from gateway.bus.readers.parquet import Parquet
-from gateway.bus.readers.text import BOM, Lines, TextReader
+from gateway.bus.readers.text import BOM, Lines
 from gateway.bus.readers.trc import Trc
 from gateway.bus.writers import WRITERS, Sink
 from gateway.common.extras import need
@@ -49,8 +49,15 @@ _EXTRAS = {".mf4": ("mf4", "MF4 logs"), ".parquet": ("parquet", "logs in Parquet
 READERS: Registry[Callable[[Path], Reader]] = Registry("gateway.readers", accept_callable)
 
 #: Readers, which tell their format by a log's first bytes; of several that fit the suffix decides, else the first.
-_BINARY: dict[str, Any] = {".blf": Blf, ".mf4": Mf4, ".parquet": Parquet}
-_LINES: dict[str, type[Lines]] = {".trc": Trc, ".asc": Asc, ".csv": Csv, ".log": Candump}
+_OURS: dict[str, Any] = {
+    ".blf": Blf,
+    ".mf4": Mf4,
+    ".parquet": Parquet,
+    ".trc": Trc,
+    ".asc": Asc,
+    ".csv": Csv,
+    ".log": Candump,
+}
 #: Bytes by which a format is told.
 _FIRST = 1 << 16
 #: Frames of a batch at most.
@@ -80,8 +87,8 @@ def _known(suffix: str, path: Path, *, read: bool) -> str:
 def _maker(name: str, first: bytes, path: Path) -> tuple[str, Callable[[Path], Reader]]:
     """Return the format of a log, and what makes its reader: its first bytes say so, or else its suffix."""
     suffix, first = Path(name).suffix.lower(), first.removeprefix(BOM)
-    fitting = [own for own, reader in _BINARY.items() if reader.sniff(first)]
-    fitting = fitting or [own for own, lines in _LINES.items() if lines.sniff(first)]
+    fitting = [own for own, reader in _OURS.items() if reader.sniff(first)]
+    fitting = [own for own in fitting if not issubclass(_OURS[own], Lines)] or fitting
     if suffix in READERS:
         made = READERS[suffix]
         sniff = getattr(made, "sniff", None)
@@ -90,9 +97,7 @@ def _maker(name: str, first: bytes, path: Path) -> tuple[str, Callable[[Path], R
     if fitting and suffix not in fitting:
         suffix = fitting[0]
     suffix = _known(suffix, path, read=True)
-    if suffix in _BINARY:
-        return FORMATS[suffix], _BINARY[suffix]
-    return FORMATS[suffix], lambda path: TextReader(path, _LINES[suffix](path))
+    return FORMATS[suffix], _OURS[suffix]
 
 
 def _first(path: Path, member: str = "") -> bytes:
@@ -182,9 +187,8 @@ class LogReader:
     def __iter__(self) -> Iterator[Frames]:
         for member, _, make in self._logs:
             reader = make(self.path)
-            dated = reader.lines if isinstance(reader, TextReader) else reader
-            if hasattr(dated, "zone"):
-                dated.zone = self._zone
+            if hasattr(reader, "zone"):
+                reader.zone = self._zone
             with ExitStack() as stack:
                 stream, raw = open_log(self.path, stack, member)
                 try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, tzinfo
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -60,6 +60,20 @@ def placed(channel: NDArray[np.int64], names: Names) -> NDArray[np.int64]:
 
 def _place(number: int, names: Names) -> int:
     return names.place("none" if number == NO_CHANNEL else str(number))
+
+
+def scaled(text: str, places: int) -> int:
+    """Return 10 to the power of ``places`` times a decimal number; further digits are left out."""
+    whole, _, part = text.partition(".")
+    return int(whole + part[:places].ljust(places, "0"))
+
+
+def wall_ns(zone: tzinfo, part_ns: int, *fields: int) -> int:
+    """Return the time of a year, month, day, hour, minute, second and a part of one [ns], 0 if it is none."""
+    try:
+        return int(datetime(*fields, tzinfo=zone).timestamp()) * 10**9 + part_ns  # type: ignore[misc,arg-type]
+    except ValueError:
+        return 0
 
 
 def bytes_of(frames: Frames) -> NDArray[np.uint8]:
@@ -183,10 +197,11 @@ class PassedOver:
         return sum(one.count for one in self.kinds.values())
 
 
-class BinaryReader:
-    """A reader of a format of bytes.
+class FormatReader:
+    """A reader of a format of ours.
 
     Attributes:
+        passed_over, origin_ns: as of a :class:`Reader`.
         zone: of the dates in its header.
     """
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -32,7 +31,7 @@ from gateway.bus.conditions import (
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE
 from gateway.bus.log_source import OBJECT as MOST
 from gateway.bus.log_source import CutOffError, compression_of, damage, pull
-from gateway.bus.readers.batch import Batch, BinaryReader, Names, Read, placed
+from gateway.bus.readers.batch import Batch, FormatReader, Names, Read, placed, wall_ns
 from gateway.bus.readers.scan import begin_frame, byte, set_length
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
@@ -197,22 +196,12 @@ def scan_blf(
             others[min(kind, others.shape[0] - 1)] += 1
 
 
-def system_time_ns(fields: tuple[int, ...], zone: tzinfo = UTC) -> int:
-    """Return a SYSTEMTIME (year, month, weekday, day, hour, minute, second, millisecond) [ns], 0 if it is none."""
-    year, month, _, day, hour, minute, second, milli = fields
-    try:
-        whole = int(datetime(year, month, day, hour, minute, second, tzinfo=zone).timestamp())
-    except ValueError:
-        return 0
-    return whole * 10**9 + min(milli, 999) * 10**6
-
-
 def _named(batch: Batch, names: Names) -> Read:
     frames, channel = batch.take()
     return frames, placed(channel, names)
 
 
-class Blf(BinaryReader):
+class Blf(FormatReader):
     """Reads BLF (see :class:`gateway.bus.readers.batch.Reader`)."""
 
     def __init__(self, path: Path) -> None:
@@ -274,7 +263,8 @@ class Blf(BinaryReader):
         if fields[0] != b"LOGG":
             raise InputError("not a BLF log: it does not begin with LOGG", file=self._path)
         self._size, self._objects = fields[10], fields[12]
-        self._start = system_time_ns(fields[14:22], self.zone)
+        year, month, _, *rest, milli = fields[14:22]
+        self._start = wall_ns(self.zone, min(milli, 999) * 10**6, year, month, *rest)
         self._need(stream, fields[1] - FILE_HEADER.size)
 
     def _need(self, stream: BinaryIO, count: int) -> bytes:

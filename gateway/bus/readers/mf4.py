@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage
-from gateway.bus.readers.batch import NO_CHANNEL, BinaryReader, Names, Read, bytes_of, placed
+from gateway.bus.readers.batch import NO_CHANNEL, FormatReader, Names, Read, bytes_of, placed
 from gateway.bus.readers.scan import scatter
 from gateway.common.archives import unpacked, whole, zstd_decompressor
 from gateway_fdi.errors import InputError
@@ -222,7 +222,7 @@ def _joined(groups: list[_Group], names: Names) -> Iterator[Read]:
         yield frames, placed(np.where(channel == NO_CHANNEL, channel, channel - first), names)
 
 
-class Mf4(BinaryReader):
+class Mf4(FormatReader):
     """Reads MF4 (see :class:`gateway.bus.readers.batch.Reader`); asammdf maps the file."""
 
     @staticmethod

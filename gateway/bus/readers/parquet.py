@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of
-from gateway.bus.readers.batch import BinaryReader, Names, Read, bytes_of
+from gateway.bus.readers.batch import FormatReader, Names, Read, bytes_of
 from gateway.bus.readers.scan import scatter
 from gateway.common.archives import whole
 from gateway.common.parquet import longest_of, opened
@@ -52,7 +52,7 @@ def is_frame_log(path: Path) -> bool:
         return path.stem.endswith(".frames")  # as we name them; its errors are told when it is read
 
 
-class Parquet(BinaryReader):
+class Parquet(FormatReader):
     """Reads Parquet (see :class:`gateway.bus.readers.batch.Reader`)."""
 
     @staticmethod
