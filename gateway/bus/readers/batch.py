@@ -26,6 +26,10 @@ _MOST_KINDS = 40
 FLAGS, LENGTH = 40, 48
 
 
+#: Frames, and the places of their channels' names.
+Read = tuple[Frames, NDArray[np.int64]]
+
+
 class Names:
     """Names of a log's channels, in the order in which they come; frames have their places."""
 
@@ -127,15 +131,14 @@ class Batch:
         self.channel[self.count : end] = channel
         self.count = end
 
-    def take(self) -> tuple[Frames, NDArray[np.int64]]:
-        """Return the frames that are in, and start again."""
-        taken = self._frames[: self.count], self.channel[: self.count]
+    def take(self, names: Names | None) -> Read:
+        """Return the frames that are in with the places of their channels' names, and start again.
+
+        ``names`` takes those of channels that are numbers; None: they are places.
+        """
+        frames, channel = self._frames[: self.count], self.channel[: self.count]
         self._renew()
-        return taken
-
-
-#: Frames, and the places of their channels' names.
-Read = tuple[Frames, NDArray[np.int64]]
+        return frames, channel if names is None else placed(channel, names)
 
 
 @dataclass

@@ -12,7 +12,7 @@ import numpy as np
 
 from gateway.bus.frames import Frames, empty
 from gateway.bus.log_source import LINE, OBJECT, CutOffError, damage, pull
-from gateway.bus.readers.batch import Batch, FormatReader, Names, PassedOver, Read, placed
+from gateway.bus.readers.batch import Batch, FormatReader, Names, PassedOver, Read
 from gateway.bus.readers.scan import ASK, BAD, DONE
 from gateway_fdi.errors import InputError
 
@@ -107,10 +107,10 @@ class Lines(FormatReader, ABC):
             raise CutOffError(f"cut off after frame {self._frames}: {self.missing}", file=self._path)
 
     def _taken(self, batch: Batch, names: Names) -> Read:
-        taken = batch.take()
-        self._frames += len(taken[0])
+        taken = batch.take(names if self.numbered else None)
         self._before = taken[0]
-        return taken[0], placed(taken[1], names) if self.numbered else taken[1]
+        self._frames += len(self._before)
+        return taken
 
     def _pass_over(self, kind: str, line: bytes, *, damaged: bool = True) -> None:
         self.passed_over.add(kind, shown(line), self._line, damaged=damaged)
