@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from glob import glob, has_magic
 from pathlib import Path
 
-from gateway.bus.log_source import ARCHIVE, compression_of
+from gateway.bus.log_source import ARCHIVE, compression_of, segments
 from gateway.bus.logs import is_format
 from gateway.bus.readers.parquet import is_frame_log
-from gateway.bus.ring import segments
 from gateway.common.extras import installed
 from gateway_fdi.errors import InputError
 
@@ -74,16 +73,9 @@ def is_log(path: Path) -> bool:
     return is_format(Path(name).suffix)
 
 
-def _is_ring(folder: Path) -> bool:
-    try:
-        return bool(segments(folder))
-    except InputError:
-        return False
-
-
 def _below(folder: Path) -> Iterator[Path]:
     """Yield the recordings in a folder and its folders, in order of their names."""
-    if _is_ring(folder):
+    if segments(folder):
         yield folder
         return
     for path in sorted(folder.iterdir()):
@@ -118,9 +110,9 @@ def _matching(pattern: str) -> Iterator[Path]:
     for text in sorted(glob(pattern, recursive=True)):  # noqa: PTH207 - an absolute pattern, too
         path = Path(text)
         if path.is_dir():
-            if not pattern.rstrip("/").endswith("**") or _is_ring(path):
+            if not pattern.rstrip("/").endswith("**") or segments(path):
                 yield from _below(path)
-        elif is_log(path) and not _is_ring(path.parent):
+        elif is_log(path) and not segments(path.parent):
             yield path
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.bus.log_source import CutOffError
-from gateway.bus.ring import Recorded
+from gateway.bus.logs import LogReader
 from gateway_fdi.errors import InputError
 
 
@@ -57,7 +57,7 @@ class Contents:
 
 
 def contents(
-    reader: Recorded,
+    reader: LogReader,
     buses: Mapping[str, str],
     channels: Mapping[str, int] | None,
     *,
