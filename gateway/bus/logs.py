@@ -321,14 +321,10 @@ class LogWriter:
         self._sink.write(frames)
 
     @property
-    def lost(self) -> Counter[str]:
-        """Properties that the format cannot hold -> of how many frames."""
-        return Counter(getattr(self._sink, "lost", ()))
-
-    @property
     def problems(self) -> list[InputError]:
-        """Properties of the frames that are not in the log, as one error."""
-        what = ", ".join(f"{name} ({count} frames)" for name, count in self.lost.items() if count)
+        """Properties of the frames that the format cannot hold, as one error."""
+        lost = Counter(getattr(self._sink, "lost", ()))
+        what = ", ".join(f"{name} ({count} frames)" for name, count in lost.items() if count)
         text = f"{self._format} cannot hold all of these frames; not in this log: {what}"
         return [InputError(text, file=self._path)] if what else []
 

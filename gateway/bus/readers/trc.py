@@ -70,9 +70,9 @@ _STARTS = re.compile(rb"\s*\d+\)?\s+\d")
 _NO_FRAME, _BAD = -2, -3
 
 
-#: Types of version 2 -> the flags of their frames, _RTR of a remote one.
-_RTR = 256
-TYPES = {"DT": 0, "RR": _RTR, "FD": FD, "FB": FD | BRS, "FE": FD | BRS | ESI, "BI": FD | ESI}
+#: Types of version 2 -> the flags of their frames, RTR of a remote one.
+RTR = 256
+TYPES = {"DT": 0, "RR": RTR, "FD": FD, "FB": FD | BRS, "FE": FD | BRS | ESI, "BI": FD | ESI}
 _KINDS = np.array([(ord(name[0]) << 8 | ord(name[1]), flags) for name, flags in TYPES.items()], np.int64)
 
 
@@ -101,7 +101,7 @@ def trc_line(text: Any, begin: Any, count: int, place: Any, words: Any, row: Any
         flags = flags_of(text, begin[place[TYPE]])
         if flags < 0:
             return _NO_FRAME
-        remote, flags = flags >= _RTR, flags & 255
+        remote, flags = flags >= RTR, flags & 255
     at = begin[place[ID]]
     value, end = next_number(text, at, 16)
     t_ns, _, _ = decimal(text, begin[place[TIME]], 6)
