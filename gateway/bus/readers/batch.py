@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, tzinfo
 from pathlib import Path
@@ -83,6 +83,14 @@ def wall_ns(zone: tzinfo, part_ns: int, *fields: int) -> int:
 def bytes_of(frames: Frames) -> NDArray[np.uint8]:
     """Return a view of frames as bytes, shape (n, 80); a payload begins at byte 16."""
     return frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)
+
+
+def flags_of(columns: Mapping[str, NDArray[Any]], flags: Mapping[str, int], count: int) -> NDArray[np.uint32]:
+    """Return the flags that columns say of ``count`` frames, where they are not 0; those that are missing say none."""
+    found = np.zeros(count, np.uint32)
+    for name in flags.keys() & columns.keys():
+        found |= (columns[name] != 0) * np.uint32(flags[name])
+    return found
 
 
 def error_frame(batch: Batch, t_ns: int, classes: int, data: bytes, channel: int) -> None:

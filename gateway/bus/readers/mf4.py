@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage
-from gateway.bus.readers.batch import NO_CHANNEL, FormatReader, Names, Read, bytes_of, placed
+from gateway.bus.readers.batch import NO_CHANNEL, FormatReader, Names, Read, bytes_of, flags_of, placed
 from gateway.bus.readers.scan import scatter
 from gateway.common.archives import unpacked, whole, zstd_decompressor
 from gateway_fdi.errors import InputError
@@ -146,19 +146,14 @@ def _frames(found: Any, kind: str, begin_ns: int) -> tuple[Frames, NDArray[np.in
     count = len(found.timestamps)
     frames = empty(count)
     frames["t_ns"] = begin_ns + np.rint(found.timestamps * 1e9).astype(np.int64)
-    ids = records["ID"].astype(np.uint32) & ID_MASK if "ID" in records else np.zeros(count, np.uint32)
     # Default of python-can where a member is missing: extended.
-    ids |= np.where(records["IDE"] != 0, np.uint32(EXTENDED), np.uint32(0)) if "IDE" in records else np.uint32(EXTENDED)
-    ids |= np.uint32(_KINDS[kind])
-    if kind == "CAN_ErrorFrame" and "RTR" in records:
-        ids |= np.where(records["RTR"] != 0, np.uint32(REMOTE), np.uint32(0))
-    frames["can_id"] = ids
-    flags = np.zeros(count, np.uint8)
-    if "EDL" in records and kind != "CAN_RemoteFrame":
-        for name, flag in (("BRS", BRS), ("ESI", ESI)):
-            if name in records:
-                flags[records[name] != 0] |= flag
-        flags = np.where(records["EDL"] != 0, flags | FD, 0).astype(np.uint8)
+    ids = _KINDS[kind] | (0 if "IDE" in records else EXTENDED)
+    of_id = {"IDE": EXTENDED} | ({"RTR": REMOTE} if kind == "CAN_ErrorFrame" else {})
+    frames["can_id"] = ids | flags_of(records, of_id, count)
+    if "ID" in records:
+        frames["can_id"] |= records["ID"].astype(np.uint32) & ID_MASK
+    flags = flags_of(records, {"EDL": FD, "BRS": BRS, "ESI": ESI} if kind != "CAN_RemoteFrame" else {}, count)
+    flags *= flags & FD  # others mean nothing without it
     if "Dir" in records:
         direction = records["Dir"]
         own = direction != b"Rx" if direction.dtype.kind == "S" else direction != 0
