@@ -103,44 +103,17 @@ def _tidy() -> Iterator[None]:
         raise
 
 
-class _Group:
-    """Frames of a group of channels (its structure is ``kind``), some at a time.
-
-    Attributes:
-        frames, channel: those that are read and not taken; numbers as in the file.
-    """
-
-    def __init__(self, mdf: Any, index: int, kind: str, begin_ns: int) -> None:
-        self._mdf, self._index, self._kind, self._begin_ns = mdf, index, kind, begin_ns
-        self._count = int(mdf.groups[index].channel_group.cycles_nr)
-        self._next = 0
-        self.frames, self.channel = empty(0), np.empty(0, np.int64)
-
-    @property
-    def more(self) -> bool:
-        """Whether there are frames that have not been read."""
-        return self._next < self._count
-
-    def fill(self) -> None:
-        """Read some, if there are none."""
-        if len(self.frames) or not self.more:
-            return
-        count = min(_RECORDS, self._count - self._next)
+def _records(mdf: Any, index: int, kind: str, begin_ns: int) -> Iterator[Read]:
+    """Yield the frames of a group of channels (its structure is ``kind``), and the numbers of their channels."""
+    count = int(mdf.groups[index].channel_group.cycles_nr)
+    for at in range(0, count, _RECORDS):
         # With conversions: a recorder may keep the DLC as length, and values that all frames share (CANedge's channel
         # and IDE) as a formula of the record's number, a virtual channel.
-        found = self._mdf.get(self._kind, self._index, record_offset=self._next, record_count=count, raw=False)
-        self._next += count
-        self.frames, self.channel = _frames(found, self._kind, self._begin_ns)
-
-    def take(self, until_ns: int) -> tuple[Frames, NDArray[np.int64]]:
-        """Return the frames up to a time."""
-        end = int(np.searchsorted(np.maximum.accumulate(self.frames["t_ns"]), until_ns, "right"))
-        taken = self.frames[:end], self.channel[:end]
-        self.frames, self.channel = self.frames[end:], self.channel[end:]
-        return taken
+        found = mdf.get(kind, index, record_offset=at, record_count=min(_RECORDS, count - at), raw=False)
+        yield _frames(found, kind, begin_ns)
 
 
-def _frames(found: Any, kind: str, begin_ns: int) -> tuple[Frames, NDArray[np.int64]]:
+def _frames(found: Any, kind: str, begin_ns: int) -> Read:
     """Return the records of a structure as frames, and the numbers of their channels."""
     records = {name.partition(".")[2]: found.samples[name] for name in found.samples.dtype.names}
     count = len(found.timestamps)
@@ -176,7 +149,7 @@ def _put_payloads(frames: Frames, data: NDArray[np.uint8], lengths: NDArray[Any]
     frames["length"] = np.where(frames["can_id"] & REMOTE, 0, lengths)
 
 
-def _groups(mdf: Any) -> list[_Group]:
+def _groups(mdf: Any) -> list[Iterator[Read]]:
     """Return the groups of CAN frames of a file."""
     from asammdf.blocks.source_utils import Source  # noqa: PLC0415 - an extra, slow to load
 
@@ -191,24 +164,24 @@ def _groups(mdf: Any) -> list[_Group]:
         has = {channel.name for channel in group.channels}
         kind = next((kind for kind in _KINDS if kind in has), None)
         if kind is not None:
-            found.append(_Group(mdf, index, kind, begin_ns))
+            found.append(_records(mdf, index, kind, begin_ns))
     return found
 
 
-def _joined(groups: list[_Group], names: Names) -> Iterator[Read]:
+def _joined(groups: list[Iterator[Read]], names: Names) -> Iterator[Read]:
     """Yield the frames of all groups, in order of time, and the places of their channels, which count from 0."""
-    first: int | None = None
-    while True:
-        for group in groups:
-            group.fill()
-        held = [group for group in groups if len(group.frames)]
-        if not held:
-            return
-        if first is None:  # 1, but python-can writes the numbers that it is given
-            first = 0 if any((group.channel == 0).any() for group in held) else 1
-        last = [int(group.frames["t_ns"].max()) for group in held if group.more]
-        until = min(last) if last else np.iinfo(np.int64).max
-        taken = [group.take(until) for group in held]
+    held = [(group, *next(group)) for group in groups]
+    # They count from 1, but python-can writes the numbers that it is given.
+    first = 0 if any((channel == 0).any() for _, _, channel in held) else 1
+    while held:
+        until = min(int(frames["t_ns"].max()) for _, frames, _ in held)
+        taken, rest = [], []
+        for group, frames, channel in held:
+            end = int(np.searchsorted(np.maximum.accumulate(frames["t_ns"]), until, "right"))
+            taken.append((frames[:end], channel[:end]))
+            if more := (frames[end:], channel[end:]) if end < len(frames) else next(group, None):
+                rest.append((group, *more))
+        held = rest
         frames, channel = taken[0]
         if len(taken) > 1:
             frames = np.concatenate([frames for frames, _ in taken])
