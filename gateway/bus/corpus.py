@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from glob import glob, has_magic
+from itertools import takewhile
 from pathlib import Path
 
 from gateway.bus.log_source import ARCHIVE, compression_of, segments
@@ -87,16 +88,6 @@ def _below(folder: Path) -> Iterator[Path]:
             yield path
 
 
-def _root(pattern: str) -> Path:
-    """Return the folder that a pattern begins with."""
-    parts: list[str] = []
-    for part in Path(pattern).parts:
-        if has_magic(part):
-            break
-        parts.append(part)
-    return Path(*parts)
-
-
 def _device(path: Path, root: Path) -> str:
     """Return the first folder below the root, or else the folder that the log is in."""
     inside = path.relative_to(root).parts if path.is_relative_to(root) else ()
@@ -133,7 +124,8 @@ def find(patterns: Sequence[str | Path], device: str | None = None) -> list[Reco
         pattern = str(one)
         path = Path(pattern)
         if has_magic(pattern) and not path.exists():
-            root, paths = _root(pattern), list(_matching(pattern))
+            root = Path(*takewhile(lambda part: not has_magic(part), path.parts))
+            paths = list(_matching(pattern))
         elif path.is_dir():
             root, paths = path, list(_below(path))
         elif path.exists():

@@ -80,7 +80,7 @@ class Ring:
             self.lost += len(frames)
             self._resume = time.monotonic() + PAUSE_S
             log.warning("frames not recorded", folder=str(self._params.folder), error=str(error))
-            self._end()
+            self.close()
 
     def _write(self, frames: Frames) -> None:
         t_ns = int(frames[0]["t_ns"])
@@ -90,7 +90,7 @@ class Ring:
         self._writer.write(frames)
         full = self._path.stat().st_size >= self._params.segment_mb * 1e6
         if full or abs(t_ns - self._first_ns) >= self._params.segment_s * 1e9:
-            self._end()
+            self.close()
 
     def _begin(self, t_ns: int) -> None:
         self._trim()
@@ -110,14 +110,11 @@ class Ring:
             found.pop(0).unlink()
             sizes.pop(0)
 
-    def _end(self) -> None:
+    def close(self) -> None:
+        """Finish the segment."""
         writer, self._writer = self._writer, None
         if writer is not None:
             try:
                 writer.close()
             except OSError as error:
                 log.warning("segment not finished", file=str(self._path), error=str(error))
-
-    def close(self) -> None:
-        """Finish the segment."""
-        self._end()

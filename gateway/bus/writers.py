@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.conditions import BUS_OFF, CHIP_STATES, CONTROLLER, exact
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, ID_MASK, OWN, REMOTE, Frames
-from gateway.bus.readers import blf, trc
+from gateway.bus.readers import blf, mf4, trc
 
 #: Bytes of a container of BLF, unpacked.
 _CONTAINER = 1 << 17
@@ -192,9 +192,7 @@ class BlfWriter(_Dated):
             weekday = t.isoweekday() % 7
             return t.year, t.month, weekday, t.day, t.hour, t.minute, t.second, t.microsecond // 1000
 
-        nothing = (0,) * 8
-        end = self.begin + timedelta(microseconds=self._last_ns // 1000)
-        times = (*system_time(self.begin), *system_time(end)) if self.begin_ns is not None else nothing * 2
+        times = *system_time(self.begin), *system_time(self.begin + timedelta(microseconds=self._last_ns // 1000))
         versions = (5, 0, 0, 0, 2, 6, 8, 1)
         head = blf.FILE_HEADER.pack(
             b"LOGG", blf.FILE_HEADER_SIZE, *versions, size, self._unpacked, self._objects, 0, *times
@@ -248,14 +246,6 @@ def _blf_object(can_id: int, flags: int, channel: int, data: bytes) -> tuple[int
     return blf.CAN_FD_MESSAGE, struct.pack("<HBBLLBBB5x64s", channel, bits, dlc, name, 0, 0, fd, len(data), data)
 
 
-#: Kinds of frames of MF4, their members after those of all, and which frames they are (of the flags REMOTE, ERROR).
-_MF4 = {
-    "CAN_DataFrame": (0, ("EDL", "BRS", "ESI")),
-    "CAN_ErrorFrame": (ERROR, ()),
-    "CAN_RemoteFrame": (REMOTE, ()),
-}
-
-
 class Mf4Writer(_Dated):
     """Writes MF4 by asammdf, a group a kind of frames, in bulk; channels count from 1."""
 
@@ -274,10 +264,10 @@ class Mf4Writer(_Dated):
         since = self.since(frames["t_ns"]) / 1e9
         self._mdf.header.start_time = self.begin
         which = np.where(frames["can_id"] & ERROR, np.uint32(ERROR), frames["can_id"] & REMOTE)
-        for kind, (flag, more) in _MF4.items():
+        for kind, flag in mf4.KINDS.items():
             mine = which == flag
             if mine.any():
-                self._put(kind, _mf4_records(kind, more, frames[mine]), since[mine])
+                self._put(kind, _mf4_records(kind, frames[mine]), since[mine])
 
     def _put(self, kind: str, records: NDArray[Any], times: NDArray[np.float64]) -> None:
         if kind in self._places:
@@ -296,7 +286,7 @@ class Mf4Writer(_Dated):
         self._mdf.close()
 
 
-def _mf4_records(kind: str, more: tuple[str, ...], frames: Frames) -> NDArray[Any]:
+def _mf4_records(kind: str, frames: Frames) -> NDArray[Any]:
     """Return frames as records of a structure."""
     ids, flags, lengths = frames["can_id"], frames["flags"], frames["length"]
     members: dict[str, tuple[str, Any]] = {
@@ -307,9 +297,8 @@ def _mf4_records(kind: str, more: tuple[str, ...], frames: Frames) -> NDArray[An
         "DataLength": ("u1", lengths),
         "Dir": ("u1", flags & OWN != 0),
     }
-    members |= {
-        name: ("u1", flags & flag != 0) for name, flag in (("EDL", FD), ("BRS", BRS), ("ESI", ESI)) if name in more
-    }
+    if kind == "CAN_DataFrame":
+        members |= {name: ("u1", flags & flag != 0) for name, flag in mf4.FLAGS.items()}
     if kind != "CAN_RemoteFrame":
         members["DataBytes"] = ("(64,)u1", frames["data"])
     records = np.zeros(len(frames), [(f"{kind}.{name}", form) for name, (form, _) in members.items()])

@@ -34,16 +34,16 @@ class Names:
     """Names of a log's channels, in the order in which they come; frames have their places."""
 
     def __init__(self) -> None:
-        self.known: list[str] = []
-        self._place: dict[str, int] = {}
+        self._places: dict[str, int] = {}
+
+    @property
+    def known(self) -> list[str]:
+        """The names, in the order of their places."""
+        return list(self._places)
 
     def place(self, name: str) -> int:
         """Return the place of a name."""
-        found = self._place.get(name)
-        if found is None:
-            found = self._place[name] = len(self.known)
-            self.known.append(name)
-        return found
+        return self._places.setdefault(name, len(self._places))
 
 
 def placed(channel: NDArray[np.int64], names: Names) -> NDArray[np.int64]:
@@ -95,7 +95,7 @@ def flags_of(columns: Mapping[str, NDArray[Any]], flags: Mapping[str, int], coun
 
 def error_frame(batch: Batch, t_ns: int, classes: int, data: bytes, channel: int) -> None:
     """Append an error frame (linux/can/error.h): its classes, and up to 8 bytes."""
-    batch.put(single(t_ns, ERROR | classes, data.ljust(8, b"\0")), channel)
+    batch.put(t_ns, ERROR | classes, data.ljust(8, b"\0"), channel)
 
 
 class Batch:
@@ -119,11 +119,6 @@ class Batch:
         self.count = 0
 
     @property
-    def full(self) -> bool:
-        """Whether there is room for no more."""
-        return self.count == self.size
-
-    @property
     def room(self) -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.int64], int]:
         """Words, data, channel and count, as a kernel takes them."""
         return self.words, self.data, self.channel, self.count
@@ -132,12 +127,11 @@ class Batch:
         """Return the last frame."""
         return self._frames[self.count - 1]
 
-    def put(self, frames: Frames, channel: NDArray[np.int64] | int) -> None:
-        """Append frames, of one channel or each of its own; there must be room for them."""
-        end = self.count + len(frames)
-        self._frames[self.count : end] = frames
-        self.channel[self.count : end] = channel
-        self.count = end
+    def put(self, t_ns: int, can_id: int, payload: bytes, channel: int, *, flags: int = 0) -> None:
+        """Append a frame; there must be room for it."""
+        self._frames[self.count] = single(t_ns, can_id, payload, flags=flags)[0]
+        self.channel[self.count] = channel
+        self.count += 1
 
     def take(self, names: Names | None) -> Read:
         """Return the frames that are in with the places of their channels' names, and start again.

@@ -18,16 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from gateway.bus.conditions import (
-    ACTIVE,
-    BUS_ERROR,
-    CONTROLLER,
-    PROTOCOL,
-    RX_PASSIVE,
-    RX_WARNING,
-    TX_PASSIVE,
-    TX_WARNING,
-)
+from gateway.bus import conditions
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE
 from gateway.bus.log_source import OBJECT as MOST
 from gateway.bus.log_source import CutOffError, compression_of, damage, pull
@@ -76,12 +67,12 @@ def fd_flags(bits: int) -> int:
 def put_state(raw: Any, at: int, words: Any, row: Any, k: int, t_ns: int) -> None:
     """Make an error frame of the controller's error counters, as the kernel does (CAN 2.0 B, 8)."""
     transmit, receive = byte(raw, at), byte(raw, at + 1)
-    begin_frame(words, k, t_ns, ERROR | CONTROLLER, 0)
+    begin_frame(words, k, t_ns, ERROR | conditions.CONTROLLER, 0)
     set_length(words, k, 8)
-    state = (TX_PASSIVE if transmit > 127 else 0) | (RX_PASSIVE if receive > 127 else 0)
+    state = (conditions.TX_PASSIVE if transmit > 127 else 0) | (conditions.RX_PASSIVE if receive > 127 else 0)
     if state == 0:
-        state = (TX_WARNING if transmit > 95 else 0) | (RX_WARNING if receive > 95 else 0)
-    row[17], row[22], row[23] = state if state else ACTIVE, transmit, receive
+        state = (conditions.TX_WARNING if transmit > 95 else 0) | (conditions.RX_WARNING if receive > 95 else 0)
+    row[17], row[22], row[23] = state or conditions.ACTIVE, transmit, receive
 
 
 @kernel
@@ -129,7 +120,7 @@ def blf_object(raw: Any, at: int, kind: int, size: int, header: int, t_ns: int, 
             return half(raw, at)
     least = 4 if kind == CAN_ERROR else 32 if kind == CAN_ERROR_EXT else 16
     if kind in (CAN_ERROR, CAN_FD_ERROR_64, CAN_ERROR_EXT) and size >= least:
-        begin_frame(words, k, t_ns, ERROR | PROTOCOL | BUS_ERROR, 0)  # of a real controller
+        begin_frame(words, k, t_ns, ERROR | conditions.PROTOCOL | conditions.BUS_ERROR, 0)  # of a real controller
         set_length(words, k, 8)
         return byte(raw, at) if kind == CAN_FD_ERROR_64 else half(raw, at)
     if kind in (DRIVER_ERROR, DRIVER_ERROR_EXT) and size >= 8:
@@ -232,7 +223,7 @@ class Blf(FormatReader):
                     what = "no object where one should be" if why == LOST else "a payload above 64 bytes"
                     self.passed_over.add(what, f"after frame {frames + batch.count}")
                     at += 1
-                if batch.full:
+                if batch.count == batch.size:
                     frames += batch.count
                     yield batch.take(names)
             del block[:at]

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames, single
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames
 from gateway.bus.readers.batch import FLAGS, Batch, Names, scaled, wall_ns
 from gateway.bus.readers.scan import (
     ASK,
@@ -215,10 +215,9 @@ class Candump(Lines):
             can_id |= EXTENDED
         count = 8 if size[:1] == b"{" else int(size[1:-1])
         fd = count > 8 or len(size) == 4  # [08]: CAN FD, [8]: classic
-        flags = FD if fd else 0
-        if bits:
-            flags |= (BRS if fd and b"B" in bits else 0) | (ESI if fd and b"E" in bits else 0)
-        flags |= OWN if sent == b"TX" else 0
+        flags = (FD if fd else 0) | (OWN if sent == b"TX" else 0)
+        if fd and bits:
+            flags |= (BRS if b"B" in bits else 0) | (ESI if b"E" in bits else 0)
         data = bytes(count)
         if rest[:14] == b"remote request":
             can_id |= REMOTE
@@ -229,7 +228,7 @@ class Candump(Lines):
                 return BAD
         if t_ns is None or len(data) != count or count > 64 or (can_id & REMOTE and count > 8):
             return BAD
-        batch.put(single(t_ns, can_id, data, flags=flags), names.place(name.decode("ascii", "backslashreplace")))
+        batch.put(t_ns, can_id, data, names.place(name.decode("ascii", "backslashreplace")), flags=flags)
         return DONE
 
     def _stamp_ns(self, text: str) -> int | None:

@@ -34,7 +34,9 @@ _BLOCK, _FIRST = struct.Struct("<4s4xQQ"), 64
 #: Flag of a channel group: it is of a bus (ASAM MDF 4.1, cg_flags).
 _BUS_EVENT = 2
 #: Structures of frames, and the flags that their identifiers get.
-_KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+#: Members of frames of CAN FD, and their flags.
+FLAGS = {"EDL": FD, "BRS": BRS, "ESI": ESI}
 #: It looks through all frames for messages otherwise, for an extraction of its own.
 _OPEN: dict[str, Any] = {"process_bus_logging": False}
 #: Bytes of a compressed block, unpacked, at most; recorders write blocks of 4 MiB.
@@ -103,14 +105,18 @@ def _tidy() -> Iterator[None]:
         raise
 
 
-def _records(mdf: Any, index: int, kind: str, begin_ns: int) -> Iterator[Read]:
-    """Yield the frames of a group of channels (its structure is ``kind``), and the numbers of their channels."""
+#: Frames of a group, the numbers of their channels as in the file, and whether there are more.
+_Some = tuple[Frames, NDArray[np.int64], bool]
+
+
+def _records(mdf: Any, index: int, kind: str, begin_ns: int) -> Iterator[_Some]:
+    """Yield the records of a group of channels; its structure is ``kind``."""
     count = int(mdf.groups[index].channel_group.cycles_nr)
     for at in range(0, count, _RECORDS):
         # With conversions: a recorder may keep the DLC as length, and values that all frames share (CANedge's channel
         # and IDE) as a formula of the record's number, a virtual channel.
         found = mdf.get(kind, index, record_offset=at, record_count=min(_RECORDS, count - at), raw=False)
-        yield _frames(found, kind, begin_ns)
+        yield *_frames(found, kind, begin_ns), at + _RECORDS < count
 
 
 def _frames(found: Any, kind: str, begin_ns: int) -> Read:
@@ -120,12 +126,12 @@ def _frames(found: Any, kind: str, begin_ns: int) -> Read:
     frames = empty(count)
     frames["t_ns"] = begin_ns + np.rint(found.timestamps * 1e9).astype(np.int64)
     # Default of python-can where a member is missing: extended.
-    ids = _KINDS[kind] | (0 if "IDE" in records else EXTENDED)
+    ids = KINDS[kind] | (0 if "IDE" in records else EXTENDED)
     of_id = {"IDE": EXTENDED} | ({"RTR": REMOTE} if kind == "CAN_ErrorFrame" else {})
     frames["can_id"] = ids | flags_of(records, of_id, count)
     if "ID" in records:
         frames["can_id"] |= records["ID"].astype(np.uint32) & ID_MASK
-    flags = flags_of(records, {"EDL": FD, "BRS": BRS, "ESI": ESI} if kind != "CAN_RemoteFrame" else {}, count)
+    flags = flags_of(records, FLAGS if kind != "CAN_RemoteFrame" else {}, count)
     flags *= flags & FD  # others mean nothing without it
     if "Dir" in records:
         direction = records["Dir"]
@@ -133,23 +139,18 @@ def _frames(found: Any, kind: str, begin_ns: int) -> Read:
         flags[own] |= OWN
     frames["flags"] = flags
     if "DataBytes" in records and "DataLength" in records and kind != "CAN_RemoteFrame":
-        _put_payloads(frames, records["DataBytes"], records["DataLength"])
+        data = records["DataBytes"]
+        lengths = np.clip(records["DataLength"].astype(np.int64), 0, min(data.shape[1], 64))
+        begins = np.arange(count) * data.shape[1]
+        scatter(np.ascontiguousarray(data).reshape(-1), begins, lengths, bytes_of(frames))
+        frames["length"] = np.where(frames["can_id"] & REMOTE, 0, lengths)
     if kind == "CAN_RemoteFrame" and "DLC" in records:
         frames["length"] = np.minimum(records["DLC"], 8)
     channel = records.get("BusChannel", np.array(NO_CHANNEL))
     return frames, np.broadcast_to(channel.astype(np.int64), count)
 
 
-def _put_payloads(frames: Frames, data: NDArray[np.uint8], lengths: NDArray[Any]) -> None:
-    """Put payloads into frames, whose bytes beyond them stay zero."""
-    width = min(data.shape[1], 64)
-    lengths = np.clip(lengths.astype(np.int64), 0, width)
-    begins = np.arange(len(frames)) * data.shape[1]
-    scatter(np.ascontiguousarray(data).reshape(-1), begins, lengths, bytes_of(frames))
-    frames["length"] = np.where(frames["can_id"] & REMOTE, 0, lengths)
-
-
-def _groups(mdf: Any) -> list[Iterator[Read]]:
+def _groups(mdf: Any) -> list[Iterator[_Some]]:
     """Return the groups of CAN frames of a file."""
     from asammdf.blocks.source_utils import Source  # noqa: PLC0415 - an extra, slow to load
 
@@ -162,25 +163,26 @@ def _groups(mdf: Any) -> list[Iterator[Read]]:
         if not source.source_type & Source.SOURCE_BUS or source.bus_type != Source.BUS_TYPE_CAN:
             continue
         has = {channel.name for channel in group.channels}
-        kind = next((kind for kind in _KINDS if kind in has), None)
+        kind = next((kind for kind in KINDS if kind in has), None)
         if kind is not None:
             found.append(_records(mdf, index, kind, begin_ns))
     return found
 
 
-def _joined(groups: list[Iterator[Read]], names: Names) -> Iterator[Read]:
+def _joined(groups: list[Iterator[_Some]], names: Names) -> Iterator[Read]:
     """Yield the frames of all groups, in order of time, and the places of their channels, which count from 0."""
     held = [(group, *next(group)) for group in groups]
     # They count from 1, but python-can writes the numbers that it is given.
-    first = 0 if any((channel == 0).any() for _, _, channel in held) else 1
+    first = 0 if any((channel == 0).any() for _, _, channel, _ in held) else 1
     while held:
-        until = min(int(frames["t_ns"].max()) for _, frames, _ in held)
+        last = [int(frames["t_ns"].max()) for _, frames, _, more in held if more]
+        until = min(last, default=np.iinfo(np.int64).max)
         taken, rest = [], []
-        for group, frames, channel in held:
+        for group, frames, channel, more in held:
             end = int(np.searchsorted(np.maximum.accumulate(frames["t_ns"]), until, "right"))
             taken.append((frames[:end], channel[:end]))
-            if more := (frames[end:], channel[end:]) if end < len(frames) else next(group, None):
-                rest.append((group, *more))
+            if some := (frames[end:], channel[end:], more) if end < len(frames) else next(group, None):
+                rest.append((group, *some))
         held = rest
         frames, channel = taken[0]
         if len(taken) > 1:

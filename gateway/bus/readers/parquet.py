@@ -156,17 +156,15 @@ class Parquet(FormatReader):
             long = pc.greater(pc.binary_length(column.dictionary), MOST).take(column.indices)
             row = before + int(pc.index(long, True).as_py())
             raise InputError(f"a payload above 64 bytes, in row {row}", file=self._path, key="data", value=longest)
-        if pa.types.is_fixed_size_binary(kind) or pa.types.is_dictionary(kind):
-            column = column.cast(pa.binary())
         if pa.types.is_list(kind) or pa.types.is_large_list(kind):
             ends = column.offsets.to_numpy()
             if column.values.null_count:
                 raise InputError("a payload has bytes without a value", file=self._path, key="data")
             raw = column.values.to_numpy(zero_copy_only=False)
         else:
-            wide = pa.types.is_large_binary(column.type)
+            column = column.cast(pa.large_binary())
             _, places, content = column.buffers()
-            ends = np.frombuffer(places, np.int64 if wide else np.int32)[column.offset :][: len(column) + 1]
+            ends = np.frombuffer(places, np.int64)[column.offset :][: len(column) + 1]
             raw = np.frombuffer(content, np.uint8) if content is not None else np.zeros(0, np.uint8)
         ends = ends.astype(np.int64)
         counts = np.diff(ends)

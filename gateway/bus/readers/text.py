@@ -144,7 +144,7 @@ class Lines(FormatReader, ABC):
                     self._pass_over(f"no line of this format ({self.good})", line)
                 at = end
                 self._line += 1
-            if batch.full:
+            if batch.count == batch.size:
                 yield None
 
     def _endless(self, tail: bytes) -> InputError:
