@@ -205,11 +205,9 @@ class Blf(FormatReader):
     def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
         """Yield a log's frames."""
         start, others = self._header(stream), np.zeros(_TYPES, np.int64)
-        batch, block, frames, lost = Batch(chunk), bytearray(), 0, False
+        batch, block, frames, lost = Batch(chunk), b"", 0, False
         for part, gap in self._parts(stream):
-            if gap:
-                block.clear()
-            block += part
+            block = part if gap else block + part
             at, why = 0, LOST if lost and not gap else FULL
             while why != MORE:
                 if lost := why in (LOST, LONG):
@@ -226,7 +224,7 @@ class Blf(FormatReader):
                 if batch.count == batch.size:
                     frames += batch.count
                     yield batch.take(names)
-            del block[:at]
+            block = block[at:]
             if len(block) > MOST:
                 self._end = ValueError(f"an object that is longer than {MOST} bytes")
                 break
@@ -267,12 +265,12 @@ class Blf(FormatReader):
         data, broken = pull(stream, size - len(held))
         return held + data, broken
 
-    def _parts(self, stream: BinaryIO) -> Iterator[tuple[bytearray, bool]]:
+    def _parts(self, stream: BinaryIO) -> Iterator[tuple[bytes, bool]]:
         """Yield the log's objects, unpacked, some at a time, and whether something is lost before them."""
         part, lost, gap = bytearray(), False, False
         while self._end is None:
             if len(part) >= _BLOCK or (lost and part):
-                yield part, gap
+                yield bytes(part), gap
                 part.clear()
                 gap = False
             gap = gap or lost
@@ -307,7 +305,7 @@ class Blf(FormatReader):
                     self.passed_over.add("a container that cannot be unpacked", str(error))
                     lost = True
         if part:
-            yield part, gap
+            yield bytes(part), gap
 
     def _contents(self, head: bytes, body: bytes, kind: int) -> bytes:
         """Return the objects in an object of the file: a container, or itself.
