@@ -37,7 +37,7 @@ class Lines(FormatReader, ABC):
     comma = False
     #: Begin of a line that is no frame and may be a log's last one.
     last: re.Pattern[bytes]
-    #: What is missing if the log ends now.
+    #: The part that is missing if the log ends now.
     missing = ""
     #: The kernel of the format (see :mod:`gateway.bus.readers.scan`), and its own arguments.
     scanner: tuple[Callable[..., tuple[int, int, int, int]], tuple[Any, ...]]
