@@ -217,12 +217,9 @@ class RawReceiver:
         self.losses: list[tuple[int, int]] = []
         self._room = Room(1, MOST_FRAMES)
         self._messages, self._gaps = self._room.messages[0], self._room.gaps[0]
-        self._vectors, self._headers = self._room.vectors[0], self._room.headers(0)
-        self._control = self._room.control[0]
-        self._steps = np.arange(MOST_FRAMES, dtype=np.uintp) * FRAME.itemsize + 8
-        self._into = 0
+        self._headers, self._into = self._room.headers(0), 0
         # Compiled before traffic, and for one kind of batch.
-        self._settle = bound(settle, self._messages, self._control, self._gaps, rest=(empty(1), 0, 0, 0, 0))
+        self._settle = bound(settle, self._messages, self._room.control[0], self._gaps, rest=(empty(1), 0, 0, 0, 0))
         for option in (_SO_TIMESTAMPNS, _SO_RXQ_OVFL):
             try:
                 sock.setsockopt(_SOL_SOCKET, option, 1)
@@ -239,7 +236,7 @@ class RawReceiver:
         most = min(len(out), MOST_FRAMES)
         address = address_of_array(out)
         if address != self._into:
-            self._vectors["base"] = address + self._steps
+            self._room.receive_into(out[np.newaxis])
             self._into = address
         count = _system()(self._sock.fileno(), self._headers, most, socket.MSG_DONTWAIT, None)
         if count < 0:
@@ -258,12 +255,9 @@ class RawReceiver:
 
     def note(self, received: int, rejected: int, gaps: NDArray[np.int64]) -> None:
         """Count what was received, here or by a pump; ``gaps``, shape (n, 2): places, and frames lost before them."""
-        self.losses = []
-        if len(gaps):
-            self.losses = [(int(at), int(lost)) for at, lost in gaps]
-            self._statistics.overflow += sum(lost for _, lost in self.losses)
-        if rejected:
-            self._statistics.rejected += rejected
+        self.losses = [(at, lost) for at, lost in gaps.tolist()]
+        self._statistics.overflow += sum(lost for _, lost in self.losses)
+        self._statistics.rejected += rejected
         self._statistics.received += received
 
 

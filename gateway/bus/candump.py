@@ -7,18 +7,14 @@ from typing import BinaryIO
 
 import numpy as np
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames, payload
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, payload
 
 
 def format_frame(frame: np.void, interface: str) -> str:
     """Return one frame as a line, without its end."""
     t_ns, can_id, flags = int(frame["t_ns"]), int(frame["can_id"]), int(frame["flags"])
-    if can_id & ERROR:
-        name = f"{can_id & ~EXTENDED:08X}"
-    elif can_id & EXTENDED:
-        name = f"{can_id & 0x1FFFFFFF:08X}"
-    else:
-        name = f"{can_id & 0x7FF:03X}"
+    kept = ~EXTENDED if can_id & ERROR else ID_MASK if can_id & EXTENDED else 0x7FF
+    name = f"{can_id & kept:0{3 if kept == 0x7FF else 8}X}"
     data = payload(frame).hex().upper()
     if can_id & REMOTE:
         body = f"{name}#R{int(frame['length']) or ''}"

@@ -6,12 +6,12 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from glob import glob, has_magic
+from itertools import takewhile
 from pathlib import Path
 
-from gateway.bus.log_source import ARCHIVE, compression_of
+from gateway.bus.log_source import ARCHIVE, compression_of, segments
 from gateway.bus.logs import is_format
 from gateway.bus.readers.parquet import is_frame_log
-from gateway.bus.ring import segments
 from gateway.common.extras import installed
 from gateway_fdi.errors import InputError
 
@@ -74,16 +74,9 @@ def is_log(path: Path) -> bool:
     return is_format(Path(name).suffix)
 
 
-def _is_ring(folder: Path) -> bool:
-    try:
-        return bool(segments(folder))
-    except InputError:
-        return False
-
-
 def _below(folder: Path) -> Iterator[Path]:
     """Yield the recordings in a folder and its folders, in order of their names."""
-    if _is_ring(folder):
+    if segments(folder):
         yield folder
         return
     for path in sorted(folder.iterdir()):
@@ -93,16 +86,6 @@ def _below(folder: Path) -> Iterator[Path]:
             yield from _below(path)
         elif is_log(path):
             yield path
-
-
-def _root(pattern: str) -> Path:
-    """Return the folder that a pattern begins with."""
-    parts: list[str] = []
-    for part in Path(pattern).parts:
-        if has_magic(part):
-            break
-        parts.append(part)
-    return Path(*parts)
 
 
 def _device(path: Path, root: Path) -> str:
@@ -118,9 +101,9 @@ def _matching(pattern: str) -> Iterator[Path]:
     for text in sorted(glob(pattern, recursive=True)):  # noqa: PTH207 - an absolute pattern, too
         path = Path(text)
         if path.is_dir():
-            if not pattern.rstrip("/").endswith("**") or _is_ring(path):
+            if not pattern.rstrip("/").endswith("**") or segments(path):
                 yield from _below(path)
-        elif is_log(path) and not _is_ring(path.parent):
+        elif is_log(path) and not segments(path.parent):
             yield path
 
 
@@ -141,7 +124,8 @@ def find(patterns: Sequence[str | Path], device: str | None = None) -> list[Reco
         pattern = str(one)
         path = Path(pattern)
         if has_magic(pattern) and not path.exists():
-            root, paths = _root(pattern), list(_matching(pattern))
+            root = Path(*takewhile(lambda part: not has_magic(part), path.parts))
+            paths = list(_matching(pattern))
         elif path.is_dir():
             root, paths = path, list(_below(path))
         elif path.exists():

@@ -176,22 +176,12 @@ def nanoseconds(seconds: float) -> int:
 
 def put_message(frames: Frames, index: int, message: can.Message, *, bus: int = 0) -> None:
     """Write a python-can message into a batch (see :func:`put`)."""
-    can_id = message.arbitration_id & ID_MASK
-    if message.is_extended_id:
-        can_id |= EXTENDED
-    if message.is_error_frame:
-        can_id |= ERROR
-    elif message.is_remote_frame:
-        can_id |= REMOTE
-    flags = 0
+    error, remote = message.is_error_frame, message.is_remote_frame and not message.is_error_frame
+    can_id = message.arbitration_id & ID_MASK | (EXTENDED if message.is_extended_id else 0)
+    can_id |= (ERROR if error else 0) | (REMOTE if remote else 0)
+    flags = 0 if message.is_rx else OWN
     if message.is_fd:
-        flags |= FD
-        if message.bitrate_switch:
-            flags |= BRS
-        if message.error_state_indicator:
-            flags |= ESI
-    if not message.is_rx:
-        flags |= OWN
+        flags |= FD | (BRS if message.bitrate_switch else 0) | (ESI if message.error_state_indicator else 0)
     body = bytes(min(message.dlc, 8)) if message.is_remote_frame else bytes(message.data)
     put(frames, index, nanoseconds(message.timestamp), can_id, body, bus=bus, flags=flags)
 

@@ -208,57 +208,45 @@ class Hub:
 
     def _handle(self, client: _Client, words: list[str]) -> None:
         command = words[0] if words else ""
-        if command in ("send", "x"):
-            self._take(client, words)
-        elif command == "open" and len(words) == 2:
+        if command == "open" and len(words) == 2:
             client.bus = words[1]
             self._answer(client, "ok")
-        elif command == "rawmode" and client.bus is not None:
+        elif command == "echo":
+            self._answer(client, "echo")
+        elif command not in ("send", "x", "rawmode", "xmode"):
+            self._refuse(client, "unknown command")
+        elif client.bus is None:
+            self._refuse(client, "open a bus first")
+        elif command == "rawmode":
             self._answer(client, "ok")
             client.raw = True
             if not client.extended:
                 client.held_until = time.monotonic() + HOLD_S
-        elif command == "xmode" and client.bus is not None:
+        elif command == "xmode":
             client.extended = True
             self._answer(client, "ok")
-        elif command == "echo":
-            self._answer(client, "echo")
-        elif command in ("rawmode", "xmode"):
-            self._refuse(client, "open a bus first")
-        else:
-            self._refuse(client, "unknown command")
-
-    def _take(self, client: _Client, words: list[str]) -> None:
-        if client.bus is None:
-            self._refuse(client, "open a bus first")
-            return
-        try:
-            if words[0] == "x":
-                if not client.extended:
-                    raise ValueError("mode")
-                parts = parse_extended(words)
-            else:
-                parts = parse_send(words)
-        except (ValueError, IndexError):
+        elif command == "x" and not client.extended:
             self._refuse(client, "malformed frame")
-            return
-        self._spread(client, (self._clock_ns(), *parts[1:]))
+        else:
+            try:
+                parts = parse_extended(words) if command == "x" else parse_send(words)
+            except (ValueError, IndexError):
+                self._refuse(client, "malformed frame")
+            else:
+                self._spread(client, (self._clock_ns(), *parts[1:]))
 
     def _spread(self, sender: _Client, parts: Parts) -> None:
         self.statistics.frames += 1
-        plain: bytes | None = None
-        extended: bytes | None = None
+        lines: dict[bool, bytes | None] = {}
         for client in self._clients:
             if client is sender or client.bus != sender.bus or not client.raw:
                 continue
-            if client.extended:
-                line = extended = extended or extended_frame(parts)
-            else:
-                plain = plain or plain_frame(parts)
-                if plain is None:
-                    self.statistics.inexpressible += 1
-                    continue
-                line = plain
+            if client.extended not in lines:
+                lines[client.extended] = extended_frame(parts) if client.extended else plain_frame(parts)
+            line = lines[client.extended]
+            if line is None:
+                self.statistics.inexpressible += 1
+                continue
             self._make_room(client)
             client.waiting.append(line)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.bus.log_source import CutOffError
-from gateway.bus.ring import Recorded
+from gateway.bus.logs import LogReader
 from gateway_fdi.errors import InputError
 
 
@@ -42,6 +42,15 @@ class Contents:
         """Frames of channels that no configured bus has."""
         return sum(n for name, n in self.channels.items() if self.bus_of[name] is None)
 
+    def refuse(self, error: InputError, state: str = "", *, allowed: bool = False) -> None:
+        """Note an error, as a remark if it is allowed, and the state that comes of it, if there is no other yet."""
+        if state and self.state == "whole":
+            self.state = state
+        if allowed:
+            self.notes.append(str(error))
+        else:
+            self.wrong.append(error)
+
     def event(self) -> dict[str, Any]:
         """Return it in the form of the JSON contract."""
         return {
@@ -57,7 +66,7 @@ class Contents:
 
 
 def contents(
-    reader: Recorded,
+    reader: LogReader,
     buses: Mapping[str, str],
     channels: Mapping[str, int] | None,
     *,
@@ -89,47 +98,35 @@ def contents(
     )
     held = _listed(seen)
     known = ", ".join(a if a == b else f"{a} ({b})" for a, b in buses.items())
-    for error in (*reader.problems, *([] if damage is None else [damage])):
+    wrong = [*reader.problems, *([] if damage is None else [damage])]
+    for error in wrong:
         cut = isinstance(error, CutOffError)
-        if made.state != "damaged":
-            made.state = "cut off" if cut else "damaged"
-        _refuse(made, error, allowed=cut and allow_cut)
+        made.refuse(error, "cut off" if cut else "damaged", allowed=cut and allow_cut)
+    if any(not isinstance(error, CutOffError) for error in wrong):
+        made.state = "damaged"
     if not seen:
-        if made.state == "whole":
-            made.state = "empty"
+        if not wrong:
             hint = "" if allow_empty else " (--allow-empty if that is right)"
             error = InputError(f"no frame in this log{hint}", file=reader.path)
-            _refuse(made, error, allowed=allow_empty)
+            made.refuse(error, "empty", allowed=allow_empty)
         return made
     if made.left_out == made.frames:
-        if made.state == "whole":
-            made.state = "foreign"
         text = (
             f"no frame of a configured bus: the log has {held}, the configuration {known};"
             f" join them, e.g. --map {next(iter(seen))}={names[0]}"
         )
-        _refuse(made, InputError(text, file=reader.path), allowed=allow_empty)
+        made.refuse(InputError(text, file=reader.path), "foreign", allowed=allow_empty)
     elif foreign:
-        made.state = "foreign" if made.state == "whole" else made.state
         text = f"of another vehicle: the databases of the configuration know {foreign} of its identifiers"
-        text += "; nothing was judged"
-        _refuse(made, InputError(text, file=reader.path), allowed=False)
+        made.refuse(InputError(f"{text}; nothing was judged", file=reader.path), "foreign")
     else:
         made.notes += _notes(made, names, channels)
     for name in asked:
         if name not in seen:
-            text = f"the log has no such channel; it has {held}"
-            error = InputError(text, file=reader.path, key="--map", value=name)
-            _refuse(made, error, allowed=allow_empty)
+            error = InputError(f"the log has no such channel; it has {held}", file=reader.path, key="--map", value=name)
+            made.refuse(error, allowed=allow_empty)
     made.notes += reader.passed_over.notes()
     return made
-
-
-def _refuse(made: Contents, error: InputError, *, allowed: bool) -> None:
-    if allowed:
-        made.notes.append(str(error))
-    else:
-        made.wrong.append(error)
 
 
 def _notes(made: Contents, names: list[str], channels: Mapping[str, int] | None) -> list[str]:

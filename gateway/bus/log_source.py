@@ -5,6 +5,7 @@ A few kB unpack to gigabytes. So reading is bounded: a line, an object of BLF, a
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
@@ -25,6 +26,10 @@ OBJECT = 1 << 24
 _PIECE = 1 << 18
 
 
+#: Name of a segment that ``gateway record`` writes.
+_SEGMENT = re.compile(r"^frames-\d{6,}-\d{8}T\d{6}Z\.(?:log|blf)$")
+
+
 class CutOffError(InputError):
     """A log that ends before its end: the recorder was killed, the copy was not finished."""
 
@@ -33,6 +38,23 @@ def compression_of(path: Path) -> str:
     """Return the suffix of a file's compression, "" if it has none."""
     suffix = path.suffix.lower()
     return suffix if suffix in COMPRESSIONS else ""
+
+
+def segments(folder: Path) -> list[Path]:
+    """Return the segments of a folder, the oldest first.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        return sorted((path for path in folder.iterdir() if _SEGMENT.match(path.name)), key=number_of)
+    except OSError as error:
+        raise InputError(error.strerror or str(error), file=folder) from error
+
+
+def number_of(segment: Path) -> int:
+    """Return the number of a segment."""
+    return int(segment.name.split("-")[1])
 
 
 def members(path: Path) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from datetime import UTC, tzinfo
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 from gateway.bus.candump import CandumpWriter
 from gateway.bus.conditions import BUS_ERROR, PROTOCOL
 from gateway.bus.frames import ERROR, ID_MASK, Frames, chosen, of_bus
-from gateway.bus.log_source import ARCHIVE, COMPRESSIONS, compression_of, damage, members, open_log, pull
+from gateway.bus.log_source import (
+    ARCHIVE,
+    COMPRESSIONS,
+    CutOffError,
+    compression_of,
+    damage,
+    members,
+    open_log,
+    pull,
+    segments,
+)
 from gateway.bus.parquet import ParquetWriter
 from gateway.bus.readers.asc import Asc
 from gateway.bus.readers.batch import Names, PassedOver, Reader
@@ -24,12 +34,15 @@ from gateway.bus.readers.candump import Candump
 from gateway.bus.readers.csv import Csv
 from gateway.bus.readers.mf4 import Mf4
 from gateway.bus.readers.parquet import Parquet
-from gateway.bus.readers.text import BOM, Lines, TextReader
+from gateway.bus.readers.text import BOM, Lines
 from gateway.bus.readers.trc import Trc
 from gateway.bus.writers import WRITERS, Sink
 from gateway.common.extras import need
 from gateway.common.plugins import Registry, accept_callable
+from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError
+
+log = get_logger(__name__)
 
 #: Suffix -> what it is.
 FORMATS = {
@@ -49,8 +62,15 @@ _EXTRAS = {".mf4": ("mf4", "MF4 logs"), ".parquet": ("parquet", "logs in Parquet
 READERS: Registry[Callable[[Path], Reader]] = Registry("gateway.readers", accept_callable)
 
 #: Readers, which tell their format by a log's first bytes; of several that fit the suffix decides, else the first.
-_BINARY: dict[str, Any] = {".blf": Blf, ".mf4": Mf4, ".parquet": Parquet}
-_LINES: dict[str, type[Lines]] = {".trc": Trc, ".asc": Asc, ".csv": Csv, ".log": Candump}
+_OURS: dict[str, Any] = {
+    ".blf": Blf,
+    ".mf4": Mf4,
+    ".parquet": Parquet,
+    ".trc": Trc,
+    ".asc": Asc,
+    ".csv": Csv,
+    ".log": Candump,
+}
 #: Bytes by which a format is told.
 _FIRST = 1 << 16
 #: Frames of a batch at most.
@@ -80,8 +100,8 @@ def _known(suffix: str, path: Path, *, read: bool) -> str:
 def _maker(name: str, first: bytes, path: Path) -> tuple[str, Callable[[Path], Reader]]:
     """Return the format of a log, and what makes its reader: its first bytes say so, or else its suffix."""
     suffix, first = Path(name).suffix.lower(), first.removeprefix(BOM)
-    fitting = [own for own, reader in _BINARY.items() if reader.sniff(first)]
-    fitting = fitting or [own for own, lines in _LINES.items() if lines.sniff(first)]
+    fitting = [own for own, reader in _OURS.items() if reader.sniff(first)]
+    fitting = [own for own in fitting if not issubclass(_OURS[own], Lines)] or fitting
     if suffix in READERS:
         made = READERS[suffix]
         sniff = getattr(made, "sniff", None)
@@ -90,9 +110,7 @@ def _maker(name: str, first: bytes, path: Path) -> tuple[str, Callable[[Path], R
     if fitting and suffix not in fitting:
         suffix = fitting[0]
     suffix = _known(suffix, path, read=True)
-    if suffix in _BINARY:
-        return FORMATS[suffix], _BINARY[suffix]
-    return FORMATS[suffix], lambda path: TextReader(path, _LINES[suffix](path))
+    return FORMATS[suffix], _OURS[suffix]
 
 
 def _first(path: Path, member: str = "") -> bytes:
@@ -100,26 +118,31 @@ def _first(path: Path, member: str = "") -> bytes:
         return pull(open_log(path, stack, member)[0], _FIRST)[0]
 
 
+#: A log of a file: its name within an archive, "" if that is none, its format, and what makes its reader.
+_Log = tuple[str, str, Callable[[Path], Reader]]
+
+
 class LogReader:
-    """Reads a log in chunks; an iterable of batches, once.
+    """Reads a log in chunks, or all segments of a folder, one after the other; an iterable of batches, once.
 
     Lines and objects that are damaged are passed over, and told by ``problems``. An error that ends the log is raised
-    after all frames before it: :class:`CutOffError` where the log ends before its end.
+    after all frames before it: :class:`CutOffError` where the log ends before its end. One that ends a segment is told
+    by ``problems``, too; the newest may be unfinished.
 
     Args:
         path: the file; its content tells the format, or else its suffix. Of several logs in a ``.zip`` one is read
-            after the other, in the order of their names.
-        chunk: frames of a batch at most.
+            after the other, in the order of their names. A folder has the segments of ``gateway record``.
         channels: interface or channel in the file -> bus index; None puts all on bus 0. Frames of others are left
             out, and counted. Numbers count from 0 in all formats: ``0`` is CANalyzer's channel 1.
-        zone: of the dates in headers of ASC, BLF and TRC, which have none.
+        zone: of the dates in headers of ASC, BLF and TRC, which have none; segments are in UTC.
+        chunk: frames of a batch at most.
 
     Raises:
         InputError: unknown format or unreadable file; while reading: what ends it early.
 
     Attributes:
         formats: of the file, or of each log in an archive.
-        bytes_total, bytes_done: size of the file, and how far reading is [byte].
+        bytes_total, bytes_done: size of the files, and how far reading is [byte].
         seen: frames of each interface or channel in the file so far, left out or not.
         passed_over: places that gave no frame.
         problems: damage that did not end reading, an error each kind.
@@ -129,25 +152,38 @@ class LogReader:
     def __init__(
         self,
         path: Path,
-        *,
-        chunk: int = CHUNK,
         channels: Mapping[str, int] | None = None,
         zone: tzinfo = UTC,
+        *,
+        chunk: int = CHUNK,
     ) -> None:
         self.path = path
-        self._chunk, self._channels, self._zone = chunk, channels, zone
+        self._segmented = path.is_dir()
+        self._chunk, self._channels, self._zone = chunk, channels, UTC if self._segmented else zone
         self._names = Names()
         self._counts = np.zeros(0, np.int64)
-        self.passed_over = PassedOver()
+        self._passed: dict[Path, PassedOver] = {}
+        self._ended: list[InputError] = []
         self.origin_ns = 0
-        self._logs = self._members()
-        self.formats = [name for _, name, _ in self._logs]
-        self.bytes_total = path.stat().st_size
+        self._files: dict[Path, tuple[list[_Log], int]] = {}
+        for file in segments(path) if self._segmented else [path]:
+            try:
+                self._files[file] = self._members(file), file.stat().st_size
+            except (InputError, FileNotFoundError):
+                if not self._segmented or file.exists():
+                    raise
+                log.warning("a segment was deleted by its recorder before it was read", file=str(file))
+        if not self._passed:
+            raise InputError("no recorded segments here (frames-000001-....log)", file=path)
+        formats = [name for logs, _ in self._files.values() for _, name, _ in logs]
+        self.formats = sorted(set(formats)) if self._segmented else formats
+        self.bytes_total = sum(size for _, size in self._files.values())
         self.bytes_done = 0
 
-    def _members(self) -> list[tuple[str, str, Callable[[Path], Reader]]]:
-        """Return the logs of the file: name within an archive, "" if it is none, format, and what makes a reader."""
-        packed, path = compression_of(self.path), self.path
+    def _members(self, path: Path) -> list[_Log]:
+        """Return the logs of a file."""
+        passed = self._passed[path] = PassedOver()
+        packed = compression_of(path)
         if packed != ARCHIVE:
             name = path.stem if packed else path.name
             try:
@@ -164,7 +200,7 @@ class LogReader:
                 found.append((name, *_maker(plain, _first(path, name), path)))
             except InputError as error:
                 wrong = error
-                self.passed_over.add("a file in the archive that is no log", name, damaged=False)
+                passed.add("a file in the archive that is no log", name, damaged=False)
         if wrong is not None and not found:
             raise wrong
         return found
@@ -175,30 +211,52 @@ class LogReader:
         return Counter(dict(zip(self._names.known, self._counts.tolist(), strict=False)))
 
     @property
+    def passed_over(self) -> PassedOver:
+        """Places that gave no frame."""
+        made = PassedOver()
+        for passed in self._passed.values():
+            made.take(passed)
+        return made
+
+    @property
     def problems(self) -> list[InputError]:
         """Damage that did not end reading."""
-        return self.passed_over.errors(self.path)
+        return [error for file, passed in self._passed.items() for error in passed.errors(file)] + self._ended
 
     def __iter__(self) -> Iterator[Frames]:
-        for member, _, make in self._logs:
-            reader = make(self.path)
-            dated = reader.lines if isinstance(reader, TextReader) else reader
-            if hasattr(dated, "zone"):
-                dated.zone = self._zone
-            with ExitStack() as stack:
-                stream, raw = open_log(self.path, stack, member)
-                try:
-                    for frames, channel in reader.read(stream, self._names, self._chunk):
-                        self.bytes_done = self.bytes_total if raw.closed else min(raw.tell(), self.bytes_total)
-                        self.origin_ns = reader.origin_ns
-                        yield self._placed(frames, channel)
-                except InputError:
+        done = 0
+        for file, (logs, size) in self._files.items():
+            try:
+                for member, _, make in logs:
+                    for frames, raw in self._read(file, member, make):
+                        self.bytes_done = done + (size if raw.closed else min(raw.tell(), size))
+                        yield frames
+            except InputError as error:
+                if not self._segmented:
                     raise
-                except Exception as error:  # a value that no format has
-                    raise damage(error, self.path, int(self._counts.sum())) from error
-                finally:
-                    self.passed_over.take(reader.passed_over)
-        self.bytes_done = self.bytes_total
+                log.warning("the rest of a segment is left out", error=str(error))
+                if file != next(reversed(self._files)) or not isinstance(error, CutOffError):
+                    self._ended.append(error)
+            done += size
+            self.bytes_done = done
+
+    def _read(self, path: Path, member: str, make: Callable[[Path], Reader]) -> Iterator[tuple[Frames, BinaryIO]]:
+        """Yield the frames of a log of a file, and the file."""
+        reader = make(path)
+        if hasattr(reader, "zone"):
+            reader.zone = self._zone
+        with ExitStack() as stack:
+            stream, raw = open_log(path, stack, member)
+            try:
+                for frames, channel in reader.read(stream, self._names, self._chunk):
+                    self.origin_ns = reader.origin_ns
+                    yield self._placed(frames, channel), raw
+            except InputError:
+                raise
+            except Exception as error:  # a value that no format has
+                raise damage(error, path, int(self._counts.sum())) from error
+            finally:
+                self._passed[path].take(reader.passed_over)
 
     def _placed(self, frames: Frames, channel: NDArray[np.int64]) -> Frames:
         """Count the frames of each channel, and leave out those of no bus."""
@@ -263,14 +321,10 @@ class LogWriter:
         self._sink.write(frames)
 
     @property
-    def lost(self) -> Counter[str]:
-        """Properties that the format cannot hold -> of how many frames."""
-        return Counter(getattr(self._sink, "lost", ()))
-
-    @property
     def problems(self) -> list[InputError]:
-        """Properties of the frames that are not in the log, as one error."""
-        what = ", ".join(f"{name} ({count} frames)" for name, count in self.lost.items() if count)
+        """Properties of the frames that the format cannot hold, as one error."""
+        lost = Counter(getattr(self._sink, "lost", ()))
+        what = ", ".join(f"{name} ({count} frames)" for name, count in lost.items() if count)
         text = f"{self._format} cannot hold all of these frames; not in this log: {what}"
         return [InputError(text, file=self._path)] if what else []
 

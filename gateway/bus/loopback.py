@@ -52,12 +52,9 @@ class LoopbackBus(Bus):
                 if not got.startswith(answer):
                     raise BusError(f"{uri}: not a gateway bus: {got[:40]!r}")
                 self._received += got[len(answer) :]
-        except OSError as error:
+        except (OSError, BusError) as error:
             self._socket.close()
-            raise BusError(f"{uri}: no answer: {error}") from error
-        except BusError:
-            self._socket.close()
-            raise
+            raise error if isinstance(error, BusError) else BusError(f"{uri}: no answer: {error}") from error
         self._socket.setblocking(False)
 
     def _connect(self, address: tuple[str, int], patience_s: float) -> socket.socket:

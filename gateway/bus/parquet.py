@@ -56,37 +56,25 @@ class ParquetWriter:
             return
         frames = np.concatenate(self._held)
         self._held, self._count = [], 0
+        buses, places = np.unique(frames["bus"], return_inverse=True)
+        names = [self._interfaces.get(bus, f"can{bus}") for bus in buses.tolist()]
+        lengths = frames["length"].astype(np.int32)
+        ends = np.append(np.int32(0), np.cumsum(lengths, dtype=np.int32))
+        width = int(lengths.max(initial=0))
+        raw = frames["data"][:, :width][np.arange(width) < lengths[:, None]]
+        buffers = [None, pa.py_buffer(ends), pa.py_buffer(raw.tobytes())]
         columns: dict[str, Any] = {
             "t": pa.array(np.ascontiguousarray(frames["t_ns"])).cast(pa.timestamp("ns", "UTC")),
             "id": pa.array(frames["can_id"] & ID_MASK),
-            "channel": self._channel(frames),
-            "data": _payloads(frames),
+            "channel": pa.DictionaryArray.from_arrays(pa.array(places.astype(np.int32)), pa.array(names, pa.string())),
+            "data": pa.Array.from_buffers(pa.binary(), len(frames), buffers),
         }
         columns |= {name: pa.array(frames["can_id"] & flag != 0) for name, flag in FLAGS_OF_ID.items()}
         columns |= {name: pa.array(frames["flags"] & flag != 0) for name, flag in FLAGS.items()}
         self._writer.write_table(pa.table([columns[name] for name in self._schema.names], schema=self._schema))
-
-    def _channel(self, frames: Frames) -> Any:
-        import pyarrow as pa  # noqa: PLC0415 - an extra
-
-        buses, places = np.unique(frames["bus"], return_inverse=True)
-        names = [self._interfaces.get(bus, f"can{bus}") for bus in buses.tolist()]
-        return pa.DictionaryArray.from_arrays(pa.array(places.astype(np.int32)), pa.array(names, pa.string()))
 
     def close(self) -> None:
         """Finish the file."""
         self._flush()
         self._writer.close()
         self._file.close()
-
-
-def _payloads(frames: Frames) -> Any:
-    """Return the payloads as one column."""
-    import pyarrow as pa  # noqa: PLC0415 - an extra
-
-    lengths = frames["length"].astype(np.int32)
-    ends = np.zeros(len(frames) + 1, np.int32)
-    np.cumsum(lengths, out=ends[1:])
-    width = int(lengths.max(initial=0))
-    raw = frames["data"][:, :width][np.arange(width) < lengths[:, None]]
-    return pa.Array.from_buffers(pa.binary(), len(frames), [None, pa.py_buffer(ends), pa.py_buffer(raw.tobytes())])

@@ -6,25 +6,21 @@ segment; BLF is written in compressed containers, of which the last may be lost.
 
 from __future__ import annotations
 
-import re
 import time
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime, tzinfo
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 
 from gateway.bus.frames import Frames
-from gateway.bus.log_source import CutOffError
-from gateway.bus.logs import LogReader, LogWriter, open_writer, read_log
-from gateway.bus.readers.batch import PassedOver
+from gateway.bus.log_source import number_of, segments
+from gateway.bus.logs import LogReader, LogWriter, open_writer
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError
 
-_NAME = re.compile(r"^frames-(\d{6,})-\d{8}T\d{6}Z\.(log|blf)$")
 #: Time from a failure (disk full) to the next attempt [s].
 PAUSE_S = 1.0
 
@@ -43,109 +39,8 @@ class RingParams(StrictModel):
     )
 
 
-def segments(folder: Path) -> list[Path]:
-    """Return the segments of a folder, the oldest first.
-
-    Raises:
-        InputError: there are none, or it cannot be read.
-    """
-    try:
-        found = [path for path in folder.iterdir() if _NAME.match(path.name)]
-    except OSError as error:
-        raise InputError(error.strerror or str(error), file=folder) from error
-    if not found:
-        raise InputError("no recorded segments here (frames-000001-....log)", file=folder)
-    return sorted(found, key=_number)
-
-
-def _number(path: Path) -> int:
-    match = _NAME.match(path.name)
-    return int(match[1]) if match else 0
-
-
-def _opened(path: Path, channels: Mapping[str, int] | None) -> LogReader | None:
-    """Return the reader of a segment; None: its recorder has just made room, and deleted it."""
-    try:
-        return read_log(path, channels=channels)
-    except (InputError, FileNotFoundError):
-        if path.exists():
-            raise
-    log.warning("a segment was deleted by its recorder before it was read", file=str(path))
-    return None
-
-
-class SegmentReader:
-    """Reads the segments of a folder one after the other; an iterable of batches, once.
-
-    A segment that ends in a damaged place (power loss) is read up to there; the newest may be unfinished.
-
-    Attributes:
-        bytes_total: size of all segments [byte].
-        origin_ns: as of a log; our own recordings have wall time [ns].
-    """
-
-    origin_ns = 0
-
-    def __init__(self, folder: Path, channels: Mapping[str, int] | None) -> None:
-        self.path = folder
-        opened = [_opened(path, channels) for path in segments(folder)]
-        self._readers = [reader for reader in opened if reader is not None]
-        self.bytes_total = sum(reader.bytes_total for reader in self._readers)
-        self._ended: list[InputError] = []
-
-    @property
-    def problems(self) -> list[InputError]:
-        """Errors of each segment, except that the newest one is unfinished."""
-        return [error for reader in self._readers for error in reader.problems] + self._ended
-
-    @property
-    def formats(self) -> list[str]:
-        """Formats of the segments."""
-        return sorted({name for reader in self._readers for name in reader.formats})
-
-    @property
-    def bytes_done(self) -> int:
-        """How far reading is [byte]."""
-        return sum(reader.bytes_done for reader in self._readers)
-
-    @property
-    def seen(self) -> Counter[str]:
-        """Frames of each interface in the segments so far, left out or not."""
-        return sum((reader.seen for reader in self._readers), Counter[str]())
-
-    @property
-    def passed_over(self) -> PassedOver:
-        """Places that gave no frame."""
-        made = PassedOver()
-        for reader in self._readers:
-            made.take(reader.passed_over)
-        return made
-
-    def __iter__(self) -> Iterator[Frames]:
-        for reader in self._readers:
-            try:
-                yield from reader
-            except InputError as error:
-                log.warning("the rest of a segment is left out", error=str(error))
-                reader.bytes_done = reader.bytes_total
-                unfinished = reader is self._readers[-1] and isinstance(error, CutOffError)
-                if not unfinished:
-                    self._ended.append(error)
-
-
-#: Either of them.
-Recorded = LogReader | SegmentReader
-
-
-def read_recording(path: Path, channels: Mapping[str, int] | None = None, zone: tzinfo = UTC) -> Recorded:
-    """Open a log, or a folder of segments; arguments as of :class:`gateway.bus.logs.LogReader`.
-
-    Raises:
-        InputError: unknown format, or unreadable; while reading a log: what ends it early.
-    """
-    if path.is_dir():
-        return SegmentReader(path, channels)
-    return read_log(path, channels=channels, zone=zone)
+#: Opens a log, or a folder of segments, for reading.
+read_recording = LogReader
 
 
 class Ring:
@@ -168,10 +63,9 @@ class Ring:
         self.lost = 0
         try:
             params.folder.mkdir(parents=True, exist_ok=True)
-            old = [path for path in params.folder.iterdir() if _NAME.match(path.name)]
         except OSError as error:
             raise InputError(f"not usable for recordings: {error.strerror}", file=params.folder) from error
-        self._next = max(map(_number, old), default=0) + 1
+        self._next = max(map(number_of, segments(params.folder)), default=0) + 1
 
     def write(self, frames: Frames) -> None:
         """Append a batch; frames that cannot be written are counted, and stop nothing."""
@@ -186,7 +80,7 @@ class Ring:
             self.lost += len(frames)
             self._resume = time.monotonic() + PAUSE_S
             log.warning("frames not recorded", folder=str(self._params.folder), error=str(error))
-            self._end()
+            self.close()
 
     def _write(self, frames: Frames) -> None:
         t_ns = int(frames[0]["t_ns"])
@@ -196,7 +90,7 @@ class Ring:
         self._writer.write(frames)
         full = self._path.stat().st_size >= self._params.segment_mb * 1e6
         if full or abs(t_ns - self._first_ns) >= self._params.segment_s * 1e9:
-            self._end()
+            self.close()
 
     def _begin(self, t_ns: int) -> None:
         self._trim()
@@ -209,24 +103,18 @@ class Ring:
 
     def _trim(self) -> None:
         """Delete the oldest segments until another one has room."""
-        try:
-            found = segments(self._params.folder)
-        except InputError:
-            return
+        found = segments(self._params.folder)
         room = (self._params.keep_mb - self._params.segment_mb) * 1e6
         sizes = [path.stat().st_size for path in found]
         while found and sum(sizes) > max(room, 0.0):
             found.pop(0).unlink()
             sizes.pop(0)
 
-    def _end(self) -> None:
+    def close(self) -> None:
+        """Finish the segment."""
         writer, self._writer = self._writer, None
         if writer is not None:
             try:
                 writer.close()
             except OSError as error:
                 log.warning("segment not finished", file=str(self._path), error=str(error))
-
-    def close(self) -> None:
-        """Finish the segment."""
-        self._end()

@@ -122,20 +122,16 @@ class LogTime:
         while start < len(frames):
             count, self._now_ns = go_on_evenly(cells[start:], self._offsets, self._latest, self._now_ns)
             if count:
-                parts.append(self._even(frames[start : start + count]))
+                part = frames[start : start + count]
+                if self._offsets.any():
+                    part = copied(part)
+                    part["t_ns"] -= self._offsets[part["bus"]]
+                parts.append(part)
                 start += count
             if start < len(frames):
                 parts += self._stepped(frames[start : start + 1].copy())
                 start += 1
         return joined(parts)
-
-    def _even(self, frames: Frames) -> Frames:
-        """Return frames without their offsets."""
-        if not self._offsets.any():
-            return frames
-        frames = copied(frames)
-        frames["t_ns"] -= self._offsets[frames["bus"]]
-        return frames
 
     def _stepped(self, frame: Frames) -> list[Frames]:
         """Take a frame, shape (1,), at which the clock was set; returns it, after one that tells so if it is new."""

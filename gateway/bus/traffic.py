@@ -102,15 +102,13 @@ def _byte(words: Any, k: int) -> int:
 
 
 @kernel
-def classical_bits(can_id: int, length: int, words: Any, crcs: Any, stuffing: Any) -> int:
+def classical_bits(can_id: int, length: int, words: Any) -> int:
     """Return the bits of one classical frame on the wire.
 
     Args:
         can_id: with EXTENDED and REMOTE.
         length: payload [byte]; its DLC.
         words: payload, the first byte lowest.
-        crcs: what each byte makes of the CRC, shape (256,).
-        stuffing: what each byte makes of a run of bits alike, shape (8, 256).
     """
     remote = 1 if can_id & _REMOTE else 0
     length = min(length, 8)  # longer payloads do not exist; their load is that of the longest
@@ -125,28 +123,28 @@ def classical_bits(can_id: int, length: int, words: Any, crcs: Any, stuffing: An
     padded = lead << count | head
     crc, run, stuffed = 0, 0, 0
     for k in range(size - 1, -1, -1):
-        crc = ((crc << 8) & 0x7FFF) ^ crcs[((crc >> 7) ^ (head >> (8 * k))) & 0xFF]
-        step = stuffing[run, (padded >> (8 * k)) & 0xFF]
+        crc = ((crc << 8) & 0x7FFF) ^ _CRCS[((crc >> 7) ^ (head >> (8 * k))) & 0xFF]
+        step = _STUFFING[run, (padded >> (8 * k)) & 0xFF]
         run = step & 7
         stuffed += step >> 3
     size = 0 if remote else length
     for k in range(size):
         byte = _byte(words, k)
-        crc = ((crc << 8) & 0x7FFF) ^ crcs[((crc >> 7) ^ byte) & 0xFF]
-        step = stuffing[run, byte]
+        crc = ((crc << 8) & 0x7FFF) ^ _CRCS[((crc >> 7) ^ byte) & 0xFF]
+        step = _STUFFING[run, byte]
         run = step & 7
         stuffed += step >> 3
     tail = crc << 1 | (1 - (crc & 1))  # the bit more is not like the one before it
-    step = stuffing[run, tail >> 8]
-    stuffed += (step >> 3) + (stuffing[step & 7, tail & 0xFF] >> 3)
+    step = _STUFFING[run, tail >> 8]
+    stuffed += (step >> 3) + (_STUFFING[step & 7, tail & 0xFF] >> 3)
     return int(count + 8 * size + 15 + stuffed + _TAIL)
 
 
 @kernel
-def fd_bits(can_id: int, flags: int, length: int, words: Any, codes: Any, stuffing: Any) -> tuple[int, int]:
+def fd_bits(can_id: int, flags: int, length: int, words: Any) -> tuple[int, int]:
     """Return the bits of one CAN FD frame on the wire, those at the nominal and those at the data bit rate.
 
-    ``codes`` has the DLC of each length, shape (65,); other arguments are as of :func:`classical_bits`.
+    Arguments are as of :func:`classical_bits`.
     """
     fast = 1 if flags & _BRS else 0
     if can_id & _EXTENDED:  # SOF, 11 bits, SRR, IDE, 18 bits, RRS
@@ -157,10 +155,10 @@ def fd_bits(can_id: int, flags: int, length: int, words: Any, codes: Any, stuffi
     step = _stuff(_IDLE, head << 3 | 4 | fast, count)  # and FDF, res, BRS
     stuffed = step >> 3
     arbitration = count + stuffed
-    step = _stuff(step & 7, ((flags >> 2) & 1) << 4 | codes[length], 5)  # ESI, DLC
+    step = _stuff(step & 7, ((flags >> 2) & 1) << 4 | _DLC[length], 5)  # ESI, DLC
     stuffed += step >> 3
     for k in range(length):
-        step = stuffing[step & 7, _byte(words, k)]
+        step = _STUFFING[step & 7, _byte(words, k)]
         stuffed += step >> 3
     # Stuff count and CRC, with a fixed stuff bit before them and after each four bits.
     check = 4 + 17 + 6 if length <= 16 else 4 + 21 + 7
@@ -183,13 +181,10 @@ def _place(seen: Any, bus: int, can_id: int) -> int:
 
 
 @kernel
-def count_frames(
-    loads: Any, seen: Any, codes: Any, crcs: Any, stuffing: Any, used: Any, frames: Any, cells: Any
-) -> None:
+def count_frames(loads: Any, seen: Any, used: Any, frames: Any, cells: Any) -> None:
     """Count a batch of frames, and the same as cells, uint64, shape (n, 10).
 
-    ``loads`` and ``seen`` have shape (buses,) of Load and (a power of two,) of Seen, of which ``used`` are taken; the
-    tables are those of :func:`classical_bits` and :func:`fd_bits`.
+    ``loads`` and ``seen`` have shape (buses,) of Load and (a power of two,) of Seen, of which ``used`` are taken.
     """
     for i in range(frames.shape[0]):
         frame = frames[i]
@@ -202,9 +197,9 @@ def count_frames(
             continue
         length, flags = int(frame["length"]), int(frame["flags"])
         if flags & _FD:
-            nominal, data = fd_bits(can_id, flags, length, cells[i, 2:], codes, stuffing)
+            nominal, data = fd_bits(can_id, flags, length, cells[i, 2:])
         else:
-            nominal, data = classical_bits(can_id, length, cells[i, 2:], crcs, stuffing), 0
+            nominal, data = classical_bits(can_id, length, cells[i, 2:]), 0
         load.frames += 1
         load.nominal_bits += nominal
         load.data_bits += data
@@ -241,8 +236,8 @@ class Traffic:
         self.loads: Any = _table(buses, Load)
         self._seen: Any = _table(_PLACES, Seen)
         self._used = np.zeros(1, np.int64)
-        mine = (self.loads, self._seen, _DLC, _CRCS, _STUFFING, self._used)
         none = empty(0)
+        mine = self.loads, self._seen, self._used
         self._count = bound(count_frames, *mine, rest=(none, Same(0, none.view("<u8").reshape(0, _CELLS))))
 
     def write(self, frames: Frames) -> None:

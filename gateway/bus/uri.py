@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+from contextlib import suppress
 from dataclasses import dataclass
 from urllib.parse import parse_qsl
 
@@ -30,17 +31,18 @@ def loopback_address(text: str) -> tuple[str, int]:
         if not colon:
             given, number = (text, "") if not text.isdigit() else ("", text)
         host = given.strip("[]") or host
+        host = DEFAULT_ADDRESS[0] if host == "localhost" else host
         if number:
             if not number.isdigit() or not 0 <= int(number) <= 65535:
                 raise InputError("a port is a number up to 65535", key="port", value=number)
             port = int(number)
     try:
-        local = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host).is_loopback
+        local = ipaddress.ip_address(host).is_loopback
     except ValueError:
         local = False
     if not local:
         raise InputError("the bus between processes stays on this machine: 127.0.0.1 or ::1", value=host)
-    return ("127.0.0.1" if host == "localhost" else host), port
+    return host, port
 
 
 def _options(query: str) -> dict[str, object]:
@@ -50,10 +52,9 @@ def _options(query: str) -> dict[str, object]:
         if text.lower() in ("true", "false"):
             found[key] = text.lower() == "true"
         else:
-            try:
+            found[key] = text
+            with suppress(ValueError):
                 found[key] = int(text, 0)
-            except ValueError:
-                found[key] = text
     return found
 
 

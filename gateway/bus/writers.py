@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 
 from gateway.bus.conditions import BUS_OFF, CHIP_STATES, CONTROLLER, exact
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, ID_MASK, OWN, REMOTE, Frames
-from gateway.bus.readers import blf
-from gateway.bus.readers.trc import EPOCH_DAYS
+from gateway.bus.readers import blf, mf4, trc
 
 #: Bytes of a container of BLF, unpacked.
 _CONTAINER = 1 << 17
-_DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
-_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+#: Flags of a frame of TRC 2.1 -> its type.
+_TYPES = {flags: name for name, flags in trc.TYPES.items()}
 
 
 class Sink(Protocol):
@@ -75,11 +74,11 @@ class _TextWriter(_Dated, ABC):
         self._count = 0
 
     @abstractmethod
-    def head(self) -> str:
+    def _head(self) -> str:
         """Return the lines before the first frame."""
 
     @abstractmethod
-    def line(self, t_ns: int, can_id: int, flags: int, bus: int, data: bytes) -> str:
+    def _line(self, t_ns: int, can_id: int, flags: int, bus: int, data: bytes) -> str:
         """Return the line of a frame; ``data`` of a remote frame are its DLC in zeros."""
 
     def write(self, frames: Frames) -> None:
@@ -88,18 +87,18 @@ class _TextWriter(_Dated, ABC):
             return
         begun = self.begin_ns is not None
         since = self.since(frames["t_ns"]).tolist()
-        lines = [] if begun else [self.head()]
+        lines = [] if begun else [self._head()]
         for t_ns, frame in zip(since, frames, strict=True):
             data = frame["data"][: int(frame["length"])].tobytes()
             self._count += 1
-            lines.append(self.line(t_ns, int(frame["can_id"]), int(frame["flags"]), int(frame["bus"]), data))
+            lines.append(self._line(t_ns, int(frame["can_id"]), int(frame["flags"]), int(frame["bus"]), data))
         self._file.write("".join(lines))
         self._file.flush()
 
     def close(self) -> None:
         """Finish the file."""
         if self.begin_ns is None:
-            self._file.write(self.head())
+            self._file.write(self._head())
         self._file.write(self.end)
         self._file.close()
 
@@ -117,14 +116,12 @@ class AscWriter(_TextWriter):
 
     end = "End TriggerBlock\n"
 
-    def head(self) -> str:
-        """Return the header."""
-        t = self.begin
-        date = f"{_DAYS[t.weekday()]} {_MONTHS[t.month - 1]} {t.day:02d} {t:%H:%M:%S}.000 {t.year}"
+    def _head(self) -> str:
+        weekday, month, day, clock, year = self.begin.ctime().split()
+        date = f"{weekday} {month} {day:>02} {clock}.000 {year}"
         return f"date {date}\nbase hex  timestamps absolute\ninternal events logged\nBegin Triggerblock {date}\n"
 
-    def line(self, t_ns: int, can_id: int, flags: int, bus: int, data: bytes) -> str:
-        """Return a line."""
+    def _line(self, t_ns: int, can_id: int, flags: int, bus: int, data: bytes) -> str:
         stamp, channel = f"{t_ns // 10**9:4d}.{t_ns % 10**9:09d}", bus + 1
         if can_id & ERROR:
             status = _state(can_id, data)
@@ -147,20 +144,16 @@ class AscWriter(_TextWriter):
 class TrcWriter(_TextWriter):
     """Writes TRC 2.1."""
 
-    def head(self) -> str:
-        """Return the header."""
-        days = (self.begin_ns or 0) / 86400e9 + EPOCH_DAYS
+    def _head(self) -> str:
+        days = (self.begin_ns or 0) / 86400e9 + trc.EPOCH_DAYS
         columns = "N,O,T,B,I,d,R,L,D"
         return f";$FILEVERSION=2.1\r\n;$STARTTIME={days:.12f}\r\n;$COLUMNS={columns}\r\n;\r\n"
 
-    def line(self, t_ns: int, can_id: int, flags: int, bus: int, data: bytes) -> str:
-        """Return a line."""
+    def _line(self, t_ns: int, can_id: int, flags: int, bus: int, data: bytes) -> str:
         begin = f"{self._count:7d} {t_ns // 10**6:9d}.{t_ns % 10**6:06d}"
         if can_id & ERROR:
             return f"{begin} ER {bus + 1:<2d} {'-':>8} Rx -  5    04 00 00 00 00  {exact(can_id, data)}\r\n"
-        kind = "RR" if can_id & REMOTE else "DT"
-        if flags & FD:
-            kind = {0: "FD", BRS: "FB", BRS | ESI: "FE", ESI: "BI"}[flags & (BRS | ESI)]
+        kind = _TYPES[flags & (FD | BRS | ESI) if flags & FD else trc.RTR if can_id & REMOTE else 0]
         name = f"{can_id & ID_MASK:0{8 if can_id & EXTENDED else 4}X}"
         text = "" if can_id & REMOTE else data.hex(" ").upper()
         way = "Tx" if flags & OWN else "Rx"
@@ -170,12 +163,10 @@ class TrcWriter(_TextWriter):
 class CsvWriter(_TextWriter):
     """Writes python-can's CSV, which has no channel, no direction, and no flags of CAN FD."""
 
-    def head(self) -> str:
-        """Return the header."""
+    def _head(self) -> str:
         return "timestamp,arbitration_id,extended,remote,error,dlc,data\r\n"
 
-    def line(self, t_ns: int, can_id: int, flags: int, bus: int, data: bytes) -> str:
-        """Return a line."""
+    def _line(self, t_ns: int, can_id: int, flags: int, bus: int, data: bytes) -> str:
         self.lost["the channel"] += bus > 0
         self.lost["the direction (sent)"] += flags & OWN != 0
         self.lost["flags of CAN FD"] += flags & (BRS | ESI) != 0 or (flags & FD != 0 and len(data) <= 8)
@@ -201,9 +192,7 @@ class BlfWriter(_Dated):
             weekday = t.isoweekday() % 7
             return t.year, t.month, weekday, t.day, t.hour, t.minute, t.second, t.microsecond // 1000
 
-        nothing = (0,) * 8
-        end = self.begin + timedelta(microseconds=self._last_ns // 1000)
-        times = (*system_time(self.begin), *system_time(end)) if self.begin_ns is not None else nothing * 2
+        times = *system_time(self.begin), *system_time(self.begin + timedelta(microseconds=self._last_ns // 1000))
         versions = (5, 0, 0, 0, 2, 6, 8, 1)
         head = blf.FILE_HEADER.pack(
             b"LOGG", blf.FILE_HEADER_SIZE, *versions, size, self._unpacked, self._objects, 0, *times
@@ -257,14 +246,6 @@ def _blf_object(can_id: int, flags: int, channel: int, data: bytes) -> tuple[int
     return blf.CAN_FD_MESSAGE, struct.pack("<HBBLLBBB5x64s", channel, bits, dlc, name, 0, 0, fd, len(data), data)
 
 
-#: Kinds of frames of MF4, their members after those of all, and which frames they are (of the flags REMOTE, ERROR).
-_MF4 = {
-    "CAN_DataFrame": (0, ("EDL", "BRS", "ESI")),
-    "CAN_ErrorFrame": (ERROR, ()),
-    "CAN_RemoteFrame": (REMOTE, ()),
-}
-
-
 class Mf4Writer(_Dated):
     """Writes MF4 by asammdf, a group a kind of frames, in bulk; channels count from 1."""
 
@@ -283,10 +264,10 @@ class Mf4Writer(_Dated):
         since = self.since(frames["t_ns"]) / 1e9
         self._mdf.header.start_time = self.begin
         which = np.where(frames["can_id"] & ERROR, np.uint32(ERROR), frames["can_id"] & REMOTE)
-        for kind, (flag, more) in _MF4.items():
+        for kind, flag in mf4.KINDS.items():
             mine = which == flag
             if mine.any():
-                self._put(kind, _mf4_records(kind, more, frames[mine]), since[mine])
+                self._put(kind, _mf4_records(kind, frames[mine]), since[mine])
 
     def _put(self, kind: str, records: NDArray[Any], times: NDArray[np.float64]) -> None:
         if kind in self._places:
@@ -305,7 +286,7 @@ class Mf4Writer(_Dated):
         self._mdf.close()
 
 
-def _mf4_records(kind: str, more: tuple[str, ...], frames: Frames) -> NDArray[Any]:
+def _mf4_records(kind: str, frames: Frames) -> NDArray[Any]:
     """Return frames as records of a structure."""
     ids, flags, lengths = frames["can_id"], frames["flags"], frames["length"]
     members: dict[str, tuple[str, Any]] = {
@@ -316,9 +297,8 @@ def _mf4_records(kind: str, more: tuple[str, ...], frames: Frames) -> NDArray[An
         "DataLength": ("u1", lengths),
         "Dir": ("u1", flags & OWN != 0),
     }
-    members |= {
-        name: ("u1", flags & flag != 0) for name, flag in (("EDL", FD), ("BRS", BRS), ("ESI", ESI)) if name in more
-    }
+    if kind == "CAN_DataFrame":
+        members |= {name: ("u1", flags & flag != 0) for name, flag in mf4.FLAGS.items()}
     if kind != "CAN_RemoteFrame":
         members["DataBytes"] = ("(64,)u1", frames["data"])
     records = np.zeros(len(frames), [(f"{kind}.{name}", form) for name, (form, _) in members.items()])

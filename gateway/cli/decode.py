@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.bus.corpus import Recording, find
-from gateway.bus.ring import Recorded, read_recording
+from gateway.bus.logs import LogReader
 from gateway.cli.present import find_config, print_json, say
 from gateway.common.extras import need
 from gateway.common.times import zone_of
@@ -28,7 +28,7 @@ _WALL_NS = 315_532_800 * 10**9
 @dataclass
 class _Decoded:
     recording: Recording
-    reader: Recorded
+    reader: LogReader
     written: Written
     wall: bool
     wrong: InputError | None
@@ -165,7 +165,7 @@ def _decoded(
     lake: Lake, recording: Recording, channels: dict[str, int] | None, answers: Answers, zone: str
 ) -> _Decoded:
     begun = time.monotonic()
-    reader = read_recording(recording.path, channels, zone_of(zone))
+    reader = LogReader(recording.path, channels, zone_of(zone))
     tables = lake.begin(recording.device, f"{recording.name}-{recording.digest()}")
     wrong: InputError | None = None
     wall = True

@@ -117,7 +117,7 @@ def test_a_folder_is_read_while_its_oldest_segments_go(tmp_path, monkeypatch):
     gone, *_ = listed = segments(tmp_path)
     kept = numbers(tmp_path)[len(numbers_of(gone)) :]
     gone.unlink()
-    monkeypatch.setattr("gateway.bus.ring.segments", lambda folder: listed)
+    monkeypatch.setattr("gateway.bus.logs.segments", lambda folder: listed)
     assert numbers(tmp_path) == kept
     ring.close()
 

@@ -18,30 +18,31 @@ write it, all are counted from a whole second before it.
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime, tzinfo
+from datetime import UTC, tzinfo
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.bus import conditions
 from gateway.bus.frames import BRS, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames
-from gateway.bus.readers.batch import FLAGS, Batch, Names, error_frame
+from gateway.bus.readers.batch import FLAGS, Batch, Names, error_frame, scaled, wall_ns
 from gateway.bus.readers.scan import (
     ASK,
     BAD,
     DONE,
-    HEX,
-    PASSED,
+    RX,
+    TX,
     begin_frame,
     byte_words,
     decimal,
     fd_length,
     is_digit,
     line_end,
+    next_number,
     next_word,
     number,
+    pair,
     set_length,
     skip,
     word_end,
@@ -53,13 +54,16 @@ from gateway_fdi.jit import kernel
 _NOTHING, _FRAME, _SHORT, _WRONG = 0, 1, 2, 3
 #: Flags of a line of CAN FD (Vector): a remote frame, a frame of CAN FD.
 _RTR, _EDL = 0x10, 0x1000
+#: State of the kernel: base of identifiers and data; whether stamps count from the event before, and the time of that
+#: [ns]; what is added to each stamp [ns]; whether the last frame has fewer bytes than its line says.
+BASE, RELATIVE, BEFORE, SHIFT, SHORT = range(5)
 #: Error frames and chip states.
 _STATE = re.compile(
-    rb"\s*(-?\d+\.\d+)\s+(?:CAN(?:FD)?\s+)?(\d+)\s+(?:[TR]x\s+)?"
+    rb"\s*-?\d+\.\d+\s+(?:CAN(?:FD)?\s+)?(\d+)\s+(?:[TR]x\s+)?"
     rb"(?:ErrorFrame|Status:\s*chip status (error active|warning level|error passive|bus off))(.*)",
     re.IGNORECASE,
 )
-_STAMP = re.compile(rb"\s*(-?)(\d+)\.(\d+)\s+(.*)")
+_STAMP = re.compile(rb"\s*(-?\d+\.\d+)\s+(.*)")
 #: Lines that are known to be no frames, and lose nothing.
 _KNOWN = re.compile(
     rb"\s*(?://|$|date |base |(?:no )?internal events logged|begin |end |-?[\d.]+\s+(?:CANFD\s+)?(?:CAN\s+)?"
@@ -69,80 +73,68 @@ _KNOWN = re.compile(
 #: The first event's stamp.
 _FIRST = re.compile(rb"^[ \t]*(-?)(\d+)([.,])\d+\s", re.MULTILINE)
 _COUNTERS = re.compile(rb"TxErr:\s*(\d+)\s+RxErr:\s*(\d+)")
-
+#: Name of a month in English or German -> its number.
 _MONTHS = {
     name: k
-    for names in (
-        ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"],
-        ["Jan", "Feb", "Mär", "Apr", "Mai", "Jun", "Jul", "Aug", "Sep", "Okt", "Nov", "Dez"],
-    )
-    for k, name in enumerate(names, start=1)
+    for names in ("Jan Feb Mar Apr May Jun Jul Aug Sep Oct Nov Dec", "Jan Feb Mär Apr Mai Jun Jul Aug Sep Okt Nov Dez")
+    for k, name in enumerate(names.split(), start=1)
 }
-_DATE = re.compile(r"\w+\s+(\w+)\s+(\d+)\s+(\d+):(\d+):(\d+)(?:\.(\d+))?(?:\s+([ap]m))?\s+(\d{4})\s*$", re.IGNORECASE)
+_DATE = re.compile(r"\w+\s+(\w+)\s+(\d+)\s+(\d+):(\d+):(\d+(?:\.\d+)?)(?:\s+([ap]m))?\s+(\d{4})\s*$", re.IGNORECASE)
 
 
 @kernel
-def begins(text: Any, at: int, lower: Any) -> bool:
-    """Return whether a line goes on with letters, here in lower case (uint8), whatever their case."""
-    for k in range(lower.shape[0]):
+def begins(text: Any, at: int, lower: bytes) -> bool:
+    """Return whether a line goes on with letters, here in lower case, whatever their case."""
+    for k in range(len(lower)):
         if (text[at + k] | 32) != lower[k]:
             return False
     return True
 
 
 @kernel
-def is_direction(text: Any, at: int) -> bool:
-    """Return whether a word is Rx or Tx, in any case."""
-    return bool((text[at] | 32) in (114, 116) and (text[at + 1] | 32) == 120 and text[at + 2] <= 32)
+def direction(text: Any, at: int) -> int:
+    """Return the flag of a direction, which is Rx or Tx in any case; -1: it is none."""
+    way = pair(text, at)
+    if way == RX:
+        return 0
+    return OWN if way | 0x2020 in (RX | 0x2020, TX | 0x2020) else -1
 
 
 @kernel
-def received(text: Any, at: int, end: int) -> bool:
-    """Return whether a word is Rx."""
-    return bool(end - at == 2 and text[at] == 82 and text[at + 1] == 120)
-
-
-@kernel
-def identifier(text: Any, at: int, end: int, base: int, hexes: Any) -> int:
+def identifier(text: Any, at: int, end: int, base: int) -> int:
     """Return an identifier with its flag, -1 if it is none; extended ones end with x."""
     flag = 0
     if (text[end - 1] | 32) == 120:
         flag, end = EXTENDED, end - 1
-    value = number(text, at, end, base, hexes)
+    value = number(text, at, end, base)
     return -1 if value < 0 else (value & ID_MASK) | flag
 
 
 @kernel
-def classic(text: Any, at: int, base: int, hexes: Any, words: Any, row: Any, k: int, t_ns: int) -> int:
+def classic(text: Any, at: int, base: int, words: Any, row: Any, k: int, t_ns: int) -> int:
     """Read what follows the channel of a classic frame; returns what it became."""
-    end = word_end(text, at)
+    at, end = next_word(text, at)
     for j in range(at, end):
         letter = 97 <= (text[j] | 32) <= 122
         if not (letter or is_digit(text, j) or text[j] == 95 or text[j] > 127):
             return _NOTHING
-    word = skip(text, end)
-    can_id = identifier(text, at, end, base, hexes)
-    if not is_direction(text, word):
-        return _WRONG if can_id >= 0 and text[word] == 10 else _NOTHING
-    end = word_end(text, word)
-    flags = 0 if received(text, word, end) else OWN
-    at = skip(text, end)
+    can_id = identifier(text, at, end, base)
+    at, end = next_word(text, end)
+    flags = direction(text, at)
+    if flags < 0:
+        return _WRONG if can_id >= 0 and text[at] == 10 else _NOTHING
+    at, end = next_word(text, end)
     if can_id < 0 or text[at] == 10:
         return _WRONG
+    begin_frame(words, k, t_ns, can_id, flags)
+    dlc, end = next_number(text, end, base)
     if (text[at] | 32) == 114:
-        begin_frame(words, k, t_ns, can_id | REMOTE, flags)
-        at = skip(text, word_end(text, at))
-        dlc = number(text, at, word_end(text, at), base, hexes)
+        words[k, 1] |= np.uint64(REMOTE)
         set_length(words, k, min(max(dlc, 0), 8))
         return _FRAME
-    begin_frame(words, k, t_ns, can_id, flags)
-    at = skip(text, word_end(text, at))
-    end = word_end(text, at)
-    dlc = number(text, at, end, base, hexes)
     if dlc < 0:
         return _WRONG
-    wanted = min(fd_length(dlc), 8)
-    length, at = byte_words(text, end, wanted, base, hexes, row)
+    length, at = byte_words(text, end, min(fd_length(dlc), 8), base, row)
     if length < 0:
         return _WRONG
     set_length(words, k, length)
@@ -150,46 +142,36 @@ def classic(text: Any, at: int, base: int, hexes: Any, words: Any, row: Any, k: 
 
 
 @kernel
-def flexible(text: Any, at: int, base: int, hexes: Any, error: Any, words: Any, row: Any, k: int, t_ns: int) -> int:
+def flexible(text: Any, at: int, base: int, words: Any, row: Any, k: int, t_ns: int) -> int:
     """Read what follows the channel of a line of CAN FD, which may have a classic frame; returns what it became."""
-    end = word_end(text, at)
-    if not is_direction(text, at):
+    at, end = next_word(text, at)
+    flags = direction(text, at)
+    at, end = next_word(text, end)
+    if flags < 0 or begins(text, at, b"errorframe"):
         return _NOTHING
-    flags = 0 if received(text, at, end) else OWN
-    at = skip(text, end)
-    if begins(text, at, error):
-        return _NOTHING
-    end = word_end(text, at)
     if end == at:
         return _WRONG
-    can_id = identifier(text, at, end, base, hexes)
-    at, end = next_word(text, end)
-    if number(text, at, end, 10, hexes) < 0:  # the frame's name
-        at, end = next_word(text, end)
-    if end - at == 1 and text[at] == 49:
-        flags |= BRS
-    at, end = next_word(text, end)
-    if end - at == 1 and text[at] == 49:
-        flags |= ESI
-    at, end = next_word(text, end)
-    dlc = number(text, at, end, base, hexes)
-    at, end = next_word(text, end)
-    wanted = number(text, at, end, 10, hexes)
-    at = skip(text, end)
+    can_id = identifier(text, at, end, base)
+    brs, after = next_number(text, end, 10)
+    if brs < 0:  # the frame's name
+        brs, after = next_number(text, word_end(text, skip(text, end)), 10)
+    esi, end = next_number(text, after, 10)
+    dlc, end = next_number(text, end, base)
+    wanted, end = next_number(text, end, 10)
     if can_id < 0 or dlc < 0 or not 0 <= wanted <= 64:
         return _WRONG
     begin_frame(words, k, t_ns, can_id, 0)
-    length, at = byte_words(text, at, wanted, base, hexes, row)
+    length, at = byte_words(text, end, wanted, base, row)
     if length < 0:
         return _WRONG
     for _ in range(2):  # how long it took, in time and in bits
         at = word_end(text, skip(text, at))
-    at = skip(text, at)
-    bits = number(text, at, word_end(text, at), 16, hexes)
+    bits, _ = next_number(text, at, 16)
     if (bits >= 0 and bits & _RTR) or (bits < 0 and wanted == 0 and dlc > 0):
-        words[k, 1] |= np.uint64(REMOTE) | (np.uint64(flags & OWN) << np.uint64(FLAGS))
+        words[k, 1] |= np.uint64(REMOTE) | (np.uint64(flags) << np.uint64(FLAGS))
         set_length(words, k, min(dlc, 8))
         return _FRAME
+    flags |= (BRS if brs == 1 else 0) | (ESI if esi == 1 else 0)
     if bits < 0 or bits & _EDL or wanted > 8 or flags & (BRS | ESI):
         flags |= FD
     words[k, 1] |= np.uint64(flags) << np.uint64(FLAGS)
@@ -198,18 +180,9 @@ def flexible(text: Any, at: int, base: int, hexes: Any, error: Any, words: Any, 
 
 
 @kernel
-def scan_asc(
-    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, base: int, hexes: Any, marks: Any, clock: Any
-) -> tuple[int, int, int, int, int]:
-    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`).
-
-    Args of its own: ``base`` of identifiers and data, 10 or 16. ``marks``: the letters of ``errorframe`` and ``canfd``.
-    ``clock``: whether stamps count from the event before, the time of that, and what is added to each [ns]. It returns,
-    too, whether the last frame had fewer bytes than it said.
-    """
-    error, fd = marks[:10], marks[10:]
-    lines, short = 0, 0
-    relative, shift = clock[0] != 0, clock[2]
+def scan_asc(text: Any, at: int, words: Any, data: Any, channel: Any, k: int, state: Any) -> tuple[int, int, int, int]:
+    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`); ``state``, int64, is kept from call to call."""
+    lines, base = 0, state[BASE]
     while at < text.shape[0] and k < words.shape[0]:
         i = skip(text, at)
         if text[i] == 10:
@@ -218,35 +191,32 @@ def scan_asc(
             continue
         below = text[i] == 45
         if not is_digit(text, i + below):
-            return at, lines, k, ASK, short
+            return at, lines, k, ASK
         t_ns, i, digits = decimal(text, i + below, 9)
         if t_ns < 0 or digits <= 0 or text[i] > 32:
-            return at, lines, k, BAD, short
-        t_ns = shift - t_ns if below else shift + t_ns
-        if relative:
-            t_ns += clock[1]
+            return at, lines, k, BAD
+        t_ns = state[SHIFT] + state[BEFORE] + (-t_ns if below else t_ns)
         made = _NOTHING
         i, end = next_word(text, i)
-        place = number(text, i, end, 10, hexes)
+        place = number(text, i, end, 10)
         if place >= 0:
-            made = classic(text, skip(text, end), base, hexes, words, data[k], k, t_ns)
-        elif end - i == 5 and begins(text, i, fd) and text[i] == 67:
-            i, end = next_word(text, end)
-            place = number(text, i, end, 10, hexes)
+            made = classic(text, end, base, words, data[k], k, t_ns)
+        elif end - i == 5 and text[i] == 67 and begins(text, i, b"canfd"):
+            place, end = next_number(text, end, 10)
             if place >= 0:
-                made = flexible(text, skip(text, end), base, hexes, error, words, data[k], k, t_ns)
+                made = flexible(text, end, base, words, data[k], k, t_ns)
         if made == _NOTHING:
-            return at, lines, k, ASK, short
-        if relative:
-            clock[1] = t_ns
+            return at, lines, k, ASK
+        if state[RELATIVE]:
+            state[BEFORE] = t_ns
         if made == _WRONG:
-            return at, lines, k, BAD, short
+            return at, lines, k, BAD
         channel[k] = place - 1
-        short = 1 if made == _SHORT else 0
+        state[SHORT] = made == _SHORT
         k += 1
         at = line_end(text, i)
         lines += 1
-    return at, lines, k, DONE, short
+    return at, lines, k, DONE
 
 
 def date_ns(text: str, zone: tzinfo = UTC) -> int:
@@ -254,25 +224,23 @@ def date_ns(text: str, zone: tzinfo = UTC) -> int:
     found = _DATE.match(text)
     if found is None:
         return 0
-    month, day, hour, minute, second, part, half, year = found.groups()
+    month, day, hour, minute, second, half, year = found.groups()
     number = _MONTHS.get(month.capitalize()) or (int(month) if month.isdigit() else 0)
     hours = int(hour) % 12 + (12 if half.lower() == "pm" else 0) if half else int(hour)
-    try:
-        date = datetime(int(year), number, int(day), hours, int(minute), int(second), tzinfo=zone)
-    except ValueError:
-        return 0
-    return int(date.timestamp()) * 10**9 + int((part or "0").ljust(9, "0")[:9])
+    seconds, part_ns = divmod(scaled(second, 9), 10**9)
+    return wall_ns(zone, part_ns, int(year), number, int(day), hours, int(minute), seconds)
 
 
 class Asc(Lines):
     """Lines of ASC."""
 
+    last = re.compile(rb"\s*(?:;|/|end triggerblock)", re.IGNORECASE)
+
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._base = 16
-        self._marks = np.frombuffer(b"errorframecanfd", np.uint8).copy()
-        self._clock = np.zeros(3, np.int64)
-        self._block, self._short = False, 0
+        self._state = np.zeros(5, np.int64)
+        self._state[BASE] = 16
+        self.scanner = scan_asc, (self._state,)
 
     @staticmethod
     def sniff(first: bytes) -> bool:
@@ -284,78 +252,52 @@ class Asc(Lines):
         """Find out whether numbers have a comma, and whether stamps begin below 0."""
         if found := _FIRST.search(first):
             self.comma = found[3] == b","
-            self._clock[2] = (int(found[2][:9]) + 1) * 10**9 if found[1] else 0
-
-    def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
-        """Read lines."""
-        at, lines, batch.count, status, self._short = scan_asc(
-            text, at, *batch.room, self._base, HEX, self._marks, self._clock
-        )
-        return at, lines, status
+            self._state[SHIFT] = (int(found[2][:9]) + 1) * 10**9 if found[1] else 0
 
     def asked(self, line: bytes, names: Names, batch: Batch) -> int:
         """Look at a line of the header, of a trigger block, or at an event."""
-        t_ns = self._time(line)
-        if t_ns is not None:
+        stamp = _STAMP.match(line)
+        if stamp is None:
+            self._header(line.decode("utf-8", "replace").strip())
+        else:
+            t_ns = scaled(stamp[1].decode(), 9) + int(self._state[SHIFT] + self._state[BEFORE])
+            if self._state[RELATIVE]:
+                self._state[BEFORE] = t_ns
             if found := _STATE.match(line):
-                classes, data = state_of(found[3], found[4])
-                error_frame(batch, t_ns, classes, data, int(found[2]) - 1)
+                error_frame(batch, t_ns, *state_of(found[2], found[3]), int(found[1]) - 1)
                 return DONE
-            return DONE if _KNOWN.match(line) else PASSED
-        self._header(line)
         if _KNOWN.match(line):
             return DONE
-        return PASSED if line.strip()[:1].isalpha() or line.strip()[:1] in b"#;" else BAD
+        text = (stamp[2] if stamp else line).strip()
+        if not stamp and not (text[:1].isalpha() or text[:1] in b"#;"):
+            return BAD
+        word = next((word for word in text.split() if not word.isdigit()), b"")
+        return self.event(f"an event that is no frame ({word[:20].decode('ascii', 'replace').rstrip(':')})", line)
 
-    def _time(self, line: bytes) -> int | None:
-        """Return the time of an event [ns], None: the line has no stamp."""
-        found = _STAMP.match(line)
-        if found is None:
-            return None
-        t_ns = int(found[2]) * 10**9 + int(found[3].ljust(9, b"0")[:9])
-        t_ns = (-t_ns if found[1] else t_ns) + int(self._clock[2])
-        if self._clock[0]:
-            t_ns = self._clock[1] = t_ns + int(self._clock[1])
-        return int(t_ns)
-
-    def _header(self, line: bytes) -> None:
-        text = line.decode("utf-8", "replace").strip()
+    def _header(self, text: str) -> None:
         first, _, rest = text.partition(" ")
         rest = rest.strip()
+        words = rest.lower().split()
         match first.lower():
             case "date":
                 self._date(rest)
             case "base":
-                words = rest.lower().split()
-                self._base = 10 if words[:1] == ["dec"] else 16
-                self._clock[0] = words[1:3] == ["timestamps", "relative"]
+                self._state[BASE] = 10 if words[:1] == ["dec"] else 16
+                relative = words[1:3] == ["timestamps", "relative"]
+                self._state[RELATIVE], self._state[BEFORE] = relative, relative * self._state[BEFORE]
             case "begin" if rest.lower().startswith("triggerblock"):
-                self._block = True
+                self.missing = "its trigger block has no end"
                 self._date(rest.partition(" ")[2].strip())
             case "end" if rest.lower().startswith("triggerblock"):
-                self._block = False
+                self.missing = ""
 
     def _date(self, text: str) -> None:
         if begin_ns := date_ns(text.replace(",", "."), self.zone):
-            self.origin_ns = begin_ns - int(self._clock[2])
+            self.origin_ns = begin_ns - int(self._state[SHIFT])
 
-    def kind(self, line: bytes) -> str:
-        """Return the first word of an event that is not read."""
-        found = _STAMP.match(line)
-        words = (found[4] if found else line).split()
-        word = next((word for word in words if not word.isdigit()), b"")
-        return f"an event that is no frame ({word[:20].decode('ascii', 'replace').rstrip(':')})"
-
-    def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Return whether the last line is cut: it is no frame where it should be one, or has too few bytes."""
-        text = line.strip().lower()
-        if text[:1] in (b";", b"/") or text.startswith(b"end triggerblock"):
-            return False
-        return frame is None or bool(self._short)
-
-    def unfinished(self) -> str:
-        """Return whether a trigger block has no end."""
-        return "its trigger block has no end" if self._block else ""
+    def short(self, frame: Any, before: Frames) -> bool:
+        """Return whether the last line has fewer bytes than it says."""
+        return bool(self._state[SHORT])
 
 
 def state_of(status: bytes | None, rest: bytes) -> tuple[int, bytes]:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from datetime import UTC, tzinfo
+from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
 
@@ -26,20 +26,24 @@ _MOST_KINDS = 40
 FLAGS, LENGTH = 40, 48
 
 
+#: Frames, and the places of their channels' names.
+Read = tuple[Frames, NDArray[np.int64]]
+
+
 class Names:
     """Names of a log's channels, in the order in which they come; frames have their places."""
 
     def __init__(self) -> None:
-        self.known: list[str] = []
-        self._place: dict[str, int] = {}
+        self._places: dict[str, int] = {}
+
+    @property
+    def known(self) -> list[str]:
+        """The names, in the order of their places."""
+        return list(self._places)
 
     def place(self, name: str) -> int:
         """Return the place of a name."""
-        found = self._place.get(name)
-        if found is None:
-            found = self._place[name] = len(self.known)
-            self.known.append(name)
-        return found
+        return self._places.setdefault(name, len(self._places))
 
 
 def placed(channel: NDArray[np.int64], names: Names) -> NDArray[np.int64]:
@@ -62,14 +66,36 @@ def _place(number: int, names: Names) -> int:
     return names.place("none" if number == NO_CHANNEL else str(number))
 
 
+def scaled(text: str, places: int) -> int:
+    """Return 10 to the power of ``places`` times a decimal number; further digits are left out."""
+    whole, _, part = text.partition(".")
+    return int(whole + part[:places].ljust(places, "0"))
+
+
+def wall_ns(zone: tzinfo, part_ns: int, *fields: int) -> int:
+    """Return the time of a year, month, day, hour, minute, second and a part of one [ns], 0 if it is none."""
+    try:
+        return int(datetime(*fields, tzinfo=zone).timestamp()) * 10**9 + part_ns  # type: ignore[misc,arg-type]
+    except ValueError:
+        return 0
+
+
 def bytes_of(frames: Frames) -> NDArray[np.uint8]:
     """Return a view of frames as bytes, shape (n, 80); a payload begins at byte 16."""
     return frames.view(np.uint8).reshape(len(frames), FRAME.itemsize)
 
 
+def flags_of(columns: Mapping[str, NDArray[Any]], flags: Mapping[str, int], count: int) -> NDArray[np.uint32]:
+    """Return the flags that columns say of ``count`` frames, where they are not 0; those that are missing say none."""
+    found = np.zeros(count, np.uint32)
+    for name in flags.keys() & columns.keys():
+        found |= (columns[name] != 0) * np.uint32(flags[name])
+    return found
+
+
 def error_frame(batch: Batch, t_ns: int, classes: int, data: bytes, channel: int) -> None:
     """Append an error frame (linux/can/error.h): its classes, and up to 8 bytes."""
-    batch.put(single(t_ns, ERROR | classes, data.ljust(8, b"\0")), channel)
+    batch.put(t_ns, ERROR | classes, data.ljust(8, b"\0"), channel)
 
 
 class Batch:
@@ -93,11 +119,6 @@ class Batch:
         self.count = 0
 
     @property
-    def full(self) -> bool:
-        """Whether there is room for no more."""
-        return self.count == self.size
-
-    @property
     def room(self) -> tuple[NDArray[np.uint64], NDArray[np.uint8], NDArray[np.int64], int]:
         """Words, data, channel and count, as a kernel takes them."""
         return self.words, self.data, self.channel, self.count
@@ -106,22 +127,20 @@ class Batch:
         """Return the last frame."""
         return self._frames[self.count - 1]
 
-    def put(self, frames: Frames, channel: NDArray[np.int64] | int) -> None:
-        """Append frames, of one channel or each of its own; there must be room for them."""
-        end = self.count + len(frames)
-        self._frames[self.count : end] = frames
-        self.channel[self.count : end] = channel
-        self.count = end
+    def put(self, t_ns: int, can_id: int, payload: bytes, channel: int, *, flags: int = 0) -> None:
+        """Append a frame; there must be room for it."""
+        self._frames[self.count] = single(t_ns, can_id, payload, flags=flags)[0]
+        self.channel[self.count] = channel
+        self.count += 1
 
-    def take(self) -> tuple[Frames, NDArray[np.int64]]:
-        """Return the frames that are in, and start again."""
-        taken = self._frames[: self.count], self.channel[: self.count]
+    def take(self, names: Names | None) -> Read:
+        """Return the frames that are in with the places of their channels' names, and start again.
+
+        ``names`` takes those of channels that are numbers; None: they are places.
+        """
+        frames, channel = self._frames[: self.count], self.channel[: self.count]
         self._renew()
-        return taken
-
-
-#: Frames, and the places of their channels' names.
-Read = tuple[Frames, NDArray[np.int64]]
+        return frames, channel if names is None else placed(channel, names)
 
 
 @dataclass
@@ -183,10 +202,11 @@ class PassedOver:
         return sum(one.count for one in self.kinds.values())
 
 
-class BinaryReader:
-    """A reader of a format of bytes.
+class FormatReader:
+    """A reader of a format of ours.
 
     Attributes:
+        passed_over, origin_ns: as of a :class:`Reader`.
         zone: of the dates in its header.
     """
 

@@ -13,26 +13,16 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
-from datetime import UTC, datetime, tzinfo
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from gateway.bus.conditions import (
-    ACTIVE,
-    BUS_ERROR,
-    CONTROLLER,
-    PROTOCOL,
-    RX_PASSIVE,
-    RX_WARNING,
-    TX_PASSIVE,
-    TX_WARNING,
-)
+from gateway.bus import conditions
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE
 from gateway.bus.log_source import OBJECT as MOST
 from gateway.bus.log_source import CutOffError, compression_of, damage, pull
-from gateway.bus.readers.batch import Batch, BinaryReader, Names, Read, placed
+from gateway.bus.readers.batch import Batch, FormatReader, Names, Read, wall_ns
 from gateway.bus.readers.scan import begin_frame, byte, set_length
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
@@ -68,15 +58,21 @@ def half(raw: Any, at: int) -> int:
 
 
 @kernel
+def fd_flags(bits: int) -> int:
+    """Return the flags of three bits: CAN FD, and if so its bit-rate switch and error state indicator."""
+    return bits & (FD | BRS | ESI) if bits & FD else 0
+
+
+@kernel
 def put_state(raw: Any, at: int, words: Any, row: Any, k: int, t_ns: int) -> None:
     """Make an error frame of the controller's error counters, as the kernel does (CAN 2.0 B, 8)."""
     transmit, receive = byte(raw, at), byte(raw, at + 1)
-    begin_frame(words, k, t_ns, ERROR | CONTROLLER, 0)
+    begin_frame(words, k, t_ns, ERROR | conditions.CONTROLLER, 0)
     set_length(words, k, 8)
-    state = (TX_PASSIVE if transmit > 127 else 0) | (RX_PASSIVE if receive > 127 else 0)
+    state = (conditions.TX_PASSIVE if transmit > 127 else 0) | (conditions.RX_PASSIVE if receive > 127 else 0)
     if state == 0:
-        state = (TX_WARNING if transmit > 95 else 0) | (RX_WARNING if receive > 95 else 0)
-    row[17], row[22], row[23] = state if state else ACTIVE, transmit, receive
+        state = (conditions.TX_WARNING if transmit > 95 else 0) | (conditions.RX_WARNING if receive > 95 else 0)
+    row[17], row[22], row[23] = state or conditions.ACTIVE, transmit, receive
 
 
 @kernel
@@ -109,10 +105,13 @@ def blf_object(raw: Any, at: int, kind: int, size: int, header: int, t_ns: int, 
         its channel, counted from 1; -1: no frame; -2: a payload above 64 bytes.
     """
     name = long(raw, at + 4) & ~(REMOTE | ERROR) if size >= 8 else 0
-    if kind in (CAN_MESSAGE, CAN_MESSAGE2) and size >= 16:
-        bits, count = byte(raw, at + 2), min(byte(raw, at + 3), 8)
+    fd = kind == CAN_FD_MESSAGE
+    if (fd and size >= 84) or (kind in (CAN_MESSAGE, CAN_MESSAGE2) and size >= 16):
+        bits, dlc = byte(raw, at + 2), byte(raw, at + 3)
+        flags = (OWN if bits & 1 else 0) | (fd_flags(byte(raw, at + 13)) if fd else 0)
         name |= REMOTE if bits & 0x80 else 0
-        put_frame(raw, at + 8, name, OWN if bits & 1 else 0, count, count, count, words, row, k, t_ns)
+        count = min(byte(raw, at + 14), 64) if fd else min(dlc, 8)
+        put_frame(raw, at + (20 if fd else 8), name, flags, dlc, count, count, words, row, k, t_ns)
         return half(raw, at)
     if kind == CAN_ERROR_EXT and size >= 32:
         name, count = long(raw, at + 16) & ~(REMOTE | ERROR), min(byte(raw, at + 10), 8)
@@ -121,25 +120,17 @@ def blf_object(raw: Any, at: int, kind: int, size: int, header: int, t_ns: int, 
             return half(raw, at)
     least = 4 if kind == CAN_ERROR else 32 if kind == CAN_ERROR_EXT else 16
     if kind in (CAN_ERROR, CAN_FD_ERROR_64, CAN_ERROR_EXT) and size >= least:
-        begin_frame(words, k, t_ns, ERROR | PROTOCOL | BUS_ERROR, 0)  # of a real controller
+        begin_frame(words, k, t_ns, ERROR | conditions.PROTOCOL | conditions.BUS_ERROR, 0)  # of a real controller
         set_length(words, k, 8)
         return byte(raw, at) if kind == CAN_FD_ERROR_64 else half(raw, at)
     if kind in (DRIVER_ERROR, DRIVER_ERROR_EXT) and size >= 8:
         put_state(raw, at + 2, words, row, k, t_ns)
         return half(raw, at)
-    if kind == CAN_FD_MESSAGE and size >= 84:
-        bits, own, count = byte(raw, at + 13), byte(raw, at + 2), min(byte(raw, at + 14), 64)
-        flags = (FD | (BRS if bits & 2 else 0) | (ESI if bits & 4 else 0)) if bits & 1 else 0
-        flags |= OWN if own & 1 else 0
-        name |= REMOTE if own & 0x80 else 0
-        put_frame(raw, at + 20, name, flags, byte(raw, at + 3), count, count, words, row, k, t_ns)
-        return half(raw, at)
     if kind == CAN_FD_MESSAGE_64 and size >= 40:
         bits, valid = long(raw, at + 12), byte(raw, at + 2)
         if valid > 64:
             return -2
-        flags = (FD | (BRS if bits & 0x2000 else 0) | (ESI if bits & 0x4000 else 0)) if bits & 0x1000 else 0
-        flags |= OWN if raw[at + 34] else 0
+        flags = fd_flags(bits >> 12) | (OWN if raw[at + 34] else 0)
         name |= REMOTE if bits & 0x10 else 0
         other = byte(raw, at + 35)  # where data of another kind begin, counted from the object's begin
         count = max(0, min(valid, other - header - 40 if other else size - 40, size - 40))
@@ -197,32 +188,14 @@ def scan_blf(
             others[min(kind, others.shape[0] - 1)] += 1
 
 
-def system_time_ns(fields: tuple[int, ...], zone: tzinfo = UTC) -> int:
-    """Return a SYSTEMTIME (year, month, weekday, day, hour, minute, second, millisecond) [ns], 0 if it is none."""
-    year, month, _, day, hour, minute, second, milli = fields
-    try:
-        whole = int(datetime(year, month, day, hour, minute, second, tzinfo=zone).timestamp())
-    except ValueError:
-        return 0
-    return whole * 10**9 + min(milli, 999) * 10**6
-
-
-def _named(batch: Batch, names: Names) -> Read:
-    frames, channel = batch.take()
-    return frames, placed(channel, names)
-
-
-class Blf(BinaryReader):
+class Blf(FormatReader):
     """Reads BLF (see :class:`gateway.bus.readers.batch.Reader`)."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._others = np.zeros(_TYPES, np.int64)
         self._held = b""  # pulled, but not yet looked at
-        self._gap = False  # whether something was lost before what is yielded next
         self._size, self._objects = 0, 0
-        self._start = 0
-        self._end: InputError | Exception | None = None
+        self._end: Exception | None = None  # what ends the log early
 
     @staticmethod
     def sniff(first: bytes) -> bool:
@@ -231,40 +204,41 @@ class Blf(BinaryReader):
 
     def read(self, stream: BinaryIO, names: Names, chunk: int) -> Iterator[Read]:
         """Yield a log's frames."""
-        self._header(stream)
-        batch, rest = Batch(chunk), b""
-        frames = 0
-        for raw in self._unpacked(stream):
-            block = raw if self._gap else rest + raw
-            self._gap = False
-            array = np.frombuffer(block, np.uint8)
-            at, why = 0, FULL
+        start, others = self._header(stream), np.zeros(_TYPES, np.int64)
+        batch, block, frames, lost = Batch(chunk), b"", 0, False
+        for part, gap in self._parts(stream):
+            block = part if gap else block + part
+            at, why = 0, LOST if lost and not gap else FULL
             while why != MORE:
-                at, batch.count, why = scan_blf(array, at, *batch.room, self._start, self._others)
+                if lost := why in (LOST, LONG):
+                    found = block.find(b"LOBJ", at)
+                    if found < 0:
+                        at = max(len(block) - 3, at)
+                        break
+                    at = found
+                at, batch.count, why = scan_blf(np.frombuffer(block, np.uint8), at, *batch.room, start, others)
                 if why in (LOST, LONG):
                     what = "no object where one should be" if why == LOST else "a payload above 64 bytes"
                     self.passed_over.add(what, f"after frame {frames + batch.count}")
-                    found = block.find(b"LOBJ", at + 1)
-                    at = found if found >= 0 else max(len(block) - 3, at + 1)
-                if batch.full:
+                    at += 1
+                if batch.count == batch.size:
                     frames += batch.count
-                    yield _named(batch, names)
-            rest = array[at:].tobytes()
-            if len(rest) > MOST:
+                    yield batch.take(names)
+            block = block[at:]
+            if len(block) > MOST:
                 self._end = ValueError(f"an object that is longer than {MOST} bytes")
                 break
         if batch.count:
             frames += batch.count
-            yield _named(batch, names)
-        for kind in np.flatnonzero(self._others).tolist():
+            yield batch.take(names)
+        for kind in np.flatnonzero(others).tolist():
             text = f"objects of type {kind}, which are no frames"
-            self.passed_over.add(text, "not kept", count=int(self._others[kind]), damaged=False)
-        if self._end is not None:
-            raise self._told(frames)
-        if cut := self._cut(frames):
-            raise cut
+            self.passed_over.add(text, "not kept", count=int(others[kind]), damaged=False)
+        if wrong := self._wrong(frames):
+            raise wrong
 
-    def _header(self, stream: BinaryIO) -> None:
+    def _header(self, stream: BinaryIO) -> int:
+        """Read the file's header; returns the time of the log's start [ns]."""
         head, broken = pull(stream, FILE_HEADER.size)
         if broken is not None:
             raise damage(broken, self._path, 0)
@@ -274,18 +248,15 @@ class Blf(BinaryReader):
         if fields[0] != b"LOGG":
             raise InputError("not a BLF log: it does not begin with LOGG", file=self._path)
         self._size, self._objects = fields[10], fields[12]
-        self._start = system_time_ns(fields[14:22], self.zone)
         self._need(stream, fields[1] - FILE_HEADER.size)
+        year, month, _, *rest, milli = fields[14:22]
+        return wall_ns(self.zone, min(milli, 999) * 10**6, year, month, *rest)
 
     def _need(self, stream: BinaryIO, count: int) -> bytes:
         """Return this number of bytes, or less: then the file ends within, or unpacking failed there."""
-        if count <= 0:
-            return b""
-        data, broken = self._pull(stream, count)
-        if broken is not None:
-            self._end = broken
-        elif len(data) < count:
-            self._end = CutOffError("", file=self._path)
+        data, self._end = self._pull(stream, count)
+        if len(data) < count:
+            self._end = self._end or CutOffError("", file=self._path)
         return data
 
     def _pull(self, stream: BinaryIO, size: int) -> tuple[bytes, Exception | None]:
@@ -294,20 +265,18 @@ class Blf(BinaryReader):
         data, broken = pull(stream, size - len(held))
         return held + data, broken
 
-    def _unpacked(self, stream: BinaryIO) -> Iterator[bytes]:
-        """Yield the log's objects, unpacked, some containers at a time; the error that ends them is in ``_end``."""
-        parts: list[bytes] = []
-        held, lost = 0, False
+    def _parts(self, stream: BinaryIO) -> Iterator[tuple[bytes, bool]]:
+        """Yield the log's objects, unpacked, some at a time, and whether something is lost before them."""
+        part, lost, gap = bytearray(), False, False
         while self._end is None:
-            if lost and parts:
-                yield b"".join(parts)
-                parts, held = [], 0
-            self._gap = self._gap or lost
+            if len(part) >= _BLOCK or (lost and part):
+                yield bytes(part), gap
+                part.clear()
+                gap = False
+            gap = gap or lost
             head, self._end = self._pull(stream, OBJECT.size)
-            if not head:
-                break
             if len(head) < OBJECT.size:
-                if not lost:
+                if head and not lost:
                     self._end = self._end or CutOffError("", file=self._path)
                 break
             mark, _, _, size, kind = OBJECT.unpack(head)
@@ -328,23 +297,15 @@ class Blf(BinaryReader):
             if self._end is None:
                 self._pull(stream, size % 4)  # padding, of which some may be missing at the end
             try:
-                part = self._contents(head, body, kind)
-            except (zlib.error, ValueError) as error:
-                if self._end is not None:
-                    break
-                if isinstance(error, ValueError):
-                    self._end = error
-                    break
-                self.passed_over.add("a container that cannot be unpacked", str(error))
-                lost = True
-                continue
-            parts.append(part)
-            held += len(part)
-            if held >= _BLOCK:
-                yield b"".join(parts)
-                parts, held = [], 0
-        if parts:
-            yield b"".join(parts)
+                part += self._contents(head, body, kind)
+            except ValueError as error:
+                self._end = self._end or error
+            except zlib.error as error:
+                if self._end is None:
+                    self.passed_over.add("a container that cannot be unpacked", str(error))
+                    lost = True
+        if part:
+            yield bytes(part), gap
 
     def _contents(self, head: bytes, body: bytes, kind: int) -> bytes:
         """Return the objects in an object of the file: a container, or itself.
@@ -369,21 +330,15 @@ class Blf(BinaryReader):
         self.passed_over.add("a container that is packed in an unknown way", f"method {method}")
         return b""
 
-    def _told(self, frames: int) -> InputError:
-        """Return what ended the log early."""
-        error = self._end
-        assert error is not None
-        if isinstance(error, CutOffError):
-            return self._cut(frames) or CutOffError(f"cut off after frame {frames}", file=self._path)
-        return error if isinstance(error, InputError) else damage(error, self._path, frames)
-
-    def _cut(self, frames: int) -> CutOffError | None:
-        """Return how the log is cut off by what its header says of its size, None if it is whole."""
-        size = self._path.stat().st_size
+    def _wrong(self, frames: int) -> InputError | None:
+        """Return what ended the log early, or how it is cut off by its header; None: it is whole."""
+        if self._end is not None and not isinstance(self._end, CutOffError):
+            return damage(self._end, self._path, frames)
+        size, text = self._path.stat().st_size, ""
         if not compression_of(self._path) and self._size > size:
-            text = f"cut off after frame {frames}: {size} bytes of {self._size}"
-            return CutOffError(text, file=self._path)
-        if frames and not self._objects and self._size <= FILE_HEADER_SIZE:
-            text = f"cut off after frame {frames}: its recorder did not finish the file"
-            return CutOffError(text, file=self._path)
-        return None
+            text = f": {size} bytes of {self._size}"
+        elif frames and not self._objects and self._size <= FILE_HEADER_SIZE:
+            text = ": its recorder did not finish the file"
+        elif self._end is None:
+            return None
+        return CutOffError(f"cut off after frame {frames}{text}", file=self._path)

@@ -25,16 +25,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames, single
-from gateway.bus.readers.batch import FLAGS, Batch, Names
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames
+from gateway.bus.readers.batch import FLAGS, Batch, Names, scaled, wall_ns
 from gateway.bus.readers.scan import (
     ASK,
     BAD,
     DONE,
     HEX,
-    PASSED,
     begin_frame,
     byte,
     decimal,
@@ -49,7 +47,7 @@ from gateway.bus.readers.text import Lines
 from gateway_fdi.jit import kernel
 
 #: A line of a log whose interface the kernel does not know, and one of a console.
-_LOGGED = re.compile(rb"\s*\(\d+(?:\.\d+)?\)\s+(\S+)\s+[0-9A-Fa-f]{3,8}#")
+_LOGGED = re.compile(rb"\s*\(\d+(?:\.\d+)?\)\s+([^\0-\x20]+)\s+[0-9A-Fa-f]{3,8}#")
 _PRINTED = re.compile(
     rb"\s*\(([\d.: -]+\.\d+)\)\s+(\S+)\s+(?:([TR]X)\s+([B-]\s+[E-])\s+)?([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+"
     rb"(\[\d{1,2}\]|\{[0-9A-Fa-f]\})\s*(.*)"
@@ -63,33 +61,27 @@ _LONGEST = 64
 
 
 @kernel
-def name_place(text: Any, at: int, end: int, names: Any, lengths: Any, first: int) -> int:
+def name_place(text: Any, at: int, end: int, names: Any, first: int) -> int:
     """Return the place of a name, which is text from ``at`` to ``end``, among those known, -1: not there.
 
-    ``names`` are bytes, shape (names, longest), ``lengths`` theirs, -1: none. The place ``first`` is looked at first.
+    ``names`` are bytes, shape (names, longest + 1), zeros behind each. The place ``first`` is looked at first.
     """
-    count = names.shape[0]
-    for step in range(-1, count):
-        k = first if step < 0 else step
-        if lengths[k] != end - at:
-            continue
-        same = True
-        for j in range(end - at):
-            if names[k, j] != text[at + j]:
-                same = False
-                break
-        if same:
+    for step in range(-1, names.shape[0]):
+        k, j = first if step < 0 else step, 0
+        while j < end - at and names[k, j] == text[at + j]:
+            j += 1
+        if j == end - at and names[k, j] == 0:
             return k
     return -1
 
 
 @kernel
-def identifier(text: Any, at: int, end: int, hexes: Any) -> int:
+def identifier(text: Any, at: int, end: int) -> int:
     """Return an identifier with its flags, -1 if it is none: three digits, or eight.
 
     Eight digits are an extended identifier, or the kernel's identifier of an error frame.
     """
-    value = number(text, at, end, 16, hexes)
+    value = number(text, at, end, 16)
     if end - at == 3:
         return value if value <= 0x7FF else -1
     if end - at != 8 or value < 0:
@@ -98,35 +90,35 @@ def identifier(text: Any, at: int, end: int, hexes: Any) -> int:
 
 
 @kernel
-def body(text: Any, at: int, hexes: Any, words: Any, row: Any, k: int, t_ns: int) -> int:
+def body(text: Any, at: int, words: Any, row: Any, k: int, t_ns: int) -> int:
     """Read ``ID#DATA``, ``ID##FDATA`` or ``ID#R`` into a frame; returns where it ends, -1 if it is bad."""
     end = at
-    while hexes[text[end]] < 16:
+    while HEX[text[end]] < 16:
         end += 1
-    can_id = identifier(text, at, end, hexes)
+    can_id = identifier(text, at, end)
     if can_id < 0 or text[end] != 35:
         return -1
     at = end + 1
     if text[at] == 35:
-        bits = byte(hexes, text[at + 1])
+        bits = byte(HEX, text[at + 1])
         if bits > 15:
             return -1
         flags = FD | (BRS if bits & 1 else 0) | (ESI if bits & 2 else 0)
         begin_frame(words, k, t_ns, can_id, flags)
-        length, at = hex_pairs(text, at + 2, 64, hexes, row)
+        length, at = hex_pairs(text, at + 2, 64, row)
         if length > 8 and not (length % 4 == 0 and (length <= 24 or length in (32, 48, 64))):
             return -1
     elif text[at] in (82, 114):
         begin_frame(words, k, t_ns, can_id | REMOTE, 0)
-        length, at = byte(hexes, text[at + 1]), at + 1
+        length, at = byte(HEX, text[at + 1]), at + 1
         if length > 8:
             length = 0
         else:
             at += 1
     else:
         begin_frame(words, k, t_ns, can_id, 0)
-        length, at = hex_pairs(text, at, 8, hexes, row)
-    if length == 8 and text[at] == 95 and 9 <= hexes[text[at + 1]] <= 15:
+        length, at = hex_pairs(text, at, 8, row)
+    if length == 8 and text[at] == 95 and 9 <= HEX[text[at + 1]] <= 15:
         at += 2
     if length < 0 or text[at] > 32:
         return -1
@@ -136,7 +128,7 @@ def body(text: Any, at: int, hexes: Any, words: Any, row: Any, k: int, t_ns: int
 
 @kernel
 def scan_candump(
-    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, names: Any, lengths: Any, hexes: Any
+    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, names: Any
 ) -> tuple[int, int, int, int]:
     """Read lines into a batch (see :mod:`gateway.bus.readers.scan`); names as :func:`name_place` has them."""
     lines, place = 0, 0
@@ -152,12 +144,12 @@ def scan_candump(
         if t_ns < 0 or digits > 9 or text[i] != 41 or text[i + 1] > 32:
             return at, lines, k, ASK
         i, end = next_word(text, i + 1)
-        if end == i or end - i > names.shape[1]:
+        if end == i or end - i >= names.shape[1]:
             return at, lines, k, BAD
-        place = name_place(text, i, end, names, lengths, place)
+        place = name_place(text, i, end, names, place)
         if place < 0:
             return at, lines, k, ASK
-        i = body(text, skip(text, end), hexes, words, data[k], k, t_ns)
+        i = body(text, skip(text, end), words, data[k], k, t_ns)
         if i < 0:
             return at, lines, k, ASK
         channel[k] = place
@@ -170,22 +162,17 @@ def scan_candump(
     return at, lines, k, DONE
 
 
-def cut_short(frame: np.void, before: Frames) -> bool:
-    """Return whether a log's last frame is shorter than the one before it of the same identifier."""
-    same = before[before["can_id"] == frame["can_id"]]
-    return bool(len(same) and frame["length"] < same[-1]["length"])
-
-
 class Candump(Lines):
     """Lines of candump."""
 
     numbered = False
     good = '"(seconds) interface ID#DATA", or as candump prints it with -t'
+    last = re.compile(rb"\t")
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._names = np.zeros((8, _LONGEST), np.uint8)
-        self._lengths = np.full(8, -1, np.int64)
+        self._names = np.zeros((8, _LONGEST + 1), np.uint8)
+        self.scanner = scan_candump, (self._names,)
         self._delta, self._last_ns = False, 0
 
     @staticmethod
@@ -202,36 +189,22 @@ class Candump(Lines):
         steps = [b <= a for a, b in pairwise(stamps)]
         self._delta = bool(stamps) and max(stamps) < _WALL_S and sum(steps) * 5 > len(steps)
 
-    def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
-        """Read lines."""
-        at, lines, batch.count, status = scan_candump(text, at, *batch.room, self._names, self._lengths, HEX)
-        return at, lines, status
-
     def asked(self, line: bytes, names: Names, batch: Batch) -> int:
         """Take the name of a line's interface, or read a line of a console."""
-        if line[:1] == b"\t":
-            return PASSED
+        if line[:1] == b"\t":  # of candump -e
+            return self.event("explanation of an error frame", line)
         if found := _PRINTED.match(line):
             return self._printed(found, names, batch)
         if not (found := _LOGGED.match(line)) or len(found[1]) > _LONGEST:
             return BAD
-        return ASK if self._learn(found[1], names) else BAD
-
-    def kind(self, line: bytes) -> str:
-        """Return that candump -e explains an error frame."""
-        return "explanation of an error frame"
-
-    def _learn(self, name: bytes, names: Names) -> bool:
-        """Take the name of an interface; returns whether it is new to the kernel."""
-        place = names.place(name.decode("ascii", "backslashreplace"))
-        while place >= len(self._names):
-            self._names = np.concatenate((self._names, np.zeros_like(self._names)))
-            self._lengths = np.concatenate((self._lengths, np.full_like(self._lengths, -1)))
-        if self._lengths[place] >= 0:
-            return False
-        self._names[place, : len(name)] = np.frombuffer(name, np.uint8)
-        self._lengths[place] = len(name)
-        return True
+        place = names.place(found[1].decode("ascii", "backslashreplace"))
+        if place >= len(self._names):
+            self._names = np.pad(self._names, ((0, place + 1), (0, 0)))
+            self.scanner = scan_candump, (self._names,)
+        if self._names[place, 0]:  # the kernel knows it
+            return BAD
+        self._names[place, : len(found[1])] = np.frombuffer(found[1], np.uint8)
+        return ASK
 
     def _printed(self, found: re.Match[bytes], names: Names, batch: Batch) -> int:
         """Read a line of a console."""
@@ -242,10 +215,9 @@ class Candump(Lines):
             can_id |= EXTENDED
         count = 8 if size[:1] == b"{" else int(size[1:-1])
         fd = count > 8 or len(size) == 4  # [08]: CAN FD, [8]: classic
-        flags = FD if fd else 0
-        if bits:
-            flags |= (BRS if fd and b"B" in bits else 0) | (ESI if fd and b"E" in bits else 0)
-        flags |= OWN if sent == b"TX" else 0
+        flags = (FD if fd else 0) | (OWN if sent == b"TX" else 0)
+        if fd and bits:
+            flags |= (BRS if b"B" in bits else 0) | (ESI if b"E" in bits else 0)
         data = bytes(count)
         if rest[:14] == b"remote request":
             can_id |= REMOTE
@@ -256,23 +228,24 @@ class Candump(Lines):
                 return BAD
         if t_ns is None or len(data) != count or count > 64 or (can_id & REMOTE and count > 8):
             return BAD
-        batch.put(single(t_ns, can_id, data, flags=flags), names.place(name.decode("ascii", "backslashreplace")))
+        batch.put(t_ns, can_id, data, names.place(name.decode("ascii", "backslashreplace")), flags=flags)
         return DONE
 
     def _stamp_ns(self, text: str) -> int | None:
         """Return a stamp of a console [ns], None: it is none."""
         whole, _, part = text.partition(".")
-        if whole.isdecimal():
-            t_ns = int(whole) * 10**9 + int(part.ljust(9, "0")[:9])
-            if self._delta:
-                t_ns = self._last_ns = self._last_ns + t_ns
-            return t_ns
         try:
-            date = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S").replace(tzinfo=self.zone)
+            if not whole.isdecimal():
+                date = datetime.strptime(whole, "%Y-%m-%d %H:%M:%S")
+                return wall_ns(self.zone, scaled(f"0.{part}", 9), *date.timetuple()[:6])
+            t_ns = scaled(text, 9)
         except ValueError:
             return None
-        return int(date.timestamp()) * 10**9 + int(part.ljust(9, "0")[:9])
+        if self._delta:
+            t_ns = self._last_ns = self._last_ns + t_ns
+        return t_ns
 
-    def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Return whether the last line is cut: it is no frame, or one that is shorter than its like."""
-        return line[:1] != b"\t" and (frame is None or cut_short(frame, before))
+    def short(self, frame: Any, before: Frames) -> bool:
+        """Return whether the last frame is shorter than the one before it of the same identifier."""
+        same = before[before["can_id"] == frame["can_id"]]
+        return bool(len(same) and frame["length"] < same[-1]["length"])

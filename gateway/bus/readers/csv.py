@@ -17,6 +17,7 @@ Its stamps are float seconds; those of a recorder that counts microseconds are r
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, nanoseconds
+from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, nanoseconds
 from gateway.bus.log_source import LINE
-from gateway.bus.readers.batch import FLAGS, NO_CHANNEL, Batch
-from gateway.bus.readers.scan import BAD, DONE, HEX, begin_frame, byte, decimal, line_end, number, set_length
+from gateway.bus.readers.batch import FLAGS, NO_CHANNEL, Batch, Names
+from gateway.bus.readers.scan import ASK, BAD, DONE, HEX, begin_frame, byte, decimal, number, set_length
 from gateway.bus.readers.text import Lines, shown
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import kernel
@@ -69,11 +70,11 @@ _LEAST_GAP_US = 15
 
 
 @kernel
-def base64(text: Any, at: int, sixes: Any, row: Any) -> tuple[int, int]:
+def base64(text: Any, at: int, row: Any) -> tuple[int, int]:
     """Return how many bytes a payload in base64 has, which go into the frame; -1: it is none; and where it ends."""
     count, bits, value = 0, 0, 0
-    while sixes[text[at]] < 64:
-        value = ((value << 6) | byte(sixes, text[at])) & 0xFFFFFF
+    while BASE64[text[at]] < 64:
+        value = ((value << 6) | byte(BASE64, text[at])) & 0xFFFFFF
         bits += 6
         if bits >= 8:
             bits -= 8
@@ -94,24 +95,24 @@ def ends(text: Any, at: int, separator: int) -> bool:
 
 
 @kernel
-def field_number(text: Any, at: int, separator: int, base: int, hexes: Any) -> tuple[int, int]:
+def field_number(text: Any, at: int, separator: int, base: int) -> tuple[int, int]:
     """Return the number of a field, -1: it is none; and where it ends."""
     if text[at] == 48 and text[at + 1] in (120, 88):  # 0x
         at += 2
     end = at
     while not ends(text, end, separator):
         end += 1
-    return number(text, at, end, base, hexes), end
+    return number(text, at, end, base), end
 
 
 @kernel
-def field_bytes(text: Any, at: int, separator: int, count: int, most: int, hexes: Any, row: Any) -> int:
+def field_bytes(text: Any, at: int, separator: int, count: int, most: int, row: Any) -> int:
     """Read bytes behind the first ``count`` ones; returns how many there are then, -1: one is none."""
     while count < most and (text[at] == 32 or not ends(text, at, separator)):
         if text[at] == 32 or (text[at] == 48 and text[at + 1] in (120, 88)):
             at += 1 if text[at] == 32 else 2
             continue
-        high, low = byte(hexes, text[at]), byte(hexes, text[at + 1])
+        high, low = byte(HEX, text[at]), byte(HEX, text[at + 1])
         single = ends(text, at + 1, separator)
         if high > 15 or (low > 15 and not single):
             return -1
@@ -144,9 +145,7 @@ def finished(can_id: int, wanted: int, length: int, said: int, how: Any, words: 
 
 
 @kernel
-def csv_line(
-    text: Any, at: int, hexes: Any, sixes: Any, roles: Any, how: Any, words: Any, row: Any, k: int
-) -> tuple[int, int]:
+def csv_line(text: Any, at: int, roles: Any, how: Any, words: Any, row: Any, k: int) -> tuple[int, int]:
     """Read a line into a frame; returns its channel, -2: it is damaged; and where the line ends."""
     separator, field, said = how[SEPARATOR], 0, 0
     t_ns, can_id, wanted, length, bus = -1, -1, -1, 0, -1
@@ -164,15 +163,15 @@ def csv_line(
             if how[LAYOUT] == ENCODED and t_ns >= _COARSE and digits < 9:
                 t_ns = (t_ns + 500) // 1000 * 1000
         elif role == ID:
-            can_id, at = field_number(text, at, separator, 16, hexes)
+            can_id, at = field_number(text, at, separator, 16)
         elif role == LEN:
-            wanted, at = field_number(text, at, separator, 10, hexes)
+            wanted, at = field_number(text, at, separator, 10)
         elif role == BUS:
-            bus, at = field_number(text, at, separator, 10, hexes)
+            bus, at = field_number(text, at, separator, 10)
         elif role == DATA and how[LAYOUT] == ENCODED:
-            length, at = base64(text, at, sixes, row)
+            length, at = base64(text, at, row)
         elif role == DATA and length >= 0:
-            length = field_bytes(text, at, separator, length, 64 if wanted < 0 else wanted, hexes, row)
+            length = field_bytes(text, at, separator, length, 64 if wanted < 0 else wanted, row)
         field += 1
         while text[at] != separator and text[at] != 10:
             at += 1
@@ -187,18 +186,15 @@ def csv_line(
 
 @kernel
 def scan_csv(
-    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, hexes: Any, sixes: Any, roles: Any, how: Any
+    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, roles: Any, how: Any
 ) -> tuple[int, int, int, int]:
-    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`).
-
-    ``sixes`` is :data:`BASE64`; ``roles`` and ``how`` are of :func:`_mapped`.
-    """
+    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`); ``roles`` and ``how`` are of :func:`_mapped`."""
     lines = 0
     while at < text.shape[0] and k < words.shape[0]:
         if text[at] != 10:
-            found, end = csv_line(text, at, hexes, sixes, roles, how, words, data[k], k)
+            found, end = csv_line(text, at, roles, how, words, data[k], k)
             if found == -2:
-                return at, lines, k, BAD
+                return at, lines, k, ASK
             channel[k] = found
             k += 1
             at = end
@@ -254,11 +250,12 @@ class Csv(Lines):
     """Lines of CSV."""
 
     good = "its fields as the header has them"
+    last = re.compile(_PYTHON_CAN)
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._header = 0
-        self._map = _mapped(_PYTHON_CAN) or ()
+        self.scanner = scan_csv, _mapped(_PYTHON_CAN) or ()
 
     @staticmethod
     def sniff(first: bytes) -> bool:
@@ -275,28 +272,21 @@ class Csv(Lines):
         for k, line in enumerate(lines[:20]):
             mapped = _mapped(line, lines[k + 1 : -1] or lines[k + 1 :])
             if mapped:
-                self._header, self._map = k + 1, mapped
+                self._header, self.scanner = k + 1, (scan_csv, mapped)
                 return
         if lines and len(lines[0]) < LINE and not lines[0][:1].isdigit():
             known = f"{_PYTHON_CAN.decode()}, or columns of a time, an identifier and data by their names"
             raise InputError(f"no CSV of frames that we know ({known})", file=self._path, line=1, value=shown(lines[0]))
 
-    def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
-        """Read lines."""
-        if self._header:
-            self._header -= 1
-            return int(line_end(text, at)), 1, DONE
-        at, lines, batch.count, status = scan_csv(text, at, *batch.room, HEX, BASE64, *self._map)
-        if status == BAD and (again := _plain(bytes(text[at : line_end(text, at)]))) is not None:
-            one = np.frombuffer(again, np.uint8)
-            _, more, batch.count, status = scan_csv(one, 0, *batch.room, HEX, BASE64, *self._map)
-            if status == DONE:
-                at, lines = int(line_end(text, at)), lines + more
-        return at, lines, status
-
-    def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Return whether the last line is cut: it is no frame."""
-        return frame is None and self._header == 0 and not line.startswith(_PYTHON_CAN)
+    def asked(self, line: bytes, names: Names, batch: Batch) -> int:
+        """Look at a line of the header, or one that is damaged or has a stamp with an exponent."""
+        if self._line <= self._header:
+            return DONE
+        if (plain := _plain(line)) is None:
+            return BAD
+        scan, own = self.scanner
+        _, _, batch.count, status = scan(np.frombuffer(plain, np.uint8), 0, *batch.room, *own)
+        return DONE if status == DONE else BAD
 
 
 def _plain(line: bytes) -> bytes | None:

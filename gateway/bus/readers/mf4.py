@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of, damage
-from gateway.bus.readers.batch import NO_CHANNEL, BinaryReader, Names, Read, bytes_of, placed
+from gateway.bus.readers.batch import NO_CHANNEL, FormatReader, Names, Read, bytes_of, flags_of, placed
 from gateway.bus.readers.scan import scatter
 from gateway.common.archives import unpacked, whole, zstd_decompressor
 from gateway_fdi.errors import InputError
@@ -34,7 +34,9 @@ _BLOCK, _FIRST = struct.Struct("<4s4xQQ"), 64
 #: Flag of a channel group: it is of a bus (ASAM MDF 4.1, cg_flags).
 _BUS_EVENT = 2
 #: Structures of frames, and the flags that their identifiers get.
-_KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+KINDS = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
+#: Members of frames of CAN FD, and their flags.
+FLAGS = {"EDL": FD, "BRS": BRS, "ESI": ESI}
 #: It looks through all frames for messages otherwise, for an extraction of its own.
 _OPEN: dict[str, Any] = {"process_bus_logging": False}
 #: Bytes of a compressed block, unpacked, at most; recorders write blocks of 4 MiB.
@@ -103,85 +105,52 @@ def _tidy() -> Iterator[None]:
         raise
 
 
-class _Group:
-    """Frames of a group of channels (its structure is ``kind``), some at a time.
+#: Frames of a group, the numbers of their channels as in the file, and whether there are more.
+_Some = tuple[Frames, NDArray[np.int64], bool]
 
-    Attributes:
-        frames, channel: those that are read and not taken; numbers as in the file.
-    """
 
-    def __init__(self, mdf: Any, index: int, kind: str, begin_ns: int) -> None:
-        self._mdf, self._index, self._kind, self._begin_ns = mdf, index, kind, begin_ns
-        self._count = int(mdf.groups[index].channel_group.cycles_nr)
-        self._next = 0
-        self.frames, self.channel = empty(0), np.empty(0, np.int64)
-
-    @property
-    def more(self) -> bool:
-        """Whether there are frames that have not been read."""
-        return self._next < self._count
-
-    def fill(self) -> None:
-        """Read some, if there are none."""
-        if len(self.frames) or not self.more:
-            return
-        count = min(_RECORDS, self._count - self._next)
+def _records(mdf: Any, index: int, kind: str, begin_ns: int) -> Iterator[_Some]:
+    """Yield the records of a group of channels; its structure is ``kind``."""
+    count = int(mdf.groups[index].channel_group.cycles_nr)
+    for at in range(0, count, _RECORDS):
         # With conversions: a recorder may keep the DLC as length, and values that all frames share (CANedge's channel
         # and IDE) as a formula of the record's number, a virtual channel.
-        found = self._mdf.get(self._kind, self._index, record_offset=self._next, record_count=count, raw=False)
-        self._next += count
-        self.frames, self.channel = _frames(found, self._kind, self._begin_ns)
-
-    def take(self, until_ns: int) -> tuple[Frames, NDArray[np.int64]]:
-        """Return the frames up to a time."""
-        end = int(np.searchsorted(np.maximum.accumulate(self.frames["t_ns"]), until_ns, "right"))
-        taken = self.frames[:end], self.channel[:end]
-        self.frames, self.channel = self.frames[end:], self.channel[end:]
-        return taken
+        found = mdf.get(kind, index, record_offset=at, record_count=min(_RECORDS, count - at), raw=False)
+        yield *_frames(found, kind, begin_ns), at + _RECORDS < count
 
 
-def _frames(found: Any, kind: str, begin_ns: int) -> tuple[Frames, NDArray[np.int64]]:
+def _frames(found: Any, kind: str, begin_ns: int) -> Read:
     """Return the records of a structure as frames, and the numbers of their channels."""
     records = {name.partition(".")[2]: found.samples[name] for name in found.samples.dtype.names}
     count = len(found.timestamps)
     frames = empty(count)
     frames["t_ns"] = begin_ns + np.rint(found.timestamps * 1e9).astype(np.int64)
-    ids = records["ID"].astype(np.uint32) & ID_MASK if "ID" in records else np.zeros(count, np.uint32)
     # Default of python-can where a member is missing: extended.
-    ids |= np.where(records["IDE"] != 0, np.uint32(EXTENDED), np.uint32(0)) if "IDE" in records else np.uint32(EXTENDED)
-    ids |= np.uint32(_KINDS[kind])
-    if kind == "CAN_ErrorFrame" and "RTR" in records:
-        ids |= np.where(records["RTR"] != 0, np.uint32(REMOTE), np.uint32(0))
-    frames["can_id"] = ids
-    flags = np.zeros(count, np.uint8)
-    if "EDL" in records and kind != "CAN_RemoteFrame":
-        for name, flag in (("BRS", BRS), ("ESI", ESI)):
-            if name in records:
-                flags[records[name] != 0] |= flag
-        flags = np.where(records["EDL"] != 0, flags | FD, 0).astype(np.uint8)
+    ids = KINDS[kind] | (0 if "IDE" in records else EXTENDED)
+    of_id = {"IDE": EXTENDED} | ({"RTR": REMOTE} if kind == "CAN_ErrorFrame" else {})
+    frames["can_id"] = ids | flags_of(records, of_id, count)
+    if "ID" in records:
+        frames["can_id"] |= records["ID"].astype(np.uint32) & ID_MASK
+    flags = flags_of(records, FLAGS if kind != "CAN_RemoteFrame" else {}, count)
+    flags *= flags & FD  # others mean nothing without it
     if "Dir" in records:
         direction = records["Dir"]
         own = direction != b"Rx" if direction.dtype.kind == "S" else direction != 0
         flags[own] |= OWN
     frames["flags"] = flags
     if "DataBytes" in records and "DataLength" in records and kind != "CAN_RemoteFrame":
-        _put_payloads(frames, records["DataBytes"], records["DataLength"])
+        data = records["DataBytes"]
+        lengths = np.clip(records["DataLength"].astype(np.int64), 0, min(data.shape[1], 64))
+        begins = np.arange(count) * data.shape[1]
+        scatter(np.ascontiguousarray(data).reshape(-1), begins, lengths, bytes_of(frames))
+        frames["length"] = np.where(frames["can_id"] & REMOTE, 0, lengths)
     if kind == "CAN_RemoteFrame" and "DLC" in records:
         frames["length"] = np.minimum(records["DLC"], 8)
     channel = records.get("BusChannel", np.array(NO_CHANNEL))
     return frames, np.broadcast_to(channel.astype(np.int64), count)
 
 
-def _put_payloads(frames: Frames, data: NDArray[np.uint8], lengths: NDArray[Any]) -> None:
-    """Put payloads into frames, whose bytes beyond them stay zero."""
-    width = min(data.shape[1], 64)
-    lengths = np.clip(lengths.astype(np.int64), 0, width)
-    begins = np.arange(len(frames)) * data.shape[1]
-    scatter(np.ascontiguousarray(data).reshape(-1), begins, lengths, bytes_of(frames))
-    frames["length"] = np.where(frames["can_id"] & REMOTE, 0, lengths)
-
-
-def _groups(mdf: Any) -> list[_Group]:
+def _groups(mdf: Any) -> list[Iterator[_Some]]:
     """Return the groups of CAN frames of a file."""
     from asammdf.blocks.source_utils import Source  # noqa: PLC0415 - an extra, slow to load
 
@@ -194,26 +163,27 @@ def _groups(mdf: Any) -> list[_Group]:
         if not source.source_type & Source.SOURCE_BUS or source.bus_type != Source.BUS_TYPE_CAN:
             continue
         has = {channel.name for channel in group.channels}
-        kind = next((kind for kind in _KINDS if kind in has), None)
+        kind = next((kind for kind in KINDS if kind in has), None)
         if kind is not None:
-            found.append(_Group(mdf, index, kind, begin_ns))
+            found.append(_records(mdf, index, kind, begin_ns))
     return found
 
 
-def _joined(groups: list[_Group], names: Names) -> Iterator[Read]:
+def _joined(groups: list[Iterator[_Some]], names: Names) -> Iterator[Read]:
     """Yield the frames of all groups, in order of time, and the places of their channels, which count from 0."""
-    first: int | None = None
-    while True:
-        for group in groups:
-            group.fill()
-        held = [group for group in groups if len(group.frames)]
-        if not held:
-            return
-        if first is None:  # 1, but python-can writes the numbers that it is given
-            first = 0 if any((group.channel == 0).any() for group in held) else 1
-        last = [int(group.frames["t_ns"].max()) for group in held if group.more]
-        until = min(last) if last else np.iinfo(np.int64).max
-        taken = [group.take(until) for group in held]
+    held = [(group, *next(group)) for group in groups]
+    # They count from 1, but python-can writes the numbers that it is given.
+    first = 0 if any((channel == 0).any() for _, _, channel, _ in held) else 1
+    while held:
+        last = [int(frames["t_ns"].max()) for _, frames, _, more in held if more]
+        until = min(last, default=np.iinfo(np.int64).max)
+        taken, rest = [], []
+        for group, frames, channel, more in held:
+            end = int(np.searchsorted(np.maximum.accumulate(frames["t_ns"]), until, "right"))
+            taken.append((frames[:end], channel[:end]))
+            if some := (frames[end:], channel[end:], more) if end < len(frames) else next(group, None):
+                rest.append((group, *some))
+        held = rest
         frames, channel = taken[0]
         if len(taken) > 1:
             frames = np.concatenate([frames for frames, _ in taken])
@@ -222,7 +192,7 @@ def _joined(groups: list[_Group], names: Names) -> Iterator[Read]:
         yield frames, placed(np.where(channel == NO_CHANNEL, channel, channel - first), names)
 
 
-class Mf4(BinaryReader):
+class Mf4(FormatReader):
     """Reads MF4 (see :class:`gateway.bus.readers.batch.Reader`); asammdf maps the file."""
 
     @staticmethod

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames, empty
 from gateway.bus.log_source import CutOffError, compression_of
-from gateway.bus.readers.batch import BinaryReader, Names, Read, bytes_of
+from gateway.bus.readers.batch import FormatReader, Names, Read, bytes_of, flags_of
 from gateway.bus.readers.scan import scatter
 from gateway.common.archives import whole
 from gateway.common.parquet import longest_of, opened
@@ -36,6 +36,8 @@ from gateway_fdi.errors import InputError, nearest
 NEEDED = ("t", "id", "data")
 FLAGS_OF_ID = {"extended": EXTENDED, "remote": REMOTE, "error": ERROR}
 FLAGS = {"fd": FD, "brs": BRS, "esi": ESI, "own": OWN}
+#: Columns that are no numbers.
+_OTHERS = ("t", "data", "channel")
 _MAGIC = b"PAR1"
 #: Bytes of a payload at most.
 MOST = 64
@@ -52,7 +54,7 @@ def is_frame_log(path: Path) -> bool:
         return path.stem.endswith(".frames")  # as we name them; its errors are told when it is read
 
 
-class Parquet(BinaryReader):
+class Parquet(FormatReader):
     """Reads Parquet (see :class:`gateway.bus.readers.batch.Reader`)."""
 
     @staticmethod
@@ -106,35 +108,21 @@ class Parquet(BinaryReader):
 
     def _frames(self, columns: Mapping[str, Any], before: int) -> Frames:
         """Return the frames of a batch of columns."""
-        for name in (*NEEDED, *(name for name in columns if name not in (*NEEDED, "channel"))):
-            if columns[name].null_count:
+        for name in columns:
+            if name != "channel" and columns[name].null_count:
                 row = before + int(np.flatnonzero(columns[name].is_null().to_numpy(zero_copy_only=False))[0])
                 raise InputError(f"no value in row {row}", file=self._path, key=name)
-        count = len(columns["t"])
-        frames = empty(count)
+        values = {name: columns[name].to_numpy(zero_copy_only=False) for name in columns if name not in _OTHERS}
+        ids = values["id"]
+        if len(wrong := np.flatnonzero((ids < 0) | (ids > ID_MASK))):
+            text, value = f"no identifier, in row {before + wrong[0]}: 0 to 0x1FFFFFFF", int(ids[wrong[0]])
+            raise InputError(text, file=self._path, key="id", value=value)
+        frames = empty(len(ids))
         frames["t_ns"] = self._times(columns["t"])
-        ids = columns["id"].to_numpy(zero_copy_only=False)
-        wrong = (ids < 0) | (ids > ID_MASK)
-        if wrong.any():
-            row = int(np.flatnonzero(wrong)[0])
-            raise InputError(
-                f"no identifier, in row {before + row}: 0 to 0x1FFFFFFF", file=self._path, key="id", value=int(ids[row])
-            )
-        can_id = ids.astype(np.uint32)
-        if "extended" not in columns:
-            can_id |= np.where(can_id > 0x7FF, np.uint32(EXTENDED), np.uint32(0))
         self._put_payloads(frames, columns["data"], before)
-        for name, flag in FLAGS_OF_ID.items():
-            if name in columns:
-                can_id |= np.where(columns[name].to_numpy(zero_copy_only=False), np.uint32(flag), np.uint32(0))
-        frames["can_id"] = can_id
-        flags = np.zeros(count, np.uint8)
-        if "fd" not in columns:
-            flags |= np.where(frames["length"] > 8, np.uint8(FD), np.uint8(0))
-        for name, flag in FLAGS.items():
-            if name in columns:
-                flags |= np.where(columns[name].to_numpy(zero_copy_only=False), np.uint8(flag), np.uint8(0))
-        frames["flags"] = flags
+        values = {"extended": ids > 0x7FF, "fd": frames["length"] > 8} | values
+        frames["can_id"] = ids.astype(np.uint32) | flags_of(values, FLAGS_OF_ID, len(ids))
+        frames["flags"] = flags_of(values, FLAGS, len(ids))
         return frames
 
     def _times(self, column: Any) -> NDArray[np.int64]:
@@ -168,17 +156,15 @@ class Parquet(BinaryReader):
             long = pc.greater(pc.binary_length(column.dictionary), MOST).take(column.indices)
             row = before + int(pc.index(long, True).as_py())
             raise InputError(f"a payload above 64 bytes, in row {row}", file=self._path, key="data", value=longest)
-        if pa.types.is_fixed_size_binary(kind) or pa.types.is_dictionary(kind):
-            column = column.cast(pa.binary())
         if pa.types.is_list(kind) or pa.types.is_large_list(kind):
             ends = column.offsets.to_numpy()
             if column.values.null_count:
                 raise InputError("a payload has bytes without a value", file=self._path, key="data")
             raw = column.values.to_numpy(zero_copy_only=False)
         else:
-            wide = pa.types.is_large_binary(column.type)
+            column = column.cast(pa.large_binary())
             _, places, content = column.buffers()
-            ends = np.frombuffer(places, np.int64 if wide else np.int32)[column.offset :][: len(column) + 1]
+            ends = np.frombuffer(places, np.int64)[column.offset :][: len(column) + 1]
             raw = np.frombuffer(content, np.uint8) if content is not None else np.zeros(0, np.uint8)
         ends = ends.astype(np.int64)
         counts = np.diff(ends)

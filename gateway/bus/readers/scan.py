@@ -4,8 +4,8 @@
 46 ``.``, 48 ``0``, 57 ``9``.
 
 The kernel of a format, ``scan_asc`` etc., takes ``text`` (uint8), the place ``at`` where to begin, the batch as
-:attr:`gateway.bus.readers.batch.Batch.room` has it, :data:`HEX`, and what its format needs. It ends where the batch is
-full, and returns where the next line begins, lines read, frames that are in, and the state of the line there.
+:attr:`gateway.bus.readers.batch.Batch.room` has it, and what its format needs. It ends where the batch is full, and
+returns where the next line begins, lines read, frames that are in, and the state of the line there.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ from typing import Any
 
 import numpy as np
 
+from gateway.bus.frames import FD_LENGTHS
 from gateway.bus.readers.batch import FLAGS, LENGTH
 from gateway_fdi.jit import kernel
 
-#: State of the line where a kernel stops: all is read or the batch is full; it is damaged; Python is to look at it; it
-#: is an event that is no frame.
-DONE, BAD, ASK, PASSED = 0, 1, 2, 3
+#: State of the line where a kernel stops: all is read or the batch is full; it is damaged; Python is to look at it.
+DONE, BAD, ASK = 0, 1, 2
 
 #: Character -> its value as a hexadecimal digit, 255: none.
 HEX = np.full(256, 255, np.uint8)
-for _digit, _character in enumerate(b"0123456789abcdef"):
-    HEX[_character] = _digit
-for _digit, _character in enumerate(b"ABCDEF", 10):
-    HEX[_character] = _digit
+for _digit in range(16):
+    HEX[ord(f"{_digit:x}")] = HEX[ord(f"{_digit:X}")] = _digit
+
+#: Two words as :func:`pair` has them.
+RX, TX = 0x5278, 0x5478
 
 #: Largest whole seconds whose nanoseconds an int64 holds.
 _MOST_SECONDS = 9223372035
@@ -62,6 +63,14 @@ def next_word(text: Any, at: int) -> tuple[int, int]:
 
 
 @kernel
+def pair(text: Any, at: int) -> int:
+    """Return a word of two characters as a number, 256 times the first and the second; -1: it has other ones."""
+    if text[at] <= 32 or text[at + 1] <= 32 or text[at + 2] > 32:
+        return -1
+    return byte(text, at) << 8 | byte(text, at + 1)
+
+
+@kernel
 def line_end(text: Any, at: int) -> int:
     """Return where the next line begins."""
     while text[at] != 10:
@@ -76,17 +85,24 @@ def is_digit(text: Any, at: int) -> bool:
 
 
 @kernel
-def number(text: Any, at: int, end: int, base: int, hexes: Any) -> int:
+def number(text: Any, at: int, end: int, base: int) -> int:
     """Return the number that a word is in a base, -1 if it is none of at most 15 digits."""
     if at == end or end - at > 15:
         return -1
     value = 0
     for k in range(at, end):
-        digit = byte(hexes, text[k])
+        digit = byte(HEX, text[k])
         if digit >= base:
             return -1
         value = value * base + digit
     return value
+
+
+@kernel
+def next_number(text: Any, at: int, base: int) -> tuple[int, int]:
+    """Return the number that the next word of a line is, as :func:`number` has it, and where it ends."""
+    at, end = next_word(text, at)
+    return number(text, at, end, base), end
 
 
 @kernel
@@ -144,19 +160,11 @@ def set_length(words: Any, k: int, length: int) -> None:
 @kernel
 def fd_length(dlc: int) -> int:
     """Return the bytes that a DLC stands for (ISO 11898-1); 64 above 15, as python-can has it."""
-    if dlc <= 8:
-        return dlc
-    if dlc <= 12:
-        return 4 * dlc - 24
-    if dlc == 13:
-        return 32
-    if dlc == 14:
-        return 48
-    return 64
+    return FD_LENGTHS[min(dlc, 15)]
 
 
 @kernel
-def byte_words(text: Any, at: int, most: int, base: int, hexes: Any, row: Any) -> tuple[int, int]:
+def byte_words(text: Any, at: int, most: int, base: int, row: Any) -> tuple[int, int]:
     """Read bytes of a base, a word each, until there are ``most`` or the line ends, into a frame's bytes, shape (80,).
 
     Returns:
@@ -168,7 +176,7 @@ def byte_words(text: Any, at: int, most: int, base: int, hexes: Any, row: Any) -
         if text[at] == 10:
             break
         end = word_end(text, at)
-        value = number(text, at, end, base, hexes)
+        value = number(text, at, end, base)
         if not 0 <= value <= 255:
             return -1, at
         row[16 + count] = value
@@ -178,7 +186,7 @@ def byte_words(text: Any, at: int, most: int, base: int, hexes: Any, row: Any) -
 
 
 @kernel
-def hex_pairs(text: Any, at: int, most: int, hexes: Any, row: Any) -> tuple[int, int]:
+def hex_pairs(text: Any, at: int, most: int, row: Any) -> tuple[int, int]:
     """Read bytes of two hexadecimal digits each without blanks; dots between them are passed over.
 
     Returns:
@@ -189,10 +197,10 @@ def hex_pairs(text: Any, at: int, most: int, hexes: Any, row: Any) -> tuple[int,
         if text[at] == 46:
             at += 1
             continue
-        high = byte(hexes, text[at])
+        high = byte(HEX, text[at])
         if high > 15:
             return count, at
-        low = byte(hexes, text[at + 1])
+        low = byte(HEX, text[at + 1])
         if low > 15 or count == most:
             return -1, at
         row[16 + count] = high * 16 + low

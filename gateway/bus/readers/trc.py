@@ -20,24 +20,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.bus import conditions
 from gateway.bus.conditions import RX_OVERFLOW, RX_PASSIVE, RX_WARNING, TX_OVERFLOW, TX_PASSIVE, TX_WARNING
-from gateway.bus.frames import BRS, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE, Frames
-from gateway.bus.readers.batch import Batch, Names, error_frame
+from gateway.bus.frames import BRS, ESI, EXTENDED, FD, ID_MASK, OWN, REMOTE
+from gateway.bus.readers.batch import Batch, Names, error_frame, scaled
 from gateway.bus.readers.scan import (
     ASK,
     BAD,
     DONE,
-    HEX,
-    PASSED,
+    RX,
+    TX,
     begin_frame,
     byte_words,
     decimal,
     fd_length,
     line_end,
-    number,
+    next_number,
+    pair,
     set_length,
     skip,
     word_end,
@@ -50,8 +50,9 @@ from gateway_fdi.jit import kernel
 EPOCH_DAYS = 25569
 #: Columns of a line at most.
 _MOST = 16
-#: Where a version has its columns; -1: nowhere. In this order they are the kernel's ``place``.
-TIME, TYPE, ID, LENGTH, DIRECTION, BUS, DATA = range(7)
+#: Where a version has its columns; -1: nowhere. In this order they are the kernel's ``place``, with the first version's
+#: number behind them, which is 0 before the header's end, and the time of the log's start [ns].
+TIME, TYPE, ID, LENGTH, DIRECTION, BUS, DATA, VERSION, START = range(9)
 _VERSIONS = {
     "1.0": (1, -1, 2, 3, -1, -1, 4),
     "1.1": (1, 2, 3, 4, 2, -1, 5),
@@ -69,42 +70,30 @@ _STARTS = re.compile(rb"\s*\d+\)?\s+\d")
 _NO_FRAME, _BAD = -2, -3
 
 
-@kernel
-def two(text: Any, at: int, first: int, second: int) -> bool:
-    """Return whether a word is these two characters."""
-    return bool(text[at] == first and text[at + 1] == second and text[at + 2] <= 32)
+#: Types of version 2 -> the flags of their frames, RTR of a remote one.
+RTR = 256
+TYPES = {"DT": 0, "RR": RTR, "FD": FD, "FB": FD | BRS, "FE": FD | BRS | ESI, "BI": FD | ESI}
+_KINDS = np.array([(ord(name[0]) << 8 | ord(name[1]), flags) for name, flags in TYPES.items()], np.int64)
 
 
 @kernel
 def flags_of(text: Any, at: int) -> int:
-    """Return the flags of a type of version 2, + 256 for a remote frame, -1: no frame."""
-    if two(text, at, 68, 84):  # DT
-        return 0
-    if two(text, at, 82, 82):  # RR
-        return 256
-    if two(text, at, 70, 68):  # FD
-        return FD
-    if two(text, at, 70, 66):  # FB
-        return FD | BRS
-    if two(text, at, 70, 69):  # FE
-        return FD | BRS | ESI
-    if two(text, at, 66, 73):  # BI
-        return FD | ESI
+    """Return the flags of a type of version 2, -1: no frame."""
+    kind = pair(text, at)
+    for k in range(len(_KINDS)):
+        if _KINDS[k, 0] == kind:
+            return int(_KINDS[k, 1])
     return -1
 
 
 @kernel
-def trc_line(
-    text: Any, begin: Any, count: int, place: Any, hexes: Any, words: Any, row: Any, k: int, start: int
-) -> int:
+def trc_line(text: Any, begin: Any, count: int, place: Any, words: Any, row: Any, k: int) -> int:
     """Read a line into frame ``k``, whose bytes are ``row``; ``begin`` has where its words begin.
-
-    ``place`` is that of the columns, then the first version's number; ``start`` is the log's [ns].
 
     Returns:
         its bus, counted from 0; _NO_FRAME, _BAD.
     """
-    second = place[7] == 2
+    second = place[VERSION] == 2
     if count <= max(place[ID], place[TYPE], place[LENGTH], place[DIRECTION], place[BUS]):
         return _BAD
     flags, remote = 0, False
@@ -112,37 +101,33 @@ def trc_line(
         flags = flags_of(text, begin[place[TYPE]])
         if flags < 0:
             return _NO_FRAME
-        remote, flags = flags >= 256, flags & 255
+        remote, flags = flags >= RTR, flags & 255
     at = begin[place[ID]]
-    end = word_end(text, at)
-    value = number(text, at, end, 16, hexes)
+    value, end = next_number(text, at, 16)
     t_ns, _, _ = decimal(text, begin[place[TIME]], 6)
     if place[DIRECTION] >= 0:
-        i = begin[place[DIRECTION]]
-        own = not two(text, i, 82, 120)  # Rx
-        if own and not second and not two(text, i, 84, 120):  # Tx
+        way = pair(text, begin[place[DIRECTION]])
+        if way not in (RX, TX) and not second:
             return _NO_FRAME
-        flags |= OWN if own else 0
-    if place[DIRECTION] < 0 and end - at == 8 and value == 0xFFFFFFFF:  # 1.0: state of the bus
+        flags |= OWN if way != RX else 0
+    elif end - at == 8 and value == 0xFFFFFFFF:  # 1.0: state of the bus
         return _NO_FRAME
-    i = begin[place[LENGTH]]
-    wanted = number(text, i, word_end(text, i), 10, hexes)
+    wanted, _ = next_number(text, begin[place[LENGTH]], 10)
     bus = 1
     if place[BUS] >= 0:
-        i = begin[place[BUS]]
-        bus = number(text, i, word_end(text, i), 10, hexes)
+        bus, _ = next_number(text, begin[place[BUS]], 10)
     if value < 0 or t_ns < 0 or not 0 <= wanted <= 64 or bus < 0:
         return _BAD
     can_id = (value & ID_MASK) | (EXTENDED if end - at > 4 else 0)
     if count > place[DATA] and not second and text[begin[place[DATA]]] == 82:  # RTR
         remote = True
-    begin_frame(words, k, start + t_ns, can_id | (REMOTE if remote else 0), flags)
+    begin_frame(words, k, place[START] + t_ns, can_id | (REMOTE if remote else 0), flags)
     if remote:
         set_length(words, k, min(wanted, 8))
     elif wanted:
         if count <= place[DATA]:
             return _BAD
-        length, i = byte_words(text, begin[place[DATA]], 64 if second else wanted, 16, hexes, row)
+        length, _ = byte_words(text, begin[place[DATA]], 64 if second else wanted, 16, row)
         if length != wanted and not (second and length in (fd_length(wanted), min(wanted, 8))):
             return _BAD
         set_length(words, k, length)
@@ -151,12 +136,9 @@ def trc_line(
 
 @kernel
 def scan_trc(
-    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, place: Any, start: int, hexes: Any, begin: Any
+    text: Any, at: int, words: Any, data: Any, channel: Any, k: int, place: Any, begin: Any
 ) -> tuple[int, int, int, int]:
-    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`).
-
-    ``place`` and ``start`` are those of :func:`trc_line`; ``begin`` is scratch, int64: where words begin.
-    """
+    """Read lines into a batch (see :mod:`gateway.bus.readers.scan`); ``begin`` is scratch, int64."""
     lines = 0
     while at < text.shape[0] and k < words.shape[0]:
         i = skip(text, at)
@@ -164,18 +146,16 @@ def scan_trc(
             at = i + 1
             lines += 1
             continue
-        if text[i] == 59 or place[7] == 0:  # ";", or nothing is known yet
+        if text[i] == 59 or place[VERSION] == 0:  # ";", or nothing is known yet
             return at, lines, k, ASK
         count = 0
         while text[i] != 10 and count < begin.shape[0]:
             begin[count] = i
             count += 1
             i = skip(text, word_end(text, i))
-        bus = trc_line(text, begin, count, place, hexes, words, data[k], k, start)
-        if bus == _NO_FRAME:
-            return at, lines, k, ASK
-        if bus == _BAD:
-            return at, lines, k, BAD
+        bus = trc_line(text, begin, count, place, words, data[k], k)
+        if bus < -1:
+            return at, lines, k, ASK if bus == _NO_FRAME else BAD
         channel[k] = bus
         k += 1
         at = line_end(text, i)
@@ -186,17 +166,13 @@ def scan_trc(
 class Trc(Lines):
     """Lines of TRC."""
 
+    last = re.compile(rb"\s*;")
+
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._start = 0
         self._version, self._columns = "1.0", ""
-        self._place = np.zeros(8, np.int64)
-        self._begin = np.zeros(_MOST, np.int64)
-
-    @property
-    def good(self) -> str:  # type: ignore[override]
-        """The format of a line."""
-        return f"TRC of version {self._version}"
+        self._place = np.zeros(9, np.int64)
+        self.scanner = scan_trc, (self._place, np.zeros(_MOST, np.int64))
 
     @staticmethod
     def sniff(first: bytes) -> bool:
@@ -207,21 +183,15 @@ class Trc(Lines):
         rest = [line for line in lines if not line.startswith(b";")]
         return len(rest) < len(lines) and bool(rest) and bool(_STARTS.match(rest[0]))
 
-    def scan(self, text: NDArray[np.uint8], at: int, batch: Batch) -> tuple[int, int, int]:
-        """Read lines."""
-        start = 0 if self._version == "1.0" else self._start
-        at, lines, batch.count, status = scan_trc(text, at, *batch.room, self._place, start, HEX, self._begin)
-        return at, lines, status
-
     def asked(self, line: bytes, names: Names, batch: Batch) -> int:
         """Look at a line of the header, the first one after it, or an event."""
         text = line.decode("ascii", "replace").strip()
         if not text.startswith(";"):
-            if self._place[7]:
+            if self._place[VERSION]:
                 return self._event(line, batch)
             self._settle()
             return ASK
-        if not self._place[7]:
+        if not self._place[VERSION]:
             key, _, value = text.partition("=")
             match key:
                 case ";$FILEVERSION":
@@ -229,7 +199,8 @@ class Trc(Lines):
                 case ";$STARTTIME":
                     since_us = round((float(value) - EPOCH_DAYS) * 86400e6)
                     here = datetime(1970, 1, 1, tzinfo=self.zone) + timedelta(microseconds=since_us)
-                    self._start = (since_us - (here.utcoffset() or timedelta()) // timedelta(microseconds=1)) * 1000
+                    behind_us = (here.utcoffset() or timedelta()) // timedelta(microseconds=1)
+                    self._place[START] = (since_us - behind_us) * 1000
                 case ";$COLUMNS":
                     self._columns = value
         return DONE
@@ -238,13 +209,11 @@ class Trc(Lines):
         """Take a line that is no frame: a state of the bus becomes an error frame."""
         words, place = line.split(), self._place
         kind = words[place[TYPE]] if place[TYPE] >= 0 else b"Warng"
-        if place[DIRECTION] >= 0 and place[7] == 1:
+        if place[DIRECTION] >= 0 and place[VERSION] == 1:
             kind = words[place[DIRECTION]]
         first = place[DATA]
         try:
-            whole, _, part = words[place[TIME]].partition(b".")
-            t_ns = int(whole) * 10**6 + int(part.ljust(6, b"0")[:6])
-            t_ns += self._start if self._version != "1.0" else 0
+            t_ns = scaled(words[place[TIME]].decode("latin-1"), 6) + int(place[START])
             channel = int(words[place[BUS]]) - 1 if place[BUS] >= 0 else 0
             data = bytes.fromhex(b"".join(words[first : first + int(words[place[LENGTH]])]).decode())
         except ValueError:
@@ -265,7 +234,7 @@ class Trc(Lines):
         elif kind == b"EC" and len(data) >= 2:
             found = conditions.COUNTERS, bytes([0, 0, 0, 0, 0, 0, data[1], data[0]])
         else:
-            return PASSED
+            return self.event("an event that is no frame", line)
         error_frame(batch, t_ns, *found, channel)
         return DONE
 
@@ -278,8 +247,11 @@ class Trc(Lines):
         if self._version not in (*_VERSIONS, "2.0", "2.1"):
             known = f"versions {', '.join(_VERSIONS)}, 2.0 and 2.1 are"
             raise InputError(f"a TRC log of version {self._version} is not read; {known}", file=self._path)
+        self.good = f"TRC of version {self._version}"
+        if self._version == "1.0":
+            self._place[START] = 0  # it has no start
         if self._version in _VERSIONS:
-            self._place[:] = (*_VERSIONS[self._version], 1)
+            self._place[:START] = (*_VERSIONS[self._version], 1)
             return
         columns = self._columns.split(",")
         where = {name: k for k, name in enumerate(columns)}
@@ -288,8 +260,4 @@ class Trc(Lines):
         if missing:
             text = f"its $COLUMNS lack {', '.join(missing)}" if self._columns else "it has no $COLUMNS"
             raise InputError(f"not a TRC log of version {self._version}: {text}", file=self._path)
-        self._place[:] = [*(where[name] for name in "OTIld"), where.get("B", -1), where["D"], 2]
-
-    def cut(self, line: bytes, frame: Any, before: Frames) -> bool:
-        """Return whether the last line is cut: it is no frame where it should be one."""
-        return frame is None and not line.strip().startswith(b";")
+        self._place[:START] = [*(where[name] for name in "OTIld"), where.get("B", -1), where["D"], 2]

@@ -25,7 +25,7 @@ from gateway import __version__
 from gateway.bus.corpus import DIGITS, Recording
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents
-from gateway.bus.ring import Recorded
+from gateway.bus.logs import LogReader
 from gateway.common.jsonlines import line
 from gateway.common.trust import file_of
 from gateway.config.load import load_config
@@ -306,7 +306,7 @@ def _rows(
     gateway: Gateway,
     recording: Recording,
     log: str,
-    reader: Recorded,
+    reader: LogReader,
     found: Contents,
     watch: _Watch,
     span: _Span,
