@@ -36,9 +36,9 @@ from gateway.signals.database import load_database
 from gateway_fdi.common.resources import shipped
 from gateway_plants.crank.ecu.kinematics import cam_edges, tooth_times
 from gateway_plants.crank.ecu.tooth_frames import WIRE_NS, cam_frames, tooth_frames
-from gateway_plants.crank.monitor import MONITOR, place
+from gateway_plants.crank.monitor import MONITOR, sync_state
+from gateway_plants.crank.monitor.candidate_wheels import MADE
 from gateway_plants.crank.monitor.faults import FAULTS
-from gateway_plants.crank.monitor.made import MADE
 from gateway_plants.crank.monitor.monitor import Params
 from gateway_plants.crank.study import outside
 from gateway_plants.crank.study.follow import follower
@@ -97,7 +97,7 @@ def one_wheel(job):
         wheel = Params(wheel=text).wheel
     except ValueError as error:
         return text, np.inf, 0, str(error)
-    rpm = float(np.exp(rng.uniform(np.log(max(500.0, place.proof_rpm(wheel))), np.log(6500.0))))
+    rpm = float(np.exp(rng.uniform(np.log(max(500.0, sync_state.proof_rpm(wheel))), np.log(6500.0))))
     ripple = [(2.0, min(0.05, 40 / rpm), rng.uniform(0, 6))]
     first = int(rng.integers(wheel.pulses))
     turns = 24

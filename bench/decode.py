@@ -22,7 +22,7 @@ import numpy as np
 
 from gateway.bus.frames import EXTENDED, empty, to_message
 from gateway.bus.logs import read_log
-from gateway.decode.lake import Lake
+from gateway.decode.parquet_tables import Lake
 from gateway.signals.database import load_database
 from gateway_fdi.common.resources import shipped
 

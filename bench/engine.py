@@ -27,7 +27,7 @@ from gateway.bus.frames import FRAME, empty, to_message
 from gateway.config.load import load_config
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance
-from gateway.live import pump
+from gateway.live import fast_path
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
@@ -187,9 +187,9 @@ def turn_path(frames, batch):
     link.start()
     gateway = Gateway(load_config(shipped("gateway.toml")))
     gateway.start(clock.now())
-    at_a_call, pump.BATCH = pump.BATCH, batch
+    at_a_call, fast_path.BATCH = fast_path.BATCH, batch
     live = Live(gateway, [link], lambda event: None, clock=clock, tick_s=0.0)
-    pump.BATCH = at_a_call
+    fast_path.BATCH = at_a_call
     live.turn()  # RUNNING
     while sent < len(datagrams):
         sent = fill(theirs, datagrams, sent)

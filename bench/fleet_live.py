@@ -27,9 +27,9 @@ import pyarrow.parquet as pq
 
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.fleet import FleetParams
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Changes
+from gateway.faults.resilient_store import KeptStore
 from gateway.serve.broker import Broker, BrokerLink
 from gateway_fleet.live.batch import digest_of, packed, topic
 from gateway_fleet.live.collect import Came, Collector

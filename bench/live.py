@@ -42,8 +42,8 @@ from gateway.bus.can_structs import RawReceiver
 from gateway.bus.socketcan import SocketCanBus
 from gateway.bus.uri import open_bus
 from gateway.config.load import load_config
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
+from gateway.faults.resilient_store import KeptStore
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway

@@ -20,7 +20,7 @@ os.environ["GATEWAY_CACHE_DIR"] = _CACHE
 
 from gateway.config.load import load_config  # noqa: E402
 from gateway.runtime.app import Gateway  # noqa: E402
-from gateway_bench.playing import opened  # noqa: E402
+from gateway_bench.scenario_session import opened  # noqa: E402
 from gateway_fdi.structure.file import load_own_model  # noqa: E402
 from gateway_plants.structural.monitor import monitor as structural  # noqa: E402
 from gateway_plants.structural.monitor.choice import choose  # noqa: E402

@@ -16,7 +16,7 @@ from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.causes import Causes
 from gateway.runtime.injection import Injector, parse_injection
-from gateway_bench.playing import player_of
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.cli.learn import learn_car

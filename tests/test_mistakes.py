@@ -8,7 +8,7 @@ from car import write
 from gateway.cli.check import check
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.mistakes import mistakes
+from gateway.runtime.validation import mistakes
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
 

@@ -7,7 +7,7 @@ import pytest
 from amount import amount
 from networks import causes, run
 
-from gateway.engine.checks.silence import MOST_PARKS
+from gateway.engine.checks.bus_sleep import MOST_PARKS
 
 #: Cycles of messages [ms]; timeouts in cycles.
 CYCLES, TIMEOUTS = (10, 20, 50, 100, 200, 500, 1000), (1.5, 2.0, 2.5, 3.5)

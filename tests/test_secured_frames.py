@@ -11,8 +11,8 @@ from secured import KEY, secured, tag, write_key
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
-from gateway.runtime.mistakes import mistakes
-from gateway_bench.playing import player_of
+from gateway.runtime.validation import mistakes
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
 
 M = 'BO_ 256 M: 8 A\n SG_ Speed : 0|16@1+ (1,0) [0|0] "" B\n'

@@ -10,7 +10,7 @@ from told import FRAMES, of, stored, told, told_of, watched_rigs
 from gateway.faults.store import Store, StoreError
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
-from gateway.runtime.upkeep import NOTHING, Noted
+from gateway.runtime.persistence import NOTHING, Noted
 
 NOT_WRITTEN, DAMAGED = "gateway.memory_not_written", "gateway.memory_damaged"
 

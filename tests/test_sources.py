@@ -7,7 +7,7 @@ from car import Car, write
 from gateway.bus.frames import EXTENDED, empty, put
 from gateway.config.load import load_config
 from gateway.config.resolve import load_databases
-from gateway.decode.lake import Lake
+from gateway.decode.parquet_tables import Lake
 from gateway.signals.database import load_database
 from gateway_fleet.learn.observe import Observer
 

@@ -181,7 +181,7 @@ def test_each_monitor_is_imported_by_itself():
     for name in MONITORS:
         code = f"""
 import sys
-from gateway.common.postponed import postpone
+from gateway.common.lazy_modules import postpone
 postpone()
 from gateway.monitors.registry import MONITORS
 assert len(list(MONITORS)) == len(MONITORS) == {len(MONITORS)}
@@ -201,7 +201,7 @@ def test_an_unknown_monitor_is_none():
 def test_postponed_modules_are_the_real_ones_once_they_are_used():
     code = """
 import sys
-from gateway.common.postponed import postpone
+from gateway.common.lazy_modules import postpone
 postpone()
 import cantools, isotp
 assert "can" in sys.modules and "can.bus" not in sys.modules
@@ -219,7 +219,7 @@ print(MF4Reader is can.MF4Reader, cantools.logreader.Parser.__module__)
 @pytest.mark.long
 def test_modules_that_are_loaded_already_stay_as_they_are():
     code = (
-        "import can; before = can.Bus; from gateway.common.postponed import postpone; postpone(); import cantools;"
+        "import can; before = can.Bus; from gateway.common.lazy_modules import postpone; postpone(); import cantools;"
         "print(can.Bus is before)"
     )
     assert run(code).stdout.strip() == "True"

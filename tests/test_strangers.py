@@ -7,7 +7,7 @@ import pytest
 
 from gateway.bus.frames import EXTENDED, empty, put
 from gateway.config.load import load_config
-from gateway.engine.checks.strangers import MOST
+from gateway.engine.checks.unknown_ids import MOST
 from gateway.runtime.app import Gateway
 
 MS = 1_000_000

@@ -12,7 +12,7 @@ from gateway.bus.frames import empty, put
 from gateway.cli.check import check
 from gateway.cli.new_monitor import new_monitor
 from gateway.config.load import load_config
-from gateway.faults.hung import hung_beside
+from gateway.faults.hung_monitors import hung_beside
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.resources import shipped
 

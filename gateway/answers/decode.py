@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.answers.answer_frames import framed
 from gateway.answers.model import AnswerLayout, Limits
 from gateway.answers.pages import BYTES, answer_bus
-from gateway.answers.weave import framed
 from gateway.bus.frames import joined
 from gateway.signals.payloads import decode_columns, message_rows
 from gateway.signals.tables import compile_plan

@@ -27,7 +27,7 @@ from gateway.answers.model import (
     signal_of,
 )
 from gateway.bus.frames import EXTENDED
-from gateway.isotp.place import FUNCTIONAL, TESTER
+from gateway.isotp.addressing import FUNCTIONAL, TESTER
 from gateway_fdi.errors import InputError
 
 #: OBDb's words of units -> as the project writes them. Those of two words are texts (below).

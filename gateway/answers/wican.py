@@ -20,7 +20,7 @@ from gateway.answers.expressions import NotOne
 from gateway.answers.jsonfile import Place, document_of, list_at, object_at
 from gateway.answers.model import TWO_BYTES, Address, AnswerLayout, Layouts, LeftOut, Limits, message_of
 from gateway.bus.frames import EXTENDED
-from gateway.isotp.place import FUNCTIONAL
+from gateway.isotp.addressing import FUNCTIONAL
 from gateway_fdi.errors import InputError
 
 #: Bytes of a frame; data bytes of a first, and of each further frame.

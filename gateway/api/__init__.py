@@ -12,13 +12,13 @@ other modules of the package are the gateway's own. Mathematics without a bus is
 module ``arrays`` of a plant.
 """
 
-from gateway.api.calibrated import Calibrated
 from gateway.api.paths import shipped
 from gateway.api.run import Event, Run, Series, SeriesSet
 from gateway.api.scenarios import Learned, learn, simulate
 from gateway.api.session import Session
 from gateway.api.setup import Config, Setup, open
 from gateway.api.table import Table
+from gateway.api.thresholds import Calibrated
 from gateway_fdi.errors import GatewayError, InputError, InputErrors
 
 __all__ = [

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.api.table import Table
-from gateway.faults.cases import cases_of
+from gateway.faults.fault_groups import cases_of
 from gateway.faults.service import as_dict
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway

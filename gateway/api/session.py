@@ -6,13 +6,13 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from gateway.api.event_collector import Observed
 from gateway.api.messages import Messages, batch_of
-from gateway.api.observed import Observed
 from gateway.api.run import Event, Run
 from gateway.api.words import spoken
 from gateway.bus.frames import Frames, joined, to_message
 from gateway.config.channels import channels_of
-from gateway.runtime.faulty import Faulty
+from gateway.runtime.injector import Faulty
 from gateway.runtime.replay import Cycle, FrameConsumer
 from gateway_fdi.errors import GatewayError
 

@@ -10,22 +10,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
-from gateway.api.calibrated import Calibrated
-from gateway.api.observed import Observed
+from gateway.api.event_collector import Observed
 from gateway.api.paths import Pathish, path_of, paths_of
 from gateway.api.progress import Progress, shown
 from gateway.api.run import Run
 from gateway.api.session import Session
+from gateway.api.thresholds import Calibrated
 from gateway.api.words import spoken
 from gateway.bus.frames import FRAME, Frames
-from gateway.calibration.whole import Targets, calibrate
+from gateway.calibration.configuration import Targets, calibrate
 from gateway.config.load import config_of, load_config, placed
 from gateway.config.model import Config as Tables
 from gateway.config.resolve import protections
 from gateway.runtime.assemble import Parts, prepare
-from gateway.runtime.faulty import injectors_of
+from gateway.runtime.injector import injectors_of
 from gateway.runtime.log import Log
-from gateway.signals.framed import merged, sent
+from gateway.signals.frame_encoding import merged, sent
 from gateway.signals.protection.params import ProtectionParams
 from gateway_fdi.common.resources import beside_or_shipped
 from gateway_fdi.common.tomlfile import input_errors

@@ -15,7 +15,7 @@ from gateway.bus.frames import Frames, have_data
 from gateway.calibration.file import put, rounded
 from gateway.calibration.logs import Chosen, Reading, Replay, of_kind
 from gateway.calibration.part import Part, Parts, failed_in
-from gateway.clients.woven import woven_of
+from gateway.clients.reassembly import woven_of
 from gateway.config.model import Config
 from gateway.config.resolve import resolve
 from gateway.engine.wiring import wire

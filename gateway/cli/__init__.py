@@ -35,7 +35,7 @@ from gateway.cli.options import (
     StatusOption,
     Zone,
 )
-from gateway.common.postponed import postpone
+from gateway.common.lazy_modules import postpone
 from gateway_fdi.common import log
 
 app = typer.Typer(
@@ -409,7 +409,7 @@ def decode(
 
 
 @app.command("plot")
-@does("gateway.cli.watched:plot_file")
+@does("gateway.cli.signal_plot:plot_file")
 def plot_command(
     series: Annotated[Path, typer.Argument(help="File written by gateway replay --signals: .parquet or .csv.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write: .svg, .png, .pdf.")],
@@ -457,7 +457,7 @@ def check(
 ) -> None:
     """Check a configuration and list all its errors."""
     if why is not None:
-        from gateway.cli.why import why as explain
+        from gateway.cli.dependencies import why as explain
 
         raise typer.Exit(explain(config, why, json=json))
     from gateway.cli.check import check as work

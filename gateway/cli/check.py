@@ -16,14 +16,14 @@ from gateway.config.monitor_types import monitor_of
 from gateway.config.schema import schema
 from gateway.host.process import open_to_others
 from gateway.monitors.contract import Monitor
-from gateway.monitors.tryout import refuse_failing
+from gateway.monitors.self_test import refuse_failing
 from gateway.runtime.app import Gateway
-from gateway.runtime.mistakes import mistakes
+from gateway.runtime.validation import mistakes
 from gateway.servers.access import ROUTE
 from gateway.servers.access_review import ways_around
-from gateway.servers.doip.reach import reach
-from gateway.servers.doip.reach import ways_around as reach_around
-from gateway.servers.reach import bus_reach, routes_around
+from gateway.servers.access_table import bus_reach, routes_around
+from gateway.servers.doip.access_table import reach
+from gateway.servers.doip.access_table import ways_around as reach_around
 from gateway_fdi.errors import InputError, InputErrors, each_of
 
 #: Columns that are left for a name after the codes given out for it, of 80.

@@ -17,7 +17,7 @@ from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import BusConfig, Config
 from gateway.config.resolve import answer_buses, load_databases
-from gateway.decode.lake import Lake, Written
+from gateway.decode.parquet_tables import Lake, Written
 from gateway.runtime.answers import Answers
 from gateway_fdi.errors import InputError, InputErrors
 

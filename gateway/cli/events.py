@@ -10,8 +10,8 @@ from typing import Any
 from gateway.cli.dtc_words import advice, against, others
 from gateway.cli.lines import HANG, Lines, number
 from gateway.cli.present import print_json
-from gateway.faults.cases import MOST_NAMED
 from gateway.faults.catalogue import FaultDefinition
+from gateway.faults.fault_groups import MOST_NAMED
 from gateway.faults.status import Status
 from gateway.faults.summary import WHOLE, counted, folded, in_lines
 

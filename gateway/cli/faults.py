@@ -12,8 +12,8 @@ from gateway.cli.lines import Lines
 from gateway.cli.present import find_config, print_json, say, status_text, table_of, wide_console
 from gateway.config.load import load_config
 from gateway.faults import service
-from gateway.faults.cases import MOST_NAMED, cases_of, named, percent
-from gateway.faults.explained import CAUSE, HELD, OPEN, WAITING
+from gateway.faults.explanation import CAUSE, HELD, OPEN, WAITING
+from gateway.faults.fault_groups import MOST_NAMED, cases_of, named, percent
 from gateway.faults.lock import is_unsaved
 from gateway.faults.remedy import WHEN
 from gateway.faults.summary import folded, in_lines, summary_of

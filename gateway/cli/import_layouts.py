@@ -9,10 +9,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from gateway.answers.answer_frames import READ_SERVICES
 from gateway.answers.layout import Address, AnswerLayout, LeftOut, read_file
 from gateway.answers.obdb import of_year
 from gateway.answers.pages import answer_bus
-from gateway.answers.weave import READ_SERVICES
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.cli.lines import Lines
 from gateway.cli.present import print_json

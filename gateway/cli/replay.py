@@ -16,8 +16,8 @@ from gateway.cli.events import EventPrinter
 from gateway.cli.junit import Case, of_faults, write_junit
 from gateway.cli.present import find_config, say_unless_stored
 from gateway.cli.report import RunReport
+from gateway.cli.signal_plot import Watched
 from gateway.cli.trace import Trace, only, single
-from gateway.cli.watched import Watched
 from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.config.model import Config
@@ -25,8 +25,8 @@ from gateway.faults.status import Status
 from gateway.live.watchdog import steps_watched
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
-from gateway.runtime.faulty import Faulty, injectors_of
 from gateway.runtime.injection import Injector
+from gateway.runtime.injector import Faulty, injectors_of
 from gateway.runtime.log import Log
 from gateway.runtime.replay import FrameConsumer
 from gateway.runtime.replay import replay as feed

@@ -17,7 +17,7 @@ from gateway.bus.uri import open_bus
 from gateway.cli.lines import Lines
 from gateway.cli.present import print_json
 from gateway.clients.document import Asked, Read, tables
-from gateway.clients.questions import Said
+from gateway.clients.identification import Said
 from gateway.clients.survey import Found, Place, Survey
 from gateway_fdi.errors import InputError
 

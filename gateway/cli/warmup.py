@@ -15,8 +15,8 @@ from gateway.engine.buckets import nearness
 from gateway.faults.journal import NO_JOURNAL
 from gateway.faults.journal_steps import keep, withdraw
 from gateway.host.sockets import CAN
-from gateway.live.pump import Pump
-from gateway.live.pumping import patience_ms
+from gateway.live.fast_path import Pump
+from gateway.live.fast_path_kernel import patience_ms
 from gateway.monitors.contract import Family
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 from gateway.cli.present import find_config, print_json
 from gateway.cli.serve import socket_of
 from gateway.config.load import load_config
-from gateway.faults.cases import MOST_NAMED, Case, briefly_named, cases_of
-from gateway.faults.explained import HELD
+from gateway.faults.explanation import HELD
+from gateway.faults.fault_groups import MOST_NAMED, Case, briefly_named, cases_of
 from gateway.faults.status import Status
 from gateway.faults.summary import MOST_CASES, folded
 from gateway.host.process import call_at_end

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gateway.answers.weave import POSITIVE, READ_SERVICES
+from gateway.answers.answer_frames import POSITIVE, READ_SERVICES
 from gateway.clients.params import DTC, DTC_SERVICES, OBD, ON_UDS, START, WHEN
 from gateway.clients.pgn import MARK, pgn_of
 from gateway.common.times import NEVER

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from gateway.answers.model import Address
 from gateway.bus.frames import EXTENDED, ID_MASK
-from gateway.isotp.place import TESTER
+from gateway.isotp.addressing import TESTER
 
 #: Bounds of the time between two requests [ms].
 _LEAST_MS, _MOST_MS = 10, 86_400_000

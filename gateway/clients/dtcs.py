@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.answers.weave import POSITIVE
+from gateway.answers.answer_frames import POSITIVE
 from gateway.faults.dtc import Dtc
 from gateway.faults.vehicle import PERMANENT, SEVERITY, TOLD, Told
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gateway.clients.ecu import EcuClient
-from gateway.clients.passed import Done, Passed, is_quiet
+from gateway.clients.forwarded_requests import Done, Passed, is_quiet
 
 
 class Line:

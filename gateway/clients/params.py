@@ -7,13 +7,13 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from gateway.answers.answer_frames import READ_SERVICES
 from gateway.answers.model import TWO_BYTES, Address, request_name
 from gateway.answers.obd_on_uds import PAGES
-from gateway.answers.weave import READ_SERVICES
 from gateway.clients import pgn
 from gateway.engine.checks.message import Params as CheckParams
 from gateway.faults.settings import ConditionSettings, DtcText
-from gateway.isotp.place import PlaceParams
+from gateway.isotp.addressing import PlaceParams
 from gateway.monitors.contract import Debounce, Fault
 from gateway_fdi.common.tomlfile import StrictModel
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, joined, payload, put
-from gateway.clients.asking import Asking, Ecu
 from gateway.clients.dm1 import Dm1Listener
-from gateway.clients.questions import Questioned, Said, questioned
-from gateway.isotp.place import FUNCTIONAL
+from gateway.clients.identification import Questioned, Said, questioned
+from gateway.clients.poller import Asking, Ecu
+from gateway.isotp.addressing import FUNCTIONAL
 
 MS = 1_000_000
 #: How long it listens before it asks, and how long an answer may take [ns].

@@ -2,7 +2,8 @@
 
 The *first wall* stands around the work for one peer: a connection, a line, a datagram, a request, an answer of an ECU.
 An exception there ends that peer, or is answered as an internal error. The *second wall* stands in the loop, for what
-nobody thought of: it costs the door its turn. Both are counted by door; :mod:`gateway.runtime.caught` tells them.
+nobody thought of: it costs the door its turn. Both are counted by door, and told by
+:mod:`gateway.runtime.exception_events`.
 KeyboardInterrupt and SystemExit go through both; MemoryError does not.
 """
 

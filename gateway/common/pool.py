@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from tempfile import TemporaryDirectory
 from typing import Any, Generic, Protocol, TypeVar
 
-from gateway.common import postponed
+from gateway.common import lazy_modules
 from gateway.common.extras import need
 from gateway.host.process import children_that_go_on, processors
 from gateway_fdi.errors import GatewayError, InputError
@@ -172,7 +172,7 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
             "distributed.deploy.lost-worker-timeout": "1d",
             "distributed.scheduler.allowed-failures": 0,
             "distributed.worker.profile.enabled": False,
-            "distributed.worker.preload": [postponed.__name__, *dask.config.get("distributed.worker.preload")],
+            "distributed.worker.preload": [lazy_modules.__name__, *dask.config.get("distributed.worker.preload")],
         }
         if workers.dashboard is None:
             # Servers of HTTP are there all the same, and anybody on this machine can ask them.

@@ -62,10 +62,10 @@ def entries(file: Path) -> dict[str, str]:
     Raises:
         InputError: others can write it, or it cannot be read.
     """
-    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings NumPy and the kernels
+    from gateway_fdi.jit import ownership  # noqa: PLC0415 - brings NumPy and the kernels
 
     try:
-        lines = owned.read_own(file).decode("utf-8", "replace").splitlines()
+        lines = ownership.read_own(file).decode("utf-8", "replace").splitlines()
     except FileNotFoundError:
         return {}
     except OSError as error:
@@ -319,7 +319,7 @@ def add(files: Iterable[Path], into: Path) -> list[tuple[str, Path]]:
     Raises:
         InputError: a file cannot be read; the list cannot be written, or is not this user's.
     """
-    from gateway_fdi.jit import owned  # noqa: PLC0415 - brings NumPy and the kernels
+    from gateway_fdi.jit import ownership  # noqa: PLC0415 - brings NumPy and the kernels
 
     known = entries(into)
     new = [(digest(_read(file)), file.absolute()) for file in files]
@@ -327,7 +327,7 @@ def add(files: Iterable[Path], into: Path) -> list[tuple[str, Path]]:
     part = into.with_name(f".{into.name}.{os.getpid()}.part")
     try:
         into.parent.mkdir(parents=True, exist_ok=True, mode=0o755 if into == SYSTEM else 0o700)
-        owned.write_own(part, "".join(f"{name}  {path}\n" for name, path in lines.items()).encode())
+        ownership.write_own(part, "".join(f"{name}  {path}\n" for name, path in lines.items()).encode())
         part.chmod(0o644 if into == SYSTEM else 0o600)
         part.replace(into)
     except OSError as error:

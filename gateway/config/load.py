@@ -14,8 +14,8 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
+from gateway.common.gc_pause import uncollected
 from gateway.common.trust import beside
-from gateway.common.uncollected import uncollected
 from gateway.config.cross_check import cross_check
 from gateway.config.limits import with_limits
 from gateway.config.model import Config

@@ -13,9 +13,9 @@ from gateway.clients.params import AskParams, EcuParams
 from gateway.engine.checks import bus_health, message
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.depends.params import DiagnosisParams
+from gateway.faults.external_faults import ReportParams
 from gateway.faults.fleet import FleetParams
 from gateway.faults.recorder import RecorderParams
-from gateway.faults.reported import ReportParams
 from gateway.faults.settings import ConditionSettings, CycleSettings, FaultOverride
 from gateway.faults.usage import UsageParams
 from gateway.servers.access import AccessParams, Needs, needs_of

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 from gateway.answers.layout import AnswerLayout, layouts_for, layouts_of_obd, read_layouts
 from gateway.answers.pages import AnswerBus, answer_bus
 from gateway.config.codes import codes_of_messages, network_codes
-from gateway.config.known import bus_instances
 from gateway.config.model import Config, MonitorConfig
 from gateway.config.monitor_types import monitor_of
 from gateway.config.names import Names
+from gateway.config.reserved_ids import bus_instances
 from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.gate import AWAKE, SUPPLIED, Condition, CycleWatch, Gate

@@ -14,11 +14,11 @@ from gateway.engine import emission
 from gateway.engine.buckets import Bucket
 from gateway.engine.checks import bus_health, clock_health, communication
 from gateway.engine.checks.bus_health import BusInstance, Health, Silence
+from gateway.engine.checks.bus_sleep import sender_of, silence_of
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.checks.communication import Check, CheckInstance
-from gateway.engine.checks.silence import sender_of, silence_of
-from gateway.engine.checks.strangers import MOST as MOST_STRANGERS
-from gateway.engine.checks.strangers import Stranger, known_table
+from gateway.engine.checks.unknown_ids import MOST as MOST_STRANGERS
+from gateway.engine.checks.unknown_ids import Stranger, known_table
 from gateway.engine.consistency import assert_consistent
 from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceRow, configure

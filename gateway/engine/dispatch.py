@@ -11,7 +11,7 @@ from gateway.engine.checks.bus_health_steps import on_error_frame
 from gateway.engine.checks.communication import ACCEPT, IN_PART
 from gateway.engine.checks.communication_steps import check_message
 from gateway.engine.checks.sources_steps import is_used
-from gateway.engine.checks.strangers_steps import on_stranger
+from gateway.engine.checks.unknown_ids_steps import on_stranger
 from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED, SHORT
 from gateway.engine.gate import LEFT, OPEN
 from gateway.engine.handlers import inputs_valid, mark_not_tested, step, turn_pages

@@ -14,7 +14,7 @@ from gateway.monitors.contract import Emission
 from gateway.signals.columns import insert
 from gateway.signals.decode import SIGNAL
 from gateway.signals.protection import protection
-from gateway.signals.protection.own import own_protection
+from gateway.signals.protection.default_profile import own_protection
 from gateway.signals.protection.protection import ProtectionConst, protect
 from gateway.signals.tables import encode_rows
 from gateway_fdi.jit import COMPILED, Record, i4, i8, kernel, means, u1, u4

@@ -32,9 +32,9 @@ from gateway.engine.checks.bus_health import (
     watch_clock,
 )
 from gateway.engine.checks.bus_health_steps import on_sign_of_life, report_bus_results, skip_settled_windows
+from gateway.engine.checks.bus_sleep import judge_silence
 from gateway.engine.checks.communication import NOT_YET
 from gateway.engine.checks.communication_steps import restart_supervision, skip_settled_timeouts, take_timeout
-from gateway.engine.checks.silence import judge_silence
 from gateway.engine.checks.sources_steps import watch_others
 from gateway.engine.debounce import qualify_by_time
 from gateway.engine.dispatch import dispatch, expect, join_woven

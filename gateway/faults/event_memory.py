@@ -13,7 +13,7 @@ from gateway.faults import status as transition
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.displacement import victim
 from gateway.faults.entries import Foreseen
-from gateway.faults.explained import WAITING
+from gateway.faults.explanation import WAITING
 from gateway.faults.failures import Failure, Observed, finite, known, latest_signals
 from gateway.faults.ledger import OVERFLOW, Ledger
 from gateway.faults.records import FreezeFrame, Record

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from operator import add
 from typing import Any
 
-from gateway.faults.beside import Work, Writer
 from gateway.faults.interventions import DONE, Intervention, Interventions
-from gateway.faults.outage import Outage
 from gateway.faults.outgoing import Outgoing, Tally, fitting
 from gateway.faults.permanent import PermanentDtcs
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
+from gateway.faults.retry_policy import Outage
 from gateway.faults.status import PASSED
 from gateway.faults.store import Store, StoreError
 from gateway.faults.vehicle import EcuDtc, Told, VehicleMemory
+from gateway.faults.writer_thread import Work, Writer
 
 #: Number in the store: how many failures and confirmations the memory has put in order; whether an entry had to be
 #: given up.

@@ -14,13 +14,12 @@ from itertools import compress
 
 from gateway.engine.events import FDC_REACHED, QUALIFIED_FAILED, QUALIFIED_PASSED, Event
 from gateway.faults import status as transition
-from gateway.faults.beside import Writer
 from gateway.faults.catalogue import Catalogue, FaultDefinition
 from gateway.faults.clearing import Clearing, Judge
 from gateway.faults.dtc import ALL_DTCS, Dtc
 from gateway.faults.entries import DtcChange, Foreseen
 from gateway.faults.event_memory import EventMemory
-from gateway.faults.explained import HELD, Cause
+from gateway.faults.explanation import HELD, Cause
 from gateway.faults.failures import Snapshot, failure_of, finite
 from gateway.faults.fleet import FleetParams, FleetQueue
 from gateway.faults.interventions import Intervention
@@ -28,17 +27,18 @@ from gateway.faults.journal_file import name_of
 from gateway.faults.ledger import Ledger
 from gateway.faults.mil import is_mil_on, lights_mil
 from gateway.faults.operation_cycles import OperationCycles
-from gateway.faults.outage import Outage
 from gateway.faults.performance import Performance
 from gateway.faults.reading import Readable
 from gateway.faults.records import Description, FreezeFrame, Record
 from gateway.faults.recovery import Recovered, event_of, unseen
 from gateway.faults.restarts import Restarts
+from gateway.faults.retry_policy import Outage
 from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, STATUS, Status
 from gateway.faults.store import Store, StoreError
 from gateway.faults.usage import Usage, UsageParams
 from gateway.faults.vehicle import VehicleMemory
+from gateway.faults.writer_thread import Writer
 from gateway_fdi.common.log import get_logger
 
 log = get_logger(__name__)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-from gateway.faults.explained import Cause
+from gateway.faults.explanation import Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.outgoing import Outgoing, Tally
 from gateway.faults.status import Cycles, Status
@@ -42,7 +42,7 @@ class Record:
             since the last clear.
         freeze_frames: by record number.
         cause: what explains it, None: not known.
-        hold: whether its confirmation waits for that, of :data:`gateway.faults.explained.HOLDS`.
+        hold: whether its confirmation waits for that, of :data:`gateway.faults.explanation.HOLDS`.
     """
 
     id: str

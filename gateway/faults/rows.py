@@ -10,7 +10,7 @@ from operator import attrgetter
 from typing import Any, NamedTuple
 
 from gateway.faults import outgoing
-from gateway.faults.explained import HOLDS, Cause
+from gateway.faults.explanation import HOLDS, Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.records import Changes, FreezeFrame, Record
 from gateway.faults.vehicle import EcuDtc

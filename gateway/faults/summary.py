@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from gateway.faults.cases import MOST_NAMED, Case, briefly_named, cases_of
+from gateway.faults.fault_groups import MOST_NAMED, Case, briefly_named, cases_of
 from gateway.faults.status import Status
 
 #: Verdicts: faults are there now; only stored ones are; none, and all that ran has passed; nothing was tested.

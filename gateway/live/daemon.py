@@ -10,11 +10,11 @@ from gateway.bus.ring import Ring
 from gateway.common.fence import Fence
 from gateway.config.load import load_config
 from gateway.config.model import Config, StatusConfig
-from gateway.faults.kept import KeptStore
+from gateway.faults.resilient_store import KeptStore
 from gateway.faults.restarts import WELL_S, Restart
 from gateway.live.doip_door import DoipDoor
-from gateway.live.doors import Doors, TableDoor
 from gateway.live.link import Link, bus_event
+from gateway.live.listeners import Doors, TableDoor
 from gateway.live.loop import GRACE_NS, Live, Tap
 from gateway.live.machine import Machine
 from gateway.live.notify import Notifier

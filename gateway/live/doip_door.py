@@ -14,7 +14,7 @@ from gateway.host.sockets import reuse
 from gateway.host.waiting import Selector
 from gateway.live.clock import Clock
 from gateway.live.doip_peer import Peer, State
-from gateway.live.listening import Listening
+from gateway.live.listening_sockets import Listening
 from gateway.runtime.app import Gateway
 from gateway.servers.doip.params import DoipParams
 from gateway.servers.doip.server import DoipServer

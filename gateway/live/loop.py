@@ -18,12 +18,12 @@ from gateway.common.fence import Fence
 from gateway.engine.core import Engine
 from gateway.faults.journal_steps import Journalled
 from gateway.host.slice import short_slices
-from gateway.live import pumping
+from gateway.live import fast_path_kernel
 from gateway.live.clock import Clock
+from gateway.live.fast_path import Left, Pump
 from gateway.live.link import Link, bus_event
-from gateway.live.pump import Left, Pump
-from gateway.runtime.quiet import Quiet
-from gateway.servers.foretelling import Foretelling
+from gateway.runtime.fast_path_conditions import Quiet
+from gateway.servers.prepared_frames_kernel import Foretelling
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError
 
@@ -251,9 +251,9 @@ class Live:
         self._knocked = read = True
         if not (self._more or self._held or self._clock.untold or due_s <= 0):
             left = self._pumped(due_s)
-            idle, self._knocked = left.why in (pumping.TIME, pumping.DOOR), left.knocked
+            idle, self._knocked = left.why in (fast_path_kernel.TIME, fast_path_kernel.DOOR), left.knocked
             # Before time passes for the monitors: a frame that nobody has told of must not be overtaken.
-            read = left.why == pumping.BUS or (idle and any(link.pumped is None for link in self._links))
+            read = left.why == fast_path_kernel.BUS or (idle and any(link.pumped is None for link in self._links))
             busy, fed = not idle, self._finish_pass(left)
         if read:
             fed |= self._read()

@@ -11,12 +11,12 @@ from typing import Protocol
 
 from gateway.bus.base import Bus
 from gateway.bus.uri import open_bus
-from gateway.faults.beside import Writer
 from gateway.faults.store import Connect
+from gateway.faults.writer_thread import Writer
 from gateway.host.process import boot
 from gateway.live.clock import Clock
 from gateway.live.loop import TICK_S, collect_and_freeze
-from gateway.runtime.upkeep import PATIENCE_S, begin_writer
+from gateway.runtime.persistence import PATIENCE_S, begin_writer
 
 
 class Thread(Protocol):

@@ -10,8 +10,8 @@ import numpy as np
 from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.frames import Frames, empty
 from gateway.faults.journal import NO_JOURNAL
-from gateway.runtime.quiet import Quiet
-from gateway.runtime.told import clock_event
+from gateway.runtime.event_json import clock_event
+from gateway.runtime.fast_path_conditions import Quiet
 
 
 class Nobody:

@@ -15,10 +15,10 @@ from pathlib import Path
 from gateway.bus.frames import Frames
 from gateway.common.budget import Budget
 from gateway.common.jsonlines import line
-from gateway.faults.reported import ReportParams
+from gateway.faults.external_faults import ReportParams
 from gateway.host.sockets import credentials_of, groups_of, listen_at, remove
 from gateway.host.waiting import Selector
-from gateway.live.listening import Listening
+from gateway.live.listening_sockets import Listening
 from gateway.report.words import MOST_BYTES, REFUSALS
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger

@@ -31,7 +31,7 @@ from gateway.engine.buckets import TickRow
 from gateway.host.sockets import credentials_of, listen_at, remove
 from gateway.host.waiting import Selector
 from gateway.live.hello import described
-from gateway.live.listening import Listening
+from gateway.live.listening_sockets import Listening
 from gateway.live.status_commands import Commands, monitoring_of
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger

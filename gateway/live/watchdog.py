@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gateway.engine.core import Engine
-from gateway.faults.hung import hung_beside
+from gateway.faults.hung_monitors import hung_beside
 from gateway_fdi.jit import COMPILED
 
 #: Exit code: a step did not return. A service manager starts the gateway again (EX_TEMPFAIL of sysexits.h).

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gateway.answers.pages import AnswerBus
-from gateway.clients.asking import Asking
+from gateway.clients.poller import Asking
 from gateway.common.fence import Fence
 from gateway.config.model import Config
 from gateway.engine.core import Engine
@@ -16,9 +16,9 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
 from gateway.runtime.explainer import Explainer
+from gateway.runtime.persistence import Upkeep
 from gateway.runtime.reports import Reports
 from gateway.runtime.security import Security
-from gateway.runtime.upkeep import Upkeep
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.uds.extended_data import EXTENDED_DATA

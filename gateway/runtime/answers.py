@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from gateway.answers.answer_frames import Weaver
 from gateway.answers.pages import AnswerBus
-from gateway.answers.weave import Weaver
 from gateway.bus.frames import Frames, chosen
-from gateway.clients.asking import TELLS, Asking, Ecu
 from gateway.clients.ecu import EcuClient
 from gateway.clients.params import EcuParams
+from gateway.clients.poller import TELLS, Asking, Ecu
 from gateway.clients.protocols import Schedule
-from gateway.clients.woven import woven_of
+from gateway.clients.reassembly import woven_of
 from gateway.config.model import Config
 from gateway.signals.tables import DecodePlan
 

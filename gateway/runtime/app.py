@@ -10,22 +10,22 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gateway.bus.frames import Frames
-from gateway.common.uncollected import uncollected
+from gateway.common.gc_pause import uncollected
 from gateway.engine.adopt import adopt
-from gateway.engine.checks.silence import sender_of
-from gateway.faults.beside import Writer
-from gateway.faults.hung import hung_beside
+from gateway.engine.checks.bus_sleep import sender_of
+from gateway.faults.hung_monitors import hung_beside
 from gateway.faults.interventions import Intervention
 from gateway.faults.journal import NO_JOURNAL
 from gateway.faults.journal_steps import Journalled
 from gateway.faults.restarts import Restart
 from gateway.faults.service import as_dict
 from gateway.faults.summary import Summary, summary_of
+from gateway.faults.writer_thread import Writer
 from gateway.runtime.account import bus_errors, counters, description, not_judged, signal_slots, unread
+from gateway.runtime.event_json import summary_event
+from gateway.runtime.ingest import Passage
 from gateway.runtime.outbox import Listener
-from gateway.runtime.passage import Passage
-from gateway.runtime.told import summary_event
-from gateway.runtime.upkeep import PATIENCE_S
+from gateway.runtime.persistence import PATIENCE_S
 from gateway.signals.database import Database
 from gateway_fdi.common.log import get_logger
 
@@ -35,13 +35,13 @@ log = get_logger(__name__)
 class Gateway(Passage):
     """Engine, fault memory and servers of one configuration, from its beginning to its end or its successor.
 
-    Its parts, in the order of a batch: :class:`~gateway.runtime.reception.Reception` gives frames to the engine,
+    Its parts, in the order of a batch: :class:`~gateway.runtime.input_stage.Reception` gives frames to the engine,
     :class:`~gateway.runtime.verdicts.Verdicts` takes its events into the fault memory,
     :class:`~gateway.runtime.outbox.Outbox` has them committed, tells them and sends them.
     :class:`~gateway.runtime.interventions.Interventions` takes the testers' changes of the memory,
-    :class:`~gateway.runtime.controls.Controls` how they do it. :class:`~gateway.runtime.connected.Connected` makes and
-    connects them, :class:`~gateway.runtime.passage.Passage` gives them their turns. This class has the rest: beginning,
-    end, succession and account.
+    :class:`~gateway.runtime.controls.Controls` how they do it. :class:`~gateway.runtime.composition.Connected` makes
+    and connects them, :class:`~gateway.runtime.ingest.Passage` gives them their turns. This class has the rest:
+    beginning, end, succession and account.
 
     All that people read (events, the fault memory, recordings) is stamped by the wall clock.
     """

@@ -9,22 +9,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gateway.answers.pages import AnswerBus
-from gateway.clients.asking import Asking
 from gateway.clients.dm1 import Dm1Listener
+from gateway.clients.poller import Asking
 from gateway.clients.protocols import schedule_of
-from gateway.clients.woven import woven_of
+from gateway.clients.reassembly import woven_of
 from gateway.common.fence import Fence
-from gateway.common.uncollected import uncollected
+from gateway.common.gc_pause import uncollected
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
 from gateway.engine.checks import own_health
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
-from gateway.engine.depends.behind import Tests
 from gateway.engine.depends.derive import dependences
 from gateway.engine.depends.parts import Seen
 from gateway.engine.depends.residuals import Read
+from gateway.engine.depends.underlying_tests import Tests
 from gateway.engine.events import NO_BUS
 from gateway.engine.gate import Gate
 from gateway.engine.instances import FaultSlot, MonitorInstance

@@ -22,8 +22,8 @@ from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED, Events
 from gateway.engine.instances import FaultSlot
 from gateway.monitors.contract import LastResult
 from gateway_fdi.diagnosis.answer import Diagnosis, Group
-from gateway_fdi.diagnosis.apart import telling
 from gateway_fdi.diagnosis.diagnoser import Diagnoser
+from gateway_fdi.diagnosis.discriminating_tests import telling
 from gateway_fdi.diagnosis.state import FAILED, NOT_TESTED, PASSED, Sized
 from gateway_fdi.diagnosis.system import Link, Test
 

@@ -17,12 +17,12 @@ from gateway.common.times import NEVER
 from gateway.engine.core import Engine
 from gateway.engine.depends.parts import Seen
 from gateway.faults.entries import DtcChange
-from gateway.faults.explained import CAUSE, HELD, MOST_RANKED, OPEN, SYMPTOM, WAITING, Cause, Ranked
+from gateway.faults.explanation import CAUSE, HELD, MOST_RANKED, OPEN, SYMPTOM, WAITING, Cause, Ranked
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Record
 from gateway.faults.status import Status
 from gateway.runtime.causes import PACE_NS, Causes
-from gateway.runtime.told import symptoms_event
+from gateway.runtime.event_json import symptoms_event
 
 #: Longest time that a confirmation waits for the diagnosis [ns].
 LONGEST_NS = 30_000_000_000

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from gateway.bus.frames import ID_MASK, Frames
 from gateway.common.times import NEVER
 from gateway.engine.checks.communication import CheckInstance
-from gateway.runtime.added import ALONE, BESIDE, Added
-from gateway.signals.changing import ChangedMessage, ChangedSignal
+from gateway.runtime.injected_frames import ALONE, BESIDE, Added
 from gateway.signals.database import Database
 from gateway.signals.protection.params import protection_for
 from gateway.signals.protection.protection import Protection
+from gateway.signals.signal_access import ChangedMessage, ChangedSignal
 from gateway_fdi.errors import InputError, nearest
 
 #: Of a frame: it does not come; the one before comes again; each is as the first; one bit is wrong.
@@ -29,7 +29,7 @@ FRAME_KINDS = ("drop", "repeat", "freeze", "flip")
 #: Of a signal: it stays; something is added; it is multiplied; it has one value; something is added and taken off in
 #: turn; so much more is added each second.
 SIGNAL_KINDS = ("stuck", "offset", "scale", "value", "jump", "drift")
-#: Of another sender beside the message's own (see gateway.runtime.added).
+#: Of another sender beside the message's own (see gateway.runtime.injected_frames).
 ADDED_KINDS = (*BESIDE, ALONE)
 #: Of these, those that want a number; and kinds of another sender that may have one.
 _NUMBERED, _MAY = ("offset", "scale", "value", "jump", "drift", "forge"), ("replay", ALONE)

@@ -12,11 +12,11 @@ from gateway.faults.clearing import AskedClear
 from gateway.faults.interventions import Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.runtime.controls import Controls
+from gateway.runtime.disabled_monitors import SwitchedOff
+from gateway.runtime.event_json import clear_event, intervention_event
+from gateway.runtime.monitoring_off_dtc import Standing
 from gateway.runtime.outbox import Outbox
-from gateway.runtime.restarted import Restarted
-from gateway.runtime.standing import Standing
-from gateway.runtime.switched_off import SwitchedOff
-from gateway.runtime.told import clear_event, intervention_event
+from gateway.runtime.restart_dtc import Restarted
 from gateway.runtime.verdicts import Verdicts
 from gateway.servers.authority import Authority, Refusal, local_intervention
 

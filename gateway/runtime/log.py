@@ -13,9 +13,9 @@ from gateway.bus.log_contents import Contents, contents
 from gateway.bus.ring import read_recording
 from gateway.common.times import zone_of
 from gateway.config.channels import channels_of
-from gateway.config.known import bus_instances
 from gateway.config.model import Config
-from gateway.engine.checks.strangers import known_table
+from gateway.config.reserved_ids import bus_instances
+from gateway.engine.checks.unknown_ids import known_table
 from gateway.signals.database import Database
 from gateway.signals.payloads import looked_up
 from gateway_fdi.errors import InputError

@@ -3,7 +3,7 @@
 A change of a DTC takes four steps, and no step is done before the one above it:
 
 1. It is *noted*, when the fault memory of this process has it, with the event that will tell it.
-2. It is *committed*: :mod:`gateway.runtime.upkeep` has it written, and says how much may be told.
+2. It is *committed*: :mod:`gateway.runtime.persistence` has it written, and says how much may be told.
 3. It is *told*: its event goes to the listeners, with ``stored``. This is false where the file cannot be written.
 4. It is *sent*: the servers make frames of it (the DTC frame, DM1).
 
@@ -20,10 +20,10 @@ from typing import Any
 from gateway.bus.frames import Frames
 from gateway.engine.core import Engine, Sink
 from gateway.faults.entries import DtcChange
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
+from gateway.faults.resilient_store import KeptStore
 from gateway.runtime.contract import DETAIL, HERE, told_to_fleet
-from gateway.runtime.upkeep import NOTHING, Noted, Upkeep
+from gateway.runtime.persistence import NOTHING, Noted, Upkeep
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]

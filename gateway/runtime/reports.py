@@ -17,7 +17,7 @@ from typing import Any
 from gateway.common.times import NEVER
 from gateway.engine.checks.own_health import OWNER, REPORTER_LOST
 from gateway.engine.core import Engine, Sink
-from gateway.faults.reported import ReporterParams, ReportParams, key_of
+from gateway.faults.external_faults import ReporterParams, ReportParams, key_of
 from gateway.host.process import user
 from gateway.report.words import MOST_BYTES, REFUSALS, RESULTS
 from gateway.runtime.controls import Controls

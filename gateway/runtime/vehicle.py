@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
 from gateway.clients.ask import PROBES
-from gateway.clients.asking import TELLS, Asking, Ecu
+from gateway.clients.poller import TELLS, Asking, Ecu
 from gateway.config.model import Config
 from gateway.engine.core import Engine, Sink
 from gateway.faults.entries import DtcChange

@@ -36,11 +36,8 @@ from gateway.faults.status import Status
 from gateway.runtime.assemble import Parts
 from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
-from gateway.runtime.doubts import Doubts
-from gateway.runtime.outbox import Outbox
-from gateway.runtime.strangers import Strangers
-from gateway.runtime.switched_off import SwitchedOff
-from gateway.runtime.told import (
+from gateway.runtime.disabled_monitors import SwitchedOff
+from gateway.runtime.event_json import (
     activity_event,
     clock_event,
     cycle_event,
@@ -51,6 +48,9 @@ from gateway.runtime.told import (
     short_event,
     source_event,
 )
+from gateway.runtime.failing_rules import Doubts
+from gateway.runtime.outbox import Outbox
+from gateway.runtime.security_events import Strangers
 
 _TEST_FAILED = int(Status.TEST_FAILED)
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from gateway.faults import service
-from gateway.faults.cases import cases_of
 from gateway.faults.dtc import Dtc
+from gateway.faults.fault_groups import cases_of
 from gateway.faults.lock import is_unsaved
-from gateway.faults.opened import OpenedMemory
+from gateway.faults.memory_reader import OpenedMemory
 from gateway.faults.records import Recording
 from gateway.faults.status import Status
 from gateway.faults.summary import NO_RESULT, summary_of

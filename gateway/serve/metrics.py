@@ -10,7 +10,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from prometheus_client.registry import Collector
 
-from gateway.faults.explained import HELD
+from gateway.faults.explanation import HELD
 from gateway.serve.memory import BITS
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from gateway.engine.buckets import nearness
-from gateway.faults.cases import named, percent
-from gateway.faults.explained import CAUSE, HELD, OPEN
+from gateway.faults.explanation import CAUSE, HELD, OPEN
+from gateway.faults.fault_groups import named, percent
 from gateway.faults.remedy import WHEN
 from gateway.faults.status import Status
 from gateway.monitors.evidence import in_words

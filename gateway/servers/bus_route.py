@@ -9,7 +9,7 @@ import numpy as np
 
 from gateway.bus.frames import Frames
 from gateway.isotp.endpoint import IsoTpEndpoint
-from gateway.servers.addressed import AddressedServer
+from gateway.servers.isotp_server import AddressedServer
 from gateway.servers.route import Route
 from gateway.servers.uds.params import BusRouteParams
 from gateway.servers.uds.server import UdsServer

@@ -28,7 +28,7 @@ class BusServer:
     prompt = False
     #: Whether its frames go before all others when a bus does not take all at once.
     urgent = False
-    #: Frames that it takes where :meth:`identifiers` are too many to list; see :class:`gateway.bus.heard.Heard`.
+    #: Frames that it takes where :meth:`identifiers` are too many to list; see :class:`gateway.bus.id_filter.Heard`.
     masks: frozenset[tuple[int, int]] = frozenset()
     #: Name under which its exceptions are counted.
     door = "bus"

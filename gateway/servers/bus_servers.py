@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import URGENT, Frames, empty
-from gateway.bus.heard import Heard
+from gateway.bus.id_filter import Heard
 from gateway.common.fence import Fence
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange

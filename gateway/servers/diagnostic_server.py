@@ -9,8 +9,8 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.faults.entries import DtcChange
 from gateway.isotp.endpoint import IsoTpEndpoint
-from gateway.servers.addressed import AddressedServer
 from gateway.servers.application import Application
+from gateway.servers.isotp_server import AddressedServer
 from gateway.servers.obd.server import MODES
 
 

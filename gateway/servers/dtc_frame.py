@@ -18,8 +18,8 @@ from gateway.faults.dtc import Dtc
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
 from gateway.servers.bus_server import BusServer
-from gateway.servers.foretelling import put_report
-from gateway.servers.foretold import Foretold
+from gateway.servers.prepared_frames import Foretold
+from gateway.servers.prepared_frames_kernel import put_report
 from gateway.signals.database import load_database
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.tomlfile import StrictModel

@@ -14,6 +14,7 @@ from gateway.j1939.transport import LONGEST as LONGEST_WOVEN
 from gateway.signals.bits import LONGEST
 from gateway.signals.bounds import refuse_lengths, refuse_scalings
 from gateway.signals.containers import CONTAINED, contained_in, with_short_headers
+from gateway.signals.database_cache import messages_of
 from gateway.signals.dialect import mended, signals_said, text_of, without
 from gateway.signals.identity import (
     exact_name,
@@ -26,7 +27,6 @@ from gateway.signals.identity import (
     sticks_out,
     together,
 )
-from gateway.signals.parsed import messages_of
 from gateway.signals.ranges import narrowed, widened
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError, named, nearest

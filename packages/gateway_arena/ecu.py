@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from gateway.bus.frames import Frames
-from gateway.signals.framed import frames_of, merged
+from gateway.signals.frame_encoding import frames_of, merged
 from gateway_arena.plants.turbo import FAULTS, KNOWNS, PERIOD_S, drive_of, driven, in_si
 from gateway_bench.vecu.contract import EcuFault, EcuParams, Run, Truth, VirtualEcu, injected
 from gateway_bench.vecu.databases import message_of

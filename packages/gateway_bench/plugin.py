@@ -6,7 +6,7 @@ PLUGIN = Plugin(
     ecus={name: f"gateway_bench.vecu.{name}:ECU" for name in ("fmu", "responder", "restbus", "table")},
     commands={name: f"gateway_bench.commands:{name}" for name in ("demo", "simulate", "control")},
     calls={
-        "simulate": "gateway_bench.simulated:simulate",
+        "simulate": "gateway_bench.simulation:simulate",
         "scenario_schema": "gateway_bench.vecu.scenario_schema:schema",
     },
     measures={"speed": "gateway_bench.cli.measure:Speed"},

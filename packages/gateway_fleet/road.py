@@ -85,7 +85,7 @@ Model = Annotated[str, typer.Option(help="Only cars of this model; * stands for 
 Software = Annotated[str, typer.Option(help="Only cars of this software; * stands for others.")]
 
 
-@does("gateway_fleet.cli.asked:fleet_ask")
+@does("gateway_fleet.cli.fleet_tables:fleet_ask")
 def fleet_ask(
     folder: Tables,
     what: Annotated[str, typer.Argument(help="rates of causes, cars that told one, or one car with all it told.")],
@@ -98,7 +98,7 @@ def fleet_ask(
     """Answer the usual questions from a fleet's tables."""
 
 
-@does("gateway_fleet.cli.asked:fleet_learn")
+@does("gateway_fleet.cli.fleet_tables:fleet_learn")
 def fleet_learn(
     folder: Tables,
     out: Annotated[Path, typer.Option("--out", "-o", help="Campaign to write.")],
@@ -121,7 +121,7 @@ def fleet_learn(
     """
 
 
-@does("gateway_fleet.cli.asked:fleet_page")
+@does("gateway_fleet.cli.fleet_tables:fleet_page")
 def fleet_page(
     folder: Tables, out: Annotated[Path, typer.Option("--out", "-o", help="HTML file to write.")] = Path("fleet.html")
 ) -> None:

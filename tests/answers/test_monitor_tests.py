@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from gateway.answers.answer_frames import Weaver
 from gateway.answers.j1979 import layouts_of_obd
 from gateway.answers.model import AnswerLayout, message_of, signal_of
 from gateway.answers.monitor_tests import results
 from gateway.answers.pages import answer_bus
-from gateway.answers.weave import Weaver
 from gateway.servers.obd.test_results import encode
 from gateway.servers.tester_control import LatestResult
 from gateway.signals.payloads import decode_columns

@@ -13,7 +13,7 @@ from gateway.cli.folding import FoldingConsole
 from gateway_arena.contract import SAMPLES, Found, NotForThisPlantError
 from gateway_arena.ecu import ECU, TurboFault, TurboParams
 from gateway_arena.indexes import FROM_S, INDEXES, ON_S, decided, indexes
-from gateway_arena.methods import courses, extended, toolbox
+from gateway_arena.methods import courses, extended_kalman, toolbox
 from gateway_arena.plants import plant, turbo, valve
 from gateway_arena.scenarios import judged_scenarios, table
 from gateway_arena.score import Row, diagnoses
@@ -290,7 +290,7 @@ def test_courses_name_none_of_faults_that_the_structure_cannot_tell_apart():
 def test_the_bank_of_filters_computes_what_filterpy_does():
     made = plant("turbo")
     record = made.record(SEED)
-    bank = extended.Ekf()
+    bank = extended_kalman.Ekf()
     bank.fit(made, [record], [])
     short = replace(record, t_s=record.t_s[:40], values=record.values[:40])
     squared, likely = bank._filtered(short, ())
@@ -303,10 +303,10 @@ def test_the_bank_of_filters_computes_what_filterpy_does():
         if k:
             oracle.predict()
         before = oracle.P.copy()
-        for _ in range(1 if k else extended.ITERATIONS):
+        for _ in range(1 if k else extended_kalman.ITERATIONS):
             oracle.P = before
             value = bank._values(oracle.x.T[None], z, ())[0, 0]
-            if k % extended.SAME == 0:
+            if k % extended_kalman.SAME == 0:
                 slopes, noise = bank._slopes(oracle.x.T, z, (), value[None])
                 rows = np.sqrt((slopes[0] ** 2).sum(1)) * bank._share * bank._equations.laws + 1e-9
             r, nothing = noise + np.diag(rows**2), np.zeros((len(value), 1))

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from gateway import api
 from gateway.cli import app
 from gateway.cli.new_monitor import new_monitor
-from gateway_arena.methods.learned import Forest, Pca
+from gateway_arena.methods.machine_learning import Forest, Pca
 from gateway_arena.monitor.fit import fitted
 from gateway_arena.plants import plant
 from gateway_arena.trial import records

@@ -11,10 +11,10 @@ from gateway.bus.logs import open_writer
 from gateway.cli import app
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway_bench.wire.road import road
+from gateway_bench.wire.channel_model import road
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED
-from gateway_plants.pedal.monitor.measured import found
+from gateway_plants.pedal.monitor.channel_estimates import found
 from gateway_plants.pedal.monitor.params import PairParams
 from gateway_plants.pedal.study.outside import faults as cases
 from gateway_plants.pedal.study.outside import sensors

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from gateway.cli import app
 from gateway.cli.check import check
-from gateway.cli.why import why
+from gateway.cli.dependencies import why
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 

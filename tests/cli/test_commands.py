@@ -44,7 +44,7 @@ def test_each_command_has_the_parameters_of_its_function(monkeypatch):
 
 def test_lists_that_are_not_given_are_empty_and_options_get_the_names_of_the_function(monkeypatch):
     given = {}
-    monkeypatch.setattr("gateway.cli.watched.plot_file", lambda **options: given.update(options) or 0)
+    monkeypatch.setattr("gateway.cli.signal_plot.plot_file", lambda **options: given.update(options) or 0)
     (plot,) = (each.callback for each in app.registered_commands if each.name == "plot")
     with pytest.raises(typer.Exit):
         plot(series="a", output="b", only=None)

@@ -14,7 +14,7 @@ from gateway.bus.frames import payload
 from gateway.cli import app
 from gateway.config.load import load_config
 from gateway_bench.cli.control import Control, ask, request_of
-from gateway_bench.playing import player_of
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.errors import InputError
 

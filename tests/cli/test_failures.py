@@ -53,7 +53,7 @@ def test_a_bug_is_one_line_that_says_where_to_report_it(gateway, monkeypatch):
 @pytest.mark.parametrize("how", ["option", "variable"])
 def test_the_traceback_is_there_for_who_asks(tmp_path, how):
     code = (
-        "from gateway.common.postponed import postpone; postpone()\n"
+        "from gateway.common.lazy_modules import postpone; postpone()\n"
         "import gateway.cli.check as c, gateway.cli as cli\n"
         "def broken(*a, **k): raise KeyError('volts')\n"
         "c.load_config = broken\ncli.main()\n"
@@ -124,7 +124,7 @@ def test_tables_fold_and_cut_nothing():
 #: Stands for a compiler: a call into C that holds the main thread, and in which no handler of Python runs.
 COMPILING = """
 import ctypes, sys, time
-from gateway.common.postponed import postpone
+from gateway.common.lazy_modules import postpone
 postpone()
 import {module} as module
 def compiling(*a, **k):

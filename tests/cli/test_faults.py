@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from gateway.bus.logs import read_log
 from gateway.cli import app, faults, present
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
+from gateway.faults.resilient_store import KeptStore
 from gateway_fdi.errors import InputError
 
 RECORDING = "[memory]\nrecording = { before_ms = 20.0, after_ms = 10.0 }\n"

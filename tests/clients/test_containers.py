@@ -8,7 +8,7 @@ import pytest
 from arxml import HEAD, package, reference, tag
 
 from gateway.bus.frames import FD, FD_LENGTHS, WOVEN, empty, put
-from gateway.clients.woven import woven_of
+from gateway.clients.reassembly import woven_of
 from gateway.engine.build import build_engine
 from gateway.signals.database import Database, load_database
 from gateway.signals.payloads import decode_columns, message_rows

@@ -9,7 +9,7 @@ from gateway.bus.frames import EXTENDED, FRAME, empty, payload, put
 from gateway.clients.document import tables
 from gateway.clients.survey import LISTEN_NS, Survey
 from gateway.config.load import load_config
-from gateway_bench.playing import player_of
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
 
 cli = importlib.import_module("gateway.cli.survey")  # gateway.cli.survey is the command

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from long_messages import batch, fast, long_message, signal, transported
 
 from gateway.bus.frames import EXTENDED, WOVEN, empty, put
-from gateway.clients.woven import woven_of
+from gateway.clients.reassembly import woven_of
 from gateway.engine.build import build_engine
 from gateway.j1939.overheard import CUTS
 from gateway.signals.database import Database

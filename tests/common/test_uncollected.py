@@ -4,8 +4,8 @@ import gc
 
 import pytest
 
-from gateway.common import uncollected as made
-from gateway.common.uncollected import uncollected
+from gateway.common import gc_pause as made
+from gateway.common.gc_pause import uncollected
 
 
 @pytest.fixture

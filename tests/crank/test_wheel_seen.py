@@ -8,8 +8,8 @@ from gateway_fdi.jit import COMPILED, zeros
 from gateway_plants.crank.ecu.kinematics import tooth_times
 from gateway_plants.crank.study.cases import sweep
 from gateway_plants.crank.wheel import Wheel
-from gateway_plants.crank.wheel_seen import EVEN, Seen, fits, note, restart, skip, sure
-from gateway_plants.crank.wheel_told import Watch, described, see
+from gateway_plants.crank.wheel_estimation import EVEN, Seen, fits, note, restart, skip, sure
+from gateway_plants.crank.wheel_report import Watch, described, see
 
 SEED = 20261125
 NAMED = (

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from gateway.config.load import load_config
-from gateway.engine.depends.behind import behind
 from gateway.engine.depends.monitors import of_monitor
 from gateway.engine.depends.parts import Network, strongest
 from gateway.engine.depends.residuals import residuals
+from gateway.engine.depends.underlying_tests import behind
 from gateway.engine.instances import MonitorInstance
 from gateway.monitors.contract import Behind, Blame, Blames, Gain, LastResult, Reading, Residuals
 from gateway.monitors.registry import MONITORS

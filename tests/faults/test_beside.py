@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from gateway.faults.beside import WriterThread
+from gateway.faults.writer_thread import WriterThread
 
 
 @pytest.fixture

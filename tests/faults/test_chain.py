@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from gateway.cli import app
 from gateway.faults import chain, service
-from gateway.faults.explained import Cause, Ranked
+from gateway.faults.explanation import Cause, Ranked
 from gateway.faults.interventions import MOST, Intervention
 from gateway.faults.records import Changes, Cycle, Permanent, Recording
 from gateway.faults.salvage import salvage

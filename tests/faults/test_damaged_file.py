@@ -9,9 +9,9 @@ from fault_examples import event, nothing
 from stored_memories import fill, kept, listed
 
 from gateway.faults import rows, service
-from gateway.faults.kept import KeptStore
-from gateway.faults.outage import FIRST_NS
 from gateway.faults.records import PLACES
+from gateway.faults.resilient_store import KeptStore
+from gateway.faults.retry_policy import FIRST_NS
 from gateway.faults.salvage import _record, salvage
 from gateway.faults.store import DamagedError
 from gateway_fdi.errors import InputError

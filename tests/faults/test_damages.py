@@ -16,9 +16,9 @@ from stored_memories import fill
 from typer.testing import CliRunner
 
 from gateway.cli import app
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Recording
+from gateway.faults.resilient_store import KeptStore
 from gateway_fdi.errors import GatewayError
 
 FILES = ("", "-wal", "-shm", "-verdicts", "-lock")

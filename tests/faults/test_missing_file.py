@@ -8,10 +8,10 @@ from fault_examples import catalogue, event, nothing
 from stored_memories import fill, kept, listed
 
 from gateway.faults import service
-from gateway.faults.kept import KeptStore
 from gateway.faults.lock import is_unsaved
 from gateway.faults.memory import FaultMemory
-from gateway.faults.outage import LONGEST_NS
+from gateway.faults.resilient_store import KeptStore
+from gateway.faults.retry_policy import LONGEST_NS
 from gateway.faults.store import Store
 from gateway_fdi.errors import InputError
 

@@ -7,9 +7,9 @@ import pytest
 from amount import amount
 
 from gateway.faults import service
-from gateway.faults.kept import KeptStore
 from gateway.faults.ledger import Ledger
 from gateway.faults.records import Changes, Cycle
+from gateway.faults.resilient_store import KeptStore
 from gateway.faults.store import Store, StoreError
 
 

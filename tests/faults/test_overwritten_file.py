@@ -15,9 +15,9 @@ from stored_memories import fill, kept, listed
 
 from gateway.faults import service
 from gateway.faults.interventions import Intervention
-from gateway.faults.kept import KeptStore
-from gateway.faults.outage import LONGEST_NS
 from gateway.faults.records import Recording
+from gateway.faults.resilient_store import KeptStore
+from gateway.faults.retry_policy import LONGEST_NS
 from gateway.faults.store import Store, StoreError
 from gateway_fdi.errors import InputError
 
@@ -312,7 +312,7 @@ def test_a_log_that_cannot_be_copied_is_looked_at_again(tmp_path, monkeypatch):
     def full(*_, **__):
         raise OSError("No space left on device")
 
-    monkeypatch.setattr("gateway.faults.watched_file.shutil.copyfile", full)
+    monkeypatch.setattr("gateway.faults.tamper_check.shutil.copyfile", full)
     assert store.examine()
     assert store.doubtful
     monkeypatch.undo()

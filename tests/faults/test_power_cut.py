@@ -18,8 +18,8 @@ from amount import FULL, amount
 from debian import program
 from fault_examples import catalogue
 
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
+from gateway.faults.resilient_store import KeptStore
 
 HERE = Path(__file__).parent / "power"
 sys.path.insert(0, str(HERE))

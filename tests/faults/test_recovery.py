@@ -17,11 +17,11 @@ from gateway.cli import faults
 from gateway.engine.events import QUALIFIED_FAILED
 from gateway.faults import service
 from gateway.faults.catalogue import Catalogue
-from gateway.faults.explained import WAITING
+from gateway.faults.explanation import WAITING
 from gateway.faults.journal_file import path_of
 from gateway.faults.journal_steps import journal_put
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
+from gateway.faults.resilient_store import KeptStore
 from gateway.faults.status import Status
 from gateway.faults.store import Store, StoreError
 from gateway_fdi.jit import bound

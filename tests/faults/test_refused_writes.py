@@ -7,9 +7,9 @@ import pytest
 from fault_examples import event, frame, nothing
 from stored_memories import kept, listed
 
-from gateway.faults.outage import FIRST_NS, LONGEST_NS, Outage
-from gateway.faults.pace import Pace
+from gateway.faults.retry_policy import FIRST_NS, LONGEST_NS, Outage
 from gateway.faults.store import Store, StoreError
+from gateway.faults.write_throttle import Pace
 
 S = 1_000_000_000
 

@@ -13,9 +13,9 @@ from stored_memories import fill, kept, listed
 
 from gateway.faults import chain, lock, service
 from gateway.faults.journal_file import path_of, records
-from gateway.faults.kept import KeptStore
 from gateway.faults.lock import noted
 from gateway.faults.memory import FaultMemory
+from gateway.faults.resilient_store import KeptStore
 from gateway.faults.store import OlderError, Store, last_links
 
 ALL = ("", "-wal", "-verdicts", "-lock")

@@ -161,7 +161,7 @@ import sys
 from pathlib import Path
 import gateway.faults.records
 from gateway.faults import service
-from gateway.faults.kept import KeptStore
+from gateway.faults.resilient_store import KeptStore
 from gateway.faults.records import Changes
 path = Path({path!r})
 store = KeptStore(path)

@@ -8,8 +8,8 @@ import pytest
 from told import watched_rigs
 
 from gateway.faults import write_ahead
-from gateway.faults.kept import KeptStore
 from gateway.faults.records import Changes, FreezeFrame, Record
+from gateway.faults.resilient_store import KeptStore
 from gateway.faults.store import Store
 
 

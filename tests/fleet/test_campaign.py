@@ -13,11 +13,11 @@ from road import car_of
 
 from gateway.config.load import load_config
 from gateway.faults.fleet import LIMITS
-from gateway.faults.kept import KeptStore
 from gateway.faults.records import Changes, Recording
+from gateway.faults.resilient_store import KeptStore
 from gateway.runtime.contract import wrong
 from gateway_fdi.errors import GatewayError, InputError
-from gateway_fleet.live import signed
+from gateway_fleet.live import signed_documents
 from gateway_fleet.live.campaign import Campaign, is_in, next_stage
 from gateway_fleet.live.member import Member
 from gateway_fleet.live.shadow import Shadow
@@ -72,7 +72,7 @@ class Rig:
         self.config = folder / "car.toml"
         self.config.write_text(CAR.format(folder=folder))
         self.car = car_of(limits=folder / "limits.toml")
-        self.keys = {name: signed.Ed25519PrivateKey.generate() for name in ("root", "signer", "other")}
+        self.keys = {name: signed_documents.Ed25519PrivateKey.generate() for name in ("root", "signer", "other")}
         (folder / "keys.signed").write_bytes(self.keyring())
         self.trials = self.begin()
 
@@ -86,16 +86,16 @@ class Rig:
         )  # fmt: skip
 
     def keyring(self, serial=1, by="root", fleet="vans", signers=("signer",)):
-        public = {name: signed.public_of(key) for name, key in self.keys.items()}
+        public = {name: signed_documents.public_of(key) for name, key in self.keys.items()}
         told = {"fleet": fleet, "serial": serial, "root": [public["root"]], "signer": [public[n] for n in signers]}
-        return signed.sign("keys", signed.told(told), self.keys[by])
+        return signed_documents.sign("keys", signed_documents.told(told), self.keys[by])
 
     def campaign(self, by="signer", kind="campaign", **changed):
         told = {
             "fleet": "vans", "name": "cold", "serial": 2, "until": NOW + timedelta(days=9), "share": 1.0,
             "shadow_hours": 10.0, "control_per_hour": 0.001, "limit": [{"test": TEST, "limit": 15.5}],
         }  # fmt: skip
-        return signed.sign(kind, signed.told({**told, **changed}), self.keys[by])
+        return signed_documents.sign(kind, signed_documents.told({**told, **changed}), self.keys[by])
 
     def offer(self, document):
         return self.trials.offer(document, NOW)
@@ -192,7 +192,7 @@ def test_a_later_stage_needs_no_other_shadow_and_the_end_ends_it(rig):
         (lambda r: r.campaign(output={"dtc_frame": {"bus": "can0"}}), "unknown key"),
         (lambda r: b"", "no signed document"),
         (lambda r: b"#signed campaign \xff", "no signed document"),
-        (lambda r: b"x" * (signed.MOST_BYTES + 1), "more than"),
+        (lambda r: b"x" * (signed_documents.MOST_BYTES + 1), "more than"),
         (lambda r: r.keyring(serial=1), "not newer"),
         (lambda r: r.keyring(serial=2, by="signer"), "key that is not believed"),
         (lambda r: r.keyring(serial=2, by="other"), "key that is not believed"),
@@ -363,4 +363,4 @@ def test_the_memory_says_which_limits_judged(tmp_path):
     assert LIMITS
     assert json.dumps(service.list_entries(path))
     with pytest.raises(InputError):
-        signed.private_of(path)
+        signed_documents.private_of(path)

@@ -24,7 +24,7 @@ from gateway.bus.corpus import find
 from gateway.bus.frames import ERROR, EXTENDED, REMOTE, empty, put
 from gateway.bus.logs import open_writer
 from gateway.cli import app
-from gateway.decode.lake import Lake
+from gateway.decode.parquet_tables import Lake
 from gateway.signals.database import Database, load_database
 from gateway_fdi.errors import InputError, InputErrors
 

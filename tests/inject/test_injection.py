@@ -77,7 +77,7 @@ def test_a_fault_of_a_signal_changes_it_alone_and_leaves_the_protection_right(ca
         assert injector.count == 100
         held, turn = None, 1
         from gateway.signals.protection.params import protection_for
-        from gateway_fleet.learn.judged import Payloads, judged
+        from gateway_fleet.learn.protection_check import Payloads, judged
 
         for before, after in zip(mine(frames), mine(out), strict=True):
             was, now = (twin.decode(payload(frame), decode_choices=False) for frame in (before, after))
@@ -201,7 +201,7 @@ def test_frames_of_another_sender_come_beside_those_of_the_message(car, kind):
 
 def test_a_forged_frame_has_one_signal_changed_and_its_protection_right(car):
     from gateway.signals.protection.params import protection_for
-    from gateway_fleet.learn.judged import Payloads, judged
+    from gateway_fleet.learn.protection_check import Payloads, judged
 
     checks = [CheckInstance(Params.model_validate({"message": "Car", **CRC}), 0, "b.Car")]
     frames = frames_of(random.Random(6))

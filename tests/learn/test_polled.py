@@ -8,7 +8,7 @@ from gateway.calibration.logs import read_answered
 from gateway.config.load import load_config
 from gateway.config.resolve import answer_buses
 from gateway.runtime.assemble import prepare
-from gateway_bench.wire.replayed import through
+from gateway_bench.wire.replay import through
 from gateway_fleet.learn.car import Asking, asked_for, learned
 
 SECONDS = 900

@@ -17,8 +17,8 @@ from gateway.signals.protection.crc import Crc
 from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill, protect_all
 from gateway_fleet.learn.claims import proven
 from gateway_fleet.learn.counters import of_raw
-from gateway_fleet.learn.judged import Payloads, judged
 from gateway_fleet.learn.polynomials import divided, polynomial_of
+from gateway_fleet.learn.protection_check import Payloads, judged
 from gateway_fleet.learn.protections import protection_found
 
 NOWHERE = Path("made_up.dbc")

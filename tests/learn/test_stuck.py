@@ -8,7 +8,7 @@ from learning import asked, drive, quiet
 from gateway.bus.ring import read_recording
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
-from gateway_bench.wire.replayed import through
+from gateway_bench.wire.replay import through
 from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import SIGNAL
 

@@ -13,7 +13,7 @@ from gateway.bus.logs import open_writer
 from gateway.bus.ring import read_recording
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
-from gateway_bench.wire.replayed import through
+from gateway_bench.wire.replay import through
 from gateway_fleet.cli.learn import learn_car
 from gateway_fleet.learn.gaps import CYCLIC, Gaps, lost_share, most, sending, timeout_ms
 from gateway_fleet.learn.learn import learn, write

@@ -13,7 +13,7 @@ from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.runtime.assemble import prepare
 from gateway.runtime.injection import Injector, parse_injection
-from gateway_bench.wire.replayed import through
+from gateway_bench.wire.replay import through
 from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import SIGNAL
 

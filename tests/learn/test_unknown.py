@@ -12,10 +12,10 @@ from gateway.bus.frames import EXTENDED
 from gateway.config.load import load_config
 from gateway.signals.decode import of_a_tester
 from gateway_fleet.learn.car import Asking, asked_for, learned
-from gateway_fleet.learn.judged import Payloads
 from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import HEALTH
 from gateway_fleet.learn.merge import read
+from gateway_fleet.learn.protection_check import Payloads
 from gateway_fleet.learn.unknown import message_of, with_counter
 from gateway_fleet.study.learn.drive import Way
 from gateway_fleet.study.learn.judge import healthy, judged

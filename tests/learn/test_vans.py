@@ -11,7 +11,7 @@ from gateway.bus.logs import open_writer
 from gateway.bus.ring import read_recording
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
-from gateway_bench.wire.replayed import through
+from gateway_bench.wire.replay import through
 from gateway_fleet.learn.learn import learn, write
 
 SECONDS = 90.0

@@ -4,7 +4,7 @@ import errno
 import selectors
 import socket
 
-from gateway.live.listening import REST_S, Listening
+from gateway.live.listening_sockets import REST_S, Listening
 
 
 class Listener(socket.socket):

@@ -13,7 +13,7 @@ from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live, collect_and_freeze
 from gateway.live.record import Nobody
-from gateway.runtime.quiet import Quiet
+from gateway.runtime.fast_path_conditions import Quiet
 
 
 class Queue(Bus):

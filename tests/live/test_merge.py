@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.bus.frames import empty
-from gateway.live.pump import Pump
-from gateway.live.pumping import LONGEST_NS, MOST_WAITING, SETTLE_NS
-from gateway.runtime.quiet import Quiet
+from gateway.live.fast_path import Pump
+from gateway.live.fast_path_kernel import LONGEST_NS, MOST_WAITING, SETTLE_NS
+from gateway.runtime.fast_path_conditions import Quiet
 
 MS = 1_000_000
 

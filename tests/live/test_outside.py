@@ -9,7 +9,7 @@ from contextlib import suppress
 import pytest
 from outside import ACTIVATE, Bench, answers, uds
 
-from gateway.live import doors as doors_module
+from gateway.live import listeners as doors_module
 from gateway.live.loop import MOST_FAILURES
 from gateway.servers.uds.server import UdsServer
 from gateway_fdi.errors import GatewayError
@@ -148,7 +148,7 @@ def on_the_bus(bench):
 DOOR, SERVER = "gateway.live.doip_door.DoipDoor", "gateway.servers.doip.server.DoipServer"
 PLACES = {
     "accept": (DOOR + "._take", by_doip, "doip"),
-    "listening": ("gateway.live.listening.Listening.accept", by_doip, "doip"),
+    "listening": ("gateway.live.listening_sockets.Listening.accept", by_doip, "doip"),
     "connect": (SERVER + ".connect", by_doip, "doip"),
     "receive": (SERVER + ".receive", by_doip, "doip"),
     "splitter": ("gateway.servers.doip.codec.Splitter.take", by_doip, "doip"),
@@ -250,7 +250,7 @@ def test_an_internal_error_is_an_answer_where_the_protocol_has_one(bench, monkey
 
 
 def test_what_repeats_is_a_dtc_of_the_gateway_itself_that_heals(bench, monkeypatch, caught):
-    monkeypatch.setattr("gateway.runtime.caught.WINDOW_NS", 3 * 10**9)
+    monkeypatch.setattr("gateway.runtime.exception_events.WINDOW_NS", 3 * 10**9)
 
     def script():
         yield from bench.wait(0.5)
@@ -314,7 +314,7 @@ def test_a_door_that_cannot_be_opened_again_is_tried_again(bench, monkeypatch, c
                 patch.setattr(f"{place}.turn", broken)
                 yield from bench.wait(4)
             with monkeypatch.context() as patch:
-                patch.setattr("gateway.live.listening.Listening.add", broken)
+                patch.setattr("gateway.live.listening_sockets.Listening.add", broken)
                 yield from bench.wait(12)
             yield from bench.wait(11)
             yield from bench.ask_all()

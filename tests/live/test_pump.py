@@ -12,12 +12,12 @@ from gateway.bus.can_structs import Packer
 from gateway.bus.conditions import are_steps
 from gateway.bus.frames import ERROR, EXTENDED, FD, REMOTE, copied, empty, put
 from gateway.config.load import load_config
-from gateway.live import pumping
+from gateway.live import fast_path_kernel
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway
-from gateway.runtime.quiet import NOBODY
+from gateway.runtime.fast_path_conditions import NOBODY
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import COMPILED
 from tests.system.bench_config import beat, write_config
@@ -166,8 +166,8 @@ def test_a_rough_bus_gives_what_python_gives(rigs, bus, can, monkeypatch):
     """Right, wrong, short, long, unknown, remote, error and own-looking frames, requests; in pieces of any size."""
     from bench.engine import make_log
 
-    monkeypatch.setattr("gateway.live.pump.CAN", can)  # without SocketCAN Python waits
-    monkeypatch.setattr("gateway.live.pump.BATCH", 4)  # more waits than a call takes, or just as much
+    monkeypatch.setattr("gateway.live.fast_path.CAN", can)  # without SocketCAN Python waits
+    monkeypatch.setattr("gateway.live.fast_path.BATCH", 4)  # more waits than a call takes, or just as much
     config, rng = shipped("gateway.toml"), np.random.default_rng(SEED)
     rig = rigs(config, [bus])
     log, at = make_log(3000), 0
@@ -202,9 +202,14 @@ def test_a_rough_bus_gives_what_python_gives(rigs, bus, can, monkeypatch):
     assert_equal(rig.gateway, gateway)
     assert [e for e in rig.events if e["event"] != "bus"] == events
     assert_sent(rig.sent[0], [pack(each) for part in sent for each in part])
-    for why in (pumping.TIME, pumping.RAW if bus is StructBus else pumping.BUS, pumping.WANTED, pumping.EVENTS):
+    for why in (
+        fast_path_kernel.TIME,
+        fast_path_kernel.RAW if bus is StructBus else fast_path_kernel.BUS,
+        fast_path_kernel.WANTED,
+        fast_path_kernel.EVENTS,
+    ):
         assert why in rig.why, f"reason {why}; seed {SEED}"
-    assert pumping.BUS not in rig.why or bus is NoSocket
+    assert fast_path_kernel.BUS not in rig.why or bus is NoSocket
     assert any(event["event"] == "dtc" for event in events)
     gateway.close()
 
@@ -242,7 +247,7 @@ def test_ecus_are_asked_while_it_runs(rigs, tmp_path):
     assert 0 <= asked - state["answers"] - state["absent"] <= 1
     assert state["answers_decoded"] > 10
     assert state["answers_cut"] == 0
-    assert pumping.WANTED in rig.why
+    assert fast_path_kernel.WANTED in rig.why
     gateway, events, sent = reference(config, rig)
     assert_equal(rig.gateway, gateway)
     assert [e for e in rig.events if e["event"] != "bus"] == events
@@ -265,7 +270,7 @@ def test_two_buses_in_one_order(rigs, tmp_path, kinds):
         rig.turn()
         if not rig.live._pump.holding:
             break
-    assert pumping.EVENTS in rig.why
+    assert fast_path_kernel.EVENTS in rig.why
     fed = np.concatenate([what for name, what, *_ in rig.calls if name in ("took", "feed")])
     assert (np.diff(fed["t_ns"]) >= 0).all(), "in order of time"
     for bus in (0, 1):
@@ -293,10 +298,10 @@ def test_of_a_j1939_bus_python_gets_what_it_listens_to_and_nothing_else(rigs, tm
             rig.why.clear()
             rig.send(0, *others[:20])
             rig.turn()
-            assert pumping.WANTED not in rig.why
+            assert fast_path_kernel.WANTED not in rig.why
             rig.send(0, others[40], frame(heard | sender | EXTENDED, b"\0\0\x64\0\3\1\xff\xff"))
             rig.turn()
-            assert pumping.WANTED in rig.why, f"{heard | sender:X}"
+            assert fast_path_kernel.WANTED in rig.why, f"{heard | sender:X}"
     gateway, events, _ = reference(config, rig)
     assert_equal(rig.gateway, gateway)
     assert [e for e in rig.events if e["event"] != "bus"] == events
@@ -312,7 +317,7 @@ def test_a_step_of_the_wall_clock_is_python_s(rigs, monkeypatch):
     with monkeypatch.context() as patched:
         patched.setattr(Clock, "difference_ns", property(lambda clock: clock._difference - 3_000_000_000))
         rig.turn()
-    assert pumping.STEPPED in rig.why[-2:]
+    assert fast_path_kernel.STEPPED in rig.why[-2:]
     rig.send(0, frame(0x125))
     rig.clock._difference -= 3_000_000_000  # as if the wall clock had been set forward
     for _ in range(20):
@@ -346,12 +351,12 @@ def test_a_door_and_a_dead_bus_end_a_pass(rigs):
     rig.live._door = door
     for _ in range(3):
         rig.turn()
-    assert pumping.DOOR in rig.why
+    assert fast_path_kernel.DOOR in rig.why
     assert door.knocks >= 1
     rig.ends[0].close()
     for _ in range(5):
         rig.live.turn()
-    assert pumping.BUS in rig.why
+    assert fast_path_kernel.BUS in rig.why
     os.close(door.event)
 
 

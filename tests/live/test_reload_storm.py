@@ -15,7 +15,7 @@ from daemon_rig import MS, World
 from kill_storm import MESSAGES, write_config
 
 from gateway.faults import service
-from gateway.runtime.upkeep import begin_writer
+from gateway.runtime.persistence import begin_writer
 
 RELOADS = int(os.environ.get("GATEWAY_RELOADS", "0")) or amount(10_000, 30, 12)
 

@@ -4,7 +4,7 @@ import pytest
 from daemon_rig import World
 
 from gateway.faults import service
-from gateway.faults.hung import hung_beside
+from gateway.faults.hung_monitors import hung_beside
 from gateway.faults.restarts import LONGEST_S, REPEATED, WELL_S
 from gateway.live.notify import Notifier
 

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from gateway.faults.hung import file_beside, hung_beside
+from gateway.faults.hung_monitors import file_beside, hung_beside
 from gateway.live.watchdog import ASKED_LIMIT_S, HUNG_EXIT, LIMIT_S, LOOKS, Watchdog
 from gateway_fdi.common.resources import shipped
 

@@ -15,7 +15,7 @@ from gateway.common import trust
 from gateway.config.load import load_config
 from gateway.config.model import MonitorConfig
 from gateway.monitors.plain import Result, calls, monitor
-from gateway.monitors.plain.written import OWN_KEYS
+from gateway.monitors.plain.signature import OWN_KEYS
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.replay import replay

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from gateway_fdi.jit import COMPILED, kernel, zeros
 from gateway_plants.pedal.study.outside import sensors
 from gateway_plants.pedal.study.outside.foot import driving
-from gateway_plants.pedal.voting.acquaintance import lag
+from gateway_plants.pedal.voting.identification import lag
 from gateway_plants.pedal.voting.movement import bent, filtered
 from gateway_plants.pedal.voting.tracking import scale
 

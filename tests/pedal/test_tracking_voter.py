@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gateway_fdi.jit import COMPILED, kernel, zeros
 from gateway_plants.pedal.ecu.strokes import exponential
-from gateway_plants.pedal.voting.tracking import habits, mismatch, motion, shape
+from gateway_plants.pedal.voting.tracking import channel_activity, mismatch, motion, shape
 from gateway_plants.pedal.voting.tracking.vote import vote
 
 SPAN, NOISE, STEP = 5.0, 0.002, 5 / 4096
@@ -92,14 +92,14 @@ def test_the_mismatch_follows_a_drift_and_not_an_impulse():
 
 
 def test_a_line_that_moves_while_another_channel_repeats_itself():
-    h = zeros(1, habits.State)[0]
+    h = zeros(1, channel_activity.State)[0]
     rows = [[1.0 + 0.05 * k, 2.0] for k in range(8)]
-    habits.start(h, 2, np.array(rows[0]), np.array(rows[0]))
+    channel_activity.start(h, 2, np.array(rows[0]), np.array(rows[0]))
     found = []
     for row in rows[1:]:
         y = np.array(row)
-        habits.watch(h, 2, y, y, 3, 0, 0.01, 0.0, 0.1, 0.0, 1.0)
-        found.append(tuple(habits.outrun(h, 2, i, y, 2, 0.03, 0.003)[0] for i in (1, 0)))
+        channel_activity.watch(h, 2, y, y, 3, 0, 0.01, 0.0, 0.1, 0.0, 1.0)
+        found.append(tuple(channel_activity.outrun(h, 2, i, y, 2, 0.03, 0.003)[0] for i in (1, 0)))
     assert found[-1] == (0, -1)
     assert found[1] == (-1, -1), "two samples are not enough"
 

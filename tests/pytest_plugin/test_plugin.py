@@ -12,7 +12,7 @@ from junitparser import JUnitXml
 from gateway.bus.frames import empty, put
 from gateway.servers.uds.params import UdsParams
 from gateway_bench.pytest_plugin.fixtures import left_in
-from gateway_bench.pytest_plugin.played import Played, leave
+from gateway_bench.pytest_plugin.scenario_run import Played, leave
 from gateway_bench.pytest_plugin.uds import _Transport
 
 EXAMPLE = ROOT / "examples" / "battery_voltage"

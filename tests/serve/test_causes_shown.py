@@ -12,7 +12,7 @@ from gateway.cli import app
 from gateway.cli.report import RunReport
 from gateway.cli.watch import drawn, told
 from gateway.faults import service
-from gateway.faults.cases import cases_of
+from gateway.faults.fault_groups import cases_of
 from gateway.live.hello import described
 from gateway.runtime.app import Gateway
 from gateway.serve.broker import Broker

@@ -13,9 +13,9 @@ from gateway.bus.frames import FRAME, payload
 from gateway.engine.events import EVENT, RESULT_CHANGED
 from gateway.faults.settings import POWER
 from gateway.faults.store import Store
-from gateway.servers import foretold as knowledge
+from gateway.servers import prepared_frames as knowledge
 from gateway.servers.dtc_frame import DtcFrameParams, DtcFrameSender
-from gateway.servers.foretelling import MOST, foretell
+from gateway.servers.prepared_frames_kernel import MOST, foretell
 
 DBC = Path(__file__).parents[2] / "dbc" / "gateway.dbc"
 MESSAGE = cantools.database.load_file(DBC).get_message_by_name("GW_DTC")

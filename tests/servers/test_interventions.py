@@ -11,7 +11,7 @@ from uds_tester import EXTRA, Asked
 from gateway.cli.faults import interventions as shown
 from gateway.faults import service
 from gateway.faults.interventions import DONE, MOST, Intervention, Interventions
-from gateway.faults.kept import KeptStore
+from gateway.faults.resilient_store import KeptStore
 from gateway.faults.store import StoreError
 
 

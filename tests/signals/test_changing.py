@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import empty, put
-from gateway.signals.changing import ChangedSignal, words_of
 from gateway.signals.database import load_database
+from gateway.signals.signal_access import ChangedSignal, words_of
 
 SEED = 5902
 DBC = """VERSION ""

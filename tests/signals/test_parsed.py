@@ -3,13 +3,13 @@
 import cantools
 import pytest
 
-from gateway.signals import parsed
+from gateway.signals import database_cache
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import cache
 
 DATABASE = shipped("dbc/vehicle.dbc")
 #: As large as one that is kept: comments do not change it.
-DATA = DATABASE.read_bytes() + b"\n" * parsed.LEAST
+DATA = DATABASE.read_bytes() + b"\n" * database_cache.LEAST
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def messages(tmp_path, monkeypatch):
         return cantools.database.load_file(DATABASE).messages
 
     def read(data=DATA, kind=".dbc"):
-        return parsed.messages_of(data, kind, parse)
+        return database_cache.messages_of(data, kind, parse)
 
     read.parsed = 0
     return read
@@ -44,13 +44,13 @@ def test_it_is_parsed_again_if_it_may_be_another(what, messages, tmp_path, monke
         (file,) = tmp_path.glob("*.parsed")
         file.write_bytes(file.read_bytes()[:-1])
     if what == "dialect":
-        monkeypatch.setattr(parsed, "source_of", lambda _: b"other")
+        monkeypatch.setattr(database_cache, "source_of", lambda _: b"other")
     if what == "version":
-        monkeypatch.setattr(parsed, "version", lambda _: "0")
+        monkeypatch.setattr(database_cache, "version", lambda _: "0")
     messages(DATA + b"\n" if what == "bytes" else DATA, ".kcd" if what == "format" else ".dbc")
     assert messages.parsed == 2
 
 
 def test_a_small_one_is_not_kept(messages, tmp_path):
-    messages(b"x" * (parsed.LEAST - 1))
+    messages(b"x" * (database_cache.LEAST - 1))
     assert not [*tmp_path.iterdir()]

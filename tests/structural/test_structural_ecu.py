@@ -8,7 +8,7 @@ import cantools
 import numpy as np
 import pytest
 
-from gateway_bench.playing import opened
+from gateway_bench.scenario_session import opened
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
 

@@ -9,8 +9,8 @@ from fault_examples import event, frame
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.faults.journal import Journal
 from gateway.faults.journal_steps import journal_put
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
+from gateway.faults.resilient_store import KeptStore
 from gateway_fdi.jit import bound
 
 #: All files of a fault memory.

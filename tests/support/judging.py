@@ -10,11 +10,11 @@ from battery_bus import DBC
 from gateway import api
 from gateway.config.load import load_config
 from gateway.faults.catalogue import Catalogue
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Changes
+from gateway.faults.resilient_store import KeptStore
 from gateway.runtime.contract import STATISTICS
-from gateway_fleet.live import signed
+from gateway_fleet.live import signed_documents
 from gateway_fleet.live.answers import Answers
 from gateway_fleet.live.batch import packed
 from gateway_fleet.live.campaign import Campaign, is_in, next_stage
@@ -106,11 +106,11 @@ class Fleet:
     """Cars, their collector, and the owner, who signs."""
 
     def __init__(self, folder):
-        self.folder, self.owner, self.serial, self.hour = folder, signed.Ed25519PrivateKey.generate(), 0, 0
+        self.folder, self.owner, self.serial, self.hour = folder, signed_documents.Ed25519PrivateKey.generate(), 0, 0
         (folder / "battery.dbc").write_text(DBC)
-        public = signed.public_of(self.owner)
+        public = signed_documents.public_of(self.owner)
         keys = {"fleet": "vans", "serial": 1, "root": [public], "signer": [public]}
-        (folder / "keys").write_bytes(signed.sign("keys", signed.told(keys), self.owner))
+        (folder / "keys").write_bytes(signed_documents.sign("keys", signed_documents.told(keys), self.owner))
         self.collector, self.cars = Collector(folder / "out", "vans", 1e9), []
 
     def campaign(self, limit, **changed):
@@ -132,7 +132,7 @@ class Fleet:
 
     def offer(self, campaign):
         """Sign a campaign, and have all cars hear of it."""
-        document = signed.sign("campaign", signed.told(campaign.model_dump()), self.owner)
+        document = signed_documents.sign("campaign", signed_documents.told(campaign.model_dump()), self.owner)
         assert [car.trials.offer(document) for car in self.cars] == [""] * len(self.cars)
 
     def drive(self, highest):

@@ -17,7 +17,7 @@ import sys
 def serve():
     """Make copies until the other end is closed; returns in each copy, with the code that it is to run."""
     line = socket.socket(fileno=int(sys.argv[1]))
-    importlib.import_module("gateway.common.postponed").postpone()  # as the command line does
+    importlib.import_module("gateway.common.lazy_modules").postpone()  # as the command line does
     for name in sys.argv[2:]:
         importlib.import_module(name)
     gc.collect()

@@ -253,7 +253,7 @@ def _long(_folder, _stack):
     """Bytes as frames of messages of several frames: an identifier of the list, a length, a payload; and so on."""
     from long_messages import batch, fast, long_message, signal, transported
 
-    from gateway.clients.woven import woven_of
+    from gateway.clients.reassembly import woven_of
     from gateway.signals.containers import Container, unpack
     from gateway.signals.database import Database
     from gateway.signals.tables import compile_plan
@@ -387,18 +387,18 @@ def _batch(_folder, _stack):
 
 
 def _campaign(_folder, _stack):
-    from gateway_fleet.live import signed
+    from gateway_fleet.live import signed_documents
     from gateway_fleet.live.campaign import Campaign
 
-    key = signed.Ed25519PrivateKey.from_private_bytes(bytes(32))
+    key = signed_documents.Ed25519PrivateKey.from_private_bytes(bytes(32))
     text = 'fleet = "f"\nname = "n"\nserial = 1\nuntil = 2030-01-01T00:00:00Z\n'
     text += 'limit = [{ test = "a.b.high", limit = 1.5 }]\n'
-    sample = signed.sign("campaign", text, key)
+    sample = signed_documents.sign("campaign", text, key)
 
     def feed(data):
-        public = (signed.public_of(key),)
-        whole = data if data[:1] == b"#" else signed.sign("campaign", data.decode("utf-8", "replace"), key)
-        signed.opened(whole, "campaign", public, Campaign)
+        public = (signed_documents.public_of(key),)
+        whole = data if data[:1] == b"#" else signed_documents.sign("campaign", data.decode("utf-8", "replace"), key)
+        signed_documents.opened(whole, "campaign", public, Campaign)
 
     return Target((sample, text.encode()), feed)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gateway.signals.protection.own import prepared
+from gateway.signals.protection.default_profile import prepared
 from gateway.signals.protection.protection import protect as protect_words
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from gateway.bus.frames import empty, payload, put
 from gateway.config.load import load_config
-from gateway_bench.playing import player_of
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
 
 DBC = """VERSION ""

@@ -14,9 +14,9 @@ from kernel_can import wait_for
 
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.fleet import FleetParams
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
-from gateway.faults.opened import OpenedMemory
+from gateway.faults.memory_reader import OpenedMemory
+from gateway.faults.resilient_store import KeptStore
 from gateway.runtime.contract import STATISTICS
 
 #: Ports below those of connections (Linux: from 32768), another order in each process of the tests.

@@ -5,9 +5,9 @@ import sqlite3
 from fault_examples import catalogue, event, frame
 
 from gateway.faults import service
-from gateway.faults.kept import KeptStore
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Recording
+from gateway.faults.resilient_store import KeptStore
 
 
 def connect(*arguments, **options):

@@ -15,7 +15,7 @@ from rest_bus_cars import CARS, REQUEST, RESPONSE, load, write
 
 from gateway.bus.frames import ID_MASK
 from gateway.config.load import load_config
-from gateway_bench.playing import player_of
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
 
 pytestmark = pytest.mark.system

@@ -21,7 +21,7 @@ from processes import TIRELESS, bus
 from slips import RUNNING, running_source
 
 from gateway.faults import service
-from gateway.faults.hung import file_beside
+from gateway.faults.hung_monitors import file_beside
 from gateway.live.watchdog import HUNG_EXIT
 from gateway_fdi.common.resources import shipped
 

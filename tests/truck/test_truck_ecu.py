@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from protecting import protect
 
 from gateway.bus.frames import payload
-from gateway.signals import framed as encode
+from gateway.signals import frame_encoding as encode
 from gateway_bench.vecu.contract import Run
 from gateway_bench.vecu.databases import message_of
 from gateway_bench.vecu.player import Player

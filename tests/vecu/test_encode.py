@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import payload
-from gateway.signals.framed import frames_of
-from gateway.signals.protection.own import prepared
+from gateway.signals.frame_encoding import frames_of
+from gateway.signals.protection.default_profile import prepared
 from gateway.signals.protection.protection import protect_all
 from gateway_fdi.common.resources import shipped
 

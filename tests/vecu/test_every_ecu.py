@@ -5,7 +5,7 @@ import pytest
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway_bench.drive import drive
-from gateway_bench.playing import player_of
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import GatewayError

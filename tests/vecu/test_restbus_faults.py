@@ -4,7 +4,7 @@ import pytest
 
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway_bench.playing import player_of
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.message_faults import KINDS
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.errors import GatewayError

@@ -19,8 +19,8 @@ from gateway.engine.checks.bus_health import (
     on_frame_received,
 )
 from gateway.engine.checks.bus_health import CLOCK_STEPPED as STEP_FAULT
+from gateway.engine.checks.bus_sleep import MOST_PARKS
 from gateway.engine.checks.communication_steps import report_timeout, restart_supervision
-from gateway.engine.checks.silence import MOST_PARKS
 from gateway.engine.events import CLOCK_STEPPED, NO_BUS
 from gateway.engine.results import announce, report_result, store_evidence
 from gateway.engine.timers import arm

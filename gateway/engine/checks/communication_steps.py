@@ -9,6 +9,7 @@ import numpy as np
 from gateway.bus.conditions import RUNNING
 from gateway.engine.checks.activity import begin_to_come, is_gone, note_gap, waits_to_settle
 from gateway.engine.checks.bus_health import SILENT
+from gateway.engine.checks.bus_sleep import park
 from gateway.engine.checks.communication import (
     ACCEPT,
     AGAINST,
@@ -39,7 +40,6 @@ from gateway.engine.checks.senders_steps import (
     keep_stamp,
     may_lose,
 )
-from gateway.engine.checks.silence import park
 from gateway.engine.checks.software import ENOUGH, is_other
 from gateway.engine.gate import sleeps
 from gateway.engine.results import not_tested, report_result, store_evidence

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 from gateway.engine.checks.bus_health import BusInstance
 from gateway.engine.checks.communication import CheckInstance
-from gateway.engine.depends.behind import Tests, behind
 from gateway.engine.depends.communication import of_bus, of_check
 from gateway.engine.depends.configured import configured
 from gateway.engine.depends.monitors import of_monitor
 from gateway.engine.depends.params import DiagnosisParams
 from gateway.engine.depends.parts import Network, Seen, component, strongest
 from gateway.engine.depends.residuals import Read, residuals
+from gateway.engine.depends.underlying_tests import Tests, behind
 from gateway.engine.instances import FaultSlot, MonitorInstance
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef

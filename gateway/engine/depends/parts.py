@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from gateway.engine.checks.silence import NOBODY
+from gateway.engine.checks.bus_sleep import NOBODY
 from gateway.j1939.frame import NULL
 from gateway.signals.database import Database
 from gateway.signals.tables import SignalRef

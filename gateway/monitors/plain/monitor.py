@@ -45,8 +45,8 @@ from gateway.monitors.contract import (
     report,
 )
 from gateway.monitors.plain import calls
-from gateway.monitors.plain.compiled import Compiled
-from gateway.monitors.plain.written import TIMES, Written, read
+from gateway.monitors.plain.compilation import Compiled
+from gateway.monitors.plain.signature import TIMES, Written, read
 from gateway_fdi.errors import InputError, nearest
 from gateway_fdi.jit import COMPILED, Record, call_entry, f8s, i8, kernel, means
 
@@ -207,7 +207,7 @@ def monitor(
         fault: DTC of its fault, as ``"P0128-00"``; or of several: name -> DTC.
         debounce: of each fault; default: each result counts.
         tested: what is tested, with its unit, for people: ``"coolant [degC]"``.
-        compiled: whether it is compiled, as :mod:`gateway.monitors.plain.compiled` can; it has one fault then.
+        compiled: whether it is compiled, as :mod:`gateway.monitors.plain.compilation` can; it has one fault then.
 
     Raises:
         InputError: what stands below is no such function or class, signals and arguments do not go together, or it

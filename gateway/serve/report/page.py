@@ -15,9 +15,9 @@ import numpy as np
 
 from gateway import __version__
 from gateway.common.jsonlines import line
-from gateway.faults.cases import MOST_NAMED
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.entries import Entry
+from gateway.faults.fault_groups import MOST_NAMED
 from gateway.faults.remedy import severity_names
 from gateway.faults.status import Status
 from gateway.faults.summary import UNTESTED, WHOLE, Answer, counted, in_lines

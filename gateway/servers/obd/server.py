@@ -18,9 +18,9 @@ from gateway.faults.status import Status
 from gateway.faults.store import StoreError
 from gateway.servers.application import Application
 from gateway.servers.authority import SESSIONLESS_ASKER, Authority
-from gateway.servers.obd.in_use import TRACKED, driven_pids, tracking
 from gateway.servers.obd.params import ObdParams
 from gateway.servers.obd.test_results import MonitorTests
+from gateway.servers.obd.usage import TRACKED, driven_pids, tracking
 from gateway.servers.tester_control import TesterControl
 
 #: Modes of J1979: identifiers below those of UDS.

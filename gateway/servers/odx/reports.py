@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from gateway.faults.explained import HOLDS, ROLES
+from gateway.faults.explanation import HOLDS, ROLES
 from gateway.faults.status import Status
 from gateway.servers.odx.data import Data, Served
 from gateway.servers.odx.dictionary import Dictionary, Param, const, value

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from gateway.faults.dtc import Dtc
 from gateway.faults.entries import Entry
-from gateway.faults.explained import HOLDS, ROLES
+from gateway.faults.explanation import HOLDS, ROLES
 
 
 def _clipped(value: int) -> bytes:

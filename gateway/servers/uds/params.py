@@ -7,8 +7,8 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from gateway.bus.frames import EXTENDED, ID_MASK
+from gateway.isotp.addressing import FUNCTIONAL, PlaceParams
 from gateway.isotp.params import IsoTpParams
-from gateway.isotp.place import FUNCTIONAL, PlaceParams
 from gateway.servers.access import Access
 from gateway.servers.uds.authentication import AuthenticationParams
 from gateway_fdi.common.tomlfile import StrictModel

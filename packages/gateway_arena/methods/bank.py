@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from gateway_arena.contract import SETTLE, Found, NotForThisPlantError, Plant, Record
-from gateway_arena.methods.accumulated import joined
+from gateway_arena.methods.cusum import joined
 from gateway_fdi import GatewayError
 from gateway_plants.linear.arrays import PiBank
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gateway_arena.contract import SAMPLES, Array, Plant, Record
 from gateway_arena.indexes import Bools
-from gateway_arena.methods.accumulated import settled
+from gateway_arena.methods.cusum import settled
 from gateway_arena.methods.structural import BANDWIDTH, GAIN_ERROR, MORE, OTHER, SMALL, Structural, apart
 from gateway_arena.score import diagnoses
 from gateway_fdi import analyse

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gateway_arena.contract import Array, Dynamics, Found, Plant, Record
-from gateway_arena.methods.accumulated import Accumulated, settled
+from gateway_arena.methods.cusum import Accumulated, settled
 
 #: Disturbance of each state per sample, as a share of its typical value: the likeliest of these is taken.
 SHARES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)

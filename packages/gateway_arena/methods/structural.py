@@ -9,7 +9,7 @@ import numpy as np
 
 from gateway_arena.contract import SAMPLES, Array, Found, NotForThisPlantError, Plant, Record
 from gateway_arena.indexes import Bools
-from gateway_arena.methods.accumulated import Accumulated, settled
+from gateway_arena.methods.cusum import Accumulated, settled
 from gateway_fdi import FAILED, PASSED, Component, Diagnoser, GatewayError, Link, Sized, Test, residuals
 
 #: Bandwidth of the residuals' filters, in samples; and the power that a test is believed to have.

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from gateway_arena.contract import Array, NotForThisPlantError, Plant, Record
-from gateway_arena.methods.extended import Equations
+from gateway_arena.methods.extended_kalman import Equations
 from gateway_arena.methods.structural import Structural
 from gateway_fdi import analyse
 from gateway_fdi.structure.generator.sources import load_source

@@ -32,7 +32,7 @@ from gateway.monitors.contract import (
 )
 from gateway.monitors.plain import calls
 from gateway_arena.monitor import runner
-from gateway_arena.monitor.kept import Kept, load, read
+from gateway_arena.monitor.fitted_file import Kept, load, read
 from gateway_arena.monitor.params import MOST_FAULTS, MOST_INPUTS, Params, PartParams
 from gateway_arena.score import NAMED
 from gateway_fdi.errors import InputError, named

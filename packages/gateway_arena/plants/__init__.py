@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway_arena.contract import Plant
 from gateway_arena.plants.gallery import GALLERY, GalleryPlant
-from gateway_arena.plants.solved import SOLVED, SolvedPlant
+from gateway_arena.plants.scipy_plant import SOLVED, SolvedPlant
 from gateway_arena.plants.tennessee import NAME as TENNESSEE
 from gateway_arena.plants.tennessee import TennesseePlant
 from gateway_arena.plants.turbo import TurboPlant

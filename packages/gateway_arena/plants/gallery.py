@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gateway_arena.contract import SAMPLES, Record, WithoutSlopes
-from gateway_arena.plants.solved import onset_of
+from gateway_arena.plants.scipy_plant import onset_of
 from gateway_fdi.structure.file import load_own_model
 from gateway_fdi.structure.simulation.plant import Course
 from gateway_fdi.structure.simulation.plant import Plant as Simulation

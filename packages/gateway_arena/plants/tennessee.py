@@ -11,7 +11,7 @@ from importlib.util import find_spec
 import numpy as np
 
 from gateway_arena.contract import SAMPLES, Record, WithoutSlopes
-from gateway_arena.plants.solved import onset_of
+from gateway_arena.plants.scipy_plant import onset_of
 from gateway_fdi.errors import InputError
 from gateway_fdi.structure.model import Model
 

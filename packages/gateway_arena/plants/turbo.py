@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gateway_arena.contract import SAMPLES, Array, Record, WithoutSlopes
-from gateway_arena.plants.solved import onset_of
+from gateway_arena.plants.scipy_plant import onset_of
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import f8, f8s, kernel, record, zeros
 from gateway_fdi.structure.file import load_model

@@ -31,7 +31,7 @@ from gateway_bench.cli.junit_scenario import of_findings, stopped
 from gateway_bench.cli.report import write_scenario
 from gateway_bench.cli.story import Story
 from gateway_bench.drive import drive
-from gateway_bench.playing import opened
+from gateway_bench.scenario_session import opened
 from gateway_bench.vecu.expectations import Finding, Judge, refuse_impossible
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario

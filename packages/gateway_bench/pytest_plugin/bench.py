@@ -14,8 +14,8 @@ from gateway.bus.frames import EXTENDED, FD, Frames, empty, put
 from gateway.common.trust import importable
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway_bench.playing import player_of
 from gateway_bench.pytest_plugin.wires import Inside, Outside, Wires, uris_of
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.contract import Truth
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario, located

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from gateway.monitors.conformance import accepted, checked_emission, connections
-from gateway.monitors.tryout import try_out
+from gateway.monitors.self_test import try_out
 from gateway_bench.pytest_plugin.bench import Bench
 from gateway_bench.pytest_plugin.can_log import CanLog
 from gateway_bench.pytest_plugin.dtcs import Dtcs

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from gateway.common.trust import runs_already
-from gateway_bench.pytest_plugin.attached import attach
+from gateway_bench.pytest_plugin.attachments import attach
 from gateway_bench.pytest_plugin.can_log import CanLog
 from gateway_bench.pytest_plugin.fixtures import buses_of, can_log, check_monitor, dtcs, gateway_bench, uds, virtual_ecu
 from gateway_bench.pytest_plugin.scenarios import ScenarioFile, is_scenario

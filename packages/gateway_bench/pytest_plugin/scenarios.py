@@ -13,7 +13,7 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway_bench.drive import judgeable
 from gateway_bench.pytest_plugin.fixtures import buses_of
-from gateway_bench.pytest_plugin.played import Played, inside, leave, on_buses
+from gateway_bench.pytest_plugin.scenario_run import Played, inside, leave, on_buses
 from gateway_bench.vecu.expectations import Finding
 from gateway_bench.vecu.scenario import Scenario, load_scenario
 from gateway_fdi.common.tomlfile import read_toml

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, Frames, empty
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.bits import mask_of
-from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.columns import limits
 from gateway.signals.database import Database
 from gateway.signals.protection.protection import Protection
+from gateway.signals.signal_access import ChangedMessage, ChangedSignal, words_of
 from gateway_bench.vecu.conditions import Condition, within
 from gateway_bench.vecu.contract import Truth
 from gateway_bench.vecu.databases import database_of

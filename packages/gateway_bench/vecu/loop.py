@@ -15,9 +15,9 @@ import numpy as np
 
 from gateway.bus.frames import EXTENDED, FD, Frames, empty, put
 from gateway.signals.bits import mask_of
-from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.database import Database
 from gateway.signals.protection.protection import Protection
+from gateway.signals.signal_access import ChangedMessage, ChangedSignal, words_of
 from gateway_bench.vecu.conditions import Condition, within
 from gateway_bench.vecu.contract import Run, Truth
 from gateway_bench.vecu.databases import database_of

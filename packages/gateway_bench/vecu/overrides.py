@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.bus.frames import Frames
-from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.columns import limits
+from gateway.signals.signal_access import ChangedMessage, ChangedSignal, words_of
 from gateway_bench.vecu.harness import Sender
 from gateway_fdi.errors import InputError, named
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from gateway.bus.frames import Frames, empty
 from gateway.signals.database import Database
-from gateway.signals.protection.own import own_protection
+from gateway.signals.protection.default_profile import own_protection
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
-from gateway_bench.vecu.conditional import Placed, plant_faults, resolved
 from gateway_bench.vecu.contract import EcuParams, Run, Running, Truth
 from gateway_bench.vecu.databases import database_of
+from gateway_bench.vecu.fault_conditions import Placed, plant_faults, resolved
 from gateway_bench.vecu.harness import Harness, Sender
 from gateway_bench.vecu.message_faults import MessageFault
 from gateway_bench.vecu.overrides import Overrides

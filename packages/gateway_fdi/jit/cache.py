@@ -2,7 +2,8 @@
 
 A file is written under another name and then renamed, and begins with the digest of the rest: two processes may write
 at once, and one that is cut off or changed is seen. A cache that cannot be read or written costs time, never more; the
-reason is said once. Files that another user wrote, or could have written, are not used (:mod:`gateway_fdi.jit.owned`).
+reason is said once. Files that another user wrote, or could have written, are not used
+(:mod:`gateway_fdi.jit.ownership`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway_fdi.common import progress
-from gateway_fdi.jit.owned import foreign, read_own, write_own
+from gateway_fdi.jit.ownership import foreign, read_own, write_own
 from gateway_fdi.jit.settings import cache_directory
 
 _MAGIC = b"gateway kernel 2\n"

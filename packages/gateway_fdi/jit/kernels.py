@@ -40,8 +40,8 @@ from gateway_fdi.jit.forms import (
 )
 from gateway_fdi.jit.intrinsics import PYTHON_ENTRIES, call_entry
 from gateway_fdi.jit.records import record_at
-from gateway_fdi.jit.refused import refuse
 from gateway_fdi.jit.settings import BOUNDSCHECK, BUILDING, COMPILED, MAY_COMPILE, USE_SHIPPED
+from gateway_fdi.jit.unsupported_code import refuse
 
 F = TypeVar("F", bound=Callable[..., Any])
 

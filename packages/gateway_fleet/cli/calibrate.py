@@ -16,9 +16,9 @@ from rich.table import Table
 
 from gateway.bus.corpus import find
 from gateway.calibration import cusum, plants, sensors, stopping
+from gateway.calibration.configuration import Found, Targets, anything, as_dict, calibrate, keep
 from gateway.calibration.earlier import load_afresh
 from gateway.calibration.logs import refuse
-from gateway.calibration.whole import Found, Targets, anything, as_dict, calibrate, keep
 from gateway.cli.present import print_json, say, wide_console
 from gateway.cli.study import headed, tabulate
 from gateway.common.extras import need

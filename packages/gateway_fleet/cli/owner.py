@@ -22,7 +22,7 @@ BROKER_S = 20.0
 def fleet_signer(path: Path) -> int:
     """Make a key that signs; returns the exit code."""
     need("car", "signatures")
-    from gateway_fleet.live.signed import new_private  # noqa: PLC0415 - of an extra
+    from gateway_fleet.live.signed_documents import new_private  # noqa: PLC0415 - of an extra
 
     print(new_private(path))
     say(f"{path}: the private key; the line above is the public one")
@@ -34,7 +34,7 @@ def fleet_sign(file: Path, key: Path, out: Path) -> int:
     need("car", "signatures")
     from gateway_fdi.common.tomlfile import load, read_toml  # noqa: PLC0415 - of an extra
     from gateway_fleet.live.campaign import Campaign  # noqa: PLC0415
-    from gateway_fleet.live.signed import CAMPAIGN, KEYS, Keyring, private_of, sign  # noqa: PLC0415
+    from gateway_fleet.live.signed_documents import CAMPAIGN, KEYS, Keyring, private_of, sign  # noqa: PLC0415
 
     kind = KEYS if "root" in read_toml(file) else CAMPAIGN
     load(file, Keyring if kind == KEYS else Campaign)
@@ -55,7 +55,7 @@ def fleet_publish(file: Path, broker: str, **by: Any) -> int:
     need("car", "signatures")
     from gateway.serve.broker import BrokerLink  # noqa: PLC0415 - of an extra
     from gateway_fdi.common.tomlfile import parse_toml  # noqa: PLC0415
-    from gateway_fleet.live.signed import content_of  # noqa: PLC0415
+    from gateway_fleet.live.signed_documents import content_of  # noqa: PLC0415
 
     document = file.read_bytes()
     tables = parse_toml(content_of(document), file)
@@ -84,7 +84,7 @@ def fleet_next(file: Path, folder: Path, key: Path, out: Path, *, least_hours: f
     from gateway_fdi.common.tomlfile import parse_toml, validate  # noqa: PLC0415 - of an extra
     from gateway_fleet.live.answers import Answers  # noqa: PLC0415
     from gateway_fleet.live.campaign import Campaign, next_stage  # noqa: PLC0415
-    from gateway_fleet.live.signed import CAMPAIGN, content_of, private_of, sign, told  # noqa: PLC0415
+    from gateway_fleet.live.signed_documents import CAMPAIGN, content_of, private_of, sign, told  # noqa: PLC0415
 
     campaign = validate(parse_toml(content_of(file.read_bytes()), file), Campaign, file)
     stage, why = next_stage(campaign, Answers(folder).by_limits(), least_hours)

@@ -19,10 +19,10 @@ from typing import Any
 from gateway.bus.corpus import DIGITS, Recording
 from gateway.bus.log_source import CutOffError
 from gateway.calibration import cusum, plants, sensors, stopping
+from gateway.calibration.configuration import Found, Targets
 from gateway.calibration.earlier import load_afresh
 from gateway.calibration.logs import Chosen, NothingToLearnError, Progress, Reading, of_kind
 from gateway.calibration.part import Part, load, save
-from gateway.calibration.whole import Found, Targets
 from gateway.common.pool import Pool, Workers
 from gateway.config.model import Config
 from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration

@@ -30,9 +30,9 @@ from gateway.common.jsonlines import line
 from gateway.common.trust import file_of
 from gateway.config.load import load_config
 from gateway.config.model import Config
-from gateway.faults.cases import named
 from gateway.faults.dtc import Dtc
-from gateway.faults.explained import Cause
+from gateway.faults.explanation import Cause
+from gateway.faults.fault_groups import named
 from gateway.faults.records import Record
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway

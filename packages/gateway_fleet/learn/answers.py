@@ -19,12 +19,12 @@ from gateway.config.load import load_config
 from gateway.config.resolve import answer_buses
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.document import BusAsked, EcuAsked, relative
+from gateway_fleet.learn.limit_relaxation import asks
 from gateway_fleet.learn.limits import signal_lines
 from gateway_fleet.learn.lines import CHECK, HEALTH, Learned, Line
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound
 from gateway_fleet.learn.ranges import Shown
-from gateway_fleet.learn.widen import asks
 
 #: Keys of a bus that learning has itself.
 _OF_BUS = ("name", "uri", "database", "match", "codes")

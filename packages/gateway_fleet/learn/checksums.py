@@ -17,7 +17,7 @@ from gateway.signals.protection.rules import RULES
 from gateway_fleet.learn.claims import RIGHT, Claim, called_checksum, covered, fitting, owned, proven
 from gateway_fleet.learn.counters import CounterFound, signal_of
 from gateway_fleet.learn.crcs import crcs
-from gateway_fleet.learn.judged import Payloads, judged
+from gateway_fleet.learn.protection_check import Payloads, judged
 
 Keys = dict[str, Any]
 

@@ -19,8 +19,8 @@ from gateway.signals.payloads import bits_of
 from gateway.signals.protection.checksum import LIST
 from gateway_fleet.learn.claims import fitting
 from gateway_fleet.learn.counters import CounterFound, signal_of
-from gateway_fleet.learn.judged import Payloads, judged
 from gateway_fleet.learn.polynomials import polynomial_of, solved
+from gateway_fleet.learn.protection_check import Payloads, judged
 
 Keys = dict[str, Any]
 

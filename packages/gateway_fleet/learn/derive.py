@@ -14,17 +14,17 @@ from gateway.signals.database import Database
 from gateway.signals.decode import of_a_tester
 from gateway_fleet.learn import limits
 from gateway_fleet.learn.answers import NOTHING, absent_lines, answer_lines, answer_notes
-from gateway_fleet.learn.belonging import strangers
+from gateway_fleet.learn.database_match import strangers
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.findings import findings
 from gateway_fleet.learn.gaps import cycle_ns
-from gateway_fleet.learn.grip import grip_lines
+from gateway_fleet.learn.lateral_limits import grip_lines
 from gateway_fleet.learn.lines import HEALTH, Learned, Line
-from gateway_fleet.learn.moves import drives
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound, joined, protection_found
 from gateway_fleet.learn.ranges import Shown, is_careful
 from gateway_fleet.learn.rules import rule_lines
+from gateway_fleet.learn.stuck_detection import drives
 from gateway_fleet.learn.tails import FALSE_PER_HOUR, Rate
 from gateway_fleet.learn.unknown import with_counter, with_signals
 

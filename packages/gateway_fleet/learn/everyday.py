@@ -17,9 +17,9 @@ from gateway.config.model import Config
 from gateway.engine.depends.parts import Network
 from gateway.runtime.assemble import Parts
 from gateway.runtime.injection import Injection, Injector
-from gateway.signals.changing import ChangedMessage, ChangedSignal
 from gateway.signals.protection.params import protection_for
 from gateway.signals.protection.protection import Protection
+from gateway.signals.signal_access import ChangedMessage, ChangedSignal
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter
 from gateway_fleet.learn.course import MOST_VALUES

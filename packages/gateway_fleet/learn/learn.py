@@ -20,6 +20,7 @@ from gateway.signals.database import Database
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.derive import derive
 from gateway_fleet.learn.document import BusAsked, document
+from gateway_fleet.learn.limit_relaxation import owner, widened
 from gateway_fleet.learn.lines import CHECK, HEALTH, RULE, SIGNAL, Learned, inline
 from gateway_fleet.learn.merge import merged
 from gateway_fleet.learn.observe import Observation, Observer
@@ -29,7 +30,6 @@ from gateway_fleet.learn.tails import FALSE_PER_HOUR
 from gateway_fleet.learn.trial import Outcome, Trials, tried
 from gateway_fleet.learn.unknown import database_path, database_text
 from gateway_fleet.learn.update import add_before, dropped, read_file
-from gateway_fleet.learn.widen import owner, widened
 
 #: How often a limit is widened before it is taken out, and how often the configuration is replayed at most.
 WIDENED, ROUNDS = 3, 8

@@ -22,11 +22,11 @@ from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter, signal_of
 from gateway_fleet.learn.course import Course
 from gateway_fleet.learn.lines import CHECK, SIGNAL, Learned, Line, short, shown
-from gateway_fleet.learn.moves import Drives, moving
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound
 from gateway_fleet.learn.ranges import SWINGS, Shown, database_range, range_of, representable, waiting
 from gateway_fleet.learn.standards import standard
+from gateway_fleet.learn.stuck_detection import Drives, moving
 from gateway_fleet.learn.unknown import SHOWN
 
 #: A share of lost frames that is reported.

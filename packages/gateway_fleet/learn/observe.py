@@ -13,7 +13,7 @@ from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames, have_data
-from gateway.clients.woven import woven_of
+from gateway.clients.reassembly import woven_of
 from gateway.config.model import Config
 from gateway.monitors.signal.parts import no_value
 from gateway.signals.database import Database
@@ -23,8 +23,8 @@ from gateway.signals.tables import compile_plan
 from gateway_fleet.learn import observers
 from gateway_fleet.learn.course import Courses
 from gateway_fleet.learn.gaps import WAKE_MS, Gaps
-from gateway_fleet.learn.judged import Payloads
 from gateway_fleet.learn.pauses import Pauses, tell_wakes
+from gateway_fleet.learn.protection_check import Payloads
 from gateway_fleet.learn.samples import Samples
 from gateway_fleet.learn.snapshots import Snapshots
 from gateway_fleet.learn.unknown import MOST, message_of

@@ -20,8 +20,8 @@ from gateway.signals.protection.e2e import PROFILES
 from gateway.signals.protection.params import ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
 from gateway_fleet.learn.claims import Claim, proven
-from gateway_fleet.learn.judged import Payloads, judged
 from gateway_fleet.learn.polynomials import solved
+from gateway_fleet.learn.protection_check import Payloads, judged
 
 Keys = dict[str, Any]
 

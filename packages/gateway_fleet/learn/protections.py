@@ -18,8 +18,8 @@ from gateway_fdi.errors import InputError
 from gateway_fleet.learn.checksums import any_claim, nearly, rivals, rule_claim
 from gateway_fleet.learn.claims import Claim, called_checksum, proven
 from gateway_fleet.learn.counters import CounterFound, candidates, likelier, of_raw
-from gateway_fleet.learn.judged import Payloads
 from gateway_fleet.learn.profiles import e2e_claim
+from gateway_fleet.learn.protection_check import Payloads
 
 #: Different frames that a rule is looked for in, and that it is proven on, at most.
 MOST_FOUND_WITH, MOST_PROOF = 256, 4096

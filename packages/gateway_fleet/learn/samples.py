@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway_fleet.learn.judged import Payloads
+from gateway_fleet.learn.protection_check import Payloads
 
 #: Frames of one run, and runs of a message, at most.
 RUN, RUNS = 512, 16

@@ -17,7 +17,7 @@ from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.signals.bits import field_at, field_of, mask_of
 from gateway.signals.payloads import bits_of
 from gateway_fleet.learn.counters import WRAPS, of_raw
-from gateway_fleet.learn.judged import Payloads
+from gateway_fleet.learn.protection_check import Payloads
 
 #: Identifiers of one log that are looked at; others are counted.
 MOST = 1000

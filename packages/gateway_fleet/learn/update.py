@@ -9,10 +9,10 @@ from typing import Any
 
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.document import BusAsked
+from gateway_fleet.learn.limit_relaxation import asks
 from gateway_fleet.learn.lines import CAUSE, CHECK, HEALTH, RULE, SIGNAL, Learned, Line, short
 from gateway_fleet.learn.merge import File, of_a_person, read
 from gateway_fleet.learn.state import Kept, Refused
-from gateway_fleet.learn.widen import asks
 
 
 def read_file(out: Path) -> File:

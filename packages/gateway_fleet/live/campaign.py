@@ -18,7 +18,7 @@ from gateway.config.limits import Limit
 from gateway.faults.fleet import NAME, FleetParams
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError
-from gateway_fleet.live.signed import CAMPAIGN, Keyring, is_over, opened
+from gateway_fleet.live.signed_documents import CAMPAIGN, Keyring, is_over, opened
 
 #: Shares of the fleet, one after the other.
 SHARES = (0.01, 0.1, 1.0)

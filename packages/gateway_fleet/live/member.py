@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.config.model import Config
-from gateway.faults.opened import OpenedMemory
+from gateway.faults.memory_reader import OpenedMemory
 from gateway.serve.link import Refused
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError, InputError

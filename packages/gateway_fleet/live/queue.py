@@ -11,7 +11,7 @@ from typing import Any
 from gateway.common.jsonlines import line
 from gateway.faults.fleet import FleetParams
 from gateway.faults.lock import InUseError
-from gateway.faults.opened import OpenedMemory
+from gateway.faults.memory_reader import OpenedMemory
 from gateway.faults.outgoing import Outgoing, Tally
 from gateway.faults.records import Changes
 from gateway.faults.store import Store

@@ -20,7 +20,7 @@ from gateway.monitors.contract import FAILED
 from gateway_fdi.detectors import numbers
 from gateway_fdi.errors import InputError, as_input
 from gateway_fdi.jit import kernel, zeros
-from gateway_plants.crank.monitor import adaptive, place
+from gateway_plants.crank.monitor import adaptive, sync_state
 from gateway_plants.crank.monitor.faults import FAULTS
 from gateway_plants.crank.monitor.monitor import MONITOR, Params
 from gateway_plants.crank.wheel import Wheel
@@ -62,7 +62,7 @@ def track(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: An
     n = k = 0
     while k < y.shape[0]:
         taken = adaptive.regular(s, c, y, k, y.shape[0])
-        told = s.placed > place.NOT_TOLD
+        told = s.placed > sync_state.NOT_TOLD
         for j in range(taken):
             teeth[k + j] = s.index - taken + 1 + j
             proven[k + j] = told
@@ -70,8 +70,8 @@ def track(s: Any, c: Any, out: Any, y: Any, teeth: Any, proven: Any, reports: An
         if k < y.shape[0]:
             out.n = 0
             adaptive.tooth(s, c, y[k], out)
-            teeth[k] = s.index if s.phase != place.SEARCHING else -1
-            proven[k] = place.proven(s)
+            teeth[k] = s.index if s.phase != sync_state.SEARCHING else -1
+            proven[k] = sync_state.proven(s)
             k += 1
             n = collect(out, n, k, reports)
     return n
@@ -115,8 +115,12 @@ class CrankWheel:
         with as_input("wheel", wheel):
             self._wheel = Wheel.parse(wheel)
             p = Params(wheel=self._wheel, acceleration=acceleration, runout=runout, reversal_rpm=reversal_rpm)
-        self._s, self._c, self._out = zeros(1, place.State)[0], zeros(1, place.Const)[0], zeros(1, MONITOR.results)[0]
-        place.prepare(self._s, self._c, self._wheel, p.acceleration, p.runout, p.reversal_rpm)
+        self._s, self._c, self._out = (
+            zeros(1, sync_state.State)[0],
+            zeros(1, sync_state.Const)[0],
+            zeros(1, MONITOR.results)[0],
+        )
+        sync_state.prepare(self._s, self._c, self._wheel, p.acceleration, p.runout, p.reversal_rpm)
         self._last_s: float | None = None
 
     def __repr__(self) -> str:
@@ -125,7 +129,7 @@ class CrankWheel:
     @property
     def synchronised(self) -> bool:
         """Whether the place on the wheel is proven."""
-        return bool(place.proven(self._s))
+        return bool(sync_state.proven(self._s))
 
     def run(self, times_s: ArrayLike) -> Teeth:
         """Take the times of pulses.

@@ -11,7 +11,7 @@ from gateway.cli.present import print_json
 from gateway_fdi.errors import InputError
 from gateway_plants.crank.ecu.capture import read_capture
 from gateway_plants.crank.ecu.tooth_frames import Format, tooth_frames
-from gateway_plants.crank.wheel_told import data, see, told
+from gateway_plants.crank.wheel_report import data, see, told
 
 
 def convert_teeth(capture: Path, log: Path, *, channel: str, edge: str, frame: str, json: bool) -> int:

@@ -9,5 +9,5 @@ PLUGIN = Plugin(
         "evaluate crank": "gateway_plants.crank.cli:evaluate_crank",
         "convert teeth": "gateway_plants.crank.cli:convert_teeth",
     },
-    observers={"teeth": "gateway_plants.crank.teeth_seen:Teeth"},
+    observers={"teeth": "gateway_plants.crank.tooth_log:Teeth"},
 )

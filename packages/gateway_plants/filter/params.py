@@ -7,7 +7,7 @@ from typing import Annotated, Literal, NoReturn
 from pydantic import Field
 
 from gateway.monitors.contract import MonitorParams, Signal
-from gateway.monitors.plain.written import signal
+from gateway.monitors.plain.signature import signal
 from gateway.monitors.sampling import Sampling
 from gateway_fdi.errors import InputError
 from gateway_plants.filter.kernel import MOST, WINDOW

@@ -17,7 +17,7 @@ from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import zeros
 from gateway_plants.crank.ecu.kinematics import cam_edges, tooth_times
 from gateway_plants.crank.ecu.tooth_frames import cam_frames, tooth_frames
-from gateway_plants.crank.monitor import MONITOR, place
+from gateway_plants.crank.monitor import MONITOR, sync_state
 from gateway_plants.crank.monitor.faults import FAULTS
 from gateway_plants.crank.monitor.monitor import Params, _facts, sure_rpm
 from gateway_plants.crank.study.follow import follower
@@ -138,9 +138,9 @@ def test_of_few_pulses_each_pitch_may_be_half_a_wave_of_the_ripple(wheel):
 
     Orders of a turn cannot be told from each other there: none is learned.
     """
-    state, const = zeros(1, place.State)[0], zeros(1, place.Const)[0]
-    place.prepare(state, const, Wheel.parse(wheel), 3000.0, 0.04, 30.0)
-    assert const.ripple == pytest.approx(2 * np.pi * place.RIPPLE)
+    state, const = zeros(1, sync_state.State)[0], zeros(1, sync_state.Const)[0]
+    sync_state.prepare(state, const, Wheel.parse(wheel), 3000.0, 0.04, 30.0)
+    assert const.ripple == pytest.approx(2 * np.pi * sync_state.RIPPLE)
     assert const.wheel.orders == 0
 
 
@@ -229,10 +229,10 @@ def test_another_wheel_is_told(told, real, cam, gap):
 
 def test_a_few_pulses_prove_their_place_only_where_no_ripple_can_make_it():
     """Of 1 : 1.3 a ripple of order 1 of 14 % shows as much; of 1 : 3 none at all."""
-    assert place.proof_rpm(Wheel.parse("1,3")) == 1.0
-    assert place.proof_rpm(Wheel.parse("24-1")) == 1.0
+    assert sync_state.proof_rpm(Wheel.parse("1,3")) == 1.0
+    assert sync_state.proof_rpm(Wheel.parse("24-1")) == 1.0
     wheel = Wheel.parse("1,1.3")
-    slow, fast = 0.9 * place.proof_rpm(wheel), 1.1 * place.proof_rpm(wheel)
+    slow, fast = 0.9 * sync_state.proof_rpm(wheel), 1.1 * sync_state.proof_rpm(wheel)
     for rpm, proven in ((slow, False), (fast, True)):
         found = follower("adaptive", wheel)(rippled(wheel, rpm, 80, np.random.default_rng(2), [(2.0, 0.01, 0.0)]))
         assert bool(found.proven.any()) == proven

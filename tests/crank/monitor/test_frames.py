@@ -18,7 +18,7 @@ from gateway_plants.crank.ecu.tooth_frames import tooth_frames
 from gateway_plants.crank.monitor import MONITOR
 from gateway_plants.crank.monitor.faults import FAULTS
 from gateway_plants.crank.monitor.monitor import Params
-from gateway_plants.crank.monitor.place import CONFIRMED
+from gateway_plants.crank.monitor.sync_state import CONFIRMED
 from gateway_plants.crank.study.cases import healthy
 from gateway_plants.crank.wheel import Wheel
 

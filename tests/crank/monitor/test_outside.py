@@ -20,7 +20,7 @@ from gateway.cli import app
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import COMPILED, zeros
 from gateway_plants.crank.ecu.kinematics import tooth_times
-from gateway_plants.crank.monitor import MONITOR, place
+from gateway_plants.crank.monitor import MONITOR, sync_state
 from gateway_plants.crank.monitor.faults import FAULTS
 from gateway_plants.crank.study.follow import follower
 from gateway_plants.crank.wheel import Wheel
@@ -148,10 +148,10 @@ def test_a_gap_that_is_not_as_long_as_the_wheel_says_leaves_turns_to_learn_from(
     """Real sensors show the gap longer or shorter, and the tooth behind it early: the turn is decided a pulse later."""
     w = Wheel.parse("60-2")
     times, _ = train(f"0.9,56*1,{gap}", 800.0, 40, [27], [(2, 0.05, 0.0)])
-    state, const, out = zeros(1, place.State), zeros(1, place.Const), zeros(1, MONITOR.results)
-    place.prepare(state[0], const[0], w, 3000.0, 0.04, 30.0)
+    state, const, out = zeros(1, sync_state.State), zeros(1, sync_state.Const), zeros(1, MONITOR.results)
+    sync_state.prepare(state[0], const[0], w, 3000.0, 0.04, 30.0)
     assert tracked(state[0], const[0], out[0], np.diff(times)) == 0
-    assert state[0].phase == place.CONFIRMED
+    assert state[0].phase == sync_state.CONFIRMED
     assert state[0].profile.turns >= 10
     assert abs(state[0].speed_rpm - 800.0) < 8.0
 

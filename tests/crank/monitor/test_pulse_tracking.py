@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tracked import tracked
 
 from gateway_fdi.jit import COMPILED, zeros
-from gateway_plants.crank.monitor import MONITOR, adaptive, place
+from gateway_plants.crank.monitor import MONITOR, adaptive, sync_state
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import WINDOW, Search, seek
 from gateway_plants.crank.pulse_tracking.hypotheses import take
@@ -133,8 +133,8 @@ def test_hypotheses_never_exceed_their_room():
 def test_ripple_learned_at_another_speed_is_brought_to_this_one():
     """10 % ripple while cranking, none at twice the speed: a quarter is believed at once, then less."""
     wheel = Wheel.parse("36-1")
-    state, const = zeros(1, place.State), zeros(1, place.Const)
-    place.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
+    state, const = zeros(1, sync_state.State), zeros(1, sync_state.Const)
+    sync_state.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
     pr, wh, pitches = state[0]["profile"], const[0]["wheel"], state[0]["tracker"]["pitches"]
     if not COMPILED:
         pr, wh = state[0].profile, const[0].wheel
@@ -174,8 +174,8 @@ def test_regular_pulses_in_a_run_are_what_they_are_one_by_one():
     y = np.tile(wheel.pitches, 20) * 350.0 * (1 + 0.01 * rng.normal(size=58 * 20))
     ends = []
     for longest in (1, 4, 27, len(y)):
-        state, const, out = zeros(1, place.State), zeros(1, place.Const), zeros(1, MONITOR.results)
-        place.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
+        state, const, out = zeros(1, sync_state.State), zeros(1, sync_state.Const), zeros(1, MONITOR.results)
+        sync_state.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
         k = regular = 0
         while k < len(y):
             taken = adaptive.regular(state[0], const[0], y, k, min(k + longest, len(y)))
@@ -195,8 +195,8 @@ def test_regular_pulses_in_a_run_are_what_they_are_one_by_one():
 def test_what_the_profile_says_of_the_wheel_is_what_its_pitches_say():
     """The tooth that is off most, the scatter of the others, the orders of the ripple: by numpy."""
     wheel = Wheel.parse("60-2")
-    state, const = zeros(1, place.State), zeros(1, place.Const)
-    place.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
+    state, const = zeros(1, sync_state.State), zeros(1, sync_state.Const)
+    sync_state.prepare(state[0], const[0], wheel, 3000.0, 0.04, 30.0)
     pr, wh = state[0].profile, const[0].wheel
     pitches = np.array(wheel.pitches)
     middle = 2 * np.pi * (np.array(wheel.positions) + pitches / 2) / wheel.turn

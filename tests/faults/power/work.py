@@ -18,11 +18,11 @@ from fault_examples import catalogue, event, frame  # noqa: E402
 from journalled import Bus, putter  # noqa: E402
 
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED  # noqa: E402
-from gateway.faults.beside import WriterThread  # noqa: E402
-from gateway.faults.kept import KeptStore  # noqa: E402
 from gateway.faults.memory import FaultMemory  # noqa: E402
 from gateway.faults.records import Recording  # noqa: E402
+from gateway.faults.resilient_store import KeptStore  # noqa: E402
 from gateway.faults.status import CLEARED  # noqa: E402
+from gateway.faults.writer_thread import WriterThread  # noqa: E402
 
 COUNT = 4
 

@@ -56,7 +56,7 @@ def changes():
         )  # fmt: skip
         known["interventions"] = {1: made}
     if (Path(records.__file__).parent / "explained.py").exists():
-        from gateway.faults.explained import Cause, Ranked
+        from gateway.faults.explanation import Cause, Ranked
 
         known["records"][1].cause = Cause("cause", (Ranked(("signal m.M.A",), 0.97),), "m.f1", "P0301-11", 2001)
     return known, cycle

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gateway_fdi.isolation import followed, machine, table
+from gateway_fdi.isolation import fault_size, machine, table
 from gateway_fdi.jit import zeros
 from gateway_fdi.masks import pack, unpack
 from tests.support.amount import examples
@@ -244,12 +244,14 @@ def test_nothing_is_ever_named_that_does_not_explain_what_has_fired(seed):
 
 
 def test_a_suspect_is_confirmed_doubted_or_gone():
-    s = zeros(1, followed.State)[0]
-    assert [followed.follow(s, False, False, 3, 2) for _ in range(4)] == [followed.STANDS] * 3 + [followed.DOUBTED]
-    followed.begin(s)
-    assert followed.follow(s, True, False, 3, 2) == followed.STANDS
-    assert [followed.follow(s, False, False, 3, 2) for _ in range(9)] == [followed.STANDS] * 9, "confirmed stays"
-    assert [followed.follow(s, False, small, 3, 2) for small in (True, False, True, True)] == [
-        *[followed.STANDS] * 3,
-        followed.GONE,
+    s = zeros(1, fault_size.State)[0]
+    assert [fault_size.follow(s, False, False, 3, 2) for _ in range(4)] == [fault_size.STANDS] * 3 + [
+        fault_size.DOUBTED
+    ]
+    fault_size.begin(s)
+    assert fault_size.follow(s, True, False, 3, 2) == fault_size.STANDS
+    assert [fault_size.follow(s, False, False, 3, 2) for _ in range(9)] == [fault_size.STANDS] * 9, "confirmed stays"
+    assert [fault_size.follow(s, False, small, 3, 2) for small in (True, False, True, True)] == [
+        *[fault_size.STANDS] * 3,
+        fault_size.GONE,
     ]

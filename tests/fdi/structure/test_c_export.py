@@ -14,7 +14,7 @@ from residual_runner import Runner
 from gateway_fdi.structure.analysis import analyse
 from gateway_fdi.structure.generator.c_code import c_source
 from gateway_fdi.structure.generator.loading import residual_generator
-from gateway_fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.generator.solver import NotSolvableError
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
 

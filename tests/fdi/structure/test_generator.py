@@ -18,7 +18,7 @@ from gateway_fdi.structure.generator import budget
 from gateway_fdi.structure.generator.code import write
 from gateway_fdi.structure.generator.loading import load, residual_generator
 from gateway_fdi.structure.generator.realisation import realise
-from gateway_fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.generator.solver import NotSolvableError
 from gateway_fdi.structure.model import Equation, Loop, Model, Quantity, Solvable, differential
 from gateway_fdi.structure.relation import Relation
 

@@ -15,7 +15,7 @@ from gateway_fdi.errors import InputError, InputErrors
 from gateway_fdi.jit import zeros
 from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.generator.loading import residual_generator
-from gateway_fdi.structure.generator.solving import solve
+from gateway_fdi.structure.generator.solver import solve
 from gateway_fdi.structure.generator.symbols import Symbols
 from gateway_fdi.structure.model import Equation, Loop, Model, ResidualChoice, Solvable
 from gateway_fdi.structure.relation import Expression, Relation

@@ -10,7 +10,7 @@ from residual_runner import Runner, close
 
 from gateway_fdi.structure.generator.loading import residual_generator
 from gateway_fdi.structure.generator.realisation import realise
-from gateway_fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.generator.solver import NotSolvableError
 from gateway_fdi.structure.model import Equation, Model, Solvable
 from gateway_fdi.structure.relation import Relation
 

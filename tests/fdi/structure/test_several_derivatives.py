@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from gateway_fdi.structure.analysis import analyse
 from gateway_fdi.structure.generator.loading import residual_generator
 from gateway_fdi.structure.generator.realisation import realise
-from gateway_fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.generator.solver import NotSolvableError
 from gateway_fdi.structure.isolability import isolability_of_model
 from gateway_fdi.structure.mtes import find_mtes
 

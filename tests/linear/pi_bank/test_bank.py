@@ -8,7 +8,7 @@ from gateway_fdi.jit import COMPILED, zeros
 from gateway_plants.linear.ecu.params import LinearFault
 from gateway_plants.linear.ecu.plant import simulate
 from gateway_plants.linear.mathematics.plant import discretised
-from gateway_plants.linear.pi_bank import bank, isolation, jump, start
+from gateway_plants.linear.pi_bank import bank, glr, isolation, start
 from gateway_plants.linear.pi_bank.design import Noise, augmented, check, design
 from gateway_plants.linear.pi_bank.masking import masked, stationary
 from gateway_plants.linear.study import example
@@ -126,7 +126,7 @@ def test_stationary_gains_and_masked_regions_are_the_note_s():
 
 
 @pytest.mark.parametrize("age", [1, 5, 20])
-@pytest.mark.parametrize("phase", range(jump.PHASES))
+@pytest.mark.parametrize("phase", range(glr.PHASES))
 def test_a_jump_is_found_where_and_as_large_as_it_was(age, phase):
     """Innovations of each observer as its own error equation makes them, without noise."""
     s, c = records(1.0, known=True)
@@ -136,22 +136,22 @@ def test_a_jump_is_found_where_and_as_large_as_it_was(age, phase):
         rows = [j for j in range(3) if j != observer.left_out]
         left = np.hstack([PLANT.c[rows], np.zeros((len(rows), 2))])
         f, late = phi - observer.gain.gain @ left, np.vstack([np.zeros((4, 2)), np.eye(2)])
-        theta = phase / jump.PHASES
+        theta = phase / glr.PHASES
         error = (1 - theta) * late @ size
         x = s["jump"]
         x["kept"], x["at"] = 30, 7
         x["r"][k] = 0.0
         for d in range(age + 1):
-            x["r"][k][(7 - age + d) % jump.WINDOW][rows] = left @ error
+            x["r"][k][(7 - age + d) % glr.WINDOW][rows] = left @ error
             error = f @ error + (theta * late @ size if d == 0 else 0.0)
-        assert jump.search(x, c["jump"], o, k)
+        assert glr.search(x, c["jump"], o, k)
         if age > 1:  # one sample alone cannot tell the share
             assert (x["age"][k], x["phase"][k]) == (age, phase)
             assert x["left"][k] < 1e-2
-            jump.begin(x, c["jump"], o, k)
+            glr.begin(x, c["jump"], o, k)
             e = np.zeros((bank.BANK, bank.MOST_OUTPUTS))
             e[k] = x["r"][k][7]
-            jump.learn(x, c["jump"], o, k, e)
+            glr.learn(x, c["jump"], o, k, e)
             np.testing.assert_allclose(x["a"][k][:2], size, atol=2e-3 if age > 5 else 0.03)
 
 
@@ -325,8 +325,8 @@ def test_a_jump_of_one_sensor_more_is_found(begun):
             energy = 0.0
             for d in range(begun + 1):
                 r = offset - left @ moved
-                x["r"][k][(5 - begun + d) % jump.WINDOW][rows] = r
+                x["r"][k][(5 - begun + d) % glr.WINDOW][rows] = r
                 energy += r @ weight @ r
                 moved = (phi - observer.gain.gain @ left) @ moved + observer.gain.gain @ offset
             # It takes all of it; of the sensor that the observer does not take nothing is said.
-            assert jump.other_sensor(x, c["jump"], o, k) == pytest.approx(energy, rel=1e-9)
+            assert glr.other_sensor(x, c["jump"], o, k) == pytest.approx(energy, rel=1e-9)

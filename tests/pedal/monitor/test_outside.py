@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from amount import FULL, amount
 
-from gateway_bench.wire.replayed import config_of, through
+from gateway_bench.wire.replay import config_of, through
 from gateway_fdi.jit import COMPILED
 from gateway_plants.pedal.study.outside import faults as cases
 from gateway_plants.pedal.study.outside import roads, sensors

@@ -6,7 +6,7 @@ from amount import FULL, amount
 from steering import bus
 from steering.drive import Machine, drive, told
 
-from gateway_bench.wire.replayed import config_of, through
+from gateway_bench.wire.replay import config_of, through
 from gateway_fdi.errors import GatewayError
 from gateway_fdi.jit import COMPILED
 

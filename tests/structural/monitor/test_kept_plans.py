@@ -12,7 +12,7 @@ from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import cache, cache_directory
-from gateway_plants.structural.monitor import kept
+from gateway_plants.structural.monitor import plan_cache
 from gateway_plants.structural.monitor.plan import as_dict, from_dict
 
 MOTOR = shipped("models/motor.toml").read_bytes()
@@ -21,7 +21,7 @@ MOTOR = shipped("models/motor.toml").read_bytes()
 LOADS = """
 import sys
 from pathlib import Path
-from gateway.common.postponed import postpone
+from gateway.common.lazy_modules import postpone
 postpone()
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
@@ -72,12 +72,12 @@ def test_what_is_damaged_is_made_again(tmp_path, folder):
 def test_the_key_is_all_that_it_is_made_of(monkeypatch):
     asked = {"tests": "auto", "causality": "integral"}
     keys = {
-        kept.key_of(MOTOR, asked),
-        kept.key_of(MOTOR + b"\n", asked),
-        kept.key_of(MOTOR, asked | {"causality": "mixed"}),
+        plan_cache.key_of(MOTOR, asked),
+        plan_cache.key_of(MOTOR + b"\n", asked),
+        plan_cache.key_of(MOTOR, asked | {"causality": "mixed"}),
     }
-    monkeypatch.setattr(kept, "_generator", lambda: "another")
-    keys.add(kept.key_of(MOTOR, asked))
+    monkeypatch.setattr(plan_cache, "_generator", lambda: "another")
+    keys.add(plan_cache.key_of(MOTOR, asked))
     assert len(keys) == 4
 
 
@@ -85,9 +85,9 @@ def test_a_plan_is_the_same_after_json(tmp_path, folder):
     configuration(tmp_path)
     kept_plan = _plan(tmp_path)
     assert from_dict(json.loads(json.dumps(as_dict(kept_plan)))) == kept_plan
-    assert kept.read("nothing") is None
-    kept.write("some", kept_plan)
-    assert kept.read("some") == kept_plan
+    assert plan_cache.read("nothing") is None
+    plan_cache.write("some", kept_plan)
+    assert plan_cache.read("some") == kept_plan
 
 
 def _plan(tmp_path):
@@ -102,19 +102,19 @@ def test_a_plan_that_another_could_have_written_is_not_run(tmp_path, folder, mon
     said = heard(monkeypatch)
     configuration(tmp_path)
     plan = _plan(tmp_path)
-    kept.write("some", plan)
-    assert kept.read("some") == plan
+    plan_cache.write("some", plan)
+    assert plan_cache.read("some") == plan
     (file,) = cache_directory().glob("plan-some.json")
     file.chmod(0o666)
-    assert kept.read("some") is None
+    assert plan_cache.read("some") is None
     assert any(str(file) in line for line in said)
-    kept.write("some", plan)
+    plan_cache.write("some", plan)
     file.parent.chmod(0o777)
-    assert kept.read("some") is None
+    assert plan_cache.read("some") is None
     if os.geteuid() == 0:
         file.parent.chmod(0o755)
         os.chown(file, 65534, -1)
-        assert kept.read("some") is None
+        assert plan_cache.read("some") is None
 
 
 def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path, folder, monkeypatch):
@@ -122,5 +122,5 @@ def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path, folder, monke
     cache_directory().parent.mkdir(parents=True, exist_ok=True)
     cache_directory().write_text("a file where the folder belongs")
     configuration(tmp_path)
-    kept.write("some", _plan(tmp_path))
+    plan_cache.write("some", _plan(tmp_path))
     assert any("cannot be kept" in line for line in said)

@@ -10,7 +10,7 @@ from gateway.calibration.file import write
 from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway_bench.playing import opened
+from gateway_bench.scenario_session import opened
 from gateway_fdi.jit import COMPILED
 from gateway_plants.structural.study import battery
 

@@ -12,7 +12,7 @@ from gateway.calibration.cusum import learn
 from gateway.calibration.file import write
 from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
-from gateway_bench.playing import opened
+from gateway_bench.scenario_session import opened
 from gateway_fdi.jit import COMPILED
 
 with warnings.catch_warnings():

@@ -8,7 +8,7 @@ from amount import amount
 from gateway.bus.frames import empty
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.signals import framed as encode
+from gateway.signals import frame_encoding as encode
 from gateway_bench.vecu.databases import message_of
 from gateway_fdi.common.resources import shipped
 from gateway_plants.truck.ecu.ecu import DATABASE, MESSAGES

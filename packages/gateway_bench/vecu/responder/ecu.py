@@ -12,13 +12,13 @@ import numpy as np
 
 from gateway.bus.frames import EXTENDED, FD, Frames, empty, put
 from gateway.signals.bits import mask_of
-from gateway.signals.changing import ChangedMessage, ChangedSignal, words_of
 from gateway.signals.columns import limits
 from gateway.signals.database import Database
 from gateway.signals.decode import SIGNED, UNSIGNED
 from gateway.signals.protection.auto import automatic
 from gateway.signals.protection.params import KEYS, ProtectionParams, protection_for
 from gateway.signals.protection.protection import Protection
+from gateway.signals.signal_access import ChangedMessage, ChangedSignal, words_of
 from gateway_bench.vecu.conditions import Condition
 from gateway_bench.vecu.contract import Run, Running, VirtualEcu
 from gateway_bench.vecu.databases import database_of

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import Frames
 from gateway.signals.bits import mask_of
 from gateway.signals.columns import limits
-from gateway.signals.framed import framed, parents_first, payloads
+from gateway.signals.frame_encoding import framed, parents_first, payloads
 from gateway.signals.protection.protection import Protection, compiled
 from gateway.signals.ranges import runs
 from gateway.signals.tables import signal_row

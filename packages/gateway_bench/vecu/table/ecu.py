@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
 from gateway.signals.database import Database, load_database
-from gateway.signals.framed import sent
+from gateway.signals.frame_encoding import sent
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
 from gateway_bench.vecu.table.params import Course, TableFault, TableMessage, TableParams
 from gateway_fdi.errors import InputError, under

@@ -14,7 +14,7 @@ import sympy
 
 from gateway_fdi.structure.generator.budget import TooLongError, bounded
 from gateway_fdi.structure.generator.realisation import Realisation
-from gateway_fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.generator.solver import NotSolvableError
 from gateway_fdi.structure.generator.symbols import Algebra
 from gateway_fdi.structure.model import der
 

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 import sympy
 
 from gateway_fdi.structure.generator.budget import cancelled
-from gateway_fdi.structure.generator.solving import NotSolvableError, Solution, solve
+from gateway_fdi.structure.generator.solver import NotSolvableError, Solution, solve
 from gateway_fdi.structure.generator.symbols import Algebra, Symbols
 from gateway_fdi.structure.model import Model, der, state_of
 from gateway_fdi.structure.sequence import Kind, Step, Structure

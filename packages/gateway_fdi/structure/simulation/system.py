@@ -19,7 +19,7 @@ from sympy.printing.pycode import PythonCodePrinter
 
 from gateway_fdi.masks import pack, words
 from gateway_fdi.structure.blocks import block_search, find_blocks
-from gateway_fdi.structure.generator.solving import linear
+from gateway_fdi.structure.generator.solver import linear
 from gateway_fdi.structure.generator.symbols import Algebra, Symbols
 from gateway_fdi.structure.matching import Matching, match_set
 from gateway_fdi.structure.model import Model, Solvable

@@ -17,7 +17,7 @@ from gateway.config.model import Config
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.injection import Injector, parse_injection
-from gateway_bench.playing import player_of
+from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import Scenario, located
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.study.cause.cases import read

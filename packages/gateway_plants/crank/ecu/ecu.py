@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gateway.bus.frames import Frames
-from gateway.signals.framed import merged
+from gateway.signals.frame_encoding import merged
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
 from gateway_plants.crank.ecu.faults import added_pulses, missed_pulses
 from gateway_plants.crank.ecu.kinematics import cam_edges, tooth_times

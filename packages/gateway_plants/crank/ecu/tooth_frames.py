@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
-from gateway.signals.framed import frames_of, merged
+from gateway.signals.frame_encoding import frames_of, merged
 from gateway_bench.vecu.databases import message_of
 from gateway_plants.crank.tooth_codec import encode_intervals
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from gateway_fdi.jit import f8s, kernel
-from gateway_plants.crank import wheel_pairs, wheel_seen
-from gateway_plants.crank.monitor import anchor, defects, noise, reversal, waiting, wrong_wheel
+from gateway_plants.crank import wheel_estimation, wheel_pairs
+from gateway_plants.crank.monitor import anchor, defects, no_gap, noise, reversal, wrong_wheel
 from gateway_plants.crank.monitor.faults import Reports
 from gateway_plants.crank.monitor.isolation import (
     UNSEEN_PULSES,
@@ -23,7 +23,8 @@ from gateway_plants.crank.monitor.isolation import (
     unwatched,
     wait,
 )
-from gateway_plants.crank.monitor.place import (
+from gateway_plants.crank.monitor.silence import broken_silence, fall_silent
+from gateway_plants.crank.monitor.sync_state import (
     CONFIRMED,
     SEARCHING,
     TENTATIVE,
@@ -36,7 +37,6 @@ from gateway_plants.crank.monitor.place import (
     unlearned,
     waver,
 )
-from gateway_plants.crank.monitor.silence import broken_silence, fall_silent
 from gateway_plants.crank.monitor.turns import decided, turned, turned_back
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import restart, seek
@@ -78,13 +78,13 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
     expected.
     """
     unwatched(s, c, number, out)
-    wheel_seen.skip(s.seen)
+    wheel_estimation.skip(s.seen)
     wheel_pairs.skip(s.pairs)
     if s.burst.count > 0:
         noise.tell(s.burst, c.firing_us, out)
         search(s, c)
     _pass_over(s, c, defects.passed(s.defects, c.pulses, int(s.index), number, int(s.teeth)))
-    waiting.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
+    no_gap.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
 
 
 @kernel

@@ -11,7 +11,7 @@ however long: what it means is told by the speed before it.
 from __future__ import annotations
 
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.monitor import adaptive, noise, phase, place
+from gateway_plants.crank.monitor import adaptive, noise, phase, sync_state
 from gateway_plants.crank.monitor.faults import Reports
 from gateway_plants.crank.monitor.records import CLASSIC_INTERVALS, Const, Inputs, State
 from gateway_plants.crank.tooth_codec import OVERFLOW_CODE, PADDING_CODE, period_us
@@ -22,7 +22,7 @@ def stand(s: State, c: Const, out: Reports) -> None:
     """The engine stands: synchronisation ends, and a burst of pulses that was not told yet is."""
     if s.fast.burst.count > 0:
         noise.tell(s.fast.burst, c.fast.firing_us, out)
-    place.stand(s.fast, c.fast)
+    sync_state.stand(s.fast, c.fast)
     phase.forget(s.phase)
 
 

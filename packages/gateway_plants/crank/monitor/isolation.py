@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.monitor import anchor, defects, noise, rival, runout, turns, waiting, wrong_wheel
+from gateway_plants.crank.monitor import (
+    anchor,
+    competing_hypothesis,
+    defects,
+    no_gap,
+    noise,
+    runout,
+    turns,
+    wrong_wheel,
+)
 from gateway_plants.crank.monitor.faults import (
     ADDED,
     DAMAGED,
@@ -19,7 +28,7 @@ from gateway_plants.crank.monitor.faults import (
     UNWATCHED,
     Reports,
 )
-from gateway_plants.crank.monitor.place import (
+from gateway_plants.crank.monitor.sync_state import (
     BY_CAM,
     BY_GAP,
     CONFIRMED,
@@ -322,7 +331,7 @@ def confirm(s: State, out: Reports) -> None:
     s.anchor.unchecked = 1 if s.placed == BY_GAP and (s.reversal.stood == 1 or s.refused > 1) else 0
     s.phase = CONFIRMED
     s.refused = 0
-    waiting.clear(s.waiting)
+    no_gap.clear(s.waiting)
     s.suspects = 0
     s.hole = 0
     s.reversal.stood = 0
@@ -402,14 +411,14 @@ def _laid(s: State, c: Const) -> bool:
 @kernel
 def _broken_off(s: State, c: Const, out: Reports) -> bool:
     """Tell whether teeth that are missing in each turn are so by this place alone; reports another place as likely."""
-    missing = rival.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index)
+    missing = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index)
     if missing != defects.missing(s.defects):
         return False
-    if s.rival.other == rival.NONE:
+    if s.rival.other == competing_hypothesis.NONE:
         return True
     if s.defects.turns < SURE:
         return False
-    waiting.clear(s.waiting)
+    no_gap.clear(s.waiting)
     s.twice = TOLD
     e = report(out, TWO_PLACES, True, s.defects.turns, SURE).two_places
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
@@ -428,13 +437,13 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
         other: whether it is the rival.
     """
     if other:
-        tooth = rival.place_of(s.rival, c.wheel.nominal, c.pulses, s.index)
+        tooth = competing_hypothesis.place_of(s.rival, c.wheel.nominal, c.pulses, s.index)
         shift(s.tracker, c.pulses, tooth - s.index)
         s.index = best(s.tracker).index
         s.held.tooth = s.rival.other
         profile.forget(s.profile, c.wheel, s.tracker.pitches)
         anchor.restart(s.anchor)
-    rival.clear(s.rival)
+    competing_hypothesis.clear(s.rival)
     s.twice = 0
     s.recurring = 0
     confirm(s, out)
@@ -532,22 +541,22 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
     """
     wa = s.waiting
     if _held_back(s, c):
-        waiting.clear(wa)  # the place may be known: it waits for the wheel, which is no reason to miss the gap
+        no_gap.clear(wa)  # the place may be known: it waits for the wheel, which is no reason to miss the gap
         return
-    waiting.note(wa, s.y2, s.y1, y)
+    no_gap.note(wa, s.y2, s.y1, y)
     if c.even == 0:
-        waiting.look(wa, s.anchor, c.anchor, c.turned, c.polar == 1, c.pulses, c.repeats)
+        no_gap.look(wa, s.anchor, c.anchor, c.turned, c.polar == 1, c.pulses, c.repeats)
     patience = PATIENCE * c.pulses + PATIENCE_PULSES
     if wa.pulses < patience or (wa.pulses > patience and wa.pulses % c.pulses != 0):
         return
     share = wa.short / wa.pulses - c.short
-    fires = waiting.turn_us(s.anchor, c.anchor.length, c.pulses) < 60e6 / runout.FIRING_RPM * c.turns
+    fires = no_gap.turn_us(s.anchor, c.anchor.length, c.pulses) < 60e6 / runout.FIRING_RPM * c.turns
     if share > turns.DOUBLE_SHARE:
         d = report(out, DOUBLED, True, share, turns.DOUBLE_SHARE).doubled
         d.share, d.teeth = share, s.teeth
     elif c.even == 1:
         pass  # it has no gap that could be missing
-    elif fires and c.polar == 1 and waiting.polarity(wa):
+    elif fires and c.polar == 1 and no_gap.polarity(wa):
         _tell_gap(s, c, out, 1.0)
     elif fires and s.phase == TENTATIVE and s.recurring == 1 and s.defects.turns >= SURE and s.twice != TOLD:
         number = defects.missing(s.defects)
@@ -556,12 +565,12 @@ def wait(s: State, c: Const, y: float, out: Reports) -> None:
         tell_held(s, MISSED if number > 0 else ADDED, out)
     elif _open(s, c) and wa.pulses < LONG_PATIENCE * patience:
         return
-    elif waiting.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
+    elif no_gap.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
         _tell_gap(s, c, out, 0.0)
         s.twice = max(s.twice, 1)
     else:
         return
-    waiting.clear(wa)
+    no_gap.clear(wa)
 
 
 @kernel

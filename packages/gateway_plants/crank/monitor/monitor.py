@@ -26,7 +26,7 @@ from gateway.monitors.contract import (
     Signal,
 )
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.monitor import cam, frames, isolation, phase, place, rival, wrong_wheel
+from gateway_plants.crank.monitor import cam, competing_hypothesis, frames, isolation, phase, sync_state, wrong_wheel
 from gateway_plants.crank.monitor.faults import BLAMES, FAULTS, Evidence
 from gateway_plants.crank.monitor.records import (
     CLASSIC_INTERVALS,
@@ -143,7 +143,7 @@ def sure_rpm(p: Params) -> float:
     An engine that takes two pitches' time over one has lost three quarters of the square of its speed v [pitch/s]:
     with a deceleration a, ``2 a = 3/4 v^2``. The deceleration is that which :data:`place.BRAKE` allows.
     """
-    a = place.BRAKE * p.acceleration / 60 * p.wheel.turn
+    a = sync_state.BRAKE * p.acceleration / 60 * p.wheel.turn
     return float(60.0 / p.wheel.turn * (2.0 * a / 0.75) ** 0.5)
 
 
@@ -181,7 +181,7 @@ def _limits(p: Params) -> tuple[str, ...]:
             " learned; slower, an engine may change its speed as much"
         )
         if not wheel.even:
-            told.append(f"wheel {wheel}: its place is proven from {place.proof_rpm(wheel):.0f} rpm on (ripple)")
+            told.append(f"wheel {wheel}: its place is proven from {sync_state.proof_rpm(wheel):.0f} rpm on (ripple)")
     if untested:
         told.append(f"wheel {wheel}: not tested: {', '.join(untested)}")
     return tuple(told)
@@ -203,7 +203,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
     c.fd = p.frame == "fd"
     c.stall_ns = int(p.stall_ms * 1e6)
     c.tooth_0_deg = p.tooth_0_deg
-    place.prepare(s.fast, c.fast, p.wheel, p.acceleration, p.runout, p.reversal_rpm)
+    sync_state.prepare(s.fast, c.fast, p.wheel, p.acceleration, p.runout, p.reversal_rpm)
     c.fast.told = p.report_reversal
     c.fast.longest_us = min(c.fast.longest_us, p.stall_ms * 1e3 * (1 - 1e-9))
     cam.prepare(s.cam, c.cam, p.cam, p.cam_tolerance_deg, p.tooth_0_deg, p.wheel.pulses)
@@ -213,35 +213,35 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 
 
 @kernel
-def _degrees(c: Const, f: place.State, tooth: int, delay_us: float) -> float:
+def _degrees(c: Const, f: sync_state.State, tooth: int, delay_us: float) -> float:
     """Return the crank angle of an edge so long behind a tooth [deg], tooth 0 at zero."""
-    total = c.fast.wheel.place[tooth] + min(delay_us / place.period(f), c.fast.wheel.nominal[tooth])
+    total = c.fast.wheel.place[tooth] + min(delay_us / sync_state.period(f), c.fast.wheel.nominal[tooth])
     return float(total / c.fast.turn * 360.0)
 
 
 @kernel
-def _slack(c: Const, f: place.State, delay_us: float) -> float:
+def _slack(c: Const, f: sync_state.State, delay_us: float) -> float:
     """Return by how much the angle of an edge so long behind a tooth may be wrong on a wheel of few pulses [deg]."""
     if c.fast.turns == 1:
         return 0.0
-    return float(UNEVEN * min(delay_us / place.period(f), c.fast.gap) / c.fast.turn * 360.0)
+    return float(UNEVEN * min(delay_us / sync_state.period(f), c.fast.gap) / c.fast.turn * 360.0)
 
 
 @kernel
 def _place(s: State, c: Const, u: Inputs, since: int, out: Out[Evidence, Outputs]) -> None:
     """Take an edge of the cam as what tells the place on a wheel of equal pitches, and its number of pulses."""
     f, teeth = s.fast, c.fast.teeth
-    part = min(u.cam_delay / place.period(f), 1.0) if f.phase != place.SEARCHING else 0.5
+    part = min(u.cam_delay / sync_state.period(f), 1.0) if f.phase != sync_state.SEARCHING else 0.5
     pulses = phase.count(s.phase, c.cam, u.cam_pulse + part)
     if pulses > 0 and phase.another(pulses, teeth):
         wrong_wheel.counted(f, c.fast, 0.5 * pulses, out)
         return
     if pulses > 0:
         f.wrong = 0
-    if f.phase != place.CONFIRMED or c.cam.tells == 0:
+    if f.phase != sync_state.CONFIRMED or c.cam.tells == 0:
         phase.restart(s.phase)
         return
-    at = place.revolutions(f, c.fast) % 2 * teeth + f.index % teeth + since
+    at = sync_state.revolutions(f, c.fast) % 2 * teeth + f.index % teeth + since
     number = phase.take(s.phase, c.cam, teeth, at + part, int(u.cam_level), _slack(c, f, u.cam_delay))
     if number != phase.NONE:
         isolation.place_by_cam(f, c.fast, number)
@@ -254,38 +254,38 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     s.cam.counter = int(u.cam_counter)
     s.cam.quiet = 0
     f = s.fast
-    two = f.phase == place.TENTATIVE and f.rival.other != rival.NONE
+    two = f.phase == sync_state.TENTATIVE and f.rival.other != competing_hypothesis.NONE
     if s.counted == 0:
         return
     pulses = c.fast.pulses
     since = frames.wrapped(int(u.cam_pulse) - s.count)
     if abs(since) > pulses:
         return
-    if f.placed == place.NOT_TOLD:
+    if f.placed == sync_state.NOT_TOLD:
         _place(s, c, u, since, out)
         return
-    if not (place.proven(f) or two):
+    if not (sync_state.proven(f) or two):
         return
     at = f.index % c.fast.teeth + since
     tooth = at % c.fast.teeth
     if two:
         tooth = (f.index + since) % pulses
-        other = rival.place_of(f.rival, c.fast.wheel.nominal, pulses, f.index)
-        if other == rival.NONE:
+        other = competing_hypothesis.place_of(f.rival, c.fast.wheel.nominal, pulses, f.index)
+        if other == competing_hypothesis.NONE:
             return
         other = (other + since) % pulses
         here = cam.fits(c.cam, _degrees(c, f, tooth, u.cam_delay), int(u.cam_level))
         there = cam.fits(c.cam, _degrees(c, f, other, u.cam_delay), int(u.cam_level))
-        decided = rival.take_edge(f.rival, here, there)
+        decided = competing_hypothesis.take_edge(f.rival, here, there)
         if decided > 0:
             isolation.settle(f, c.fast, out, decided == 2)
         return
-    if f.placed == place.BY_CAM and u.cam_delay > OVERDUE * place.period(f):
+    if f.placed == sync_state.BY_CAM and u.cam_delay > OVERDUE * sync_state.period(f):
         return  # the pulse before it may be one that was missed
     slack = _slack(c, f, u.cam_delay)
     cam.edge(s.cam, c.cam, _degrees(c, f, tooth, u.cam_delay), at // c.fast.teeth, int(u.cam_level), slack, out)
-    if f.placed == place.BY_CAM and s.cam.misfits >= CONTRADICTED and f.uneven != place.NEVER:
-        place.displace(f)
+    if f.placed == sync_state.BY_CAM and s.cam.misfits >= CONTRADICTED and f.uneven != sync_state.NEVER:
+        sync_state.displace(f)
         phase.restart(s.phase)
         cam.forget(s.cam)
 
@@ -294,8 +294,8 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
 def _show(s: State, c: Const) -> None:
     """Bring what people and other monitors see up to date."""
     f = s.fast
-    s.sync = place.shown(f)
-    s.revolutions = place.revolutions(f, c.fast)
+    s.sync = sync_state.shown(f)
+    s.revolutions = sync_state.revolutions(f, c.fast)
     s.speed_rpm = f.speed_rpm
     s.slowest_rpm = f.slowest_rpm
     s.fastest_rpm = f.fastest_rpm
@@ -317,13 +317,13 @@ def _send(s: State, c: Const, t_ns: int, out: Out[Evidence, Outputs]) -> None:
     s.sent_ns = t_ns
     s.sent_sync = s.sync
     s.sent_corrections = s.corrections
-    turn = place.angle(s.fast, c.fast) + max(s.cam.half, 0)
-    index = max(place.tooth_of(s.fast, c.fast, s.fast.index), 0)
+    turn = sync_state.angle(s.fast, c.fast) + max(s.cam.half, 0)
+    index = max(sync_state.tooth_of(s.fast, c.fast, s.fast.index), 0)
     out.send = 1
     out.values.sync = s.sync
     cycle = 720.0 if s.cam.half >= 0 else 360.0
     out.values.angle = (turn * 360.0 + c.tooth_0_deg) % cycle
-    out.values.speed = place.speed(s.fast, c.fast)
+    out.values.speed = sync_state.speed(s.fast, c.fast)
     out.values.corrections = (s.corrections + 128) % 256 - 128
     out.values.index = min(index, MOST_INDEX)
     out.values.cycle_known = s.cam.half >= 0
@@ -332,7 +332,7 @@ def _send(s: State, c: Const, t_ns: int, out: Out[Evidence, Outputs]) -> None:
 @kernel
 def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     """Take one frame of intervals, CTW_BASE, CTW_CAM, or the timer of a standing engine."""
-    turns = place.revolutions(s.fast, c.fast) if c.cam.edges > 0 else 0
+    turns = sync_state.revolutions(s.fast, c.fast) if c.cam.edges > 0 else 0
     now = True
     if u.trigger == TIMER:
         frames.stand(s, c, out)
@@ -346,8 +346,8 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     else:
         now = frames.classic(s, c, u, out)
     if c.cam.edges > 0:
-        if s.fast.phase == place.CONFIRMED:
-            cam.turned(s.cam, out, place.revolutions(s.fast, c.fast) - turns)
+        if s.fast.phase == sync_state.CONFIRMED:
+            cam.turned(s.cam, out, sync_state.revolutions(s.fast, c.fast) - turns)
         else:
             cam.forget(s.cam)
     _show(s, c)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from gateway.monitors import contract
 from gateway_fdi.jit import Record, f8, f8s, i8, means, u1
-from gateway_plants.crank.monitor import cam, phase, place
+from gateway_plants.crank.monitor import cam, phase, sync_state
 
 #: Intervals that one frame can carry (CTW_FD27, CTW_PT4).
 MOST_INTERVALS, CLASSIC_INTERVALS = 27, 4
@@ -19,7 +19,7 @@ class Const(Record):
     stall_ns: i8 = means("time without a pulse after which the engine stands", "ns")
     tooth_0_deg: f8 = means("crank angle of tooth 0", "deg")
     cam: cam.Const = means("the cam")
-    fast: place.Const = means("place on the wheel")
+    fast: sync_state.Const = means("place on the wheel")
 
 
 class State(Record):
@@ -53,7 +53,7 @@ class State(Record):
     half: i8 = means("half of the working cycle, 0 or 1; -1: not known")
     cam: cam.State = means("the cam")
     phase: phase.Phase = means("place by the cam alone")
-    fast: place.State = means("place on the wheel")
+    fast: sync_state.State = means("place on the wheel")
 
 
 class Inputs(contract.Inputs):

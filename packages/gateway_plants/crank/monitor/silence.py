@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gateway_fdi.jit import kernel
 from gateway_plants.crank.monitor.faults import PULSES_LOST, Reports
-from gateway_plants.crank.monitor.place import CONFIRMED, Const, State, search, shape, tell_held
+from gateway_plants.crank.monitor.sync_state import CONFIRMED, Const, State, search, shape, tell_held
 from gateway_plants.crank.pulse_tracking.tracker import best
 
 #: Teeth behind a silence among which one has to show the speed before, and within what factor that is the same.

@@ -14,7 +14,7 @@ from gateway_plants.crank.monitor.faults import (
     WRONG_WHEEL,
     Reports,
 )
-from gateway_plants.crank.monitor.place import CONFIRMED, Const, State, speed, tooth_of, unlearned
+from gateway_plants.crank.monitor.sync_state import CONFIRMED, Const, State, speed, tooth_of, unlearned
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.motion import Q3
 from gateway_plants.crank.pulse_tracking.tracker import COARSE, agreed, best

@@ -1,28 +1,28 @@
 """A wheel that is not the configured one: told by the pulses themselves, not as a fault of the sensor.
 
 Until the place is proven and the wheel is seen to be the configured one, each interval goes to
-:mod:`gateway_plants.crank.wheel_seen` as well. Another wheel is one whose turn has another number of pitches (a wheel
-of equal parts shows one of them) and another number of pulses: ripple can make a gap look one pitch wider, but it makes
-no pulse. With the same number of pitches it may be the configured wheel with a tooth broken off, or a pulse too many in
-its gap. Which of these it is, pulses cannot say; a gap that is filled in each turn is told here as an added pulse, and
-the monitor's other tests name the rest.
+:mod:`gateway_plants.crank.wheel_estimation` as well. Another wheel is one whose turn has another number of pitches (a
+wheel of equal parts shows one of them) and another number of pulses: ripple can make a gap look one pitch wider, but it
+makes no pulse. With the same number of pitches it may be the configured wheel with a tooth broken off, or a pulse too
+many in its gap. Which of these it is, pulses cannot say; a gap that is filled in each turn is told here as an added
+pulse, and the monitor's other tests name the rest.
 """
 
 from __future__ import annotations
 
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
-from gateway_plants.crank import wheel_pairs, wheel_seen
-from gateway_plants.crank.monitor import anchor, explained, made, runout, turns, waiting
+from gateway_plants.crank import wheel_estimation, wheel_pairs
+from gateway_plants.crank.monitor import anchor, candidate_wheels, defective_wheel, no_gap, runout, turns
 from gateway_plants.crank.monitor.faults import ADDED, MISSED, PULSES_LOST, TWO_PLACES, WRONG_WHEEL, Reports
-from gateway_plants.crank.monitor.place import CONFIRMED, SEARCHING, Const, State, search
+from gateway_plants.crank.monitor.sync_state import CONFIRMED, SEARCHING, Const, State, search
 from gateway_plants.crank.wheel import MOST_GAPPED
 
 #: Turns in a row that have to show another wheel, also behind an engine that may have turned back, and after which it
 #: is told again.
 TURNS, TURNED_BACK, AGAIN = 6, 12, 64
 #: Two pitches are the same within this, and two turns [pitch].
-EQUAL, SAME = explained.EQUAL, 0.75
+EQUAL, SAME = defective_wheel.EQUAL, 0.75
 #: Pulses that are waited for while the gaps do not repeat yet: eight turns of the largest wheel.
 MOST_WAIT = 8 * MOST_GAPPED
 #: Pulses since the start within which the turns of another wheel begin to repeat, five of 60-2, if it is one.
@@ -38,9 +38,9 @@ def note(s: State, c: Const, y: float, out: Reports) -> None:
     """Note an interval [us] while the wheel is looked at."""
     before = int(s.seen.turns)
     s.looked += 1
-    wheel_seen.note(s.seen, y)
+    wheel_estimation.note(s.seen, y)
     wheel_pairs.note(s.pairs, y)
-    if c.even == 1 and s.phase == CONFIRMED and s.seen.run >= wheel_seen.EVEN:
+    if c.even == 1 and s.phase == CONFIRMED and s.seen.run >= wheel_estimation.EVEN:
         s.looks = 0
     if s.seen.turns != before:
         _judge(s, c, out)
@@ -86,7 +86,7 @@ def _whole(s: State) -> float:
 @kernel
 def _cranked(s: State, c: Const) -> bool:
     """Return whether the engine is so slow that a compression may look like a gap to a wheel of few pulses."""
-    return bool(waiting.turn_us(s.anchor, c.anchor.length, c.pulses) > 60e6 / runout.FIRING_RPM * c.turns)
+    return bool(no_gap.turn_us(s.anchor, c.anchor.length, c.pulses) > 60e6 / runout.FIRING_RPM * c.turns)
 
 
 @kernel
@@ -102,7 +102,7 @@ def _tell_pulses(s: State, c: Const, fault: int, count: int, tooth: int, out: Re
     """Report a pulse in a gap, or teeth broken off, from ``tooth`` on (-1: not known), in place of a missing gap."""
     e = report(out, fault, True, s.seen.turns, TURNS).pulses
     e.count, e.tooth, e.speed = count, tooth, _speed(s, c)
-    waiting.clear(s.waiting)
+    no_gap.clear(s.waiting)
 
 
 @kernel
@@ -115,17 +115,17 @@ def _tell_missing(s: State, c: Const, missing: int, tooth: int, out: Reports) ->
 def _judge(s: State, c: Const, out: Reports) -> None:
     """Compare the wheel that is seen with the configured one, at the end of a turn."""
     s.filled = 0
-    if wheel_seen.sure(s.seen) == 0:
+    if wheel_estimation.sure(s.seen) == 0:
         s.wrong = 0
         return
     whole = _whole(s)
     same = abs(whole - c.turn) < SAME
     same = same or abs(whole * c.pulses - c.wheel.whole * c.repeats) < EQUAL * c.pulses
     same = same or s.seen.pulses == c.repeats
-    if wheel_seen.fits(s.seen, c.wheel.nominal, c.pulses):
+    if wheel_estimation.fits(s.seen, c.wheel.nominal, c.pulses):
         s.known = 1
-    other = s.known == 0 and made.shown(c.made, s.seen)
-    if not other and (same or (c.turns == 1 and explained.is_left(s, c, whole))):
+    other = s.known == 0 and candidate_wheels.shown(c.made, s.seen)
+    if not other and (same or (c.turns == 1 and defective_wheel.is_left(s, c, whole))):
         s.wrong = 0
         if s.phase == CONFIRMED:
             s.looks = 0
@@ -145,10 +145,10 @@ def _judge_defects(s: State, c: Const, parts: int, out: Reports) -> None:
     """Name what makes the configured wheel look as it is seen, ``parts`` times a turn, so that it is not proven."""
     missing = c.teeth - parts * s.seen.pulses
     if c.even == 1:
-        _tell_missing(s, c, missing, explained.NONE, out)
+        _tell_missing(s, c, missing, defective_wheel.NONE, out)
         return
-    gap = explained.filled(s, c)
-    if gap != explained.NONE:
+    gap = defective_wheel.filled(s, c)
+    if gap != defective_wheel.NONE:
         s.filled = 1
         _tell_pulses(s, c, ADDED, 1, gap, out)
     elif s.recurring == 0 and c.turns == 1:
@@ -158,15 +158,15 @@ def _judge_defects(s: State, c: Const, parts: int, out: Reports) -> None:
 @kernel
 def _tell_beside(s: State, c: Const, parts: int, missing: int, out: Reports) -> None:
     """Report teeth that are missing beside a gap, on either side of it where that is the only one."""
-    tooth, other = explained.left_at(s, c, parts, missing)
-    if tooth == explained.NONE:
+    tooth, other = defective_wheel.left_at(s, c, parts, missing)
+    if tooth == defective_wheel.NONE:
         return
-    if other == explained.NONE:
+    if other == defective_wheel.NONE:
         _tell_missing(s, c, missing, tooth, out)
         return
     e = report(out, TWO_PLACES, True, s.seen.turns, TURNS).two_places
     e.tooth, e.other, e.speed = tooth, other, _speed(s, c)
-    waiting.clear(s.waiting)
+    no_gap.clear(s.waiting)
 
 
 @kernel
@@ -188,7 +188,7 @@ def _judge_pairs(s: State, c: Const, out: Reports) -> None:
 def _refuse(s: State, c: Const) -> None:
     """Follow the pulses of another wheel no more."""
     s.wrong = 1
-    waiting.clear(s.waiting)
+    no_gap.clear(s.waiting)
     if s.phase != SEARCHING:
         search(s, c)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gateway_fdi.jit import kernel, zeros
 from gateway_plants.crank.arrays import collect, track
-from gateway_plants.crank.monitor import place
+from gateway_plants.crank.monitor import sync_state
 from gateway_plants.crank.monitor.monitor import MONITOR, Params
 from gateway_plants.crank.study import constant_speed
 from gateway_plants.crank.study.peers import PEER, ratio, threshold
@@ -101,8 +101,8 @@ def follower(
         s: Any
         c: Any
         if method == "adaptive":
-            s, c = zeros(1, place.State), zeros(1, place.Const)
-            place.prepare(s[0], c[0], wheel, defaults.acceleration, defaults.runout, defaults.reversal_rpm)
+            s, c = zeros(1, sync_state.State), zeros(1, sync_state.Const)
+            sync_state.prepare(s[0], c[0], wheel, defaults.acceleration, defaults.runout, defaults.reversal_rpm)
             c[0]["told"] = report_reversal
             n = track(s[0], c[0], out[0], y, teeth, proven, reports)
             reversals = int(s[0]["reversal"]["total"])

@@ -11,7 +11,7 @@ from cantools.database.can.signal import Signal
 from numpy.typing import ArrayLike
 
 from gateway.bus.frames import Frames, empty
-from gateway.signals import framed as encode
+from gateway.signals import frame_encoding as encode
 from gateway.signals.database import Database, load_database
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu, injected
 from gateway_fdi.common.resources import all_shipped, shipped

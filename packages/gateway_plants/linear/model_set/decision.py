@@ -24,7 +24,7 @@ from __future__ import annotations
 from math import log, sqrt
 from typing import Annotated
 
-from gateway_fdi.isolation import followed
+from gateway_fdi.isolation import fault_size
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.model_set import alignment, design, filters
@@ -103,7 +103,7 @@ class State(Record):
     undecided: i8 = means("samples since an alarm", "samples")
     ahead: i8 = means("samples of these in which first was named", "samples")
     first: i8 = means("part that was named last; NONE: none")
-    suspect: followed.State = means("whether the size of the named fault counts")
+    suspect: fault_size.State = means("whether the size of the named fault counts")
     misfit: i8 = means("samples in a row that the named hypothesis does not explain", "samples")
     unexplained: i8 = means("1: what came is not isolated")
     jolted: i8 = means("1: since the alarm VARYING has once not explained what came: it was no gradual change")
@@ -183,7 +183,7 @@ def restart(s: State, c: Const) -> None:
     filters.unknown(s.filters, f, 0)
     s.done = s.active = s.undecided = s.ahead = s.misfit = s.unexplained = s.agreed = s.astray = s.tested = 0
     s.calm = s.forgiven = 0
-    followed.begin(s.suspect)
+    fault_size.begin(s.suspect)
     s.first = NONE
     for h in range(f.hypotheses):
         s.evidence[h] = 0.0
@@ -255,7 +255,7 @@ def _adopt(s: State, c: Const, source: int, healed: bool) -> None:
         x.z[0, f.n + k] = 0.0
     filters.separate(x, f)
     s.active = s.undecided = s.ahead = s.misfit = s.calm = 0
-    followed.begin(s.suspect)
+    fault_size.begin(s.suspect)
     s.first = NONE
     for h in range(f.hypotheses):
         s.evidence[h] = 0.0
@@ -346,7 +346,7 @@ def _isolate(s: State, c: Const) -> None:
         elif s.ahead >= LEAST:
             s.active, s.undecided, s.ahead = _follower(s, c, best), 0, 0
             s.misfit = 0
-            followed.begin(s.suspect)
+            fault_size.begin(s.suspect)
         return
     s.ahead, s.first = 0, NONE
     none_fits = True
@@ -369,12 +369,12 @@ def _judge_named(s: State, c: Const, y: f8s, u: f8s) -> None:
     h = s.active
     s.magnitude = filters.size_of(s.filters, c.filters, h, y, u)
     share = _counts(c, h, s.magnitude)
-    came = followed.follow(s.suspect, share >= 1.0, share < 0.5, c.patience, c.hold)
+    came = fault_size.follow(s.suspect, share >= 1.0, share < 0.5, c.patience, c.hold)
     s.misfit = 0 if _fits(s, c, h) else s.misfit + 1
     if s.misfit > PATIENCE:
         s.unexplained = 1
-    elif came != followed.STANDS:
-        _adopt(s, c, h, came == followed.GONE)
+    elif came != fault_size.STANDS:
+        _adopt(s, c, h, came == fault_size.GONE)
 
 
 @kernel

@@ -32,11 +32,11 @@ from typing import Annotated
 
 import numpy as np
 
-from gateway_fdi.isolation import followed
+from gateway_fdi.isolation import fault_size
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.quantiles import chi2_above, normal_above
 from gateway_plants.linear.mathematics.plant import LinearPlant
-from gateway_plants.linear.pi_bank import bank, free, jump, start
+from gateway_plants.linear.pi_bank import bank, glr, start, unstructured_faults
 from gateway_plants.linear.pi_bank.bank import BANK, MOST_INPUTS, MOST_OUTPUTS
 from gateway_plants.linear.pi_bank.design import Noise, Observer, augmented
 
@@ -66,8 +66,8 @@ class Const(Record):
     """Constants."""
 
     bank: bank.Const = means("the bank")
-    jump: jump.Const = means("faults that begin at once")
-    free: free.Const = means("actuators that do anything")
+    jump: glr.Const = means("faults that begin at once")
+    free: unstructured_faults.Const = means("actuators that do anything")
     start: start.Const = means("first samples")
     actuator: Annotated[f8s, MOST_INPUTS] = means("thresholds of the actuators' faults, in the command's unit")
     sensor: Annotated[f8s, MOST_OUTPUTS] = means("thresholds of the sensors' faults, in the reading's unit")
@@ -83,13 +83,13 @@ class State(Record):
     """State."""
 
     bank: bank.State = means("the bank")
-    jump: jump.State = means("faults that begin at once")
-    free: free.State = means("actuators that do anything")
+    jump: glr.State = means("faults that begin at once")
+    free: unstructured_faults.State = means("actuators that do anything")
     start: start.State = means("first samples")
     started: i8 = means("1: the first samples are over")
     active: i8 = means("the observer in use")
     latched: i8 = means("the sensor at fault; NONE: none")
-    suspect: followed.State = means("whether its offset is beyond its threshold")
+    suspect: fault_size.State = means("whether its offset is beyond its threshold")
     undecided: i8 = means("samples since an alarm", "samples")
     drifting: i8 = means("1: no jump explains it, but actuators do that do anything")
     unexplained: i8 = means("1: what happened is not isolated")
@@ -149,8 +149,8 @@ def prepare(
     """
     n, m, p = plant.states, plant.inputs, plant.outputs
     bank.prepare(c.bank, plant, observers)
-    jump.prepare(c.jump, s.jump, plant, observers, PRIOR * actuator)
-    free.prepare(c.free, plant, noise, observers, actuator)
+    glr.prepare(c.jump, s.jump, plant, observers, PRIOR * actuator)
+    unstructured_faults.prepare(c.free, plant, noise, observers, actuator)
     # What y can be says how large states are at most: not known, as far as the sensors tell.
     unknown = np.concatenate([np.full(n, 1e3 * noise.outputs.max()), PRIOR * actuator])
     start.prepare(
@@ -178,10 +178,10 @@ def prepare(
 def restart(s: State, c: Const) -> None:
     """Begin anew: nothing is known of the plant's state."""
     start.anew(s.start, c.start)
-    jump.forget(s.jump)
+    glr.forget(s.jump)
     s.started, s.active, s.latched = 0, 0, NONE
     s.undecided = s.drifting = s.unexplained = s.tested = s.agreed = s.blind = 0
-    followed.begin(s.suspect)
+    fault_size.begin(s.suspect)
     for k in range(BANK):
         s.jump.open[k] = 0
         for i in range(bank.MOST):
@@ -193,13 +193,13 @@ def restart(s: State, c: Const) -> None:
 @kernel
 def _adopt(s: State, o: bank.Const, active: int, y: f8s) -> None:
     """Let all observers adopt the state of one, and forget the window."""
-    jump.merge(s.jump, o, active, s.bank.z)
+    glr.merge(s.jump, o, active, s.bank.z)
     for k in range(o.p + 1):
         s.jump.open[k] = 0
         for i in range(o.n + o.m):
             s.bank.z[k, i] = s.bank.z[active, i]
         bank.innovate(s.bank, o, k, y)
-    jump.forget(s.jump)
+    glr.forget(s.jump)
 
 
 @kernel
@@ -211,20 +211,22 @@ def _open_faults(s: State, c: Const, y: f8s, actuators: bool) -> None:
             continue
         # The best of many beginnings takes some energy of mere noise, too.
         if s.jump.gained[k] > WEAK:
-            jump.merge(s.jump, o, k, s.bank.z)
+            glr.merge(s.jump, o, k, s.bank.z)
             bank.innovate(s.bank, o, k, y)
-            jump.begin(s.jump, c.jump, o, k)
+            glr.begin(s.jump, c.jump, o, k)
     s.undecided = 0
-    jump.forget(s.jump)
+    glr.forget(s.jump)
 
 
 @kernel
 def _latch_sensor(s: State, c: Const, y: f8s, who: int) -> None:
     """Believe the observer ``who`` alone: the sensor that it does not take is at fault."""
     s.latched, s.active = who - 1, who
-    followed.begin(s.suspect)
+    fault_size.begin(s.suspect)
     _open_faults(s, c, y, False)
-    free.begin(s.free, c.bank, s.bank.z[who], s.actuator)  # what has been told so far has had the sensor's fault in it
+    unstructured_faults.begin(
+        s.free, c.bank, s.bank.z[who], s.actuator
+    )  # what has been told so far has had the sensor's fault in it
 
 
 @kernel
@@ -248,7 +250,7 @@ def _search_explanations(s: State, c: Const) -> tuple[int, int]:
     for k in range(c.bank.p + 1):
         s.explains[k] = 0
         if s.latched == NONE or k == s.active:
-            s.explains[k] = 1 if jump.search(s.jump, c.jump, c.bank, k) else 0
+            s.explains[k] = 1 if glr.search(s.jump, c.jump, c.bank, k) else 0
         if k > 0 and s.explains[k] == 1:
             observers_explaining += 1
             last = k
@@ -259,7 +261,7 @@ def _search_explanations(s: State, c: Const) -> tuple[int, int]:
 def _sensor_would_do(s: State, c: Const, k: int) -> bool:
     """Tell whether a jump of a sensor would explain nearly as well what observer k needs a fault of actuators for."""
     gained = s.jump.gained[k]
-    return bool(gained > c.window_alarm and jump.other_sensor(s.jump, c.jump, c.bank, k) > gained - CLEARER)
+    return bool(gained > c.window_alarm and glr.other_sensor(s.jump, c.jump, c.bank, k) > gained - CLEARER)
 
 
 @kernel
@@ -275,7 +277,7 @@ def _isolate(s: State, c: Const, y: f8s) -> None:
             s.unexplained = 1
     elif s.explains[0] == 1 and observers_explaining == c.bank.p and s.undecided >= 2 and not _sensor_would_do(s, c, 0):
         _open_faults(s, c, y, True)
-    elif not free.refuted(s.free, c.free, 0, 0):
+    elif not unstructured_faults.refuted(s.free, c.free, 0, 0):
         s.drifting = 1 if s.undecided > PATIENCE else 0
     elif s.explains[0] == 0 and observers_explaining == 1 and not _sensor_would_do(s, c, last):
         _latch_sensor(s, c, y, last)
@@ -295,7 +297,7 @@ def _contradicted(s: State, c: Const, i: int) -> bool:
     o = c.bank
     way = 1.0 if s.fault[i] > 0.0 else -1.0
     for k in range(1, o.p + 1):
-        own = way * jump.corrected(s.jump, o, k, s.bank.z, o.n + i)
+        own = way * glr.corrected(s.jump, o, k, s.bank.z, o.n + i)
         if own + AGAINST * s.jump.sigma[k, i] < c.actuator[i] or own < AFFIRMED * s.jump.sigma[k, i]:
             return True
     return False
@@ -304,10 +306,10 @@ def _contradicted(s: State, c: Const, i: int) -> bool:
 @kernel
 def _asked_for(s: State, c: Const, i: int) -> bool:
     """Tell whether nothing but actuator i can be at fault: no sensor, no course of the other actuators."""
-    if s.latched == NONE and (_contradicted(s, c, i) or free.refuted(s.free, c.free, 0, 0)):
+    if s.latched == NONE and (_contradicted(s, c, i) or unstructured_faults.refuted(s.free, c.free, 0, 0)):
         return False
     way = 1.0 if s.fault[i] > 0.0 else -1.0
-    return free.asked_for(s.free, c.free, c.bank, s.active, i, way, c.actuator[i], c.sure)
+    return unstructured_faults.asked_for(s.free, c.free, c.bank, s.active, i, way, c.actuator[i], c.sure)
 
 
 @kernel
@@ -315,7 +317,7 @@ def _set_flags(s: State, c: Const, y: f8s) -> None:
     """Set the flags of the actuators, and end that of a sensor whose fault is gone."""
     o, k = c.bank, s.active
     for i in range(o.m):
-        value = jump.corrected(s.jump, o, k, s.bank.z, o.n + i)
+        value = glr.corrected(s.jump, o, k, s.bank.z, o.n + i)
         std = s.jump.sigma[k, i]
         limit = max(c.actuator[i], c.sure * std)
         s.fault[i], s.limit[i] = value, limit
@@ -338,16 +340,16 @@ def _set_flags(s: State, c: Const, y: f8s) -> None:
     j = s.latched
     expected = 0.0
     for i in range(o.n):
-        expected += o.c[j, i] * jump.corrected(s.jump, o, k, s.bank.z, i)
+        expected += o.c[j, i] * glr.corrected(s.jump, o, k, s.bank.z, i)
     s.offset[j] = y[j] - expected
     gone = abs(s.offset[j]) < max(0.5 * c.sensor[j], NOTHING * c.spread[j])
     # What no jump explains, an actuator that drifts, leaves one observer alone with an explanation too; its sensor is
     # right: then the suspect is doubted.
-    if followed.follow(s.suspect, abs(s.offset[j]) >= c.sensor[j], gone, PATIENCE, c.hold) != followed.STANDS:
+    if fault_size.follow(s.suspect, abs(s.offset[j]) >= c.sensor[j], gone, PATIENCE, c.hold) != fault_size.STANDS:
         _adopt(s, o, k, y)
         s.latched, s.active = NONE, 0
-        free.begin(s.free, c.bank, s.bank.z[0], s.actuator)
-        followed.begin(s.suspect)
+        unstructured_faults.begin(s.free, c.bank, s.bank.z[0], s.actuator)
+        fault_size.begin(s.suspect)
 
 
 @kernel
@@ -404,8 +406,8 @@ def unknown_command(s: State, c: Const) -> None:
     if s.unexplained == 1:
         return
     for k in range(o.p + 1):
-        jump.pulse(s.jump, c.jump, o, k, s.bank.z, s.blind == BLIND)
-    jump.forget(s.jump)
+        glr.pulse(s.jump, c.jump, o, k, s.bank.z, s.blind == BLIND)
+    glr.forget(s.jump)
     s.undecided, s.drifting, s.blind, s.tested = 0, 0, BLIND, 0
 
 
@@ -414,29 +416,29 @@ def _estimate_command(s: State, c: Const, y: f8s, u: f8s) -> None:
     """Take a sample to estimate what a command was that nobody knows."""
     o = c.bank
     s.blind -= 1
-    free.step(s.free, c.free, o, s.active, y, u)
+    unstructured_faults.step(s.free, c.free, o, s.active, y, u)
     for k in range(o.p + 1):
         if s.latched == NONE or k == s.active:
             bank.innovate(s.bank, o, k, y)
-            jump.learn(s.jump, c.jump, o, k, s.bank.e)
+            glr.learn(s.jump, c.jump, o, k, s.bank.e)
             bank.advance(s.bank, o, k, u)
-            jump.onwards(s.jump, o, k, s.bank.z)
+            glr.onwards(s.jump, o, k, s.bank.z)
             if s.blind == 0:
-                jump.merge(s.jump, o, k, s.bank.z)
+                glr.merge(s.jump, o, k, s.bank.z)
 
 
 @kernel
 def _watch(s: State, c: Const, y: f8s) -> None:
     """Take the innovations of a sample; isolates what has changed."""
     o, x = c.bank, s.jump
-    x.at = (x.at + 1) % jump.WINDOW
-    x.kept = min(x.kept + 1, jump.WINDOW)
+    x.at = (x.at + 1) % glr.WINDOW
+    x.kept = min(x.kept + 1, glr.WINDOW)
     for k in range(o.p + 1):
         if s.latched == NONE or k == s.active:
             bank.innovate(s.bank, o, k, y)
-            jump.keep(x, o, k, s.bank.e)
-    alarm = jump.likelihood_ratio(x, c.jump, o, s.active) > c.window_alarm
-    alarm = jump.energy(x, c.jump, o, s.active, x.at) > c.sample_alarm[s.active] or alarm
+            glr.keep(x, o, k, s.bank.e)
+    alarm = glr.likelihood_ratio(x, c.jump, o, s.active) > c.window_alarm
+    alarm = glr.energy(x, c.jump, o, s.active, x.at) > c.sample_alarm[s.active] or alarm
     if s.drifting == 1 and not alarm:
         s.drifting = s.undecided = 0
     if s.undecided > 0 or alarm:
@@ -457,7 +459,7 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     if s.started == 0:
         if start.step(s.start, c.start, o, s.bank.z, y, u):
             s.started = 1
-            free.begin(s.free, c.bank, s.bank.z[0], s.actuator)
+            unstructured_faults.begin(s.free, c.bank, s.bank.z[0], s.actuator)
             s.unexplained = 0 if _agree(s, c, True) else 1
         return
     if s.unexplained == 1:
@@ -466,7 +468,7 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     if s.blind > 0:
         _estimate_command(s, c, y, u)
         return
-    free.step(s.free, c.free, o, s.active, y, u)
+    unstructured_faults.step(s.free, c.free, o, s.active, y, u)
     x = s.jump
     _watch(s, c, y)
     if s.unexplained == 1:
@@ -475,14 +477,14 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
         s.latched, s.active, s.undecided, s.drifting, s.agreed = NONE, 0, 0, 0, 0
     for k in range(o.p + 1):
         if s.latched == NONE or k == s.active:
-            jump.learn(x, c.jump, o, k, s.bank.e)
+            glr.learn(x, c.jump, o, k, s.bank.e)
     if (s.undecided == 0 or s.drifting == 1) and s.unexplained == 0:
         s.tested = 1
         _set_flags(s, c, y)
     for k in range(o.p + 1):
         if s.latched == NONE or k == s.active:
             bank.advance(s.bank, o, k, u)
-            jump.onwards(x, o, k, s.bank.z)
+            glr.onwards(x, o, k, s.bank.z)
 
 
 @kernel
@@ -496,10 +498,10 @@ def missing(s: State, c: Const, u: f8s) -> None:
     for k in range(o.p + 1):
         # What a lost command was is still to be estimated: it goes on, nothing has told of it.
         if s.blind > 0:
-            jump.coast(s.jump, o, k)
+            glr.coast(s.jump, o, k)
         else:
-            jump.merge(s.jump, o, k, s.bank.z)
+            glr.merge(s.jump, o, k, s.bank.z)
         bank.missing(s.bank, o, k, u)
-    free.missing(s.free, c.free, o, s.active, u)
-    jump.forget(s.jump)
+    unstructured_faults.missing(s.free, c.free, o, s.active, u)
+    glr.forget(s.jump)
     s.undecided = s.drifting = 0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
-from gateway.signals.framed import frames_of
+from gateway.signals.frame_encoding import frames_of
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
 from gateway_bench.vecu.databases import message_of
 from gateway_bench.vecu.sensor_faults import at_rail, digitised, drift, impulses, offset, stuck

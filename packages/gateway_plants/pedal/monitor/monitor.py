@@ -26,13 +26,13 @@ from gateway.monitors.contract import (
     Signal,
 )
 from gateway_fdi.jit import kernel
-from gateway_plants.pedal.monitor import acquaintance, diagnosis, measured
+from gateway_plants.pedal.monitor import channel_estimates, channel_identification, diagnosis
 from gateway_plants.pedal.monitor.diagnosis import ABOVE, ABSENT, BELOW, FINE, OUTSIDE
 from gateway_plants.pedal.monitor.faults import Evidence, blames, faults
 from gateway_plants.pedal.monitor.params import BEND, PRESETS, VOTERS, PairParams, Params, TripleParams
 from gateway_plants.pedal.monitor.records import Const, Inputs, Outputs, State
 from gateway_plants.pedal.voting import simple, supply
-from gateway_plants.pedal.voting.acquaintance import lag, noise
+from gateway_plants.pedal.voting.identification import lag, noise
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 from gateway_plants.pedal.voting.tracking import shape
 from gateway_plants.pedal.voting.tracking import vote as tracking
@@ -180,9 +180,9 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
         s.reading[i] = u.reading[i]
     dt = u.gap
     _read(s, c)
-    if acquaintance.supplied(s, c, dt):
+    if channel_identification.supplied(s, c, dt):
         _read(s, c)
-    acquaintance.learn(s, c, dt)
+    channel_identification.learn(s, c, dt)
     _vote(s, c, dt)
     s.quality = _quality(s)
     diagnosis.diagnose(s, c, out)
@@ -208,7 +208,7 @@ def _monitor(kind: str, params: type[Params]) -> Monitor[Params]:
         capabilities=(
             Blames(blames),
             Readout(_SHOWN),
-            SensorCalibration(lambda p: len(p.channels), measured.found),
+            SensorCalibration(lambda p: len(p.channels), channel_estimates.found),
             Sampled(lambda p: p.sampling),
         ),
     )

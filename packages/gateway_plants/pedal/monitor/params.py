@@ -11,7 +11,7 @@ from gateway.monitors.contract import MonitorParams
 from gateway.monitors.sampling import Sampling
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_plants.pedal.voting import supply
-from gateway_plants.pedal.voting.acquaintance.lag import COARSE_MS
+from gateway_plants.pedal.voting.identification.lag import COARSE_MS
 from gateway_plants.pedal.voting.tracking.shape import LOST
 
 #: Change of slope that is usual, standard deviation: travels per sample at 1 ms; it grows with the period^1.5.

@@ -7,8 +7,8 @@ from typing import Annotated
 from gateway.monitors import contract
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, means
 from gateway_plants.pedal.voting import simple, supply
-from gateway_plants.pedal.voting.acquaintance import lag
-from gateway_plants.pedal.voting.acquaintance import noise as own_noise
+from gateway_plants.pedal.voting.identification import lag
+from gateway_plants.pedal.voting.identification import noise as own_noise
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
 from gateway_plants.pedal.voting.tracking import shape
 

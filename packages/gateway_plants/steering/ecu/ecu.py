@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gateway.bus.frames import Frames
-from gateway.signals.framed import frames_of, merged
+from gateway.signals.frame_encoding import frames_of, merged
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu, injected
 from gateway_bench.vecu.databases import message_of
 from gateway_plants.steering.ecu.course import Course, driving, sweep, times

@@ -39,7 +39,6 @@ from gateway_plants.steering.monitor import (
     road_wheel,
     symptoms,
 )
-from gateway_plants.steering.monitor.behind import BEHIND
 from gateway_plants.steering.monitor.decision import NONE
 from gateway_plants.steering.monitor.faults import (
     ANGLES,
@@ -54,6 +53,7 @@ from gateway_plants.steering.monitor.faults import (
 )
 from gateway_plants.steering.monitor.params import Params, Thresholds
 from gateway_plants.steering.monitor.records import Const, Inputs, Outputs, State
+from gateway_plants.steering.monitor.underlying_tests import BEHIND
 
 #: Quality of the motor's angle that is sent.
 STARTING, MEASURED, REPLACED, DEGRADED, INVALID = range(5)

@@ -160,7 +160,7 @@ def _text(console: Console, analysis: Analysis) -> None:
 def _residual(console: Console, analysis: Analysis, name: str, *, json: bool) -> None:
     from gateway_fdi.structure.generator.code import write  # noqa: PLC0415 - algebra is slow to load
     from gateway_fdi.structure.generator.realisation import realise  # noqa: PLC0415
-    from gateway_fdi.structure.generator.solving import NotSolvableError  # noqa: PLC0415
+    from gateway_fdi.structure.generator.solver import NotSolvableError  # noqa: PLC0415
 
     choice = analysis.choice(name)
     test = analysis.test(choice)
@@ -224,7 +224,7 @@ def _export(analysis: Analysis, name: str, output: str | None) -> None:
     """
     from gateway_fdi.structure.generator.c_code import c_source  # noqa: PLC0415 - algebra is slow to load
     from gateway_fdi.structure.generator.loading import residual_generator  # noqa: PLC0415
-    from gateway_fdi.structure.generator.solving import NotSolvableError  # noqa: PLC0415
+    from gateway_fdi.structure.generator.solver import NotSolvableError  # noqa: PLC0415
 
     choice = analysis.choice(name)
     own = name if name in analysis.model.residuals else f"{analysis.model.name}_{choice.consistency}"

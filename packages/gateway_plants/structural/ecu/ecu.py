@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import Frames
 from gateway.common.extras import need
 from gateway.signals.database import load_database
-from gateway.signals.framed import sent
+from gateway.signals.frame_encoding import sent
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu
 from gateway_fdi.errors import InputError, nearest, under
 from gateway_fdi.structure.file import find_model, load_own_model

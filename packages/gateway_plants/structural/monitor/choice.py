@@ -23,7 +23,7 @@ from gateway_fdi.structure.generator.code import correctable, write
 from gateway_fdi.structure.generator.conditioning import begins, forgets, gains_at_rest, noise_gains
 from gateway_fdi.structure.generator.initial import find_initial
 from gateway_fdi.structure.generator.realisation import Realisation, realise
-from gateway_fdi.structure.generator.solving import NotSolvableError
+from gateway_fdi.structure.generator.solver import NotSolvableError
 from gateway_fdi.structure.isolability import isolability_of_model
 from gateway_fdi.structure.model import Model, Quantity, ResidualChoice, state_of, with_sizes
 from gateway_fdi.structure.selection import fewest_tests, requirements

@@ -13,7 +13,7 @@ from gateway.monitors.contract import TOGETHER, VAGUE, Blame, Debounce, Fault
 from gateway.monitors.evidence import as_bits, as_digits, words_of
 from gateway_fdi.masks import unpack
 from gateway_fdi.structure.model import Model
-from gateway_plants.structural.monitor import weighing
+from gateway_plants.structural.monitor import fault_likelihood
 from gateway_plants.structural.monitor.decision import AS_BITS, TWO_DIGITS
 from gateway_plants.structural.monitor.plan import Plan, Test
 from gateway_plants.structural.monitor.records import SHOWN
@@ -178,7 +178,7 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     every = [one._replace(share=_FIRES) for one in dict.fromkeys(parts.values())]
     weighed = {"fit": [*every, Blame("model", "model")]}
     weighed |= {f"fit of {f}": [parts[f]._replace(share=_FITS)] for f in plan.faults}
-    return (weighed if weighing.faults_of(plan) else {}) | {
+    return (weighed if fault_likelihood.faults_of(plan) else {}) | {
         test.name: [
             *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
             Blame("model", "model"),
@@ -197,7 +197,7 @@ def levels(plan: Plan, state: Any) -> list[float]:
     own = state["own"]
     weighed: list[float] = []
     said = int(own["weighed"])
-    if weighing.faults_of(plan):
+    if fault_likelihood.faults_of(plan):
         likely = unpack(np.asarray(own["likely"])[None, :], len(plan.faults))[0]
         weighed = [2.0, *(nan if one else 0.0 for one in likely)] if said == 1 else [-inf] * (1 + len(plan.faults))
     fired = unpack(np.asarray(own["fired"])[None, :], len(plan.tests))[0]
@@ -208,7 +208,7 @@ def levels(plan: Plan, state: Any) -> list[float]:
         names = [f for f, one in zip(plan.faults, likely, strict=True) if one] if said == 1 else []
         levels = [
             (nan if said == 1 else level) if level < 1.0
-            else level if level >= weighing.SURE and set(names) <= set(test.faults)
+            else level if level >= fault_likelihood.SURE and set(names) <= set(test.faults)
             else -inf
             for level, test in zip(levels, plan.tests, strict=True)
         ]  # fmt: skip

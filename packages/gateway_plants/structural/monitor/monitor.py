@@ -40,17 +40,17 @@ from gateway_fdi.structure.model import Quantity as Known
 from gateway_fdi.structure.units import differ
 from gateway_plants.structural.monitor import (
     decision,
+    fault_likelihood,
     filters,
-    following,
     identity,
-    kept,
     modes,
     observer,
+    parameter_tracking,
+    plan_cache,
     records,
     source,
     summary,
     uncertain,
-    weighing,
 )
 from gateway_plants.structural.monitor.faults import behind, blames, faults_of, levels, names_of, shown
 from gateway_plants.structural.monitor.params import Params, PartParams
@@ -238,7 +238,7 @@ class _Made:
 
     def _fill_slow(self, p: PartParams, s: Any, c: Any) -> None:
         """Fill what follows all that may be off, and the models that it moves."""
-        following.prepare(s.follow, c.follow, [one.bound for one in self.slow], p.drift_s)
+        parameter_tracking.prepare(s.follow, c.follow, [one.bound for one in self.slow], p.drift_s)
         if source.is_late(self.slow):
             c.late.per_ms = 1.0 / p.period_ms
             c.late.back = math.ceil(max(one.bound for one in self.slow if one.kind == "lag") / p.period_ms)
@@ -249,7 +249,7 @@ class _Made:
                 apart_s = max(p.confirm_s, 1.0 / fitted.filter if test.filtered else 0.0)
                 found = modes.modes(self.model, test, p)
                 turn = 0.0 if found is None else float(abs(found.every.imag).max()) * p.period_ms / 1e3
-                following.prepare_test(c.follow, k, p.nu.get(test.name, math.inf), apart_s, turn)
+                parameter_tracking.prepare_test(c.follow, k, p.nu.get(test.name, math.inf), apart_s, turn)
                 near = uncertain.neighbours(self.slow, test)
                 models += [s[f"near_{k}"][i] for i in range(len(near))]
                 if near:
@@ -260,7 +260,7 @@ class _Made:
 
     def _fill_weighed(self, p: PartParams, s: Any, c: Any) -> None:
         """Fill what weighs faults, and the constants of those that run beside the tests."""
-        said = weighing.model_of(self.plan, len(self.slow), p.period_ms / 1e3, p.confirm_s)
+        said = fault_likelihood.model_of(self.plan, len(self.slow), p.period_ms / 1e3, p.confirm_s)
         said.fill(c.fit)
         gains = {gain: column for column, gain in enumerate(said.gains)}
         for k, test in source.faulty(self.plan):
@@ -353,7 +353,7 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
         "name": model.name, "tests": p.tests, "causality": p.causality, "unseen": sorted(p.unseen),
         "start": sorted(p.start.items()), "sizes": p.sizes, "noise": sorted(p.noise.items()),
     }  # fmt: skip
-    key = kept.key_of(path.read_bytes(), asked)
+    key = plan_cache.key_of(path.read_bytes(), asked)
     wrong = Gathered()
     slow: tuple[uncertain.Slow, ...] = ()
     with wrong:
@@ -371,12 +371,12 @@ def made(p: Params, folder: Path) -> Monitor[Params]:
                 uncertain.check_name(name, known, _NAMED[field], field if field == "unseen" else f"{field}.{name}")
     wrong.check()
     if (key, slow) not in _MONITORS:
-        plan = kept.read(key)
+        plan = plan_cache.read(key)
         if plan is None:
             from gateway_plants.structural.monitor.choice import choose  # noqa: PLC0415 - algebra is slow to load
 
             plan = choose(model, p)
-            kept.write(key, plan)
+            plan_cache.write(key, plan)
         _MONITORS[key, slow] = _Made(model, plan, slow)
     made_of = _MONITORS[key, slow]
     monitor = made_of.monitor

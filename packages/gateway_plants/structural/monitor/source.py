@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 from gateway_fdi.structure.generator.records import DEAD, GAIN, HOLD, JACOBIAN, SLOPES, field_name
 from gateway_fdi.structure.generator.sources import load_source, module_name
+from gateway_plants.structural.monitor.fault_likelihood import STEP as SIZE
+from gateway_plants.structural.monitor.fault_likelihood import faults_of, model_of
 from gateway_plants.structural.monitor.plan import Plan, Test
 from gateway_plants.structural.monitor.records import lengths
 from gateway_plants.structural.monitor.uncertain import STEP, Slow, neighbours
-from gateway_plants.structural.monitor.weighing import STEP as SIZE
-from gateway_plants.structural.monitor.weighing import faults_of, model_of
 
 #: Fields of the state that show how many samples there were, and tests without their inputs, from those of its own.
 COUNTS = {"samples_taken": "samples", "samples_missed": "missed", "tests_without": "without"}

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
-from gateway.signals import framed as encode
+from gateway.signals import frame_encoding as encode
 from gateway_bench.vecu.contract import Run, Truth, VirtualEcu, injected
 from gateway_bench.vecu.databases import message_of
 from gateway_plants.truck.ecu.control import PERIOD

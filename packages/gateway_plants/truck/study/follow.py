@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.monitors.contract import FAILED
-from gateway.signals.framed import carried
+from gateway.signals.frame_encoding import carried
 from gateway_bench.vecu.databases import message_of
 from gateway_fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway_fdi.jit import kernel, zeros

@@ -3,7 +3,7 @@
 import cantools
 import numpy as np
 
-from gateway.signals.framed import frames_of, merged
+from gateway.signals.frame_encoding import frames_of, merged
 from gateway_fdi.common.resources import shipped
 
 DBC = shipped("dbc/steering.dbc")

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
-from gateway_bench.wire.replayed import Said, config_of, through
-from gateway_bench.wire.road import road
+from gateway_bench.wire.channel_model import road
+from gateway_bench.wire.replay import Said, config_of, through
 from gateway_plants.pedal.study.outside import sensors
 from gateway_plants.pedal.study.outside.foot import DT, Array, Random, driving
 
@@ -90,7 +90,7 @@ def healthy(plant: Made, hours: float, seed: int, *, way: Way | None = None, **p
         plant: rng -> the sensors.
         hours: length.
         seed: of everything.
-        way: what happens to the frames, of :func:`gateway_bench.wire.road.road`.
+        way: what happens to the frames, of :func:`gateway_bench.wire.channel_model.road`.
         params: of the monitor.
     """
     rng = np.random.default_rng(seed)
@@ -152,7 +152,7 @@ def drive(
         plant: rng -> the sensors; default: the brake's as told, with small errors.
         seconds: length.
         begin: of the fault [s]; default: at random, after 5 s.
-        way: what happens to the frames, of :func:`gateway_bench.wire.road.road`.
+        way: what happens to the frames, of :func:`gateway_bench.wire.channel_model.road`.
     """
     rng = np.random.default_rng([seed, list(FAULTS).index(name)])
     made = plant(rng)

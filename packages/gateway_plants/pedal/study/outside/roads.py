@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway_bench.study_pool import Progress, run
-from gateway_bench.wire.replayed import config_of, through
+from gateway_bench.wire.replay import config_of, through
 from gateway_plants.pedal.study.outside import faults, sensors
 
 #: Length of a drive with a fault [s], and of a healthy one [h].

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from gateway.bus.frames import Frames
-from gateway.signals.framed import frames_of
+from gateway.signals.frame_encoding import frames_of
 from gateway_fdi.common.resources import shipped
 from gateway_plants.pedal.study.outside.foot import DT, Array, Random
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from gateway_fdi.jit import f8s, kernel
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
-from gateway_plants.pedal.voting.tracking import habits, mismatch, track
-from gateway_plants.pedal.voting.tracking.habits import FEW, SMOOTH
+from gateway_plants.pedal.voting.tracking import channel_activity, mismatch, track
+from gateway_plants.pedal.voting.tracking.channel_activity import FEW, SMOOTH
 from gateway_plants.pedal.voting.tracking.scale import GATE
 from gateway_plants.pedal.voting.tracking.shape import (
     COMMON,
@@ -72,9 +72,9 @@ def _frozen(s: State, c: Const, y: f8s, i: int, others: int) -> bool:
     # Where readings are so coarse that a line may jump farther than a foot moves, few samples prove none.
     smooth = int(smooth * max(2.0 * s.scale.straight / c.slew, 1.0))
     far = 2.0 * (s.scale.agree + s.swing)
-    mover, moved = habits.outrun(h, c.channels, i, y, smooth, far, c.creep)
+    mover, moved = channel_activity.outrun(h, c.channels, i, y, smooth, far, c.creep)
     if mover < 0:
-        mover, moved = habits.outrun(h, c.channels, i, y, STEADY, far, c.amble)
+        mover, moved = channel_activity.outrun(h, c.channels, i, y, STEADY, far, c.amble)
     if mover < 0 or others & (1 << mover) == 0:
         return bool(silent)
     # One that has jumped as no foot moves, or jumps often, has to go on for longer, but beside one at a rail.
@@ -148,7 +148,7 @@ def witnessed(s: State, c: Const, trusted: int, i: int) -> bool:
             continue  # a frozen channel is none, but where the other one of two did what the quantity cannot
         if count == 2 and s.drift == 1 and abs(s.habits.torn[i]) <= s.scale.agree:
             continue  # of two that have parted smoothly before nobody can tell, but by what no quantity does
-        if count > 2 or habits.jumped(s.habits, i, j, s.scale.agree, _common(s, c, i, j)):
+        if count > 2 or channel_activity.jumped(s.habits, i, j, s.scale.agree, _common(s, c, i, j)):
             return True
     return False
 

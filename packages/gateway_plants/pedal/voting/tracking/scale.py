@@ -1,6 +1,6 @@
 """How far readings may lie apart for noise and resolution alone: what every gate of the voter is made of.
 
-As the data sheet says, until something has measured the sensors (:mod:`gateway_plants.pedal.voting.acquaintance`).
+As the data sheet says, until something has measured the sensors (:mod:`gateway_plants.pedal.voting.identification`).
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from gateway_fdi.jit import Record, f8, i8, kernel, means
-from gateway_plants.pedal.voting.tracking.habits import FEW
+from gateway_plants.pedal.voting.tracking.channel_activity import FEW
 
 #: Standard deviations of a gate: 6e-7 of normal innovations lie outside.
 GATE = 5.0

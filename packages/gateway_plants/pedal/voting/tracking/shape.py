@@ -6,7 +6,7 @@ from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, means
 from gateway_plants.pedal.voting.simple import MOST_CHANNELS
-from gateway_plants.pedal.voting.tracking.habits import State as Habits
+from gateway_plants.pedal.voting.tracking.channel_activity import State as Habits
 from gateway_plants.pedal.voting.tracking.mismatch import State as Mismatch
 from gateway_plants.pedal.voting.tracking.motion import State as Motion
 from gateway_plants.pedal.voting.tracking.scale import Scale

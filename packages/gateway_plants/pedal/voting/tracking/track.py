@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gateway_fdi.jit import f8s, kernel
-from gateway_plants.pedal.voting.tracking import habits, mismatch, motion
+from gateway_plants.pedal.voting.tracking import channel_activity, mismatch, motion
 from gateway_plants.pedal.voting.tracking.scale import GATE
 from gateway_plants.pedal.voting.tracking.shape import FOLLOWED, ISOLATE, REGRET, Const, State
 
@@ -79,7 +79,7 @@ def turn(s: State, c: Const, x: float, count: int, dt: float) -> None:
 @kernel
 def follow(s: State, c: Const, i: int) -> None:
     """Begin a new track on the line that channel ``i`` goes."""
-    v = habits.slope(s.habits, i)
+    v = channel_activity.slope(s.habits, i)
     motion.restart(s.motion, s.z[i], v, s.scale.variance, s.scale.variance / 2.0 + c.bend * c.bend + v * v / 16.0)
     accept(s, c, 1 << i, FOLLOWED)
     s.sure = 0

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from gateway_fdi.jit import f8s, kernel
-from gateway_plants.pedal.voting.tracking import belief, habits, isolation, mismatch, motion, scale, track
+from gateway_plants.pedal.voting.tracking import channel_activity, fusion, isolation, mismatch, motion, scale, track
 from gateway_plants.pedal.voting.tracking.scale import GATE
 from gateway_plants.pedal.voting.tracking.shape import (
     AGREED,
@@ -59,7 +59,7 @@ def _start(s: State, c: Const, y: f8s) -> None:
         s.scale.variance + (0.0 if agreed else spread * spread / 4.0),
         c.slew * c.slew / 9.0,
     )
-    habits.start(s.habits, n, y, s.raw)
+    channel_activity.start(s.habits, n, y, s.raw)
     s.started = 1
     s.source = AGREED if agreed else SINGLE
     s.sure = 1 if agreed else 0
@@ -87,14 +87,14 @@ def _take(s: State, c: Const, y: f8s, dt: float) -> None:
     for i in range(n):
         if y[i] == y[i] and s.isolated & (1 << i) == 0:
             trusted |= 1 << i
-    habits.watch(s.habits, n, y, s.raw, trusted, s.absent, s.scale.straight, c.bend, c.slew, m.v, dt)
+    channel_activity.watch(s.habits, n, y, s.raw, trusted, s.absent, s.scale.straight, c.bend, c.slew, m.v, dt)
     for i in range(n):
         if s.habits.same[i] == 0:
             mismatch.mark(s.mismatch, n, i)
     s.used = 0
     trusted = isolation.freeze(s, c, y, trusted)
     if s.used == 0:
-        belief.decide(s, c, y, trusted, dt)
+        fusion.decide(s, c, y, trusted, dt)
     if s.used:
         s.anchor = m.x
     elif s.isolated:

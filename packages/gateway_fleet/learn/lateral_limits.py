@@ -1,0 +1,61 @@
+"""Limits by the tyres: the faster a car is, the less its steering wheel is turned.
+
+A car that turns its steering wheel by an angle goes through a curve with the lateral acceleration
+a = v^2 tan(angle / i) / l, i the ratio of the steering, l the wheelbase. Tyres end it; so angle * v^2 has a bound that
+a healthy car keeps on any road. It is a range by condition: wide at walking pace, narrow at speed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from gateway_fleet.learn.lines import RULE, Line, inline, short, shown
+from gateway_fleet.learn.observe import Observation
+from gateway_fleet.learn.stuck_detection import Drives
+
+#: Lateral acceleration [m/s2] and the largest product of steering ratio and wheelbase of cars and vans [m].
+GRIP, RATIO_BASE = 8.0, 55.0
+#: The bound is at least this multiple of the largest value seen.
+WIDER = 2.0
+#: Unit of a speed -> m/s.
+_SPEEDS = {"km/h": 1 / 3.6, "kph": 1 / 3.6, "kmh": 1 / 3.6, "km/hr": 1 / 3.6, "mph": 0.44704, "m/s": 1.0}
+_ANGLE = re.compile(r"STEER\w*(ANGLE|POS)|LENK\w*WINKEL|(ANGLE|SWA)\w*STEER|^SAS_Angle$|^SteeringAngle$", re.IGNORECASE)
+#: Other angles, rates, and requests of an assistant.
+_OTHER = re.compile(r"RATE|SPEED|REQ|CMD|CMND|TARGET|DESIRED|ZERO|OFFSET|FRACTION|MOTOR", re.IGNORECASE)
+#: Rows that it must have been driven for.
+LEAST_ROWS = 200
+
+
+def grip_lines(observation: Observation, buses: Sequence[str], speeds: Sequence[Sequence[Drives]]) -> list[Line]:
+    """Return a rule for each steering wheel angle, each with its evidence."""
+    stamps, matrix = observation.snapshots.stamps(), observation.snapshots.matrix()
+    lines = []
+    for (bus, name), seen in observation.seen.items():
+        speed = next((each for each in speeds[bus] if each.unit in _SPEEDS and each.message != name), None)
+        if speed is None:
+            continue
+        fast = speed.at(stamps)
+        for k, signal in enumerate(seen.signals):
+            unit = (signal.unit or "").lower()
+            if (
+                unit not in ("deg", "degree", "degrees", "\u00b0")
+                or not _ANGLE.search(signal.name)
+                or _OTHER.search(signal.name)
+            ):
+                continue
+            turned = np.abs(matrix[:, seen.columns.start + k]) * fast**2
+            turned = turned[~np.isnan(turned)]
+            bound = np.degrees(GRIP * RATIO_BASE) / _SPEEDS[speed.unit] ** 2
+            if len(turned) < LEAST_ROWS or turned.max() == 0.0 or seen.courses.each[k].changes == 0:
+                continue
+            most = float(turned.max())
+            limit = short(max(bound, WIDER * most), 3)
+            full = f"{name}.{signal.name}"
+            title = re.sub(r"[^A-Za-z0-9_-]", "_", f"{name}_{signal.name}_by_grip")
+            text = f"abs(number({full})) * number({speed.name}) ** 2 <= {inline(limit)}"
+            why = f"{shown(most)} seen at most, {len(turned)} times; tyres end at {GRIP:g} m/s2"
+            lines.append(Line(buses[bus], RULE, title, {"name": title, "holds": text, "failed_ms": 1000.0}, why))
+    return lines

@@ -1,0 +1,334 @@
+"""Which faults fit sign and size of all residuals together, beside all that may be off.
+
+When a test comes near its limit, generators of the model with a small fault begin beside each test, in the states that
+the test has then. What they leave less, over the fault's size, is the test's gain by a fault that begins now.
+Residuals, gains and sensitivities become one quadratic form (:mod:`gateway_fdi.evidence.blocks`) in which what may be
+off is as the slow filter knew it before, and moves from block to block by a share of its bound: a plant has dynamics
+that its model lacks, and most of them look like its parameters. Noise is taken as independent once in the time that
+:mod:`.parameter_tracking` takes.
+
+Of each fault the likelihood is that of :mod:`gateway_fdi.evidence.hypotheses`, with the scale of its size from what it
+fits best, so that no prior of a size is asked for. As much as the best fault leaves beyond the noise, all are worth
+less. What a block says counts less with each block that follows: what a model lacks lasts as long as a manoeuvre, and
+would add up for ever; what a fault leaves comes again.
+
+A fault is **likely** if it fits as well as the best one; or a little less well, and it sees all tests that have fired.
+As long as a test fires and sizes are not sure, more is **awaited**: nothing is told that the tests leave open. They are
+sure where the likelihood ratio of the best fault is large enough. Faults that are likely part as long as one of them
+is on its way to be unlikely, more than half of it; that has then taken longer than the rest will. Others may stay
+together: up to :data:`~.decision.MOST_TOGETHER` of them are told as one of several, when that has stood.
+
+What was found may be no single fault of this model. Then the tests decide alone:
+
+- **Several faults.** The best one is taken as there with the size s that was found, each gain u_i known to a share:
+  with (A, b) the form of the gains, b := b - A u, u = s in its columns, and the deviation from it, N(0, (error s)^2),
+  is integrated out. Another fault whose likelihood ratio in what is left is as large as one needs to speak is a second
+  one. Of faults that fit as well as each other the tests name none alone, in this case too.
+- **No fault of the model.** Of what the residuals have beyond their noise the best one leaves more than a share, beside
+  what a model leaves that is off.
+- **A test** has fired for sure that none of those that fit best sees.
+
+**The fault has ended.** Of each block alone, with y and U its form by the size s, what may be off integrated out as it
+was known before, y s - U s^2 / 2 is the logarithm of the likelihood that the fault has its size still, against that it
+has gone. Their sum, 0 at most (Page, "Continuous inspection schemes", Biometrika 41, 1954), says when it has gone.
+Nothing is weighed then until no test has been near its limit for the time to settle: what residuals have while they
+decay is of no fault that begins. A name keeps the likely faults that it was given by, unless a test fires that none of
+them explains.
+"""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+from typing import Annotated, Any
+
+import numpy as np
+
+from gateway_fdi.evidence import blocks, model
+from gateway_fdi.evidence.hypotheses import of_fault
+from gateway_fdi.evidence.model import FINER, SCALES
+from gateway_fdi.evidence.quadratic import blur
+from gateway_fdi.jit import f8, f8s, i8, kernel, means
+from gateway_fdi.masks import clear, empty, has, include, within
+from gateway_plants.structural.monitor.plan import Plan
+
+#: Size of the fault that runs beside a test.
+STEP = 1e-3
+#: T over J of a test from which on faults run beside the tests.
+NEAR = 0.2
+#: Columns and gains up to which they do.
+MOST_COLUMNS = 150
+#: By which what may be off moves from block to block, a share of its bound; error of a gain, a share of it.
+JITTER, ERROR = 0.3, 0.3
+#: Logarithm of the likelihood, and share of the best one's, by which a fault that fits less well is unlikely; that it
+#: takes to speak at all: of healthy cars that are 8 % off one reached it in 12 hours.
+LESS, NEARLY, SPEAKS = 6.0, 0.1, 20.0
+#: Share of what is beyond noise that the best fault has to explain; variances of the noise that it may leave besides.
+#: T over J of a test that is no chance.
+FITS, BEYOND, SURE = 0.9, 1.0, 3.0
+#: Blocks in the time to confirm; share of what they say that the next one leaves.
+BLOCKS, KEPT = 2, 0.975
+
+
+class Const(model.Const, lengths=model.LENGTHS):
+    """Constants."""
+
+    share: Annotated[f8s, "residuals"] = means("of a sample that is independent of those before")
+
+
+class State(model.State, lengths=model.LENGTHS):
+    """State."""
+
+    awake: i8 = means("1: faults run beside the tests")
+    held: i8 = means("1: a fault has ended, and its residuals have not settled yet")
+    near_ns: i8 = means("when a test was near its limit last", "ns")
+    first: i8 = means("fault that fits best; -1: none")
+    gone: f8 = means("logarithm of the likelihood that it is there still, against that it has gone; 0 at most")
+    known_a: Annotated[f8s, "columns", "columns"] = means("A of what was known before")
+    r: Annotated[f8s, "residuals"] = means("residuals, without what was known to be off")
+    h: Annotated[f8s, "residuals", "slow"] = means("their sensitivities")
+    g: Annotated[f8s, "gains"] = means("gains")
+    x: Annotated[f8s, "slow"] = means("what was known to be off when faults began beside the tests")
+    since_a: Annotated[f8s, "columns", "columns"] = means("A of all blocks, and of what was known before")
+    since_b: Annotated[f8s, "columns"] = means("b of all blocks")
+    squares: f8 = means("sum of squares of the residuals over their noise")
+    looks: f8 = means("number of independent residuals")
+    alone: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each fault alone")
+    stands: i8 = means("blocks since it is sure")
+    excess: f8 = means("variance of what the best fault leaves, over that of the noise, 1 at least")
+
+
+def faults_of(plan: Plan) -> tuple[model.Fault, ...]:
+    """Return the faults that are weighed; none where their code is not known, or they would be too many."""
+    found = tuple(model.Fault(f, tuple(plan.seen_by(f)), 1.0, ERROR) for f in plan.faults)
+    known = all(test.faulty or not test.faults for test in plan.tests)
+    return found if known and sum(len(f.residuals) for f in found) <= MOST_COLUMNS else ()
+
+
+def model_of(plan: Plan, slow: int, period_s: float, confirm_s: float) -> model.Model:
+    """Return what is said of a plant.
+
+    Args:
+        plan: its tests.
+        slow: number of what may be off, each in shares of its bound.
+        period_s: between two samples [s].
+        confirm_s: before a name is told [s].
+    """
+    return model.Model(
+        slow=(1.0,) * slow,
+        faults=faults_of(plan),
+        noise=np.eye(len(plan.tests)),
+        samples=max(round(confirm_s / BLOCKS / period_s), 1),
+        jitter=JITTER,
+    )
+
+
+@kernel
+def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
+    """Return whether faults begin beside the tests behind this sample; without a test that is near they end.
+
+    Behind a fault that has ended they wait until no test has been near for the time to settle.
+    """
+    near = not empty(own.fired)
+    for k in range(own_const.tests):
+        near = near or own.norm[k] > NEAR
+    if near:
+        s.near_ns = own.at_ns
+    if s.held == 1:
+        s.awake = own.awaits = 0
+        if empty(own.fired) or _is_another(own, own_const):
+            own.weighed = 0
+        if not near and own.at_ns - s.near_ns >= own_const.settle_ns:
+            s.held = 0
+        return False
+    if near and s.awake == 1:
+        return False
+    s.awake = own.awaits = 1 if near else 0
+    own.weighed = 0
+    if not near:
+        return False
+    n = c.slow + c.first[c.faults]
+    blocks.drop(s)
+    for i in range(n):
+        s.since_b[i] = 0.0
+        for j in range(n):
+            s.since_a[i, j] = 0.0
+    s.squares = s.looks = s.gone = 0.0
+    s.first, s.stands = -1, 0
+    return True
+
+
+@kernel
+def _is_another(own: Any, own_const: Any) -> bool:
+    """Return whether a test has fired that none of the likely faults explains."""
+    for f in range(own_const.faults):
+        if has(own.likely, f) and within(own.fired, own_const.may[f]):
+            return False
+    return True
+
+
+@kernel
+def know(s: Any, c: Any, slow: Any) -> None:
+    """Take over what the slow filter knows: its inverse covariance is the information (Gauss and Jordan)."""
+    n = c.slow
+    a, inverse = s.work_a, s.since_a
+    for i in range(n):
+        s.x[i] = slow.taken[i]
+        for j in range(n):
+            a[i, j] = slow.p[i, j] + (1e-9 if i == j else 0.0)
+            inverse[i, j] = 1.0 if i == j else 0.0
+    for i in range(n):
+        pivot = a[i, i]
+        for j in range(n):
+            a[i, j] /= pivot
+            inverse[i, j] /= pivot
+        for k in range(n):
+            factor = a[k, i]
+            if k != i and factor != 0.0:
+                for j in range(n):
+                    a[k, j] -= factor * a[i, j]
+                    inverse[k, j] -= factor * inverse[i, j]
+    for i in range(n):
+        for j in range(n):
+            s.known_a[i, j] = inverse[i, j]
+
+
+@kernel
+def take(s: Any, c: Any, own: Any, own_const: Any) -> None:
+    """Take the residuals of a sample; where a block is whole, find the faults that are likely."""
+    for k in range(c.residuals):
+        settled = own.at_ns - max(own.since_ns, own.from_ns[k]) >= own_const.settle_ns
+        if own.waits[k] == 1 or not settled or not c.share[k] > 0.0:
+            s.r[k] = np.nan
+        if isfinite(s.r[k]):
+            s.squares += c.weight[k, k] * s.r[k] * s.r[k]
+            s.looks += c.share[k]
+    if not blocks.add(s, c, s.r, s.h, s.g):
+        return
+    n = c.slow + c.first[c.faults]
+    s.squares -= blocks.close(s, c)
+    if s.first >= 0:
+        s.gone = min(s.gone, 0.0) + _still(s, c, s.first, n)
+        if s.gone < -LESS * s.excess:
+            s.held = 1
+            own.weighed = own.weighed if 0 <= own.found < own_const.groups else 0
+            return
+    s.squares *= KEPT
+    s.looks *= KEPT
+    for i in range(n):
+        s.since_b[i] = KEPT * s.since_b[i] + s.b[i]
+        for j in range(n):
+            s.since_a[i, j] = KEPT * s.since_a[i, j] + (1.0 - KEPT) * s.known_a[i, j] + s.a[i, j]
+    blocks.drop(s)
+    _judge(s, c, own, own_const, n)
+
+
+@kernel
+def _left(s: Any, c: Any, a: Any, b: Any, n: int) -> float:
+    """Copy a form into the scratch, and integrate out what may be off; returns what it explains."""
+    explained = 0.0
+    for i in range(n):
+        s.work_b[i] = b[i]
+        for j in range(n):
+            s.work_a[i, j] = a[i, j]
+    for i in range(c.slow):
+        explained += s.work_b[i] ** 2 / s.work_a[i, i]
+        blur(s.work_a, s.work_b, n, i, 0.0)
+    return explained
+
+
+@kernel
+def _still(s: Any, c: Any, f: int, n: int) -> float:
+    """Return the logarithm of a block's likelihood that a fault has the size it had, against that it has gone."""
+    for i in range(c.slow):
+        for j in range(c.slow):
+            s.a[i, j] += s.known_a[i, j]
+    _left(s, c, s.a, s.b, n)
+    for i in range(c.slow):
+        for j in range(c.slow):
+            s.a[i, j] -= s.known_a[i, j]
+    (product, information), size = _moments(s, c, f), s.found[f]
+    return float(product * size - 0.5 * information * size * size)
+
+
+@kernel
+def _moments(s: Any, c: Any, f: int) -> tuple[float, float]:
+    """Return y and U of a fault's size, one for all of its gains, by the form in the scratch."""
+    product, information = 0.0, 0.0
+    for i in range(c.slow + c.first[f], c.slow + c.first[f + 1]):
+        product += s.work_b[i]
+        for j in range(c.slow + c.first[f], c.slow + c.first[f + 1]):
+            information += s.work_a[i, j]
+    return product, information
+
+
+@kernel
+def _ratio(s: Any, c: Any, f: int) -> float:
+    """Return the logarithm of a fault's likelihood ratio by the form in the scratch, with its size to be found."""
+    product, information = _moments(s, c, f)
+    if not information > 0.0 or product == 0.0:
+        return -inf
+    for m in range(SCALES):
+        c.scale[f, m] = abs(product) / information / FINER**m
+    of_fault(s, c, f)
+    return float(s.likelihood[f])
+
+
+@kernel
+def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
+    """Find the faults that are likely by all blocks."""
+    left = s.squares - s.looks - _left(s, c, s.since_a, s.since_b, n)
+    best, s.first = 0.0, -1
+    for f in range(c.faults):
+        s.likelihood[f] = _ratio(s, c, f)
+        s.alone[f] = s.likelihood[f]
+        if s.likelihood[f] > best:
+            best, s.first = s.likelihood[f], f
+    s.excess = max((left + s.looks - 2.0 * best) / s.looks, 1.0)
+    best /= s.excess
+    clear(own.likely)
+    own.weighed, own.awaits, known = 0, 1, False
+    for k in range(own_const.tests):
+        known = known or own.norm[k] > 1.0
+    if known and left > 2.0 * SPEAKS * s.excess:
+        own.awaits = 1 if left - 2.0 * best * s.excess <= (1.0 - FITS) * left + BEYOND * s.looks else 0
+    if own.awaits == 0 or not known or best <= SPEAKS:
+        s.stands = 0
+        return
+    s.stands += 1
+    own.awaits = 1 if s.stands <= BLOCKS else 0
+    single, seen = _second(s, c, n) <= SPEAKS * s.excess, False
+    for f in range(c.faults):
+        less = best - s.alone[f] / s.excess - NEARLY * best
+        if less > LESS:
+            continue
+        best_too, missed = less <= LESS - NEARLY * best, False
+        for k in range(own_const.tests):
+            missed = missed or (own.norm[k] > (SURE if best_too else 1.0) and not has(own_const.may[f], k))
+        seen = seen or (best_too and not missed)
+        if best_too or not missed:
+            include(own.likely, f)
+            own.awaits = 1 if 2.0 * less > LESS else own.awaits
+    own.weighed = 1 if single and seen else -1
+    own.awaits = own.awaits if own.weighed == 1 else 0
+
+
+@kernel
+def _second(s: Any, c: Any, n: int) -> float:
+    """Return the largest logarithm of a likelihood ratio of a fault beside the one that fits best.
+
+    The first one's size is as it was found, each of its gains known to :data:`ERROR`: its columns are moved to what it
+    explains, and what is not known of them is integrated out.
+    """
+    begin, end, size = c.slow + c.first[s.first], c.slow + c.first[s.first + 1], s.found[s.first]
+    for i in range(begin, end):
+        for j in range(n):
+            s.work_b[j] -= s.work_a[j, i] * size
+    for i in range(begin, end):
+        blur(s.work_a, s.work_b, n, i, (ERROR * size) ** -2)
+    largest = 0.0
+    for f in range(c.faults):
+        if f != s.first:
+            found = s.found[f]
+            largest = max(largest, _ratio(s, c, f))
+            s.found[f] = found
+    return float(largest)
