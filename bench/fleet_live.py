@@ -29,7 +29,7 @@ from gateway.faults.catalogue import Catalogue
 from gateway.faults.fleet import FleetParams
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Changes
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.serve.broker import Broker, BrokerLink
 from gateway_fleet.live.batch import digest_of, packed, topic
 from gateway_fleet.live.collect import Came, Collector
@@ -96,7 +96,7 @@ class Car:
 
     def open(self):
         if self.store is None:
-            self.store = KeptStore(self.path)
+            self.store = ResilientStore(self.path)
             self.memory = FaultMemory(Catalogue(()), self.store, fleet=self.params)
 
     def close(self):
@@ -244,7 +244,7 @@ def told_of(place, written, kills, seconds, args):
             ids[row["car"]].add((row["origin"], row["number"]))
     lost = dropped = last = 0
     for number, (name, kept) in enumerate(ids.items()):
-        with closing(KeptStore(place / f"{number}.sqlite")) as store:
+        with closing(ResilientStore(place / f"{number}.sqlite")) as store:
             tally = store.tally()
         last, dropped = last + tally.last, dropped + tally.dropped
         sure = max(tally.last, written.get(name, 0))  # what a commit had said is on the disk has to be there
@@ -287,7 +287,7 @@ def rate(args):
     """Events a second that one collector keeps, of batches that lie ready."""
     place = Path(tempfile.mkdtemp(prefix="fleet-rate-"))
     memory = place / "a.sqlite"
-    store = KeptStore(memory)
+    store = ResilientStore(memory)
     car = FleetParams(name="bench", car="car00000", model="m", software="s", bytes=10**9)
     kept = FaultMemory(Catalogue(()), store, fleet=car)
     for n in range(5):

@@ -43,7 +43,7 @@ from gateway.bus.socketcan import SocketCanBus
 from gateway.bus.uri import open_bus
 from gateway.config.load import load_config
 from gateway.faults.memory import FaultMemory
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.runtime.app import Gateway
@@ -121,8 +121,8 @@ class Marks:
     def __init__(self) -> None:
         self.rows: list[list[float]] = []
         self._put_before(FaultMemory, "begin", 0)
-        self._put_before(KeptStore, "save", 1)
-        self._put_after(KeptStore, "save", 2)
+        self._put_before(ResilientStore, "save", 1)
+        self._put_after(ResilientStore, "save", 2)
         self._put_before(FaultMemory, "join", 3)
 
     def _mark(self, place: int) -> None:

@@ -60,7 +60,7 @@ def records(data: bytes, lengths: Mapping[tuple[int, int], int]) -> Iterator[tup
         yield (service, int.from_bytes(data[1 : 1 + size], "big")), data[1 + size :]
 
 
-class Weaver:
+class FrameEncoder:
     """Answers of one ECU into frames.
 
     Args:

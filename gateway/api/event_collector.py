@@ -31,7 +31,7 @@ class _Keep:
         pass
 
 
-class Observed:
+class EventCollector:
     """A gateway, its events, and its series where they are wanted.
 
     Args:

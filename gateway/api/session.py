@@ -6,13 +6,13 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from gateway.api.event_collector import Observed
+from gateway.api.event_collector import EventCollector
 from gateway.api.messages import Messages, batch_of
 from gateway.api.run import Event, Run
 from gateway.api.words import spoken
 from gateway.bus.frames import Frames, joined, to_message
 from gateway.config.channels import channels_of
-from gateway.runtime.injector import Faulty
+from gateway.runtime.injector import FaultInjector
 from gateway.runtime.replay import Cycle, FrameConsumer
 from gateway_fdi.errors import GatewayError
 
@@ -35,7 +35,7 @@ class Session:
 
     def __init__(
         self,
-        observed: Observed,
+        observed: EventCollector,
         injectors: list[Injector],
         send: Callable[[can.Message], object] | None,
     ) -> None:
@@ -43,7 +43,7 @@ class Session:
         self.notes = observed.notes
         consumer: FrameConsumer = observed.fed
         if injectors:
-            consumer = Faulty(consumer, injectors, observed.gateway)
+            consumer = FaultInjector(consumer, injectors, observed.gateway)
         self._cycle = Cycle(consumer)
         config = observed.gateway.config
         self._buses = [bus.name for bus in config.bus]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
-from gateway.api.event_collector import Observed
+from gateway.api.event_collector import EventCollector
 from gateway.api.paths import Pathish, path_of, paths_of
 from gateway.api.progress import Progress, shown
 from gateway.api.run import Run
@@ -148,7 +148,7 @@ class Setup:
     ) -> Session:
         with spoken():
             parts, self._parts = (None, self._parts) if signals else (self._parts, None)
-            observed = Observed(
+            observed = EventCollector(
                 self.config,
                 self.file,
                 parts=parts,

@@ -8,7 +8,7 @@ from gateway.bus.frames import Frames, has_none_of
 
 
 @dataclass(frozen=True)
-class Heard:
+class IdFilter:
     """Frames that somebody listens to, on any bus.
 
     Attributes:
@@ -20,13 +20,13 @@ class Heard:
     identifiers: frozenset[int] = frozenset()
     masks: frozenset[tuple[int, int]] = frozenset()
 
-    def also(self, more: Heard) -> Heard:
+    def also(self, more: IdFilter) -> IdFilter:
         """Return what both listen to."""
-        return Heard(self.identifiers | more.identifiers, self.masks | more.masks)
+        return IdFilter(self.identifiers | more.identifiers, self.masks | more.masks)
 
     def has_none_of(self, frames: Frames) -> bool:
         """Return whether a batch has surely none of these, as most have none."""
         return not self.masks and (not self.identifiers or has_none_of(frames, self.identifiers))
 
 
-NOTHING = Heard()
+NOTHING = IdFilter()

@@ -26,7 +26,7 @@ from gateway.live.watchdog import steps_watched
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.injection import Injector
-from gateway.runtime.injector import Faulty, injectors_of
+from gateway.runtime.injector import FaultInjector, injectors_of
 from gateway.runtime.log import Log
 from gateway.runtime.replay import FrameConsumer
 from gateway.runtime.replay import replay as feed
@@ -84,7 +84,7 @@ def replay(
         report = None if html is None else RunReport(html, gateway, path)
         collector = gateway if report is None else report.collector
         with watched.of(gateway, parts, collector) as consumer, steps_watched(gateway.engine):
-            fed = Faulty(consumer, injectors, gateway) if injectors else consumer
+            fed = FaultInjector(consumer, injectors, gateway) if injectors else consumer
             _feed(fed, recorded, printer, log.name, traced)
         seconds = time.monotonic() - begun
         found = recorded.contents(allow_empty=allow_empty, allow_cut=allow_cut)

@@ -15,7 +15,7 @@ from gateway.engine.buckets import nearness
 from gateway.faults.journal import NO_JOURNAL
 from gateway.faults.journal_steps import keep, withdraw
 from gateway.host.sockets import CAN
-from gateway.live.fast_path import Pump
+from gateway.live.fast_path import FastPath
 from gateway.live.fast_path_kernel import patience_ms
 from gateway.monitors.contract import Family
 from gateway.monitors.registry import MONITORS
@@ -43,7 +43,7 @@ def warmup(*, json: bool) -> int:
     gateway = Gateway(Config.model_validate({"bus": [bus], "output": told}))  # it needs no plant, and no file
     gateway.start(0)
     gateway.engine.fault_detection_counters()  # signals that watchers look at
-    pump = Pump(gateway.engine, 1)
+    pump = FastPath(gateway.engine, 1)
     bound(patience_ms, pump.memory, rest=(0,))  # for systems on which Python waits
     gateway.close()
     Traffic(1).write(empty(1))

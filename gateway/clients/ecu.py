@@ -11,7 +11,7 @@ import numpy as np
 from gateway.answers.answer_frames import NEGATIVE, POSITIVE
 from gateway.bus.frames import BRS, EXTENDED, FD, ID_MASK, Frames, empty, put
 from gateway.clients.ask import PROBES, Ask, allowed, probe_forms, spoken_in
-from gateway.clients.forwarded_requests import Passed, Waiting
+from gateway.clients.forwarded_requests import ForwardedRequests, Waiting
 from gateway.clients.params import DTC, DTC_SERVICES, OBD, ON_UDS, EcuParams
 from gateway.clients.pgn import MARK, WAIT_MS, Ended, frame_of
 from gateway.clients.refusals import BUSY, FINAL, PENDING, TOO_LONG, UNKNOWN
@@ -64,7 +64,7 @@ class EcuClient:
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(COUNTED, 0))
     silent: int = 0
     waiting: Waiting = field(default_factory=Waiting)
-    _asked: Ask | Passed | None = None
+    _asked: Ask | ForwardedRequests | None = None
     _deadline_ns: int = NEVER
     _rests_ns: int = 0
     _pending: int = 0
@@ -216,7 +216,7 @@ class EcuClient:
         one = self._asked
         if one is None:
             return empty(0)
-        if isinstance(one, Passed):
+        if isinstance(one, ForwardedRequests):
             self._asked, self._deadline_ns = None, NEVER
             one.done(bytes([NEGATIVE, one.request[0], TOO_LONG]))
         return self._frame(bytes([0x32, 0, 0]), t_ns)
@@ -234,7 +234,7 @@ class EcuClient:
             self._learn(spoken)
         if ask is None or not answer:
             return
-        if isinstance(ask, Passed):
+        if isinstance(ask, ForwardedRequests):
             self._pass_back(ask, answer, t_ns)
             return
         if answer[0] == NEGATIVE:
@@ -263,7 +263,7 @@ class EcuClient:
         ask.delays = 0
         self._end(ask, t_ns, heard=True)
 
-    def _pass_back(self, one: Passed, answer: bytes, t_ns: int) -> None:
+    def _pass_back(self, one: ForwardedRequests, answer: bytes, t_ns: int) -> None:
         """Give a tester the answer to its request; 0x78 says that another one comes."""
         if not one.is_answered_by(answer):
             return
@@ -395,7 +395,7 @@ class EcuClient:
     def _absent(self, t_ns: int) -> None:
         ask = self._asked
         assert ask is not None
-        if isinstance(ask, Passed):
+        if isinstance(ask, ForwardedRequests):
             self._asked, self._deadline_ns = None, NEVER
             if not ask.is_quiet:
                 self.counts["passed_in_vain"] += 1
@@ -410,7 +410,7 @@ class EcuClient:
 
     def give_way(self, t_ns: int) -> None:
         """Rest: another tester asks this ECU, and two at once break each other's answers."""
-        if isinstance(self._asked, Passed):
+        if isinstance(self._asked, ForwardedRequests):
             one, self._asked, self._deadline_ns = self._asked, None, NEVER
             self._sender = self._new_sender()
             one.send_back()  # whose answer comes now cannot be told
@@ -438,7 +438,7 @@ class EcuClient:
         self.counts = dict(old.counts)
         if isinstance(old._asked, Ask):
             self.counts["yielded"] += 1
-        for one in ([old._asked] if isinstance(old._asked, Passed) else []) + list(old.waiting.passed):
+        for one in ([old._asked] if isinstance(old._asked, ForwardedRequests) else []) + list(old.waiting.passed):
             one.send_back()
         self.silent, self._rests_ns = old.silent, max(old._rests_ns, old._deadline_ns if old.busy else 0)
         if old.speaks in self.open:

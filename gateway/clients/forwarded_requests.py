@@ -29,7 +29,7 @@ def is_quiet(request: bytes) -> bool:
 
 
 @dataclass(eq=False)
-class Passed:
+class ForwardedRequests:
     """One request.
 
     Attributes:
@@ -76,10 +76,10 @@ class Waiting:
     """
 
     apart_ns: int = 0
-    passed: deque[Passed] = field(default_factory=deque)
+    passed: deque[ForwardedRequests] = field(default_factory=deque)
     next_ns: int = 0
 
-    def put(self, one: Passed) -> bool:
+    def put(self, one: ForwardedRequests) -> bool:
         """Take a request; returns whether there is room."""
         own = sum(each.owner is one.owner for each in self.passed)
         if own >= MOST_OF_A_TESTER or len(self.passed) >= MOST_WAITING:
@@ -87,7 +87,7 @@ class Waiting:
         self.passed.append(one)
         return True
 
-    def take(self, t_ns: int) -> Passed:
+    def take(self, t_ns: int) -> ForwardedRequests:
         """Return the next request."""
         self.next_ns = t_ns + self.apart_ns
         return self.passed.popleft()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gateway.answers.answer_frames import NEGATIVE, Weaver
+from gateway.answers.answer_frames import NEGATIVE, FrameEncoder
 from gateway.answers.monitor_tests import Result, results
 from gateway.answers.obd_on_uds import as_classic
 from gateway.bus.frames import EXTENDED, ID_MASK
@@ -113,7 +113,7 @@ def questioned(name: str, request: int, response: int) -> Ecu:
     """Return an ECU that is asked all questions; its identifiers with EXTENDED."""
     long = bool(request & EXTENDED)
     params = EcuParams(name=name, request=request & ID_MASK, response=response & ID_MASK, extended=long)
-    return Ecu(Questioned(params, 0, questions()), Weaver({}, {}, 1))
+    return Ecu(Questioned(params, 0, questions()), FrameEncoder({}, {}, 1))
 
 
 def supported(request: bytes, answer: bytes) -> list[int]:

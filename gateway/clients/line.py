@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gateway.clients.ecu import EcuClient
-from gateway.clients.forwarded_requests import Done, Passed, is_quiet
+from gateway.clients.forwarded_requests import Done, ForwardedRequests, is_quiet
 
 
 class Line:
@@ -39,7 +39,7 @@ class Line:
             owner: the tester.
             done: takes each answer; None: none comes any more.
         """
-        taken = self._client.waiting.put(Passed(request, owner, done))
+        taken = self._client.waiting.put(ForwardedRequests(request, owner, done))
         self._plan()
         return taken
 

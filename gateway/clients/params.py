@@ -13,7 +13,7 @@ from gateway.answers.obd_on_uds import PAGES
 from gateway.clients import pgn
 from gateway.engine.checks.message import Params as CheckParams
 from gateway.faults.settings import ConditionSettings, DtcText
-from gateway.isotp.addressing import PlaceParams
+from gateway.isotp.addressing import AddressingParams
 from gateway.monitors.contract import Debounce, Fault
 from gateway_fdi.common.tomlfile import StrictModel
 
@@ -148,7 +148,7 @@ class AskParams(StrictModel):
     requests_per_s: float = Field(10.0, gt=0, le=1000, description="most requests a second, of all ECUs of the bus")
 
 
-class EcuParams(PlaceParams):
+class EcuParams(AddressingParams):
     """An ECU that is asked, or whose answers to others are heard."""
 
     name: str = Field(pattern=r"^[A-Za-z0-9_-]+$", description="how the rest refers to it")

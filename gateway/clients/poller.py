@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from gateway.answers.answer_frames import NEGATIVE, Weaver
+from gateway.answers.answer_frames import NEGATIVE, FrameEncoder
 from gateway.bus.frames import EXTENDED, Frames, empty, joined, payload, put
-from gateway.bus.id_filter import Heard
+from gateway.bus.id_filter import IdFilter
 from gateway.clients.ask import Ask
 from gateway.clients.dm1 import MASKS, Dm1Listener
 from gateway.clients.dtcs import READ_DTCS, details_of, told_by
@@ -28,7 +28,7 @@ from gateway.isotp.edges import FLOW_CONTROL, MOST_LONG, MOST_SHORT
 from gateway.isotp.passive_reassembly import Reassembler
 
 #: Identifier of a frame behind each answer that tells DTCs, on the bus of the answers: it is the place in time of
-#: :attr:`Asking.told`.
+#: :attr:`Poller.told`.
 TELLS = EXTENDED | READ_DTCS << 16
 #: DTCs whose data are read after one answer, at most; those of others are read after the next.
 MOST_DETAILS = 16
@@ -55,7 +55,7 @@ class Ecu:
     """
 
     client: EcuClient
-    weaver: Weaver
+    weaver: FrameEncoder
     answers: Reassembler = field(init=False)
     requests: Reassembler = field(init=False)
     asked: bytes = b""
@@ -76,7 +76,7 @@ class Ecu:
         return self.client.params.name
 
 
-class Asking:
+class Poller:
     """The clients, and those who hear DTCs that are broadcast.
 
     Args:
@@ -128,7 +128,7 @@ class Asking:
                 self._functional.setdefault((client.bus, can_id), []).append(ecu)
         places = self._heard.keys() | self._functional.keys() | self._groups.keys()
         known = frozenset(can_id for _, can_id in places)
-        self._listens = Heard(known, frozenset() if dm1 is None else MASKS)
+        self._listens = IdFilter(known, frozenset() if dm1 is None else MASKS)
         self.heard = self._listens if woven is None else self._listens.also(woven.heard)
         self._ids = np.asarray(sorted(known), np.uint32)
         self._places = places
@@ -335,7 +335,7 @@ class Asking:
                 due.append(client.waiting.next_ns)
         self.next_ns = min(due)
 
-    def succeed(self, old: Asking, buses: Mapping[int, int]) -> None:
+    def succeed(self, old: Poller, buses: Mapping[int, int]) -> None:
         """Go on where those of the configuration before stop, with the ECUs that both have.
 
         Args:

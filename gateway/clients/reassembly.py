@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, FRAME, MORE, RAW, WOVEN, Frames, empty, joined
-from gateway.bus.id_filter import Heard
+from gateway.bus.id_filter import IdFilter
 from gateway.j1939.frame import TP_CM, TP_DT, Pdu, group_of, pdu_of
 from gateway.j1939.overheard import CUTS, FAST, STRAY, Overheard
 from gateway.signals.containers import Container, unpack
@@ -61,7 +61,7 @@ class Woven:
         self._overheard = {bus: Overheard(groups) for bus, groups in wanted.items()}
         self._looked = np.asarray(sorted(looked), np.uint32)
         self._held = np.asarray(sorted(bus << 32 | can_id for bus, can_id in plan.containers), np.uint64)
-        self.heard = Heard(frozenset(can_id for _, can_id in plan.containers), frozenset(masks))
+        self.heard = IdFilter(frozenset(can_id for _, can_id in plan.containers), frozenset(masks))
         self.contained = {"whole": 0, "unknown": 0, "cut": 0}
         self._most: dict[tuple[int, int], int] = {}
         self.woven = self.carrying = 0

@@ -14,7 +14,7 @@ import numpy as np
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, joined, payload, put
 from gateway.clients.dm1 import Dm1Listener
 from gateway.clients.identification import Questioned, Said, questioned
-from gateway.clients.poller import Asking, Ecu
+from gateway.clients.poller import Ecu, Poller
 from gateway.isotp.addressing import FUNCTIONAL
 
 MS = 1_000_000
@@ -101,7 +101,7 @@ class Survey:
         self._heard: list[Frames] = []
         self._traffic: set[int] = set()
         self._until_ns = -1
-        self._asking: Asking | None = None
+        self._asking: Poller | None = None
         self._dm1 = Dm1Listener([0], {}, {0: ""}, ())
 
     def poll(self, t_ns: int, heard: Frames) -> Frames:
@@ -218,7 +218,7 @@ class Survey:
         if self.done or not ecus:
             self.done = True
             return empty(0)
-        self._asking = Asking(ecus, {0: self._rate}, lambda bus: True)
+        self._asking = Poller(ecus, {0: self._rate}, lambda bus: True)
         self.steps += sum(len(ecu.client.asks) for ecu in ecus)
         return self._question(t_ns, empty(0))
 

@@ -12,7 +12,7 @@ class _Frozen:
 
 
 @contextmanager
-def uncollected() -> Iterator[None]:
+def gc_paused() -> Iterator[None]:
     """Build something large without looking for garbage in it again and again; there is hardly any.
 
     The result is old at once: only a full collection looks through it. Where a daemon has frozen what it started

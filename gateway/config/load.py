@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from gateway.common.gc_pause import uncollected
+from gateway.common.gc_pause import gc_paused
 from gateway.common.trust import beside
 from gateway.config.cross_check import cross_check
 from gateway.config.limits import with_limits
@@ -133,7 +133,7 @@ def _overridden(data: dict[str, Any], path: Path | None) -> Config:
         raise InputError(text, file=_ENVIRONMENT) from error
 
 
-@uncollected()
+@gc_paused()
 def load_config(path: str | Path, without: Collection[tuple[int, str]] = ()) -> Config:
     """Read a configuration; databases are those beside it, else shipped ones.
 

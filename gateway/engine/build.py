@@ -18,7 +18,7 @@ from gateway.engine.checks.bus_sleep import sender_of, silence_of
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.checks.communication import Check, CheckInstance
 from gateway.engine.checks.unknown_ids import MOST as MOST_STRANGERS
-from gateway.engine.checks.unknown_ids import Stranger, known_table
+from gateway.engine.checks.unknown_ids import UnknownId, known_table
 from gateway.engine.consistency import assert_consistent
 from gateway.engine.core import Engine
 from gateway.engine.debounce import DebounceRow, configure
@@ -386,7 +386,7 @@ def _strangers(
         known.append((each.bus, (each.message.frame_id | flag,), ()))
     watching = any(bus.params.watched and bus.params.unknown != "none" for bus in buses)
     keys, rows = known_table(databases if watching else (), known if watching else (), pgn)
-    return {"known_keys": keys, "known_rows": rows, "strangers": table(MOST_STRANGERS + 1, Stranger)}
+    return {"known_keys": keys, "known_rows": rows, "strangers": table(MOST_STRANGERS + 1, UnknownId)}
 
 
 def _watches(cycles: Sequence[CycleWatch], vectors: Any, plan: DecodePlan) -> dict[str, Any]:

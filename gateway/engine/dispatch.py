@@ -11,7 +11,7 @@ from gateway.engine.checks.bus_health_steps import on_error_frame
 from gateway.engine.checks.communication import ACCEPT, IN_PART
 from gateway.engine.checks.communication_steps import check_message
 from gateway.engine.checks.sources_steps import is_used
-from gateway.engine.checks.unknown_ids_steps import on_stranger
+from gateway.engine.checks.unknown_ids_steps import on_unknown_id
 from gateway.engine.events import CYCLE_BEGAN, CYCLE_ENDED, SHORT
 from gateway.engine.gate import LEFT, OPEN
 from gateway.engine.handlers import inputs_valid, mark_not_tested, step, turn_pages
@@ -143,7 +143,7 @@ def dispatch(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any, 
     if row < 0:
         clock.unknown += 1
         if own == 0:
-            on_stranger(T, t_ns, bus, can_id, length, words)
+            on_unknown_id(T, t_ns, bus, can_id, length, words)
         return
     if T.vectors[row].by_group == 1 and not is_used(T, t_ns, row, can_id & 0xFF):
         return

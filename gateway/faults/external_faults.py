@@ -25,7 +25,7 @@ _UNIT = re.compile(r" *\[[^\]]*\]$")
 UserOrGroup = str | Annotated[int, Field(ge=0)]
 
 
-class ReportedFault(StrictModel):
+class ExternalFault(StrictModel):
     """A fault that another process tests. Other settings of a fault are in ``[fault."reporter.name"]``."""
 
     name: str = Field(pattern=_NAME, description="second part of its id")
@@ -68,7 +68,7 @@ class ReporterParams(StrictModel):
         None, ge=10, le=3.6e6, allow_inf_nan=False,
         description="a report is due within this time of the last one, and of the start [ms]; none: whenever it likes",
     )  # fmt: skip
-    fault: tuple[ReportedFault, ...] = Field(min_length=1, description="what it tests")
+    fault: tuple[ExternalFault, ...] = Field(min_length=1, description="what it tests")
 
     def uids(self) -> set[int]:
         """Return the users of this machine that may report, by number; one that it does not have is left out."""

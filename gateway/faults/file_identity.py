@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from gateway.faults import chain
-from gateway.faults.tamper_check import WatchedFile
+from gateway.faults.tamper_check import TamperCheck
 
 #: Stands for the device and the inode of a file that is not there.
 NO_FILE = (0, 0)
@@ -27,13 +27,13 @@ class Place:
     def __init__(self) -> None:
         self.overwritten: tuple[str, str] = ("", "")
         self._inode = self.log = NO_FILE
-        self._watched: WatchedFile | None = None
+        self._watched: TamperCheck | None = None
 
     def begin(self, path: Path) -> None:
         """Watch the file and the log that are there now; they were just opened."""
         self._inode, self.log = _inode(path), _inode(_log(path))
         with suppress(OSError):
-            self._watched = WatchedFile(path)
+            self._watched = TamperCheck(path)
 
     def end(self) -> None:
         """Watch no more, after the connection was closed."""

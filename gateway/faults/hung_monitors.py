@@ -19,7 +19,7 @@ def file_beside(memory: Path) -> Path:
 
 
 @dataclass
-class Hung:
+class HungMonitors:
     """Contents of the file.
 
     Attributes:
@@ -52,9 +52,9 @@ class Hung:
         new.replace(self.path)
 
 
-def hung_beside(memory: Path) -> Hung:
+def hung_beside(memory: Path) -> HungMonitors:
     """Return what the file beside a fault memory says; one that is not there, or cannot be read, says nothing."""
-    found = Hung(file_beside(memory))
+    found = HungMonitors(file_beside(memory))
     try:
         entries = json.loads(found.path.read_text()).get("monitors", {})
         found.monitors = {str(name): dict(entry) for name, entry in entries.items()}

@@ -17,7 +17,7 @@ from gateway.faults.interventions import DONE, Intervention, Interventions
 from gateway.faults.outgoing import Outgoing, Tally, fitting
 from gateway.faults.permanent import PermanentDtcs
 from gateway.faults.records import Changes, Cycle, Description, Permanent, Record, Recording
-from gateway.faults.retry_policy import Outage
+from gateway.faults.retry_policy import RetryPolicy
 from gateway.faults.status import PASSED
 from gateway.faults.store import Store, StoreError
 from gateway.faults.vehicle import EcuDtc, Told, VehicleMemory
@@ -94,7 +94,7 @@ class Ledger:
             self.vehicle = VehicleMemory(store.ecu_dtcs())
             self._facts = store.facts()
             self._permanent = PermanentDtcs(store.permanent())
-        self.outage = Outage()
+        self.outage = RetryPolicy()
         self.commits = 0
         self._pending = Changes(kept_recordings=recordings)
         self._dirty: set[str] = set()

@@ -32,7 +32,7 @@ from gateway.faults.reading import Readable
 from gateway.faults.records import Description, FreezeFrame, Record
 from gateway.faults.recovery import Recovered, event_of, unseen
 from gateway.faults.restarts import Restarts
-from gateway.faults.retry_policy import Outage
+from gateway.faults.retry_policy import RetryPolicy
 from gateway.faults.settings import POWER
 from gateway.faults.status import CLEARED, STATUS, Status
 from gateway.faults.store import Store, StoreError
@@ -316,7 +316,7 @@ class FaultMemory(Readable):
     # Durability
 
     @property
-    def outage(self) -> Outage:
+    def outage(self) -> RetryPolicy:
         """Since when, and why, the file cannot be written."""
         return self.ledger.outage
 
@@ -338,7 +338,7 @@ class FaultMemory(Readable):
     def commit(self, t_ns: int | None = None, *, final: bool = False) -> bool:
         """Make all changes durable; returns whether they are.
 
-        Changes that cannot be written stay here, and later calls try again (see :class:`Outage`).
+        Changes that cannot be written stay here, and later calls try again (see :class:`RetryPolicy`).
 
         Args:
             t_ns: now, of the engine's clock; default: the latest time heard of.

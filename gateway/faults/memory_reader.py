@@ -8,7 +8,7 @@ from gateway.faults import service
 from gateway.faults.store import Store
 
 
-class OpenedMemory:
+class MemoryReader:
     """A fault memory, opened for reading when it is asked for.
 
     It stays open between two looks: to open it takes thousands of small pieces of memory, and between those that go

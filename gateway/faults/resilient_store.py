@@ -39,7 +39,7 @@ from gateway.faults.store import (
     UnusableError,
     damage,
 )
-from gateway.faults.store_incidents import Mishap, Mishaps
+from gateway.faults.store_incidents import Incident, StoreIncidents
 from gateway.faults.vehicle import EcuDtc
 from gateway.host.locks import mark_unsaved
 from gateway.host.sockets import CAN
@@ -51,7 +51,7 @@ T = TypeVar("T")
 log = get_logger(__name__)
 
 
-class KeptStore(Store):
+class ResilientStore(Store):
     """A store that opens always, and that can begin a new file.
 
     Args:
@@ -70,7 +70,7 @@ class KeptStore(Store):
         self._place = Place()
         self._recorded = self._recordings_lost = 0
         self._suspect = False  # whether the file must be looked at before it is written again
-        self._mishaps = Mishaps()
+        self._mishaps = StoreIncidents()
         self._recordings: list[Recording] = []  # of a file that is gone, for the next one
         self._events: list[Outgoing] = []  # likewise, of the fleet's queue
         self._unsaved = False
@@ -133,10 +133,10 @@ class KeptStore(Store):
 
     @property
     def happened(self) -> bool:
-        """Whether :meth:`mishaps` has something to tell."""
+        """Whether :meth:`incidents` has something to tell."""
         return bool(self._mishaps)
 
-    def mishaps(self) -> list[Mishap]:
+    def incidents(self) -> list[Incident]:
         """Return what happened to the file since the last call."""
         return self._mishaps.take()
 

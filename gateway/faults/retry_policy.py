@@ -6,7 +6,7 @@ from __future__ import annotations
 FIRST_NS, LONGEST_NS = 100_000_000, 10_000_000_000
 
 
-class Outage:
+class RetryPolicy:
     """The time between the first write that failed and the next one that succeeds.
 
     It reads no clock: times are those of the engine, and come with the calls.

@@ -10,7 +10,7 @@ from gateway.faults.store import DamagedError, ForeignError, OlderError, Unusabl
 
 
 @dataclass(frozen=True)
-class Mishap:
+class Incident:
     """Something that happened to the file, and the remedy.
 
     Attributes:
@@ -27,23 +27,23 @@ class Mishap:
     lost: int = 0
 
 
-class Mishaps:
+class StoreIncidents:
     """Puts wrong files aside, and keeps mishaps until they are told."""
 
     def __init__(self) -> None:
-        self._found: list[Mishap] = []
+        self._found: list[Incident] = []
 
     def __bool__(self) -> bool:
         return bool(self._found)
 
-    def take(self) -> list[Mishap]:
+    def take(self) -> list[Incident]:
         """Return what happened since the last call."""
         found, self._found = self._found, []
         return found
 
     def deleted(self) -> None:
         """Note that the file was deleted."""
-        self._found.append(Mishap("deleted", "its file was deleted"))
+        self._found.append(Incident("deleted", "its file was deleted"))
 
     def unread(self, path: Path) -> None:
         """Put aside a file that could not be read at the start.
@@ -52,7 +52,7 @@ class Mishaps:
             OSError: it cannot be put aside.
         """
         aside = put_aside(path, "unread")
-        self._found.append(Mishap("unread", "its file could not be read at the start", aside))
+        self._found.append(Incident("unread", "its file could not be read at the start", aside))
 
     def replaced(self, path: Path) -> None:
         """Put aside another file in the place of the own one.
@@ -61,7 +61,7 @@ class Mishaps:
             OSError: it cannot be put aside.
         """
         aside = put_aside(path, "replaced")
-        self._found.append(Mishap("replaced", "another file was put in its place", aside))
+        self._found.append(Incident("replaced", "another file was put in its place", aside))
 
     def overwritten(self, path: Path, reason: str, kept: int, lost: int, *, apart: bool) -> None:
         """Put aside a file that was changed in place.
@@ -77,7 +77,7 @@ class Mishaps:
             OSError: it cannot be put aside.
         """
         aside = put_aside(path, "overwritten", apart=apart)
-        self._found.append(Mishap("overwritten", reason, aside, kept, lost))
+        self._found.append(Incident("overwritten", reason, aside, kept, lost))
 
     def foreign(self, path: Path, error: ForeignError) -> None:
         """Put another program's database aside.
@@ -89,7 +89,7 @@ class Mishaps:
             aside = put_aside(path, "foreign")
         except OSError as problem:
             raise UnusableError(f"{error.message}, and it is not put aside: {problem}", file=path) from problem
-        self._found.append(Mishap("foreign", error.message, aside))
+        self._found.append(Incident("foreign", error.message, aside))
 
     def damaged(self, path: Path, error: DamagedError, found: Salvage) -> None:
         """Put a damaged file aside, or an older one, of which something could be read.
@@ -103,4 +103,4 @@ class Mishaps:
         except OSError as problem:
             raise UnusableError(f"{kind}, and not put aside: {problem}", file=path) from problem
         reason = error.message.partition(";")[0]
-        self._found.append(Mishap(kind, reason, aside, found.recovered, found.lost))
+        self._found.append(Incident(kind, reason, aside, found.recovered, found.lost))

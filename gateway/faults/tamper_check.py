@@ -60,7 +60,7 @@ def _set_back(path: str) -> _State:
     return _state(path)
 
 
-class WatchedFile:
+class TamperCheck:
     """The file of an open database in WAL mode, seen by its writer.
 
     Args:

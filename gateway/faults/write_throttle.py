@@ -9,7 +9,7 @@ BURST, INTERVAL_NS = 32, 8_000_000
 FAULTS = 8
 
 
-class Pace:
+class WriteThrottle:
     """Leave to write. It reads no clock: times come with the calls, of the engine's clock.
 
     Args:

@@ -24,7 +24,7 @@ class EcuAddress(NamedTuple):
     tester: int | None
 
 
-class PlaceParams(StrictModel):
+class AddressingParams(StrictModel):
     """The place of an ECU on a bus."""
 
     request: int | None = Field(None, ge=0, le=0x1FFFFFFF, description="identifier of requests to it")

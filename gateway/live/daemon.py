@@ -10,11 +10,11 @@ from gateway.bus.ring import Ring
 from gateway.common.fence import Fence
 from gateway.config.load import load_config
 from gateway.config.model import Config, StatusConfig
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.restarts import WELL_S, Restart
 from gateway.live.doip_door import DoipDoor
 from gateway.live.link import Link, bus_event
-from gateway.live.listeners import Doors, TableDoor
+from gateway.live.listeners import Listeners, TableDoor
 from gateway.live.loop import GRACE_NS, Live, Tap
 from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
@@ -78,7 +78,7 @@ class Daemon:
         self._listener, self._given_taps = tell, list(taps)
         self.status: StatusSocket | None = None
         self._fence = Fence()
-        self._doors = Doors(self._fence)
+        self._doors = Listeners(self._fence)
         self._asked: dict[str, TableDoor] = {}
         self._notifier = notifier or Notifier({})
         self._leaving = asked
@@ -92,7 +92,7 @@ class Daemon:
         parts = prepare(config, path)
         parts.engine.warm()
         on_built()
-        store = KeptStore(memory or config.memory.path, connect=self._machine.connect, displacing=True)
+        store = ResilientStore(memory or config.memory.path, connect=self._machine.connect, displacing=True)
         gateway = Gateway(config, file=path, parts=parts, store=store, fence=self._fence)
         gateway.listen(self._tell)
         if self._machine.begin_writer is not None:

@@ -14,7 +14,7 @@ from gateway.host.sockets import reuse
 from gateway.host.waiting import Selector
 from gateway.live.clock import Clock
 from gateway.live.doip_peer import Peer, State
-from gateway.live.listening_sockets import Listening
+from gateway.live.listening_sockets import ListeningSockets
 from gateway.runtime.app import Gateway
 from gateway.servers.doip.params import DoipParams
 from gateway.servers.doip.server import DoipServer
@@ -65,7 +65,7 @@ class DoipDoor:
         self._selector, self._budget = Selector(), Budget()
         self._peers: list[Peer] = []
         self._lingering: list[Peer] = []
-        self._listening = Listening(self._selector, "DoIP: a tester cannot be taken")
+        self._listening = ListeningSockets(self._selector, "DoIP: a tester cannot be taken")
         self._datagrams: list[socket.socket] = []
         self._own: list[socket.socket] = []  # that it has opened to listen at
         try:

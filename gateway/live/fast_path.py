@@ -15,7 +15,7 @@ import numpy as np
 from gateway.bus.base import Bus, Raw
 from gateway.bus.can_structs import Room
 from gateway.bus.frames import EXTENDED, FRAME, Frames, empty
-from gateway.bus.id_filter import NOTHING, Heard
+from gateway.bus.id_filter import NOTHING, IdFilter
 from gateway.common.times import NEVER
 from gateway.engine.core import Engine
 from gateway.engine.events import EVENT
@@ -26,8 +26,8 @@ from gateway.host.sockets import CAN
 from gateway.host.waiting import NONE, readable
 from gateway.live import fast_path_kernel
 from gateway.live.clock import Clock
-from gateway.runtime.fast_path_conditions import EVERYTHING, Quiet
-from gateway.servers.prepared_frames_kernel import Foretelling, foretelling
+from gateway.runtime.fast_path_conditions import EVERYTHING, FastPathConditions
+from gateway.servers.prepared_frames_kernel import PreparedTables, prepared_tables
 from gateway_fdi.jit import bound
 
 #: Frames taken of a socket at one call; those that are handed in of a bus, with its conditions among them.
@@ -78,7 +78,7 @@ def _of(frames: Frames) -> np.ndarray:
     return frames.view(np.uint64).reshape(*frames.shape, _CELLS)
 
 
-class Pump:
+class FastPath:
     """Feeds an engine from the buses.
 
     Args:
@@ -92,7 +92,11 @@ class Pump:
     """
 
     def __init__(
-        self, engine: Engine | None, buses: int, foreseen: Foretelling | None = None, journal: Journalled = NO_JOURNAL
+        self,
+        engine: Engine | None,
+        buses: int,
+        foreseen: PreparedTables | None = None,
+        journal: Journalled = NO_JOURNAL,
     ) -> None:
         self._buses = buses
         self._room = Room(buses, BATCH)
@@ -109,7 +113,7 @@ class Pump:
         self._sides = [memoryview(side.view(np.int64)) for side in sides.reshape(-1, 1)]
         self._records = state.view(np.recarray), sides.view(np.recarray)
         self._polls = np.zeros(buses + 1, np.int64)
-        self._heard: Heard | None = None
+        self._heard: IdFilter | None = None
         self._flags = np.zeros(2048, np.uint8)
         self._engine, self._cells = engine, None if engine is None else engine.cells
         state["never"] = NEVER
@@ -122,12 +126,12 @@ class Pump:
         for name, place in {} if engine is None else engine.clock_places.items():
             state[f"{name}_at"] = place
         self._merged_at = self._merged.ctypes.data
-        self._foreseen = foretelling(None, 0, 0) if foreseen is None else foreseen
+        self._foreseen = prepared_tables(None, 0, 0) if foreseen is None else foreseen
         self._journal, self._journal_sent = journal, int(journal.state[0]["sent"])
         self._told = self._foreseen.frames.view(FRAME).reshape(-1)
         self._connect(NOTHING)
 
-    def _connect(self, heard: Heard) -> None:
+    def _connect(self, heard: IdFilter) -> None:
         """Bind the kernel to its memory; the identifiers of 29 bits that servers want are of another length."""
         self._heard = heard
         self._flags[:] = 0
@@ -170,7 +174,7 @@ class Pump:
         buses: Sequence[tuple[int | None, Bus | None]],
         door: int,
         clock: Clock,
-        quiet: Quiet,
+        quiet: FastPathConditions,
         *,
         leave_ns: int,
         grace_ns: int,
@@ -222,7 +226,13 @@ class Pump:
         return self._left(why)
 
     def hand_in(
-        self, parts: Sequence[tuple[Frames, bool]], steps: Frames, read_ns: int, quiet: Quiet, *, final: bool = False
+        self,
+        parts: Sequence[tuple[Frames, bool]],
+        steps: Frames,
+        read_ns: int,
+        quiet: FastPathConditions,
+        *,
+        final: bool = False,
     ) -> Left:
         """Feed the engine with frames that Python has received, and with those held back that are due then.
 
@@ -263,7 +273,7 @@ class Pump:
         )
         return Left(why, _NONE, (), _NONE, (), _NONE, -1, clock.now(), knocked)
 
-    def _ask(self, quiet: Quiet, *, may_send: bool) -> None:
+    def _ask(self, quiet: FastPathConditions, *, may_send: bool) -> None:
         """Say what the gateway wants."""
         if quiet.heard != self._heard:
             self._connect(quiet.heard)

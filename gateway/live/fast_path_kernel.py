@@ -21,7 +21,7 @@ from gateway.bus.can_structs import fill_struct, settle
 from gateway.bus.frames import ERROR, EXTENDED, OWN
 from gateway.faults.journal_steps import Journalled, journal_put
 from gateway.runtime.fast_path_conditions import JOURNAL, NOBODY
-from gateway.servers.prepared_frames_kernel import Foretelling, foretell
+from gateway.servers.prepared_frames_kernel import PreparedTables, prepare_next
 from gateway_fdi.jit import Record, i8, i8s, kernel, means
 from gateway_fdi.jit.system import call_bound, clock_gettime, poll, recvmmsg, send
 
@@ -165,7 +165,7 @@ class Pumped(NamedTuple):
     heard: NDArray[np.uint8]
     extended: NDArray[np.int64]
     events: NDArray[np.void]
-    foreseen: Foretelling
+    foreseen: PreparedTables
     journal: Journalled
 
 
@@ -392,7 +392,7 @@ def _tell(P: Any, s: Any) -> None:
     side = P.sides[foreseen.head[0].bus]
     if side.fd < 0 or clock[s.sent_at] > clock[s.taken_at]:
         return
-    for k in range(foretell(foreseen, P.events, clock[s.events_at], clock[s.now_at])):
+    for k in range(prepare_next(foreseen, P.events, clock[s.events_at], clock[s.now_at])):
         size, made = fill_struct(foreseen.frames[k], P.wire), foreseen.made[k]
         if s.foretells == JOURNAL:
             e = P.events[made.event]

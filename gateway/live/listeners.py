@@ -52,7 +52,7 @@ class _Place:
         self.failures, self.rests_until_s = 0, 0.0
 
 
-class Doors:
+class Listeners:
     """The doors that are open now.
 
     Args:

@@ -14,7 +14,7 @@ REST_S = 1.0
 log = get_logger(__name__)
 
 
-class Listening:
+class ListeningSockets:
     """Sockets of one door.
 
     Args:

@@ -20,10 +20,10 @@ from gateway.faults.journal_steps import Journalled
 from gateway.host.slice import short_slices
 from gateway.live import fast_path_kernel
 from gateway.live.clock import Clock
-from gateway.live.fast_path import Left, Pump
+from gateway.live.fast_path import FastPath, Left
 from gateway.live.link import Link, bus_event
-from gateway.runtime.fast_path_conditions import Quiet
-from gateway.servers.prepared_frames_kernel import Foretelling
+from gateway.runtime.fast_path_conditions import FastPathConditions
+from gateway.servers.prepared_frames_kernel import PreparedTables
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError
 
@@ -74,7 +74,7 @@ class Fed(Protocol):
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return what it listens to; None: to all."""
 
-    def quiet(self) -> Quiet:
+    def quiet(self) -> FastPathConditions:
         """Return what a pump must know to feed its engine."""
 
     def took(self, frames: Frames) -> None:
@@ -84,7 +84,7 @@ class Fed(Protocol):
         """Return frames for recordings, of monitors whose step took too long."""
 
     @property
-    def foreseen(self) -> Foretelling | None:
+    def foreseen(self) -> PreparedTables | None:
         """Tables of which a pump makes DTC frames; None: there are none."""
 
     @property
@@ -202,7 +202,7 @@ class Live:
 
     def _choose(self) -> None:
         """Say which frames are wanted: a tap wants all there are. Have a pump for this gateway."""
-        self._pump = Pump(self._gateway.engine, len(self._links), self._gateway.foreseen, self._gateway.journal)
+        self._pump = FastPath(self._gateway.engine, len(self._links), self._gateway.foreseen, self._gateway.journal)
         for link in self._links:
             ids = None if self._taps else self._gateway.identifiers_on(link.index)
             link.listen_to(ids, echo=bool(self._taps))

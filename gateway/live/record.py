@@ -11,7 +11,7 @@ from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.frames import Frames, empty
 from gateway.faults.journal import NO_JOURNAL
 from gateway.runtime.event_json import clock_event
-from gateway.runtime.fast_path_conditions import Quiet
+from gateway.runtime.fast_path_conditions import FastPathConditions
 
 
 class Nobody:
@@ -49,9 +49,9 @@ class Nobody:
         """Put nothing down."""
         return empty(0)
 
-    def quiet(self) -> Quiet:
+    def quiet(self) -> FastPathConditions:
         """Want all frames: there is no engine that a pump could feed."""
-        return Quiet()
+        return FastPathConditions()
 
     def take_overtimes(self) -> Frames:
         """Return none: it steps no monitor."""

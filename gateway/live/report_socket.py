@@ -18,7 +18,7 @@ from gateway.common.jsonlines import line
 from gateway.faults.external_faults import ReportParams
 from gateway.host.sockets import credentials_of, groups_of, listen_at, remove
 from gateway.host.waiting import Selector
-from gateway.live.listening_sockets import Listening
+from gateway.live.listening_sockets import ListeningSockets
 from gateway.report.words import MOST_BYTES, REFUSALS
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger
@@ -82,7 +82,7 @@ class ReportSocket:
         self._selector, self._budget = Selector(), Budget()
         self._socket = listen_at(self._path, "report socket", kind=socket.SOCK_SEQPACKET, mode=mode)
         self._inode = self._path.stat().st_ino
-        self._listening = Listening(self._selector, "report socket: a reporter cannot be taken")
+        self._listening = ListeningSockets(self._selector, "report socket: a reporter cannot be taken")
         self._listening.add(self._socket)
 
     def _say_strangers(self) -> None:

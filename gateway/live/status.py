@@ -31,7 +31,7 @@ from gateway.engine.buckets import TickRow
 from gateway.host.sockets import credentials_of, listen_at, remove
 from gateway.host.waiting import Selector
 from gateway.live.hello import described
-from gateway.live.listening_sockets import Listening
+from gateway.live.listening_sockets import ListeningSockets
 from gateway.live.status_commands import Commands, monitoring_of
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger
@@ -117,7 +117,7 @@ class StatusSocket:
         self._selector, self._budget = Selector(), Budget()
         self._socket = listen_at(self.path)
         self._inode = self.path.stat().st_ino
-        self._listening = Listening(self._selector, "status socket: a reader cannot be taken")
+        self._listening = ListeningSockets(self._selector, "status socket: a reader cannot be taken")
         self._listening.add(self._socket)
 
     def fileno(self) -> int:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gateway.answers.pages import AnswerBus
-from gateway.clients.poller import Asking
+from gateway.clients.poller import Poller
 from gateway.common.fence import Fence
 from gateway.config.model import Config
 from gateway.engine.core import Engine
@@ -16,7 +16,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
 from gateway.runtime.explainer import Explainer
-from gateway.runtime.persistence import Upkeep
+from gateway.runtime.persistence import Persistence
 from gateway.runtime.reports import Reports
 from gateway.runtime.security import Security
 from gateway.servers.bus_servers import BusServers
@@ -47,8 +47,8 @@ def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
 
 def counters(
     engine: Engine,
-    speakers: tuple[BusServers, Asking, Security, Fence],
-    upkeep: Upkeep,
+    speakers: tuple[BusServers, Poller, Security, Fence],
+    upkeep: Persistence,
     recorder: Recorder | None,
     reports: Reports,
     explainer: Explainer,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from gateway.answers.answer_frames import Weaver
+from gateway.answers.answer_frames import FrameEncoder
 from gateway.answers.pages import AnswerBus
 from gateway.bus.frames import Frames, chosen
 from gateway.clients.ecu import EcuClient
 from gateway.clients.params import EcuParams
-from gateway.clients.poller import TELLS, Asking, Ecu
+from gateway.clients.poller import TELLS, Ecu, Poller
 from gateway.clients.protocols import Schedule
 from gateway.clients.reassembly import woven_of
 from gateway.config.model import Config
@@ -28,7 +28,7 @@ def ecus_of(config: Config, answers: Sequence[AnswerBus], schedule: Callable[[Ec
     for at, (bus, ecus) in enumerate(config.answered.items()):
         for k, pages, lengths in zip(ecus, answers[at].pages, answers[at].lengths, strict=True):
             client = EcuClient(config.ecu[k], bus, *schedule(config.ecu[k]))
-            made.append(Ecu(client, Weaver(pages, lengths, len(config.bus) + at)))
+            made.append(Ecu(client, FrameEncoder(pages, lengths, len(config.bus) + at)))
     return made
 
 
@@ -47,7 +47,7 @@ class Answers:
     def __init__(self, config: Config, answers: Sequence[AnswerBus], plan: DecodePlan) -> None:
         self._first, self._messages = len(config.bus), woven_of(plan)
         ecus = ecus_of(config, answers, lambda _: Schedule([], {}))
-        self._asking = Asking(ecus, {}, lambda _: False, woven=self._messages)
+        self._asking = Poller(ecus, {}, lambda _: False, woven=self._messages)
         self.woven = 0
 
     @property

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gateway.bus.frames import Frames
-from gateway.common.gc_pause import uncollected
+from gateway.common.gc_pause import gc_paused
 from gateway.engine.adopt import adopt
 from gateway.engine.checks.bus_sleep import sender_of
 from gateway.faults.hung_monitors import hung_beside
@@ -23,7 +23,7 @@ from gateway.faults.summary import Summary, summary_of
 from gateway.faults.writer_thread import Writer
 from gateway.runtime.account import bus_errors, counters, description, not_judged, signal_slots, unread
 from gateway.runtime.event_json import summary_event
-from gateway.runtime.ingest import Passage
+from gateway.runtime.ingest import Ingest
 from gateway.runtime.outbox import Listener
 from gateway.runtime.persistence import PATIENCE_S
 from gateway.signals.database import Database
@@ -32,7 +32,7 @@ from gateway_fdi.common.log import get_logger
 log = get_logger(__name__)
 
 
-class Gateway(Passage):
+class Gateway(Ingest):
     """Engine, fault memory and servers of one configuration, from its beginning to its end or its successor.
 
     Its parts, in the order of a batch: :class:`~gateway.runtime.input_stage.Reception` gives frames to the engine,
@@ -40,7 +40,7 @@ class Gateway(Passage):
     :class:`~gateway.runtime.outbox.Outbox` has them committed, tells them and sends them.
     :class:`~gateway.runtime.interventions.Interventions` takes the testers' changes of the memory,
     :class:`~gateway.runtime.controls.Controls` how they do it. :class:`~gateway.runtime.composition.Connected` makes
-    and connects them, :class:`~gateway.runtime.ingest.Passage` gives them their turns. This class has the rest:
+    and connects them, :class:`~gateway.runtime.ingest.Ingest` gives them their turns. This class has the rest:
     beginning, end, succession and account.
 
     All that people read (events, the fault memory, recordings) is stamped by the wall clock.
@@ -50,7 +50,7 @@ class Gateway(Passage):
         """Add a listener; it is called with each event of the JSON contract, in order."""
         self._outbox.listen(listener)
 
-    @uncollected()
+    @gc_paused()
     def start(self, t_ns: int) -> None:
         """Start an operation cycle."""
         self.engine.warm()
@@ -165,7 +165,7 @@ class Gateway(Passage):
         if self.config.memory.tell == "stored":
             self.store.begin_journal()
             if self._dtc_frames is not None:
-                self._dtc_frames.foretold.withdraw = self.store.withdraw
+                self._dtc_frames.prepared.withdraw = self.store.withdraw
 
     @property
     def journal(self) -> Journalled:

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 from gateway.answers.pages import AnswerBus
 from gateway.clients.dm1 import Dm1Listener
-from gateway.clients.poller import Asking
+from gateway.clients.poller import Poller
 from gateway.clients.protocols import schedule_of
 from gateway.clients.reassembly import woven_of
 from gateway.common.fence import Fence
-from gateway.common.gc_pause import uncollected
+from gateway.common.gc_pause import gc_paused
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
@@ -110,7 +110,7 @@ class Parts:
     behind: tuple[Tests, ...]
 
 
-@uncollected()
+@gc_paused()
 def prepare(config: Config, file: Path | None = None, *, extra: Collection[str] = ()) -> Parts:
     """Build what needs no fault memory; may be done in a thread beside a running gateway.
 
@@ -305,7 +305,7 @@ def _local_server(config: Config, testers: Testers) -> LocalServer:
     return LocalServer(new_tester)
 
 
-def connect_routes(servers: BusServers, asking: Asking) -> None:
+def connect_routes(servers: BusServers, asking: Poller) -> None:
     """Give the servers that have routes the lines to their ECUs."""
     for server in servers.all:
         if isinstance(server, DoipServer):
@@ -386,7 +386,7 @@ def servers_of(
 
 def asking_of(
     config: Config, parts: Parts, control: TesterControl, may_ask: Callable[[int], bool], fence: Fence
-) -> Asking:
+) -> Poller:
     """Build the clients of other ECUs.
 
     Args:
@@ -399,7 +399,7 @@ def asking_of(
     made = ecus_of(config, parts.answers, lambda of: schedule_of(of, control.meets))
     rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
     bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}
-    return Asking(made, rates, may_ask, _dm1_of(config), bus_of, fence, woven_of(parts.engine.plan))
+    return Poller(made, rates, may_ask, _dm1_of(config), bus_of, fence, woven_of(parts.engine.plan))
 
 
 def _dm1_of(config: Config) -> Dm1Listener | None:

@@ -5,28 +5,28 @@ from __future__ import annotations
 from pathlib import Path
 
 from gateway.common.fence import Fence
-from gateway.common.gc_pause import uncollected
+from gateway.common.gc_pause import gc_paused
 from gateway.config.model import Config
 from gateway.engine.depends.derive import Dependences
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.runtime.assemble import Parts, asking_of, connect_routes, identifiers_of, prepare, servers_of
 from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
-from gateway.runtime.disabled_monitors import SwitchedOff
-from gateway.runtime.exception_events import CaughtExceptions
+from gateway.runtime.disabled_monitors import DisabledMonitors
+from gateway.runtime.exception_events import ExceptionEvents
 from gateway.runtime.explainer import Explainer
-from gateway.runtime.failing_rules import Doubts
-from gateway.runtime.input_stage import Reception
+from gateway.runtime.failing_rules import FailingRules
+from gateway.runtime.input_stage import InputStage
 from gateway.runtime.interventions import Interventions
-from gateway.runtime.monitoring_off_dtc import Standing
+from gateway.runtime.monitoring_off_dtc import MonitoringOffDtc
 from gateway.runtime.outbox import Outbox
 from gateway.runtime.proofs import Proofs
 from gateway.runtime.reports import Reports
-from gateway.runtime.restart_dtc import Restarted
+from gateway.runtime.restart_dtc import RestartDtc
 from gateway.runtime.security import Security
-from gateway.runtime.security_events import Strangers
+from gateway.runtime.security_events import SecurityEvents
 from gateway.runtime.suspicions import Suspicions
 from gateway.runtime.usage_meter import UsageMeter
 from gateway.runtime.vehicle import Vehicle
@@ -38,7 +38,7 @@ from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.local import LocalServer
 
 
-class Connected:
+class Composition:
     """Engine, fault memory, servers and clients of one configuration, and the links between them.
 
     Args:
@@ -55,7 +55,7 @@ class Connected:
         InputError, InputErrors: a database, message, signal or fault that is wrong.
     """
 
-    @uncollected()
+    @gc_paused()
     def __init__(
         self,
         config: Config,
@@ -63,7 +63,7 @@ class Connected:
         *,
         file: Path | None = None,
         parts: Parts | None = None,
-        store: KeptStore | None = None,
+        store: ResilientStore | None = None,
         lasting: bool = False,
         fence: Fence | None = None,
     ) -> None:
@@ -71,7 +71,7 @@ class Connected:
         self.fence = fence or Fence()
         self.parts: Parts = prepare(config, file) if parts is None else parts
         self.engine, self.catalogue = self.parts.engine, self.parts.catalogue
-        self.store = KeptStore(None if memory_path is None else Path(memory_path)) if store is None else store
+        self.store = ResilientStore(None if memory_path is None else Path(memory_path)) if store is None else store
         self._closed = False
         recording = config.memory.recording
         names = tuple(bus.name for bus in config.bus)
@@ -97,7 +97,7 @@ class Connected:
         )
         local = config.access.local_unlocked
         self.authority = Authority(config.needs, self.controls, local_unlocked=local)
-        self._standing = Standing(self.engine, self.controls, told=self.store.path is None)
+        self._standing = MonitoringOffDtc(self.engine, self.controls, told=self.store.path is None)
         self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
         self.identifiers = identifiers_of(config, self.parts, self.memory, self.controls)
         self.asking = asking_of(config, self.parts, self.controls, self._may_ask, self.fence)
@@ -122,18 +122,18 @@ class Connected:
 
     def _connect(self) -> None:
         """Make the links between the parts: frames in, verdicts, events and frames out."""
-        self._off = SwitchedOff(self.engine)
-        self._restarted = Restarted(self.engine, self.memory, self.store.path)
+        self._off = DisabledMonitors(self.engine)
+        self._restarted = RestartDtc(self.engine, self.memory, self.store.path)
         first, send = self.config.memory.tell == "first", self.servers.on_changes
         own = (self._off.report, self._restarted.report)
         self._outbox = Outbox(self.memory, self.store, self.engine, own, send, first=first)
         self._upkeep = self._outbox.upkeep
         names = [bus.name for bus in self.config.buses]
-        self._doubts = Doubts(self.engine, self.parts.checks, self.parts.databases, names, self._outbox.tell)
+        self._doubts = FailingRules(self.engine, self.parts.checks, self.parts.databases, names, self._outbox.tell)
         self._proofs = Proofs(self.engine, self.memory)
         self.security = Security(self._outbox.tell)
         checks = {check.name for check in self.parts.checks}
-        self._strangers = Strangers(self.engine, names, checks, self.security)
+        self._strangers = SecurityEvents(self.engine, names, checks, self.security)
         self._suspicions = Suspicions(self.engine, self.security.note)
         parts = self.parts
         known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
@@ -162,7 +162,7 @@ class Connected:
         self._explainer.note_changes = self._verdicts.note_changes
         self._vehicle.connect(self._outbox.note, self._verdicts.take)
         judged = [self.parts.slots[name] for name in signals_of(self.config.needs)]
-        self._reception = Reception(self.engine, self.controls, self._meter, judged, self._verdicts.take)
+        self._reception = InputStage(self.engine, self.controls, self._meter, judged, self._verdicts.take)
         self._interventions = Interventions(
             self.engine,
             self.memory,
@@ -174,5 +174,5 @@ class Connected:
             (self._off, self._restarted),
         )
         self.controls.connect(self._interventions)
-        self._caught = CaughtExceptions(self.fence, self.engine, self.security, self._verdicts.take, self.memory.status)
+        self._caught = ExceptionEvents(self.fence, self.engine, self.security, self._verdicts.take, self.memory.status)
         self.reports = Reports(self.config.report, self.engine, self.controls, self._verdicts.take, self._outbox.tell)

@@ -16,7 +16,7 @@ from gateway.engine.checks.own_health import OWNER, SWITCHED_OFF
 from gateway.engine.core import Engine, Sink
 from gateway.engine.events import MISCOUNTED, NO_FAULT, NO_NUMBER, TOO_MANY, TOO_SOON, Event
 from gateway.engine.instances import MonitorInstance
-from gateway.faults.hung_monitors import Hung
+from gateway.faults.hung_monitors import HungMonitors
 from gateway.monitors.contract import COUNTS_ITSELF, MAX_RESULTS, WAKES_ITSELF, Failure
 from gateway_fdi.common.log import get_logger
 
@@ -36,7 +36,7 @@ _PUT_RIGHT = {
 }
 
 
-class SwitchedOff:
+class DisabledMonitors:
     """Tells which monitors are off, and which ones slip."""
 
     def __init__(self, engine: Engine) -> None:
@@ -53,7 +53,7 @@ class SwitchedOff:
         """Report again: the reports have been cleared."""
         self._reported = -1
 
-    def keep_off(self, hung: Hung | None) -> list[dict[str, Any]]:
+    def keep_off(self, hung: HungMonitors | None) -> list[dict[str, Any]]:
         """Leave off monitors that did not return from a step before; returns the events that tell it.
 
         Args:

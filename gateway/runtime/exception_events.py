@@ -19,7 +19,7 @@ KINDS = ("exception", "second_wall")
 EXCEPTIONS_ID = f"{OWNER}.{EXCEPTIONS.name}"
 
 
-class CaughtExceptions:
+class ExceptionEvents:
     """Tells what a fence caught.
 
     Args:
@@ -40,7 +40,7 @@ class CaughtExceptions:
         self._times: deque[tuple[int, int, int]] = deque()  # when, how many, of these at the second wall
         self._failed = False
 
-    def succeed(self, old: CaughtExceptions) -> None:
+    def succeed(self, old: ExceptionEvents) -> None:
         """Go on where that of an earlier configuration stops."""
         self._times = old._times
         self._failed = old._failed

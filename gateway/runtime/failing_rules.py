@@ -16,7 +16,7 @@ from gateway_fdi.common.log import get_logger
 _log = get_logger(__name__)
 
 
-class Doubts:
+class FailingRules:
     """Finds rules that fit, for checks that no frame passes.
 
     Args:
@@ -68,7 +68,7 @@ class Doubts:
             for each in done:
                 self._told(each.result())
 
-    def succeed(self, old: Doubts) -> None:
+    def succeed(self, old: FailingRules) -> None:
         """Go on with the thread of the gateway before, and its search."""
         self._thread, self._sought = old._thread, old._sought
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from gateway.bus.id_filter import NOTHING, Heard
+from gateway.bus.id_filter import NOTHING, IdFilter
 from gateway.common.times import NEVER
 
 #: As ``foretells``: who sends the DTC frames of verdicts: Python; the pump, at once; the journal, when it has them.
@@ -14,7 +14,7 @@ EVERYTHING = -(1 << 63)
 
 
 @dataclass(frozen=True)
-class Quiet:
+class FastPathConditions:
     """A gateway, as a pump sees it. Times are of the engine [ns].
 
     Attributes:
@@ -30,7 +30,7 @@ class Quiet:
     before_ns: int = EVERYTHING
     due_ns: int = NEVER
     prompt_ns: int = NEVER
-    heard: Heard = NOTHING
+    heard: IdFilter = NOTHING
     may_send: bool = False
     foretells: int = NOBODY
     idle: bool = True

@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 from gateway.bus.conditions import overtimes
 from gateway.bus.frames import FRAME, Frames, empty, joined
-from gateway.runtime.composition import Connected
-from gateway.runtime.fast_path_conditions import AT_ONCE, EVERYTHING, JOURNAL, NOBODY, Quiet
+from gateway.runtime.composition import Composition
+from gateway.runtime.fast_path_conditions import AT_ONCE, EVERYTHING, JOURNAL, NOBODY, FastPathConditions
 from gateway.runtime.input_stage import refuse_unless_frames
-from gateway.servers.prepared_frames_kernel import Foretelling
+from gateway.servers.prepared_frames_kernel import PreparedTables
 from gateway_fdi.errors import GatewayError
 
 _NO_FRAMES = empty(0)
 
 
-class Passage(Connected):
+class Ingest(Composition):
     """The parts of a gateway in the order in which they have their turn after a batch.
 
     Times that go in are of the engine's time, which no step of the wall clock disturbs; a frame of the condition
@@ -70,7 +70,7 @@ class Passage(Connected):
         """Return frames for recordings, of monitors whose step took too long since the last call."""
         return self._off.take_overtimes()
 
-    def quiet(self) -> Quiet:
+    def quiet(self) -> FastPathConditions:
         """Return what a pump must know to feed the engine in place of :meth:`feed`."""
         settled = self._outbox.empty and self._settled and not self._closed
         before_ns = self._reception.before_ns if settled else None
@@ -79,7 +79,7 @@ class Passage(Connected):
             due_ns = min(due_ns, self._recorder.due_ns + 1)
         before_ns = EVERYTHING if before_ns is None else before_ns
         foretells = self._foretells(settled)
-        return Quiet(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, foretells, settled)
+        return FastPathConditions(before_ns, due_ns, self.next_ns, self._heard, self.controls.send, foretells, settled)
 
     def _foretells(self, settled: bool) -> int:
         """Return who may send DTC frames of verdicts; ``settled``: nothing waits that is to be told before."""
@@ -87,13 +87,13 @@ class Passage(Connected):
         journal = self.store.arm_journal(may and not first)
         if self._dtc_frames is None or not may or not (first or journal or self._upkeep.in_process):
             return NOBODY
-        self._dtc_frames.foretold.foresee()
+        self._dtc_frames.prepared.foresee()
         return JOURNAL if journal else AT_ONCE
 
     @property
-    def foreseen(self) -> Foretelling | None:
+    def foreseen(self) -> PreparedTables | None:
         """Tables of which a pump makes DTC frames; None: there are none."""
-        return None if self._dtc_frames is None else self._dtc_frames.foretold.tables
+        return None if self._dtc_frames is None else self._dtc_frames.prepared.tables
 
     def took(self, frames: Frames) -> None:
         """Take down frames that a pump has fed, in order of time; its events come after, by :meth:`tell`."""
@@ -109,7 +109,7 @@ class Passage(Connected):
         """
         if self._dtc_frames is None or not len(gone):
             return self._emit(self._reception.tell())
-        self._dtc_frames.foretold.note(gone)
+        self._dtc_frames.prepared.note(gone)
         sent = self._reception.tell()
         corrected = self._dtc_frames.correct(self._outbox.noted, self.engine.now_ns)
         return joined([self._emit(sent), corrected])

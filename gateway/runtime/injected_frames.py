@@ -19,7 +19,7 @@ ALONE = "unknown"
 AGE_S, RATE_HZ = 5.0, 40.0
 
 
-class Added:
+class InjectedFrames:
     """Puts frames into batches, in order of time; a frame that is later than a batch comes with the next one."""
 
     def __init__(self, rng: np.random.Generator) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gateway.bus.frames import ID_MASK, Frames
 from gateway.common.times import NEVER
 from gateway.engine.checks.communication import CheckInstance
-from gateway.runtime.injected_frames import ALONE, BESIDE, Added
+from gateway.runtime.injected_frames import ALONE, BESIDE, InjectedFrames
 from gateway.signals.database import Database
 from gateway.signals.protection.params import protection_for
 from gateway.signals.protection.protection import Protection
@@ -166,7 +166,7 @@ class Injector:
     ) -> None:
         self._asked, self._rng, self._start_ns = asked, rng, start_ns
         self.bus, self.count = asked.bus, 0
-        self._added = Added(rng)
+        self._added = InjectedFrames(rng)
         self._signal = self._change = self._message = None
         self._held, self._turn, self._from_ns = np.nan, 1.0, 0
         if asked.kind == ALONE:

@@ -35,7 +35,7 @@ def injectors_of(config: Config, parts: Parts, texts: Sequence[str], seed: int) 
     ]
 
 
-class Faulty:
+class FaultInjector:
     """A gateway that is fed frames with faults in them.
 
     Args:

@@ -16,7 +16,7 @@ from gateway.runtime.usage_meter import UsageMeter
 from gateway.signals.payloads import among
 
 
-class Reception:
+class InputStage:
     """Gives frames and time to the engine.
 
     Args:

@@ -12,11 +12,11 @@ from gateway.faults.clearing import AskedClear
 from gateway.faults.interventions import Intervention
 from gateway.faults.memory import FaultMemory
 from gateway.runtime.controls import Controls
-from gateway.runtime.disabled_monitors import SwitchedOff
+from gateway.runtime.disabled_monitors import DisabledMonitors
 from gateway.runtime.event_json import clear_event, intervention_event
-from gateway.runtime.monitoring_off_dtc import Standing
+from gateway.runtime.monitoring_off_dtc import MonitoringOffDtc
 from gateway.runtime.outbox import Outbox
-from gateway.runtime.restart_dtc import Restarted
+from gateway.runtime.restart_dtc import RestartDtc
 from gateway.runtime.verdicts import Verdicts
 from gateway.servers.authority import Authority, Refusal, local_intervention
 
@@ -43,8 +43,8 @@ class Interventions:
         verdicts: Verdicts,
         controls: Controls,
         authority: Authority,
-        standing: Standing,
-        own: Sequence[SwitchedOff | Restarted],
+        standing: MonitoringOffDtc,
+        own: Sequence[DisabledMonitors | RestartDtc],
     ) -> None:
         self._engine, self._memory, self._outbox, self._verdicts = engine, memory, outbox, verdicts
         self._controls, self._authority = controls, authority

@@ -13,7 +13,7 @@ from gateway.engine.core import Engine, Sink
 from gateway.runtime.controls import Controls
 
 
-class Standing:
+class MonitoringOffDtc:
     """Reports whether monitoring is off.
 
     Args:
@@ -29,7 +29,7 @@ class Standing:
         self._place = places.get(self._id)
         self._told: bool | None = False if told else None
 
-    def succeed(self, old: Standing) -> None:
+    def succeed(self, old: MonitoringOffDtc) -> None:
         """Go on where that of an earlier configuration stops: its report may be true no longer."""
         if old._told:
             self._told = None
@@ -49,7 +49,7 @@ class Standing:
         if self._place is None or self.settled:
             return
         off = self._told = not self._controls.monitoring
-        results, reception = not self._controls.results, not self._controls.receive
+        results, input_stage = not self._controls.results, not self._controls.receive
         self._engine.hold_results(False)
-        self._engine.report(self._place, off, float(off), 0.0, (float(results), float(reception)), sink)
+        self._engine.report(self._place, off, float(off), 0.0, (float(results), float(input_stage)), sink)
         self._engine.hold_results(off)

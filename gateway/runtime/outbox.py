@@ -21,9 +21,9 @@ from gateway.bus.frames import Frames
 from gateway.engine.core import Engine, Sink
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.runtime.contract import DETAIL, HERE, told_to_fleet
-from gateway.runtime.persistence import NOTHING, Noted, Upkeep
+from gateway.runtime.persistence import NOTHING, Noted, Persistence
 
 #: Takes one event of the JSON contract.
 Listener = Callable[[dict[str, Any]], None]
@@ -48,7 +48,7 @@ class Outbox:
     def __init__(
         self,
         memory: FaultMemory,
-        store: KeptStore,
+        store: ResilientStore,
         engine: Engine,
         own: Sequence[Callable[[Sink], None]],
         send: Callable[[Sequence[DtcChange], int], list[Frames]],
@@ -62,7 +62,7 @@ class Outbox:
         self._changes: list[DtcChange] = []  # not told yet, nor are these events
         self._untold: list[dict[str, Any]] = []
         self._early: list[Frames] = []  # to be sent before anything else
-        self.upkeep = Upkeep(memory, store, engine, self.tell)
+        self.upkeep = Persistence(memory, store, engine, self.tell)
 
     def succeed(self, old: Outbox) -> None:
         """Go on where that of an earlier configuration stops: events that wait there are told here."""

@@ -2,8 +2,8 @@
 
 Everything that changes is written before it is told. Three things can happen on the way:
 
-- **A storm of changes**: they are written in groups (:class:`Pace`), and told when they are written. In a live gateway
-  a thread writes (:meth:`Upkeep.write_beside`): the disk may take its time, testers do not wait for it.
+- **A storm of changes**: they are written in groups (:class:`WriteThrottle`), and told when they are written. In a live
+  gateway a thread writes (:meth:`Persistence.write_beside`): the disk may take its time, testers do not wait for it.
 - **The file cannot be written**: changes are told all the same, as not stored; the fault ``gateway.memory_not_written``
   is there until a later attempt has written everything.
 - **The file was damaged, deleted, replaced or overwritten**: a new one is begun; ``gateway.memory_damaged`` is there
@@ -19,9 +19,9 @@ from typing import Any
 from gateway.engine.checks.own_health import DAMAGED, NOT_WRITTEN, OWNER
 from gateway.engine.core import Engine, Sink
 from gateway.faults.memory import FaultMemory
-from gateway.faults.resilient_store import KeptStore
-from gateway.faults.store_incidents import Mishap
-from gateway.faults.write_throttle import Pace
+from gateway.faults.resilient_store import ResilientStore
+from gateway.faults.store_incidents import Incident
+from gateway.faults.write_throttle import WriteThrottle
 from gateway.faults.writer_thread import Writer, WriterThread
 from gateway.monitors.contract import Fault
 from gateway_fdi.common.log import get_logger
@@ -53,7 +53,7 @@ def begin_writer() -> Writer:
     return WriterThread("fault-memory")
 
 
-class Upkeep:
+class Persistence:
     """Writes a fault memory and watches its file.
 
     Args:
@@ -69,14 +69,14 @@ class Upkeep:
     def __init__(
         self,
         memory: FaultMemory,
-        store: KeptStore,
+        store: ResilientStore,
         engine: Engine,
         tell: Callable[[dict[str, Any]], None],
     ) -> None:
         self._memory, self._store, self._engine, self._tell = memory, store, engine, tell
         places = {slot.id: k for k, slot in enumerate(engine.faults)}
         self._places = {f: places.get(f"{OWNER}.{f.name}") for f in (NOT_WRITTEN, DAMAGED)}
-        self._pace = Pace()
+        self._pace = WriteThrottle()
         self._tested = store.path is None  # whether its faults have had their first result
         self._writer: Writer | None = None
         self._patience_s = 0.0
@@ -86,7 +86,7 @@ class Upkeep:
         self.not_stored = 0
         memory.outage.awaited = True
 
-    def succeed(self, old: Upkeep) -> None:
+    def succeed(self, old: Persistence) -> None:
         """Go on where that of an earlier configuration stops."""
         self._pace, self.not_stored = old._pace, old.not_stored
         self._down = old._down
@@ -227,14 +227,14 @@ class Upkeep:
     def _judge(self, t_ns: int, sink: Sink) -> bool:
         """Report what became of the file, where that is news; returns whether there was any."""
         news = False
-        mishaps = self._store.mishaps()
-        for mishap in mishaps:
-            self._tell_mishap(mishap, t_ns)
+        incidents = self._store.incidents()
+        for incident in incidents:
+            self._tell_mishap(incident, t_ns)
         if not self._tested:
             self._tell_recovered(t_ns)
-        if mishaps or not self._tested:
-            recovered, lost = sum(m.recovered for m in mishaps), sum(m.lost for m in mishaps)
-            self._report(DAMAGED, bool(mishaps), lost, (recovered, lost), sink)
+        if incidents or not self._tested:
+            recovered, lost = sum(m.recovered for m in incidents), sum(m.lost for m in incidents)
+            self._report(DAMAGED, bool(incidents), lost, (recovered, lost), sink)
             news = True
         down = bool(self._memory.outage.reason) or bool(self._store.detached)
         if down != self._down or not self._tested:
@@ -253,19 +253,19 @@ class Upkeep:
         if place is not None:
             self._engine.report(place, failed, value, 0.0, evidence, sink)
 
-    def _tell_mishap(self, mishap: Mishap, t_ns: int) -> None:
-        aside = "" if mishap.aside is None else str(mishap.aside)
+    def _tell_mishap(self, incident: Incident, t_ns: int) -> None:
+        aside = "" if incident.aside is None else str(incident.aside)
         log.error(
             "new fault memory begun",
             file=str(self._store.path),
-            reason=mishap.reason,
+            reason=incident.reason,
             put_aside=aside,
-            rows_recovered=mishap.recovered,
-            rows_lost=mishap.lost,
+            rows_recovered=incident.recovered,
+            rows_lost=incident.lost,
         )
         self._event(
-            t_ns, mishap.kind, mishap.reason,
-            aside=aside, recovered=mishap.recovered, lost=mishap.lost,
+            t_ns, incident.kind, incident.reason,
+            aside=aside, recovered=incident.recovered, lost=incident.lost,
         )  # fmt: skip
 
     def _tell_recovered(self, t_ns: int) -> None:

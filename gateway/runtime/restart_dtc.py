@@ -16,7 +16,7 @@ from gateway_fdi.common.log import get_logger
 log = get_logger(__name__)
 
 
-class Restarted:
+class RestartDtc:
     """Tells of a restart.
 
     Args:
@@ -31,7 +31,7 @@ class Restarted:
         self._place = places.get(f"{OWNER}.{RESTARTED.name}")
         self._reported: bool | None = False if file is None else None
 
-    def succeed(self, old: Restarted) -> None:
+    def succeed(self, old: RestartDtc) -> None:
         """Go on where that of an earlier configuration stops."""
         if (self._place is None) == (old._place is None):
             self._reported = old._reported

@@ -18,7 +18,7 @@ from gateway.runtime.security import Security
 _KINDS = {name for kind in KINDS for name in kind.foreign}
 
 
-class Strangers:
+class SecurityEvents:
     """Tells what the engine sees of other senders.
 
     Args:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
 from gateway.clients.ask import PROBES
-from gateway.clients.poller import TELLS, Asking, Ecu
+from gateway.clients.poller import TELLS, Ecu, Poller
 from gateway.config.model import Config
 from gateway.engine.core import Engine, Sink
 from gateway.faults.entries import DtcChange
@@ -30,7 +30,7 @@ class Vehicle(BusServer):
         engine: debounces the faults that stand for some of them.
     """
 
-    def __init__(self, config: Config, asking: Asking, memory: FaultMemory, engine: Engine) -> None:
+    def __init__(self, config: Config, asking: Poller, memory: FaultMemory, engine: Engine) -> None:
         self._first, self._asking, self._memory, self._engine = len(config.bus), asking, memory, engine
         places = {slot.id: k for k, slot in enumerate(engine.faults)}
         self._faults: dict[str, list[tuple[str, int]]] = {}
@@ -56,7 +56,7 @@ class Vehicle(BusServer):
         self._note, self._sink = note, sink
 
     def identifiers(self, bus: int) -> list[int] | None:
-        """Return the identifier of the frames that :class:`Asking` puts behind such answers."""
+        """Return the identifier of the frames that :class:`Poller` puts behind such answers."""
         return [TELLS] if bus >= self._first else []
 
     def wanted(self, frames: Frames) -> NDArray[np.bool_] | None:

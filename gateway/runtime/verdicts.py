@@ -36,7 +36,7 @@ from gateway.faults.status import Status
 from gateway.runtime.assemble import Parts
 from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
-from gateway.runtime.disabled_monitors import SwitchedOff
+from gateway.runtime.disabled_monitors import DisabledMonitors
 from gateway.runtime.event_json import (
     activity_event,
     clock_event,
@@ -48,9 +48,9 @@ from gateway.runtime.event_json import (
     short_event,
     source_event,
 )
-from gateway.runtime.failing_rules import Doubts
+from gateway.runtime.failing_rules import FailingRules
 from gateway.runtime.outbox import Outbox
-from gateway.runtime.security_events import Strangers
+from gateway.runtime.security_events import SecurityEvents
 
 _TEST_FAILED = int(Status.TEST_FAILED)
 
@@ -83,11 +83,11 @@ class Verdicts:
         controls: Controls,
         recorder: Recorder | None,
         outbox: Outbox,
-        off: SwitchedOff,
-        doubts: Doubts,
+        off: DisabledMonitors,
+        doubts: FailingRules,
         causes: Causes,
         on_failure: Callable[[str, int], None],
-        strangers: Strangers,
+        strangers: SecurityEvents,
     ) -> None:
         self._parts, self._engine, self._catalogue = parts, parts.engine, parts.catalogue
         self._buses = {NO_BUS: ""} | {k: bus.name for k, bus in enumerate(config.buses)}

@@ -10,7 +10,7 @@ from gateway.faults import service
 from gateway.faults.dtc import Dtc
 from gateway.faults.fault_groups import cases_of
 from gateway.faults.lock import is_unsaved
-from gateway.faults.memory_reader import OpenedMemory
+from gateway.faults.memory_reader import MemoryReader
 from gateway.faults.records import Recording
 from gateway.faults.status import Status
 from gateway.faults.summary import NO_RESULT, summary_of
@@ -39,7 +39,7 @@ class MemoryFile:
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
-        self._opened = None if path is None else OpenedMemory(path)
+        self._opened = None if path is None else MemoryReader(path)
 
     def close(self) -> None:
         """Leave the file to its writer; a look opens it again."""

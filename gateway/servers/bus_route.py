@@ -9,13 +9,13 @@ import numpy as np
 
 from gateway.bus.frames import Frames
 from gateway.isotp.endpoint import IsoTpEndpoint
-from gateway.servers.isotp_server import AddressedServer
+from gateway.servers.isotp_server import IsotpServer
 from gateway.servers.route import Route
 from gateway.servers.uds.params import BusRouteParams
 from gateway.servers.uds.server import UdsServer
 
 
-class BusRoute(AddressedServer):
+class BusRoute(IsotpServer):
     """One. It judges a functional request before the gateway's own server takes it: it stands before that.
 
     Args:
@@ -39,7 +39,7 @@ class BusRoute(AddressedServer):
         self.wake: Callable[[], None] = lambda: None
         self._answers: list[bytes] = []
 
-    def go_on(self, old: AddressedServer) -> None:
+    def go_on(self, old: IsotpServer) -> None:
         """Keep answers that wait, and what was counted."""
         if isinstance(old, BusRoute):
             self.counts.update(old.counts)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import URGENT, Frames, empty
-from gateway.bus.id_filter import Heard
+from gateway.bus.id_filter import IdFilter
 from gateway.common.fence import Fence
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
@@ -44,7 +44,7 @@ class BusServers:
         self._due = [server.next_ns for server in self.all]
         self._next_due = min(self._due, default=NEVER)
         ids = [server.identifiers(bus) or [] for server in self.all for bus in range(buses)]
-        self.heard = Heard(frozenset().union(*ids), frozenset().union(*(server.masks for server in self.all)))
+        self.heard = IdFilter(frozenset().union(*ids), frozenset().union(*(server.masks for server in self.all)))
 
     def identifiers_on(self, bus: int) -> list[int] | None:
         """Return the identifiers (with EXTENDED) that they listen to on a bus; None: they are too many to list."""

@@ -10,11 +10,11 @@ from gateway.bus.frames import Frames
 from gateway.faults.entries import DtcChange
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.servers.application import Application
-from gateway.servers.isotp_server import AddressedServer
+from gateway.servers.isotp_server import IsotpServer
 from gateway.servers.obd.server import MODES
 
 
-class DiagnosticServer(AddressedServer):
+class DiagnosticServer(IsotpServer):
     """Hands requests from a transport to the application they are for, and its responses back.
 
     Args:

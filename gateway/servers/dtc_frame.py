@@ -18,7 +18,7 @@ from gateway.faults.dtc import Dtc
 from gateway.faults.entries import DtcChange
 from gateway.faults.memory import FaultMemory
 from gateway.servers.bus_server import BusServer
-from gateway.servers.prepared_frames import Foretold
+from gateway.servers.prepared_frames import PreparedFrames
 from gateway.servers.prepared_frames_kernel import put_report
 from gateway.signals.database import load_database
 from gateway_fdi.common.log import get_logger
@@ -112,17 +112,17 @@ class DtcFrameSender(BusServer):
         self._held: dict[str, DtcChange] = {}
         self._sent_ns: dict[str, int] = {}
         self._counter_of = counter_of
-        self.foretold = Foretold(message_of(database), bus, memory, params.status_mask)
+        self.prepared = PreparedFrames(message_of(database), bus, memory, params.status_mask)
         self._corrected = 0
         example = np.zeros(_CELLS, np.uint64)
-        self._put = bound(put_report, self.foretold.tables, rest=(example, 0, 0, 0, 0, 0, 0, 0))
+        self._put = bound(put_report, self.prepared.tables, rest=(example, 0, 0, 0, 0, 0, 0, 0))
 
     def succeed(self, old: BusServer, buses: Mapping[int, int]) -> None:
         """Tell the changes that were held back, and go on with the cyclic list."""
         if isinstance(old, DtcFrameSender):
             known = self._memory.catalogue.get
             self._held = {name: held for name, held in old._held.items() if known(name) is not None}
-            self.foretold.succeed(old.foretold)
+            self.prepared.succeed(old.prepared)
             for name, at in old._sent_ns.items():
                 self._note_sent(name, at)
             if self._params.cycle_ms == old._params.cycle_ms:
@@ -163,14 +163,14 @@ class DtcFrameSender(BusServer):
             dtc, status, occurrence = memory.state(name)
             fdc = change.fdc if status == change.new_status else self._counter_of(name)
             self._put(cells[k], t_ns, dtc, status, fdc, 0, count, occurrence)
-        if not self.foretold.gone:
+        if not self.prepared.gone:
             return frames
         names = [change.definition.id for change in due]
-        return frames[[k for k, name in enumerate(names) if self.foretold.take(name) != payload(frames[k])]]
+        return frames[[k for k, name in enumerate(names) if self.prepared.take(name) != payload(frames[k])]]
 
     def _note_sent(self, name: str, t_ns: int) -> None:
         self._sent_ns[name] = t_ns
-        self.foretold.wait(name, t_ns + round(self._params.min_interval_ms * 1e6))
+        self.prepared.wait(name, t_ns + round(self._params.min_interval_ms * 1e6))
 
     def correct(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
         """Return frames for DTCs that were told otherwise than they have become: it must not be.
@@ -179,7 +179,7 @@ class DtcFrameSender(BusServer):
             changes: of the verdicts that were foretold.
             t_ns: now [ns].
         """
-        names = self.foretold.take_wrong(changes)
+        names = self.prepared.take_wrong(changes)
         if not names:
             return empty(0)
         self._corrected += len(names)

@@ -12,7 +12,7 @@ from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.servers.bus_server import BusServer
 
 
-class AddressedServer(BusServer):
+class IsotpServer(BusServer):
     """Has a transport, which puts its requests together and sends its answers.
 
     Args:
@@ -31,7 +31,7 @@ class AddressedServer(BusServer):
         if isinstance(old, type(self)) and self._transport.succeed(old._transport, buses.get(old._transport.bus)):
             self.go_on(old)
 
-    def go_on(self, old: AddressedServer) -> None:
+    def go_on(self, old: IsotpServer) -> None:
         """Keep the rest of what a server of the same kind and address had under way."""
 
     def restart(self) -> None:

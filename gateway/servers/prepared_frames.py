@@ -10,7 +10,7 @@ from cantools.database.can import Message
 from gateway.bus.frames import Frames, payload
 from gateway.faults.entries import UNKNOWN, DtcChange
 from gateway.faults.memory import FaultMemory
-from gateway.servers.prepared_frames_kernel import foretelling
+from gateway.servers.prepared_frames_kernel import prepared_tables
 
 #: Faults of which it is foreseen in one call what becomes of them: frames wait meanwhile.
 AT_ONCE = 100
@@ -24,7 +24,7 @@ class _Gone(NamedTuple):
     number: int
 
 
-class Foretold:
+class PreparedFrames:
     """Keeps the tables right of which a pump makes DTC frames, and knows which of these frames have gone.
 
     Args:
@@ -41,13 +41,13 @@ class Foretold:
     def __init__(self, message: Message, bus: int, memory: FaultMemory, status_mask: int) -> None:
         self._memory, self._mask = memory, status_mask
         self._places = {definition.id: k for k, definition in enumerate(memory.catalogue)}
-        self.tables = foretelling(message, bus, len(self._places))
+        self.tables = prepared_tables(message, bus, len(self._places))
         self._from_ns = self.tables.following["from_ns"]
         self._stale: set[str] = set()  # it is not foreseen what becomes of these
         self._gone: dict[str, _Gone] = {}
         self.withdraw: Callable[[int], bool] = lambda number: True
 
-    def succeed(self, old: Foretold) -> None:
+    def succeed(self, old: PreparedFrames) -> None:
         """Know which frames have gone by an earlier configuration."""
         self._gone = {name: gone for name, gone in old._gone.items() if self._memory.catalogue.get(name) is not None}
 

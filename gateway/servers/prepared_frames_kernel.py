@@ -60,7 +60,7 @@ class Made(Record):
     number: i8 = means("of the verdict in the journal that sends the frame; 0: it was sent at once")
 
 
-class Foretelling(NamedTuple):
+class PreparedTables(NamedTuple):
     """Tables: ``following`` has a :class:`Next` a fault, ``head`` one row, ``signals`` those of the message.
 
     ``made`` and ``frames`` take what is made at a verdict, the frames in cells, shapes (MOST,) and (MOST, 10).
@@ -77,7 +77,7 @@ def _table(values: NDArray[np.void]) -> NDArray[np.void]:
     return values if COMPILED else values.view(np.recarray)
 
 
-def foretelling(message: Message | None, bus: int, faults: int) -> Foretelling:
+def prepared_tables(message: Message | None, bus: int, faults: int) -> PreparedTables:
     """Return the tables of a message (None: there is none) on a bus; of no fault anything is known."""
     following, head = np.zeros(max(faults, 1), Next.dtype), np.zeros(1, Head.dtype)
     following["failed"] = following["passed"] = UNKNOWN
@@ -88,7 +88,7 @@ def foretelling(message: Message | None, bus: int, faults: int) -> Foretelling:
         signals = np.asarray(encode_rows(message, SIGNALS), SIGNAL)
     frames = np.zeros((MOST, _CELLS), np.uint64)
     made = _table(np.zeros(MOST, Made.dtype))
-    return Foretelling(_table(following), _table(head), _table(signals), made, frames)
+    return PreparedTables(_table(following), _table(head), _table(signals), made, frames)
 
 
 @kernel
@@ -98,7 +98,7 @@ def put_report(
     """Make one DTC frame; values beyond their signals become the nearest.
 
     Args:
-        F: a :class:`Foretelling`.
+        F: a :class:`PreparedTables`.
         into: its cells, shape (10,).
         t_ns: when [ns].
         dtc: its code.
@@ -150,11 +150,11 @@ def _verdicts(F: Any, events: Any, count: int, now_ns: int) -> int:
 
 
 @kernel
-def foretell(F: Any, events: Any, count: int, now_ns: int) -> int:
+def prepare_next(F: Any, events: Any, count: int, now_ns: int) -> int:
     """Make the DTC frames of the verdicts among events; returns how many, 0: none, or only Python can tell.
 
     Args:
-        F: a :class:`Foretelling`; its ``made`` and ``frames`` take them.
+        F: a :class:`PreparedTables`; its ``made`` and ``frames`` take them.
         events: of the engine, ``events[:count]`` are new.
         count: how many.
         now_ns: the engine's time [ns].

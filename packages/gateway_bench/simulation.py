@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from gateway.api.event_collector import Observed
+from gateway.api.event_collector import EventCollector
 from gateway.api.progress import Progress, shown
 from gateway.api.run import Run
 from gateway.api.table import Table
@@ -24,7 +24,7 @@ def simulate(
 ) -> Run:
     """Play a scenario to a gateway; see :func:`gateway.api.simulate`."""
     found, config, player = opened(scenario, seed)
-    observed = Observed(config, found.config, series=series, signals=signals)
+    observed = EventCollector(config, found.config, series=series, signals=signals)
     judge, count = Judge(found), 0
 
     def on_frames(frames: Frames) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gateway.answers.answer_frames import Weaver
+from gateway.answers.answer_frames import FrameEncoder
 from gateway.answers.j1979 import layouts_of_obd
 from gateway.answers.model import AnswerLayout, message_of, signal_of
 from gateway.answers.monitor_tests import results
@@ -22,7 +22,7 @@ FIRST, SECOND = bytes.fromhex("80 0B 01F4 012C 02BC"), bytes.fromhex("81 7F 0001
 def test_results_have_their_values_in_both_forms(key, answer):
     layout = next(one for one in layouts_of_obd([key], whole=False) if one.service == 0x06)
     bus = answer_bus([("", {(0x06, 0x01): layout})])
-    weaver, plan = Weaver(bus.pages[0], bus.lengths[0], 0), compile_plan([(0, bus.database)])
+    weaver, plan = FrameEncoder(bus.pages[0], bus.lengths[0], 0), compile_plan([(0, bus.database)])
     frames = weaver.frames(answer, 0)
     found = decode_columns(frames[:1], plan, 0)
     at = {ref.signal: plan.position(*ref) for ref in plan.slot_names if ref.message == "A_0601"}
@@ -37,7 +37,7 @@ def test_results_have_their_values_in_both_forms(key, answer):
 def test_a_files_own_layout_has_the_raw_bytes():
     raw = AnswerLayout(0x06, 0x01, message_of(0x06, 0x01, [signal_of("RAW", 23, 16, big=True)]))
     bus = answer_bus([("", {(0x06, 0x01): raw})])
-    (frame,) = Weaver(bus.pages[0], bus.lengths[0], 0).frames(b"\x46\x01" + FIRST, 0)
+    (frame,) = FrameEncoder(bus.pages[0], bus.lengths[0], 0).frames(b"\x46\x01" + FIRST, 0)
     assert bytes(frame["data"][1:5]) == FIRST[:4]
 
 

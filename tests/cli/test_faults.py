@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from gateway.bus.logs import read_log
 from gateway.cli import app, faults, present
 from gateway.faults.memory import FaultMemory
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway_fdi.errors import InputError
 
 RECORDING = "[memory]\nrecording = { before_ms = 20.0, after_ms = 10.0 }\n"
@@ -165,7 +165,7 @@ def test_a_damaged_file_is_one_clear_error_and_is_left_as_it_is(run, tmp_path):
 
 
 def test_a_memory_whose_gateway_cannot_write_it_says_so(tmp_path):
-    store = KeptStore(tmp_path / "f.sqlite")
+    store = ResilientStore(tmp_path / "f.sqlite")
     memory = FaultMemory(catalogue((1,)), store)
     memory.start_cycle(0)
     memory.apply(event(0, True), nothing)

@@ -7,7 +7,7 @@ import pytest
 from amount import amount
 from asking_rig import DBC
 
-from gateway.answers.answer_frames import Weaver, records
+from gateway.answers.answer_frames import FrameEncoder, records
 from gateway.answers.layout import j1979, read_layouts
 from gateway.answers.model import AnswerLayout, message_of
 from gateway.answers.pages import MOST, SLOTS, STRIDE, answer_bus
@@ -97,7 +97,7 @@ def test_pages_decode_as_cantools_decodes_the_whole():
         plan = compile_plan([(3, bus.database)])
         whole = rng.bytes(own.message.length)
         for data in (whole, whole + b"\xff\xff", whole[: int(rng.integers(1, len(whole) + 1))]):
-            weaver = Weaver(bus.pages[0], bus.lengths[0], 3)
+            weaver = FrameEncoder(bus.pages[0], bus.lengths[0], 3)
             frames = weaver.frames(b"\x62" + case.to_bytes(2, "big") + data, 5)
             found = {}
             for _, columns in decoded(plan, frames):
@@ -177,7 +177,7 @@ def test_a_signal_far_behind_its_multiplexer_is_left_out_and_told():
     assert [text.split(":")[1].split(".")[1] for text in bus.left_out] == ["Far"]
     plan = compile_plan([(0, bus.database)])
     for data, wanted in (("0107", {"Kind": 1.0, "Near": 7.0}), ("01", {})):
-        frames = Weaver(bus.pages[0], bus.lengths[0], 0).frames(bytes.fromhex("620001" + data), 0)
+        frames = FrameEncoder(bus.pages[0], bus.lengths[0], 0).frames(bytes.fromhex("620001" + data), 0)
         assert [found for _, found in decoded(plan, frames)] == ([wanted] if wanted else [])
 
 
@@ -185,5 +185,5 @@ def test_the_standards_pids_have_pages_too():
     layouts = {(one.service, one.identifier): one for one in j1979()}
     bus = answer_bus([("engine", layouts)])
     plan = compile_plan([(0, bus.database)])
-    frames = Weaver(bus.pages[0], bus.lengths[0], 0).frames(bytes.fromhex("410C1AF8"), 0)
+    frames = FrameEncoder(bus.pages[0], bus.lengths[0], 0).frames(bytes.fromhex("410C1AF8"), 0)
     assert [found for _, found in decoded(plan, frames)] == [{"RPM": 1726.0}]

@@ -5,7 +5,7 @@ import gc
 import pytest
 
 from gateway.common import gc_pause as made
-from gateway.common.gc_pause import uncollected
+from gateway.common.gc_pause import gc_paused
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def unfrozen(monkeypatch):
 
 
 def built():
-    with uncollected():
+    with gc_paused():
         assert not gc.isenabled()
         return [[k] for k in range(10)]
 

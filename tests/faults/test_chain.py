@@ -89,12 +89,12 @@ def test_what_somebody_else_changes_is_named(tmp_path, statement, first):
     assert not found["whole"]
     assert first in found["broken"][0]["text"]
     store, memory = kept(path)
-    (mishap,) = store.mishaps()
-    assert mishap.kind == "damaged"
-    assert first in mishap.reason, "and the next gateway tells it"
+    (incident,) = store.incidents()
+    assert incident.kind == "damaged"
+    assert first in incident.reason, "and the next gateway tells it"
     assert {e.fault for e in memory.entries()} == {"m.f0", "m.f2"}
     store.close()
-    assert not service.verify(mishap.aside)["whole"], "what was changed can be looked at still"
+    assert not service.verify(incident.aside)["whole"], "what was changed can be looked at still"
     whole(path)
 
 
@@ -187,7 +187,7 @@ def test_a_file_without_a_chain_gets_one_and_keeps_all(tmp_path):
     with pytest.raises(InputError, match="earlier gateway"):
         service.verify(old)
     store, memory = kept(old)
-    assert store.mishaps() == []
+    assert store.incidents() == []
     other = Store(new, write=False)
     assert store.load() == other.load()
     assert store.interventions() == other.interventions()

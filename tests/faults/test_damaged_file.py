@@ -10,7 +10,7 @@ from stored_memories import fill, kept, listed
 
 from gateway.faults import rows, service
 from gateway.faults.records import PLACES
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.retry_policy import FIRST_NS
 from gateway.faults.salvage import _record, salvage
 from gateway.faults.store import DamagedError
@@ -54,20 +54,20 @@ def test_any_damage_is_survived_and_said(tmp_path, seed):
     memory.start_cycle(10)
     memory.apply(event(3, True, 11), nothing)
     assert memory.commit(11) is True
-    mishaps = store.mishaps()
+    incidents = store.incidents()
     found = {e.fault: e for e in memory.entries()}
-    print(way, mishaps, sorted(found))
-    if not mishaps:
+    print(way, incidents, sorted(found))
+    if not incidents:
         assert len(found) == 9
         assert all(len(found[f"m.f{k}"].freeze_frames) >= 1 for k in range(9))
     else:
-        assert mishaps[0].kind == "damaged"
-        assert mishaps[0].aside.exists()
-        assert mishaps[0].lost or mishaps[0].recovered
+        assert incidents[0].kind == "damaged"
+        assert incidents[0].aside.exists()
+        assert incidents[0].lost or incidents[0].recovered
     assert "m.f3" in listed(path), "and it keeps what comes"
     store.close()
-    again = KeptStore(path)
-    assert again.mishaps() == []
+    again = ResilientStore(path)
+    assert again.incidents() == []
     again.close()
 
 
@@ -96,9 +96,9 @@ def test_what_can_be_read_of_a_damaged_file_is_recovered(tmp_path):
         service.clear(path)
     store, memory = kept(path, 90)
     assert len(memory.entries()) == len(found.records)
-    (mishap,) = store.mishaps()
-    assert mishap.recovered == found.recovered
-    assert ".damaged-20" in mishap.aside.name
+    (incident,) = store.incidents()
+    assert incident.recovered == found.recovered
+    assert ".damaged-20" in incident.aside.name
     assert len(store.recordings()) == len(found.records)
     store.close()
 
@@ -114,7 +114,7 @@ def test_a_name_of_a_table_that_is_no_text_any_more_is_damage_and_recovered_from
     with pytest.raises(DamagedError):
         listed(path)
     store, _ = kept(path, 5)
-    assert [mishap.kind for mishap in store.mishaps()] == ["damaged"]
+    assert [incident.kind for incident in store.incidents()] == ["damaged"]
     store.close()
 
 
@@ -128,7 +128,7 @@ def test_a_name_that_one_flipped_bit_has_changed_is_damage_not_a_traceback(tmp_p
     with pytest.raises(DamagedError, match="freeze"):
         service.list_entries(path)
     store, memory = kept(path)
-    assert len(store.mishaps()) == 1
+    assert len(store.incidents()) == 1
     assert {e.fault for e in memory.entries()} == {"m.f0", "m.f2", "m.f8"}
     store.close()
 
@@ -149,7 +149,7 @@ def test_a_file_damaged_while_it_is_open_is_begun_anew_with_everything(tmp_path)
         t_ns += FIRST_NS
         assert t_ns < 10 * S
     assert listed(path) == {"m.f0": 1, "m.f1": 1, "m.f2": 1}
-    assert [m.kind for m in store.mishaps()] == ["overwritten"]
+    assert [m.kind for m in store.incidents()] == ["overwritten"]
     store.close()
 
 
@@ -157,10 +157,10 @@ def test_a_file_that_was_never_a_fault_memory_is_not_touched(tmp_path):
     path = tmp_path / "notes.txt"
     path.write_text("mine\n" * 100)
     with pytest.raises(InputError, match="no SQLite file"):
-        KeptStore(path)
+        ResilientStore(path)
     assert path.read_text() == "mine\n" * 100
     with pytest.raises(InputError, match="folder"):
-        KeptStore(tmp_path)
+        ResilientStore(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -180,8 +180,8 @@ def test_a_text_that_is_not_utf_8_any_more_is_damage(tmp_path, statement):
     db.commit()
     db.close()
     store, memory = kept(path)
-    (mishap,) = store.mishaps()
-    assert mishap.kind == "damaged"
+    (incident,) = store.incidents()
+    assert incident.kind == "damaged"
     assert {e.fault for e in memory.entries()} == {"m.f0", "m.f1", "m.f2"}
     store.close()
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from gateway.cli import app
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Recording
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway_fdi.errors import GatewayError
 
 FILES = ("", "-wal", "-shm", "-verdicts", "-lock")
@@ -60,10 +60,10 @@ class Images:
 
 def content(path):
     """Return all that the memory says, as its next writer reads it."""
-    store = KeptStore(path, displacing=True)
+    store = ResilientStore(path, displacing=True)
     try:
         memory = FaultMemory(catalogue((1, 1, 1)), store)
-        told = [mishap.kind for mishap in store.mishaps()]
+        told = [incident.kind for incident in store.incidents()]
         if memory.recovered.faults:
             told.append("recovered")
         if store.detached:

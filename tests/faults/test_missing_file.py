@@ -10,7 +10,7 @@ from stored_memories import fill, kept, listed
 from gateway.faults import service
 from gateway.faults.lock import is_unsaved
 from gateway.faults.memory import FaultMemory
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.retry_policy import LONGEST_NS
 from gateway.faults.store import Store
 from gateway_fdi.errors import InputError
@@ -31,9 +31,9 @@ def test_a_file_that_is_deleted_is_written_anew_with_everything(tmp_path):
     memory.apply(event(0, True, 7), nothing)
     assert memory.commit(7) is True
     assert listed(path) == {"m.f0": 2, "m.f1": 1, "m.f2": 1}
-    (mishap,) = store.mishaps()
-    assert (mishap.kind, mishap.aside) == ("deleted", None)
-    assert store.mishaps() == []
+    (incident,) = store.incidents()
+    assert (incident.kind, incident.aside) == ("deleted", None)
+    assert store.incidents() == []
     reader = Store(path, write=False)
     assert [r.fault for r in reader.recordings()] == ["m.f0", "m.f1", "m.f2"], "and the recordings"
     assert reader.identifiers() == {0xF190: b"VIN"}
@@ -73,9 +73,9 @@ def test_a_file_put_in_its_place_is_put_aside_and_kept(tmp_path):
     assert store.look() is False
     memory.ledger.rewrite()
     assert memory.commit(6) is True
-    (mishap,) = store.mishaps()
-    assert mishap.kind == "replaced"
-    assert listed(mishap.aside) == {"m.f0": 1}
+    (incident,) = store.incidents()
+    assert incident.kind == "replaced"
+    assert listed(incident.aside) == {"m.f0": 1}
     assert listed(path) == {"m.f0": 1, "m.f1": 1, "m.f2": 1}
     store.close()
 
@@ -141,14 +141,14 @@ def test_a_file_that_could_not_be_read_is_never_overwritten(tmp_path, monkeypatc
     monkeypatch.undo()
     assert memory.commit(LONGEST_NS) is True
     assert listed(path) == {"m.f1": 1}
-    (mishap,) = store.mishaps()
-    assert listed(mishap.aside) == {"m.f0": 1, "m.f1": 1, "m.f2": 1}
+    (incident,) = store.incidents()
+    assert listed(incident.aside) == {"m.f0": 1, "m.f1": 1, "m.f2": 1}
     store.close()
 
 
 def test_other_processes_see_that_the_file_is_not_up_to_date(tmp_path):
     path = tmp_path / "f.sqlite"
-    store = KeptStore(path)
+    store = ResilientStore(path)
     assert not is_unsaved(path)
     store.note_unsaved(True)
     assert is_unsaved(path)
@@ -168,7 +168,7 @@ def test_the_path_of_the_store_may_be_a_link(tmp_path):
     memory.start_cycle(0)
     memory.apply(event(0, True), nothing)
     assert memory.commit(1)
-    assert store.mishaps() == []
+    assert store.incidents() == []
     assert Path(tmp_path / "real" / "f.sqlite").exists()
     store.close()
 
@@ -186,7 +186,7 @@ def test_a_file_that_cannot_be_opened_again_leaves_what_is_read_meanwhile(tmp_pa
     def connect(*arguments, **options):
         return sqlite3.connect(*arguments, factory=Connection, **options)
 
-    store = KeptStore(tmp_path / "f.sqlite", connect=connect)
+    store = ResilientStore(tmp_path / "f.sqlite", connect=connect)
     memory = FaultMemory(catalogue((1,)), store)
     memory.start_cycle(0)
     memory.apply(event(0, True, S), nothing)

@@ -9,7 +9,7 @@ from amount import amount
 from gateway.faults import service
 from gateway.faults.ledger import Ledger
 from gateway.faults.records import Changes, Cycle
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.store import Store, StoreError
 
 
@@ -33,7 +33,7 @@ def in_thread(work):
 def test_a_reload_reads_while_a_thread_writes_and_no_row_is_lost(tmp_path):
     """Reading and writing shared one connection: a write became several commits, or was rolled back by the reader."""
     path, ok, raised = tmp_path / "m.sqlite", set(), []
-    store = KeptStore(path)
+    store = ResilientStore(path)
 
     def work():
         for n in range(amount(400, 150)):
@@ -63,7 +63,7 @@ def test_a_reload_reads_while_a_thread_writes_and_no_row_is_lost(tmp_path):
     assert service.verify(path)["whole"]
 
 
-@pytest.mark.parametrize("kind", [Store, KeptStore])
+@pytest.mark.parametrize("kind", [Store, ResilientStore])
 def test_a_transaction_within_that_of_another_thread_is_an_error(tmp_path, kind):
     """It was taken for a part of that one, which may be undone."""
     store = kind(tmp_path / "m.sqlite")
@@ -87,7 +87,7 @@ def test_a_transaction_within_that_of_another_thread_is_an_error(tmp_path, kind)
 
 
 def test_a_reading_has_one_commit_however_long_it_takes(tmp_path):
-    store = KeptStore(tmp_path / "m.sqlite")
+    store = ResilientStore(tmp_path / "m.sqlite")
     store.save(Changes(facts={"n": 1}, cycles={"power": Cycle(1, True, 0)}))
     with store.reading():
         assert store.facts() == {"n": 1}

@@ -16,7 +16,7 @@ from stored_memories import fill, kept, listed
 from gateway.faults import service
 from gateway.faults.interventions import Intervention
 from gateway.faults.records import Recording
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.retry_policy import LONGEST_NS
 from gateway.faults.store import Store, StoreError
 from gateway_fdi.errors import InputError
@@ -101,27 +101,27 @@ def test_whatever_is_changed_in_place_is_noticed_or_harmless(tmp_path, part):
                 shutil.copyfile(path, tmp_path / "backup")
             if rng.random() < 0.2:
                 store.tend_log()
-        assert store.mishaps() == [], seed
+        assert store.incidents() == [], seed
         recordings = store.recordings()
         way = change_in_place(path, tmp_path / "backup", other, rng)
         memory.apply(event(0, False, 100), nothing)
         memory.apply(event(0, True, 101), frame({"x": 0.5}))
         assert memory.commit(101) is True, (seed, way)
-        mishaps = store.mishaps()
+        incidents = store.incidents()
         verdict, found = as_found(path, tmp_path / "found")
-        told = [(m.kind, m.reason, m.recovered, m.lost) for m in mishaps]
+        told = [(m.kind, m.reason, m.recovered, m.lost) for m in incidents]
         assert verdict["broken"] == [], (seed, way, told)
         assert found == {e.fault: e.record.occurrence for e in memory.entries()}, (seed, way, told)
         assert verdict["counted"]["intervention"] == len(memory.interventions()), (seed, way, told)
-        lost = sum(m.lost for m in mishaps)
+        lost = sum(m.lost for m in incidents)
         assert len(store.recordings()) + lost >= len(recordings), (seed, way, told)
         assert set(store.recordings()) <= set(recordings)
-        assert all(m.kind == "overwritten" and m.aside.exists() for m in mishaps), (seed, way, told)
+        assert all(m.kind == "overwritten" and m.aside.exists() for m in incidents), (seed, way, told)
         if f"of {path.name}" in way and not way.endswith("-wal"):
-            assert len(mishaps) == 1 or "bits" not in way, (seed, way)
+            assert len(incidents) == 1 or "bits" not in way, (seed, way)
         store.close()
-        again = KeptStore(path)
-        assert again.mishaps() == [], (seed, way)
+        again = ResilientStore(path)
+        assert again.incidents() == [], (seed, way)
         again.close()
 
 
@@ -143,14 +143,14 @@ def test_what_was_done_is_said_and_what_was_found_is_kept(tmp_path, way):
     memory.apply(event(1, False, 6), nothing)
     memory.apply(event(1, True, 7), nothing)
     assert memory.commit(7) is True
-    (mishap,) = store.mishaps()
-    assert way in mishap.reason
-    assert mishap.aside.name.startswith("f.sqlite.overwritten-20")
-    assert mishap.aside.read_bytes() == content
-    assert Path(f"{mishap.aside}.log").exists()
-    assert not Path(f"{mishap.aside}-wal").exists(), "else SQLite would copy our log into another's file"
-    assert (mishap.recovered, mishap.lost) in ((3, 0), (0, 3)), "of recordings"
-    assert len(store.recordings()) == mishap.recovered
+    (incident,) = store.incidents()
+    assert way in incident.reason
+    assert incident.aside.name.startswith("f.sqlite.overwritten-20")
+    assert incident.aside.read_bytes() == content
+    assert Path(f"{incident.aside}.log").exists()
+    assert not Path(f"{incident.aside}-wal").exists(), "else SQLite would copy our log into another's file"
+    assert (incident.recovered, incident.lost) in ((3, 0), (0, 3)), "of recordings"
+    assert len(store.recordings()) == incident.recovered
     store.close()
     assert listed(path) == {"m.f0": 1, "m.f1": 2, "m.f2": 1}
 
@@ -177,7 +177,7 @@ def test_what_is_harmless_is_nothing_to_tell(tmp_path):
     reader.close()
     memory.apply(event(1, True, 7), nothing)
     assert memory.commit(7) is True
-    assert store.mishaps() == []
+    assert store.incidents() == []
     store.tend_log()
     assert not store.doubtful
     store.close()
@@ -198,7 +198,7 @@ def test_a_clear_of_another_process_is_not_done_in_a_file_that_was_changed(tmp_p
     reader.close()
     memory.ledger.rewrite()
     assert memory.commit(LONGEST_NS) is True
-    assert [m.kind for m in store.mishaps()] == ["overwritten"]
+    assert [m.kind for m in store.incidents()] == ["overwritten"]
     store.close()
     assert len(listed(path)) == 3
 
@@ -229,12 +229,12 @@ def test_another_programs_database_is_put_aside_by_a_daemon_and_refused_by_other
     path = of_another_program(tmp_path / "f.sqlite")
     content = path.read_bytes()
     with pytest.raises(InputError, match="another program's database"):
-        KeptStore(path)
+        ResilientStore(path)
     assert path.read_bytes() == content
-    store = KeptStore(path, displacing=True)
-    (mishap,) = store.mishaps()
-    assert (mishap.kind, mishap.lost) == ("foreign", 0)
-    assert mishap.aside.read_bytes() == content
+    store = ResilientStore(path, displacing=True)
+    (incident,) = store.incidents()
+    assert (incident.kind, incident.lost) == ("foreign", 0)
+    assert incident.aside.read_bytes() == content
     assert store.detached == ""
     store.close()
     assert service.verify(path)["whole"]
@@ -283,8 +283,8 @@ def test_a_log_that_is_changed_in_place_is_noticed(tmp_path, way, asked):
     memory.apply(event(1, True, 7), nothing)
     memory.ledger.rewrite()
     assert memory.commit(LONGEST_NS) is True
-    (mishap,) = store.mishaps()
-    assert mishap.kind in ("overwritten", "damaged")
+    (incident,) = store.incidents()
+    assert incident.kind in ("overwritten", "damaged")
     verdict, found = as_found(path, tmp_path / "found")
     assert verdict["whole"]
     assert found == {"m.f0": 1, "m.f1": 1, "m.f2": 1}
@@ -319,7 +319,7 @@ def test_a_log_that_cannot_be_copied_is_looked_at_again(tmp_path, monkeypatch):
     assert store.examine()
     assert not store.doubtful
     store.close()
-    assert store.mishaps() == []
+    assert store.incidents() == []
 
 
 #: Another process that has the memory open, as the page has, and looks at it by new connections, too.
@@ -359,8 +359,8 @@ def test_a_log_whose_index_is_gone_does_not_leave_other_processes_behind(tmp_pat
         assert memory.commit(LONGEST_NS) is True
         found, _ = reader.communicate("\n", 60)
     assert found.split() == ["m.f0", "m.f1"]
-    (mishap,) = store.mishaps()
-    assert (mishap.kind, mishap.reason) == ("overwritten", "the index of its log (-shm) was deleted or replaced")
+    (incident,) = store.incidents()
+    assert (incident.kind, incident.reason) == ("overwritten", "the index of its log (-shm) was deleted or replaced")
     assert store.examine()
     assert service.verify(path)["whole"]
     store.close()

@@ -19,7 +19,7 @@ from debian import program
 from fault_examples import catalogue
 
 from gateway.faults.memory import FaultMemory
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 
 HERE = Path(__file__).parent / "power"
 sys.path.insert(0, str(HERE))
@@ -88,12 +88,12 @@ class Told:
 
 def found_in(path):
     """Start with the files of an image: states of the faults, mishaps, verdicts recovered."""
-    store = KeptStore(path)
+    store = ResilientStore(path)
     try:
         memory = FaultMemory(catalogue((1,) * COUNT), store)
         records = [memory.record(f"m.f{k}") for k in range(COUNT)]
         states = {record.id: (record.status & BITS, record.occurrence) for record in records}
-        return states, [mishap.reason for mishap in store.mishaps()], len(memory.recovered.faults)
+        return states, [incident.reason for incident in store.incidents()], len(memory.recovered.faults)
     finally:
         store.close()
 
@@ -110,15 +110,15 @@ def cut_and_judge(ops, seed, share, images):
         for left in (KEPT, LOST, HALF, TORN):
             folder = images / "image"
             path = place(disk.image(left, rng), folder)
-            states, mishaps, recovered = found_in(path)
+            states, incidents, recovered = found_in(path)
             counts[left] += 1
             counts["recovered"] += recovered > 0
             judged = {fault: told.judge(fault, state) for fault, state in states.items()}
-            if mishaps or any(judged.values()):
-                wrong.append((k, left, mishaps, judged))
-            again, mishaps, recovered = found_in(path)
-            if again != states or mishaps or recovered:
-                wrong.append((k, left, "the second start finds something else", again, states, mishaps, recovered))
+            if incidents or any(judged.values()):
+                wrong.append((k, left, incidents, judged))
+            again, incidents, recovered = found_in(path)
+            if again != states or incidents or recovered:
+                wrong.append((k, left, "the second start finds something else", again, states, incidents, recovered))
             shutil.rmtree(folder)
     return wrong, counts
 

@@ -21,7 +21,7 @@ from gateway.faults.explanation import WAITING
 from gateway.faults.journal_file import path_of
 from gateway.faults.journal_steps import journal_put
 from gateway.faults.memory import FaultMemory
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.status import Status
 from gateway.faults.store import Store, StoreError
 from gateway_fdi.jit import bound
@@ -191,7 +191,7 @@ def test_a_damaged_file_is_recovered_with_what_was_told_last(telling, tmp_path):
     store._db.execute("INSERT INTO freeze_frame VALUES ('nobody', 1, 0, '{}')")
     store.close()
     telling.open()
-    assert [mishap.kind for mishap in telling.store.mishaps()] == ["damaged"]
+    assert [incident.kind for incident in telling.store.incidents()] == ["damaged"]
     assert telling.memory.recovered == (("m.f0", "m.f2"), 0)
     assert {name: telling.memory.status_now(name) for name in told} == told
 
@@ -199,7 +199,7 @@ def test_a_damaged_file_is_recovered_with_what_was_told_last(telling, tmp_path):
 def test_a_fault_that_no_file_knows_is_counted_as_lost(telling, tmp_path):
     telling.verdicts((2, True))
     telling.kill(tmp_path / "1.sqlite")
-    store = KeptStore(telling.path)
+    store = ResilientStore(telling.path)
     store.load = lambda: []
     assert FaultMemory(Catalogue(()), store).recovered == ((), 1)
     store.close()
@@ -209,7 +209,7 @@ def test_a_fault_that_no_file_knows_is_counted_as_lost(telling, tmp_path):
 def test_without_a_journal_all_goes_on_as_without(tmp_path, monkeypatch):
     path = tmp_path / "m.sqlite"
     path_of(path).mkdir()
-    store = KeptStore(path)
+    store = ResilientStore(path)
     memory = FaultMemory(catalogue(), store)
     store.begin_journal()
     assert store.journal is None

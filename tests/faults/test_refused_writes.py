@@ -7,9 +7,9 @@ import pytest
 from fault_examples import event, frame, nothing
 from stored_memories import kept, listed
 
-from gateway.faults.retry_policy import FIRST_NS, LONGEST_NS, Outage
+from gateway.faults.retry_policy import FIRST_NS, LONGEST_NS, RetryPolicy
 from gateway.faults.store import Store, StoreError
-from gateway.faults.write_throttle import Pace
+from gateway.faults.write_throttle import WriteThrottle
 
 S = 1_000_000_000
 
@@ -105,7 +105,7 @@ def test_attempts_grow_rare_and_never_end(tmp_path, disk):
 
 
 def test_a_clock_that_goes_back_does_not_put_an_attempt_off_for_ever():
-    outage = Outage()
+    outage = RetryPolicy()
     outage.failed(1000 * S, "full")
     assert not outage.is_due(1000 * S)
     assert outage.is_due(0)
@@ -161,15 +161,15 @@ def test_another_process_that_asks_for_a_clear_that_fails_is_not_told_it_was_don
 
 
 def test_a_storm_is_written_in_groups_and_a_single_change_at_once():
-    pace = Pace(burst=4, interval_ns=10)
+    pace = WriteThrottle(burst=4, interval_ns=10)
     assert [pace.allows(0) for _ in range(6)] == [True] * 4 + [False] * 2
     assert sum(pace.allows(t) for t in range(1, 1001)) == 100
     assert [pace.allows(2000) for _ in range(6)] == [True] * 4 + [False] * 2
-    pace = Pace(burst=1, interval_ns=10)
+    pace = WriteThrottle(burst=1, interval_ns=10)
     assert [t for t in range(200) if pace.allows(t, 16)] == list(range(0, 200, 30)), (
         "sixteen faults in each write: a third as often"
     )
-    pace = Pace(burst=2, interval_ns=10)
+    pace = WriteThrottle(burst=2, interval_ns=10)
     assert [pace.allows(2000) for _ in range(3)] == [True] * 2 + [False]
     assert not pace.allows(0), "a clock that goes back gives no leave"
     assert pace.allows(10), "and takes none away"

@@ -15,7 +15,7 @@ from gateway.faults import chain, lock, service
 from gateway.faults.journal_file import path_of, records
 from gateway.faults.lock import noted
 from gateway.faults.memory import FaultMemory
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.store import OlderError, Store, last_links
 
 ALL = ("", "-wal", "-verdicts", "-lock")
@@ -49,11 +49,11 @@ def died(tmp_path, folder="died"):
 
 def started(path):
     """Start once, and end; returns the mishaps, and the faults that were recovered from the journal."""
-    store = KeptStore(path, displacing=True)
+    store = ResilientStore(path, displacing=True)
     memory = FaultMemory(catalogue((1, 1, 1)), store)
-    mishaps, recovered = store.mishaps(), memory.recovered
+    incidents, recovered = store.incidents(), memory.recovered
     store.close()
-    return mishaps, recovered
+    return incidents, recovered
 
 
 def swapped(log):
@@ -91,19 +91,19 @@ def test_a_log_that_is_lost_is_told_and_what_is_left_is_kept(tmp_path, way, with
     assert "it is older than what was kept here: links " in found["broken"][0]["text"]
     with pytest.raises(OlderError, match=r"links \d+ to \d+ are missing"):
         Store(path)
-    (mishap,), recovered = started(path)
-    assert (mishap.kind, mishap.lost) == ("older", 0)
-    assert mishap.aside.name.startswith("f.sqlite.older-")
+    (incident,), recovered = started(path)
+    assert (incident.kind, incident.lost) == ("older", 0)
+    assert incident.aside.name.startswith("f.sqlite.older-")
     assert recovered == ((), 0), "verdicts of a time that is lost are no news"
-    assert listed(path) == listed(mishap.aside)
+    assert listed(path) == listed(incident.aside)
     assert service.verify(path)["whole"]
     assert started(path) == ([], ((), 0)), "it is told once"
 
 
 def test_a_death_is_no_loss(tmp_path):
     path = died(tmp_path)
-    mishaps, recovered = started(path)
-    assert mishaps == []
+    incidents, recovered = started(path)
+    assert incidents == []
     assert recovered.faults == ("m.f0",)
     assert service.verify(path)["whole"]
 
@@ -131,12 +131,12 @@ def test_a_backup_that_is_put_back_is_told_and_gets_no_later_verdicts(tmp_path, 
         Path(f"{path}{suffix}").unlink(missing_ok=True)
     shutil.copyfile(backup, path)
     assert "a backup was put back" in service.verify(path)["broken"][0]["text"]
-    (mishap,), recovered = started(path)
-    assert mishap.kind == "older"
+    (incident,), recovered = started(path)
+    assert incident.kind == "older"
     assert recovered == ((), 0)
     assert listed(path) == {"m.f0": 1, "m.f1": 1, "m.f2": 1}
     assert records(path_of(path).read_bytes()) != []
-    store = KeptStore(path)
+    store = ResilientStore(path)
     store.begin_journal()
     store.close()
     assert records(path_of(path).read_bytes()) == [], "they are of another file"
@@ -150,8 +150,8 @@ def test_the_file_of_another_memory_is_told(tmp_path, without):
     if without:
         Path(f"{path}{without}").unlink()
     assert "not the file that was kept here last" in service.verify(path)["broken"][0]["text"]
-    (mishap,), _ = started(path)
-    assert mishap.kind == "older"
+    (incident,), _ = started(path)
+    assert incident.kind == "older"
 
 
 def test_a_file_that_went_on_elsewhere_is_told(tmp_path):
@@ -167,16 +167,16 @@ def test_a_file_that_went_on_elsewhere_is_told(tmp_path):
     shutil.copyfile(elsewhere, path)
     (broken,) = service.verify(path)["broken"]
     assert "is another one" in broken["text"]
-    (mishap,), _ = started(path)
-    assert mishap.kind == "older"
+    (incident,), _ = started(path)
+    assert incident.kind == "older"
 
 
 def test_a_file_that_is_deleted_while_nothing_runs_is_told(tmp_path):
     path = tmp_path / "f.sqlite"
     fill(path)
     path.unlink()
-    (mishap,), _ = started(path)
-    assert mishap.kind == "deleted"
+    (incident,), _ = started(path)
+    assert incident.kind == "deleted"
     assert started(path)[0] == []
 
 
@@ -228,14 +228,14 @@ def test_a_file_that_is_begun_may_be_cut_off_at_any_moment(tmp_path, monkeypatch
             images.append(image(path, tmp_path / f"{len(images)} after"))
 
         monkeypatch.setattr(lock, name, and_image)
-    store = KeptStore(path)
-    assert [m.kind for m in store.mishaps()] == ["damaged"]
+    store = ResilientStore(path)
+    assert [m.kind for m in store.incidents()] == ["damaged"]
     store.close()
     monkeypatch.undo()
     assert len(images) >= 6
     for each in images:
-        store = KeptStore(each)
-        told = [m.reason.rpartition(": ")[2] for m in store.mishaps()]
+        store = ResilientStore(each)
+        told = [m.reason.rpartition(": ")[2] for m in store.incidents()]
         assert told in ([], ["it is empty"], ["its file was deleted"]), each  # the damaged one was put aside
         store.close()
 

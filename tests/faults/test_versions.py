@@ -45,7 +45,7 @@ def test_a_file_of_each_version_is_brought_to_today_and_loses_nothing(tmp_path, 
     with pytest.raises(InputError, match=f"earlier gateway: version {version}"):
         service.verify(path)
     store, memory = kept(path)
-    assert store.mishaps() == []
+    assert store.incidents() == []
     verdict = store.verify()
     assert verdict.broken == []
     assert verdict.counted["fault"] == 3
@@ -68,7 +68,7 @@ def test_a_file_of_each_version_is_brought_to_today_and_loses_nothing(tmp_path, 
     store.close()
     assert service.verify(path)["whole"]
     again, _ = kept(path)
-    assert again.mishaps() == []
+    assert again.incidents() == []
     again.close()
     assert listed(path)["m.f1"] == 3
 
@@ -89,10 +89,10 @@ def test_a_row_that_was_changed_before_the_file_became_one_of_today_shows(tmp_pa
     path = placed(tmp_path, version)
     change(path, statement)
     store, _ = kept(path)
-    (mishap,) = store.mishaps()
+    (incident,) = store.incidents()
     store.close()
-    assert mishap.kind == "damaged"
-    assert subject in mishap.reason
+    assert incident.kind == "damaged"
+    assert subject in incident.reason
     assert service.verify(path)["whole"], "the next file is whole"
 
 
@@ -166,7 +166,7 @@ from gateway.faults.records import Changes
 path = Path({path!r})
 store = KeptStore(path)
 record = store.load()[{which}]
-print([m.reason for m in store.mishaps()], hasattr(record, "latest_pass_ns"))
+print([m.reason for m in store.incidents()], hasattr(record, "latest_pass_ns"))
 if {write}:
     record.latest_pass_ns += 1
     store.save(Changes(records=[record]))

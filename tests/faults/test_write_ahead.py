@@ -9,13 +9,13 @@ from told import watched_rigs
 
 from gateway.faults import write_ahead
 from gateway.faults.records import Changes, FreezeFrame, Record
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.store import Store
 
 
 @pytest.fixture
 def store(tmp_path):
-    made = KeptStore(tmp_path / "f.sqlite")
+    made = ResilientStore(tmp_path / "f.sqlite")
     yield made
     made.close()
 

@@ -14,7 +14,7 @@ from road import car_of
 from gateway.config.load import load_config
 from gateway.faults.fleet import LIMITS
 from gateway.faults.records import Changes, Recording
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.runtime.contract import wrong
 from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.live import signed_documents
@@ -281,7 +281,7 @@ def test_a_campaign_says_whose_statistics_and_recordings_are_told(rig):
     member._trials = rig.trials
 
     def recorded(t_ns, fault, size):
-        with closing(KeptStore(config.memory.path)) as store:
+        with closing(ResilientStore(config.memory.path)) as store:
             found = Recording(fault, t_ns, 7, 1, bytes(size))
             store.save(Changes(recordings=[found], kept_recordings=9))
         events = member._recordings(rig.trials)
@@ -305,7 +305,7 @@ def test_a_campaign_says_whose_statistics_and_recordings_are_told(rig):
     }
     member.drive.give_back([head | {"tests": tests}])
     asyncio.run(member._tell())
-    with closing(KeptStore(config.memory.path)) as store:
+    with closing(ResilientStore(config.memory.path)) as store:
         (row,) = store.outgoing()
     assert json.loads(row.body)["tests"] == told({TEST: (_Test(sign=1), [1.0] * 20)})
 
@@ -353,7 +353,7 @@ def test_the_memory_says_which_limits_judged(tmp_path):
 
     path = tmp_path / "faults.sqlite"
     for serial, fault in ((7, 0), (0, 1)):
-        store = KeptStore(path)
+        store = ResilientStore(path)
         memory = FaultMemory(catalogue((1, 1)), store, fleet=car_of(serial=serial))
         memory.start_cycle(serial)
         memory.apply(event(fault, True, 10), frame({}))

@@ -181,7 +181,7 @@ def test_a_queue_goes_along_where_a_damaged_file_is_given_up(tmp_path):
                 file.write(b"\x77")
                 break
     memory = Memory(path, car_of())
-    assert [m.kind for m in memory.store.mishaps()] == ["damaged"]
+    assert [m.kind for m in memory.store.incidents()] == ["damaged"]
     memory.post(event(3))
     memory.commit()
     after = [row.id for row in memory.store.outgoing()]

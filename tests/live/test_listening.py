@@ -4,7 +4,7 @@ import errno
 import selectors
 import socket
 
-from gateway.live.listening_sockets import REST_S, Listening
+from gateway.live.listening_sockets import REST_S, ListeningSockets
 
 
 class Listener(socket.socket):
@@ -20,7 +20,7 @@ class Listener(socket.socket):
 
 def test_two_sockets_rest_where_one_finds_no_descriptors_and_listen_again(monkeypatch):
     with selectors.DefaultSelector() as selector:
-        listening = Listening(selector, "not taken")
+        listening = ListeningSockets(selector, "not taken")
         made = [Listener(socket.AF_INET, socket.SOCK_STREAM) for _ in range(2)]
         for k, each in enumerate(made):
             each.bind(("127.0.0.1", 0))

@@ -13,7 +13,7 @@ from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live, collect_and_freeze
 from gateway.live.record import Nobody
-from gateway.runtime.fast_path_conditions import Quiet
+from gateway.runtime.fast_path_conditions import FastPathConditions
 
 
 class Queue(Bus):
@@ -147,7 +147,7 @@ def test_a_quiet_bus_is_waited_for_unless_something_else_is():
     live._pump.run = noted
 
     def waits(*, idle, watched=False):
-        gateway.quiet, live._door.watched = lambda: Quiet(idle=idle), watched
+        gateway.quiet, live._door.watched = lambda: FastPathConditions(idle=idle), watched
         live._poll = live._monotonic() + 1.0
         live.turn()
         return round(left[-1] / 1e9, 2)

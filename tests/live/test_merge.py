@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.bus.frames import empty
-from gateway.live.fast_path import Pump
+from gateway.live.fast_path import FastPath
 from gateway.live.fast_path_kernel import LONGEST_NS, MOST_WAITING, SETTLE_NS
-from gateway.runtime.fast_path_conditions import Quiet
+from gateway.runtime.fast_path_conditions import FastPathConditions
 
 MS = 1_000_000
 
@@ -23,10 +23,10 @@ class Merger:
     """A pump without an engine, into which frames are handed."""
 
     def __init__(self, buses=2):
-        self.pump = Pump(None, buses)
+        self.pump = FastPath(None, buses)
 
     def take(self, parts, read_ns):
-        return self.pump.hand_in(parts, empty(0), read_ns, Quiet()).batch.copy()
+        return self.pump.hand_in(parts, empty(0), read_ns, FastPathConditions()).batch.copy()
 
     @property
     def holding(self):

@@ -12,7 +12,7 @@ from junitparser import JUnitXml
 from gateway.bus.frames import empty, put
 from gateway.servers.uds.params import UdsParams
 from gateway_bench.pytest_plugin.fixtures import left_in
-from gateway_bench.pytest_plugin.scenario_run import Played, leave
+from gateway_bench.pytest_plugin.scenario_run import ScenarioRun, leave
 from gateway_bench.pytest_plugin.uds import _Transport
 
 EXAMPLE = ROOT / "examples" / "battery_voltage"
@@ -253,6 +253,6 @@ def test_the_recording_of_a_scenario_on_buses_is_left_in_its_folder(tmp_path):
     put(frames, 0, t_ns=10**9, can_id=0x123, payload=b"\x01\x02")
     put(frames, 1, t_ns=2 * 10**9, can_id=0x124, payload=b"")
     folder = tmp_path / "left" / "drained"
-    left = list(leave(folder, None, None, None, Played((), (), (frames[:1], frames[1:]))))
+    left = list(leave(folder, None, None, None, ScenarioRun((), (), (frames[:1], frames[1:]))))
     assert left == [("recording", folder / "can.log")]
     assert (folder / "can.log").read_text().splitlines() == ["(1.000000000) can0 123#0102", "(2.000000000) can0 124#"]

@@ -15,7 +15,7 @@ from gateway.faults.settings import POWER
 from gateway.faults.store import Store
 from gateway.servers import prepared_frames as knowledge
 from gateway.servers.dtc_frame import DtcFrameParams, DtcFrameSender
-from gateway.servers.prepared_frames_kernel import MOST, foretell
+from gateway.servers.prepared_frames_kernel import MOST, prepare_next
 
 DBC = Path(__file__).parents[2] / "dbc" / "gateway.dbc"
 MESSAGE = cantools.database.load_file(DBC).get_message_by_name("GW_DTC")
@@ -27,15 +27,15 @@ def sender(memory, **params):
     return DtcFrameSender(DtcFrameParams(**params), DBC, 1, memory, lambda fault: -5)
 
 
-def foretold(made, verdicts, t_ns):
+def prepared(made, verdicts, t_ns):
     """Return the frames made at events at a time, before these are taken."""
-    made.foretold.foresee()
+    made.prepared.foresee()
     events = np.zeros(max(len(verdicts), 1), EVENT)
     for row, told in zip(events, verdicts, strict=False):
         for name in ("t_ns", "fault", "kind", "fdc"):
             row[name] = getattr(told, name)
-    count = foretell(made.foretold.tables, events.view(np.recarray), len(verdicts), t_ns)
-    return made.foretold.tables.frames[:count].copy().view(FRAME).reshape(-1)
+    count = prepare_next(made.prepared.tables, events.view(np.recarray), len(verdicts), t_ns)
+    return made.prepared.tables.frames[:count].copy().view(FRAME).reshape(-1)
 
 
 def taken(made, memory, verdicts, t_ns):
@@ -65,7 +65,7 @@ def test_they_are_those_that_are_made_after_it(steps, size, interval_ms, waits):
         t_ns = (k + 1) * 2 * MS
         if kind == "verdicts":
             verdicts = [event(fault, failed, t_ns) for fault, failed in what]
-            before = foretold(made, verdicts, t_ns)
+            before = prepared(made, verdicts, t_ns)
             after = taken(made, memory, verdicts, t_ns)
             if len(before):
                 assert before.tobytes() == after.tobytes()
@@ -89,7 +89,7 @@ def test_they_are_those_that_are_made_after_it(steps, size, interval_ms, waits):
 def test_they_are_as_the_database_says():
     memory = AtOnce(catalogue(), Store(None))
     memory.start_cycle(0)
-    (frame,) = foretold(sender(memory), [event(1, True, 3 * MS)], 3 * MS)
+    (frame,) = prepared(sender(memory), [event(1, True, 3 * MS)], 3 * MS)
     assert (int(frame["can_id"]), int(frame["bus"]), int(frame["t_ns"])) == (0x6F0, 1, 3 * MS)
     values = {"Dtc": 0x030111, "Status": 0x27, "FaultDetectionCounter": 127, "Index": 0, "Count": 1, "Occurrence": 1}
     assert MESSAGE.decode(payload(frame)) == values
@@ -100,10 +100,10 @@ def test_an_event_of_another_kind_is_pythons():
     memory.start_cycle(0)
     made = sender(memory)
     told = event(1, True)
-    assert len(foretold(made, [told._replace(kind=RESULT_CHANGED), told], 0)) == 1
-    assert not len(foretold(made, [told, told._replace(kind=9)], 0))
+    assert len(prepared(made, [told._replace(kind=RESULT_CHANGED), told], 0)) == 1
+    assert not len(prepared(made, [told, told._replace(kind=9)], 0))
     memory.end_cycle(1)
-    assert not len(foretold(made, [told], 0)), "it does not count outside of its operation cycle"
+    assert not len(prepared(made, [told], 0)), "it does not count outside of its operation cycle"
 
 
 def test_many_faults_are_foreseen_in_several_calls(monkeypatch):
@@ -111,24 +111,24 @@ def test_many_faults_are_foreseen_in_several_calls(monkeypatch):
     memory = AtOnce(catalogue((1,) * FAULTS), Store(None))
     memory.start_cycle(0)
     made, last = sender(memory), [event(FAULTS - 1, True)]
-    calls = [len(foretold(made, last, 0)) for _ in range(FAULTS // 2 + 1)]
+    calls = [len(prepared(made, last, 0)) for _ in range(FAULTS // 2 + 1)]
     assert calls == [0] * (FAULTS // 2 - 1) + [1, 1]
     memory.start_cycle(1)
-    assert not len(foretold(made, last, 0)), "what was foreseen before counts no more"
+    assert not len(prepared(made, last, 0)), "what was foreseen before counts no more"
 
 
 def test_a_frame_that_has_gone_is_not_sent_again_and_a_wrong_one_is_corrected(capsys):
     memory = AtOnce(catalogue(), Store(None))
     memory.start_cycle(0)
     made, verdicts = sender(memory), [event(0, True), event(1, True)]
-    made.foretold.note(foretold(made, verdicts, 0)[:1])
+    made.prepared.note(prepared(made, verdicts, 0)[:1])
     changes = [change for each in verdicts for change in memory.apply(each, nothing)]
     assert not len(made.correct(changes, 0))
     (left,) = made.on_changes(changes, 0)
     assert MESSAGE.decode(payload(left))["Dtc"] == 0x030111
-    made.foretold.foresee()
-    made.foretold.tables.following["passed"][0] = 0x55
-    made.foretold.note(foretold(made, [event(0, False)], 20 * MS))
+    made.prepared.foresee()
+    made.prepared.tables.following["passed"][0] = 0x55
+    made.prepared.note(prepared(made, [event(0, False)], 20 * MS))
     changes = memory.apply(event(0, False), nothing)
     (again,) = made.correct(changes, 20 * MS)
     assert MESSAGE.decode(payload(again))["Status"] == int(memory.status("m.f0"))
@@ -143,11 +143,11 @@ def test_of_what_the_journal_has_not_sent_python_sends_the_newest(sent):
     memory, asked = AtOnce(catalogue(), Store(None)), []
     memory.start_cycle(0)
     made = sender(memory, min_interval_ms=0.0)
-    made.foretold.withdraw = lambda number: asked.append(number) or sent
+    made.prepared.withdraw = lambda number: asked.append(number) or sent
     for again in (False, True):
-        frames = foretold(made, [event(0, True)], 0)
-        made.foretold.tables.made["number"][0] = 7
-        made.foretold.note(frames)
+        frames = prepared(made, [event(0, True)], 0)
+        made.prepared.tables.made["number"][0] = 7
+        made.prepared.note(frames)
         changes = memory.apply(event(0, True), nothing)
         assert not len(made.correct(changes, 0))
         if again:

@@ -11,7 +11,7 @@ from uds_tester import EXTRA, Asked
 from gateway.cli.faults import interventions as shown
 from gateway.faults import service
 from gateway.faults.interventions import DONE, MOST, Intervention, Interventions
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.store import StoreError
 
 
@@ -183,17 +183,17 @@ def test_the_trace_is_bounded_in_the_file_and_in_an_outage(uds, tmp_path, monkey
     assert memory.commit(rig.now, final=True)
     assert stored() == list(range(350 - MOST, 350))
 
-    write = KeptStore.save
+    write = ResilientStore.save
 
     def broken(*_):
         raise StoreError(path, "no")
 
-    monkeypatch.setattr(KeptStore, "save", broken)
+    monkeypatch.setattr(ResilientStore, "save", broken)
     note(350, 2000)
     assert not memory.commit(rig.now, final=True)
     note(2000, 3000)
     assert len(memory.ledger._pending.interventions) <= MOST
-    monkeypatch.setattr(KeptStore, "save", write)
+    monkeypatch.setattr(ResilientStore, "save", write)
     assert memory.commit(rig.now, final=True)
     assert stored() == list(range(3000 - MOST, 3000))
 
@@ -257,9 +257,9 @@ def test_a_damaged_file_gives_back_what_can_be_read(uds, tmp_path):
                " role, action, request, outcome FROM intervention")  # fmt: skip
     db.commit()
     db.close()
-    store = KeptStore(path)
+    store = ResilientStore(path)
     assert [each.action for each in store.interventions()] == ["reset"]
-    assert store.mishaps()[0].lost == 2
+    assert store.incidents()[0].lost == 2
     store.close()
 
 

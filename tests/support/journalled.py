@@ -10,7 +10,7 @@ from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.faults.journal import Journal
 from gateway.faults.journal_steps import journal_put
 from gateway.faults.memory import FaultMemory
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway_fdi.jit import bound
 
 #: All files of a fault memory.
@@ -64,7 +64,7 @@ class Telling:
         self.told = {d.id: self.memory.status_now(d.id) for d in catalogue}
 
     def open(self):
-        self.store = KeptStore(self.path)
+        self.store = ResilientStore(self.path)
         self.memory = FaultMemory(self.catalogue, self.store)
         self.store.journal = Journal(self.path)
         self._put = putter(self.store.journal, [d.id for d in self.catalogue])

@@ -12,7 +12,7 @@ from gateway.config.load import load_config
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Changes
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.runtime.contract import STATISTICS
 from gateway_fleet.live import signed_documents
 from gateway_fleet.live.answers import Answers
@@ -81,7 +81,7 @@ class Car:
             "block_s": 60.0, "seconds": 3600.0, "tests": {name: [] for name in STATISTICS},
         })  # fmt: skip
         car = setup.config.fleet
-        with closing(KeptStore(self.memory)) as store:
+        with closing(ResilientStore(self.memory)) as store:
             memory = FaultMemory(Catalogue(()), store, fleet=car)
             while self.events:
                 memory.fleet.post(self.events.pop(0))
@@ -93,10 +93,10 @@ class Car:
     def judged(self, setup, frames, memory):
         """Have frames judged; returns how many causes were told."""
         count = CauseCount()
-        with closing(KeptStore(memory)) as store:
+        with closing(ResilientStore(memory)) as store:
             before = store.tally().last
         setup.replay(frames, memory=memory)
-        with closing(KeptStore(memory)) as store:
+        with closing(ResilientStore(memory)) as store:
             for row in store.outgoing(before):
                 count.take(json.loads(row.body))
         return count.told

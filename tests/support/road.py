@@ -15,8 +15,8 @@ from kernel_can import wait_for
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.fleet import FleetParams
 from gateway.faults.memory import FaultMemory
-from gateway.faults.memory_reader import OpenedMemory
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.memory_reader import MemoryReader
+from gateway.faults.resilient_store import ResilientStore
 from gateway.runtime.contract import STATISTICS
 
 #: Ports below those of connections (Linux: from 32768), another order in each process of the tests.
@@ -46,7 +46,7 @@ class Memory:
     """A car's fault memory, as its daemon keeps it."""
 
     def __init__(self, path, car):
-        self.store = KeptStore(path)
+        self.store = ResilientStore(path)
         self.memory = FaultMemory(Catalogue(()), self.store, fleet=car)
 
     def post(self, *events):
@@ -80,7 +80,7 @@ def occurrences(folder):
 
 def waiting(path):
     """Rows of a memory's file that have not been taken away, read beside its daemon and its sender."""
-    opened = OpenedMemory(path)
+    opened = MemoryReader(path)
     try:
         return opened.store().outgoing()
     finally:

@@ -7,7 +7,7 @@ from fault_examples import catalogue, event, frame
 from gateway.faults import service
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Recording
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 
 
 def connect(*arguments, **options):
@@ -16,7 +16,7 @@ def connect(*arguments, **options):
 
 
 def kept(path, count=3, **settings):
-    store = KeptStore(path, connect=connect)
+    store = ResilientStore(path, connect=connect)
     return store, FaultMemory(catalogue((1,) * count), store, **settings)
 
 

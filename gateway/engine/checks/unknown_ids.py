@@ -23,7 +23,7 @@ from gateway_fdi.jit import Record, i8, means, u1, u4, u8
 MOST = 64
 
 
-class Stranger(Record):
+class UnknownId(Record):
     """One unknown identifier of one bus."""
 
     bus: u1 = means("number of the bus")

@@ -36,7 +36,7 @@ def known_elsewhere(T: Any, bus: int, can_id: int) -> int:
 
 
 @kernel(inlined=False)
-def on_stranger(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) -> None:
+def on_unknown_id(T: Any, t_ns: int, bus: int, can_id: int, length: int, words: Any) -> None:
     """Take a frame that is of no message that is decoded: nobody knows it, or nobody needs it."""
     if bus >= T.health.shape[0] - 1:
         return

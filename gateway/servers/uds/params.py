@@ -7,7 +7,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from gateway.bus.frames import EXTENDED, ID_MASK
-from gateway.isotp.addressing import FUNCTIONAL, PlaceParams
+from gateway.isotp.addressing import FUNCTIONAL, AddressingParams
 from gateway.isotp.params import IsoTpParams
 from gateway.servers.access import Access
 from gateway.servers.uds.authentication import AuthenticationParams
@@ -44,7 +44,7 @@ class SecurityLevel(StrictModel):
         return self
 
 
-class BusRouteParams(PlaceParams):
+class BusRouteParams(AddressingParams):
     """A route to an ECU of another bus, and its identifiers on the bus of the testers."""
 
     ecu: str = Field(description="name of an [[ecu]]")

@@ -20,7 +20,7 @@ from gateway_bench.vecu.scenario import Scenario
 
 
 @dataclass(frozen=True)
-class Played:
+class ScenarioRun:
     """Outcome of a scenario.
 
     Attributes:
@@ -34,7 +34,7 @@ class Played:
     frames: tuple[Frames, ...] = ()
 
 
-def inside(scenario: Scenario, config: Config, seed: int | None) -> Played:
+def inside(scenario: Scenario, config: Config, seed: int | None) -> ScenarioRun:
     """Play a scenario in this process, as fast as it goes.
 
     Raises:
@@ -47,10 +47,10 @@ def inside(scenario: Scenario, config: Config, seed: int | None) -> Played:
         drive(gateway, player, judge=judge)
     finally:
         gateway.close()
-    return Played(judge.findings(), player.truth)
+    return ScenarioRun(judge.findings(), player.truth)
 
 
-def on_buses(scenario: Scenario, config: Config, seed: int | None, buses: Sequence[str]) -> Played:
+def on_buses(scenario: Scenario, config: Config, seed: int | None, buses: Sequence[str]) -> ScenarioRun:
     """Play a scenario on real buses, in real time; wait for expectations later than its end.
 
     Raises:
@@ -76,11 +76,11 @@ def on_buses(scenario: Scenario, config: Config, seed: int | None, buses: Sequen
             bench.run(0.1)
     finally:
         bench.close()
-    return Played(judge.findings(), truth, tuple(frames))
+    return ScenarioRun(judge.findings(), truth, tuple(frames))
 
 
 def leave(
-    folder: Path, scenario: Scenario, config: Config, seed: int | None, run: Played
+    folder: Path, scenario: Scenario, config: Config, seed: int | None, run: ScenarioRun
 ) -> Iterator[tuple[str, Path]]:
     """Leave frames and report of a scenario in a folder; yields what each file is.
 

@@ -13,7 +13,7 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway_bench.drive import judgeable
 from gateway_bench.pytest_plugin.fixtures import buses_of
-from gateway_bench.pytest_plugin.scenario_run import Played, inside, leave, on_buses
+from gateway_bench.pytest_plugin.scenario_run import ScenarioRun, inside, leave, on_buses
 from gateway_bench.vecu.expectations import Finding
 from gateway_bench.vecu.scenario import Scenario, load_scenario
 from gateway_fdi.common.tomlfile import read_toml
@@ -85,7 +85,7 @@ class ScenarioItem(pytest.Item):
             left = self._left(scenario, config, seed, run)
             raise ScenarioError(run.findings, scenario.seed if seed is None else seed, left)
 
-    def _left(self, scenario: Scenario, config: Config, seed: int | None, run: Played) -> list[str]:
+    def _left(self, scenario: Scenario, config: Config, seed: int | None, run: ScenarioRun) -> list[str]:
         """Leave the run as files; returns lines about them."""
         folders: list[Path] = self.config.getini("gateway_artifacts")
         folder = folders[0] / self.name if folders else Path(tempfile.mkdtemp(prefix=f"gateway-{self.name}-"))

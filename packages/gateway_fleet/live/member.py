@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.config.model import Config
-from gateway.faults.memory_reader import OpenedMemory
+from gateway.faults.memory_reader import MemoryReader
 from gateway.serve.link import Refused
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError, InputError
@@ -140,7 +140,7 @@ class Member:
         campaign, made = trials.campaign, list[dict[str, Any]]()
         if campaign is None:
             return made
-        memory = OpenedMemory(self._memory)
+        memory = MemoryReader(self._memory)
         try:
             for each in memory.store().recordings():
                 wanted = any(fnmatchcase(each.fault, pattern) for pattern in campaign.recordings)

@@ -11,7 +11,7 @@ from typing import Any
 from gateway.common.jsonlines import line
 from gateway.faults.fleet import FleetParams
 from gateway.faults.lock import InUseError
-from gateway.faults.memory_reader import OpenedMemory
+from gateway.faults.memory_reader import MemoryReader
 from gateway.faults.outgoing import Outgoing, Tally
 from gateway.faults.records import Changes
 from gateway.faults.store import Store
@@ -28,7 +28,7 @@ class Queue:
     """Events that wait in a fault memory's file."""
 
     def __init__(self, path: Path) -> None:
-        self._memory = OpenedMemory(path)
+        self._memory = MemoryReader(path)
         self._inode = self._after = 0  # of the file that numbers are of; the last row that has arrived
         self._asked_s = 0.0
 

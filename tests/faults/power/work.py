@@ -20,7 +20,7 @@ from journalled import Bus, putter  # noqa: E402
 from gateway.engine.events import QUALIFIED_FAILED, QUALIFIED_PASSED  # noqa: E402
 from gateway.faults.memory import FaultMemory  # noqa: E402
 from gateway.faults.records import Recording  # noqa: E402
-from gateway.faults.resilient_store import KeptStore  # noqa: E402
+from gateway.faults.resilient_store import ResilientStore  # noqa: E402
 from gateway.faults.status import CLEARED  # noqa: E402
 from gateway.faults.writer_thread import WriterThread  # noqa: E402
 
@@ -42,7 +42,7 @@ class Work:
 
     def open(self):
         self.catalogue = catalogue((1,) * COUNT)
-        self.store = KeptStore(self.path)
+        self.store = ResilientStore(self.path)
         self.memory = FaultMemory(self.catalogue, self.store)
         self.memory.start_cycle(self.t_ns)
         self.say_all("known")

@@ -29,7 +29,7 @@ FASTER, WIDEST = 1.15, 1.3
 NONE = -1
 
 
-class Rival(Record):
+class CompetingHypothesis(Record):
     """A rival."""
 
     tooth: i4 = means("first tooth that is missing by the present place")
@@ -42,7 +42,7 @@ class Rival(Record):
 
 
 @kernel
-def clear(rv: Rival) -> None:
+def clear(rv: CompetingHypothesis) -> None:
     """There is no rival."""
     rv.other = NONE
     rv.here = 0
@@ -56,7 +56,7 @@ def _following(tooth: int, pulses: int) -> int:
 
 
 @kernel
-def _left(rv: Rival, pulses: int, tooth: int) -> int:
+def _left(rv: CompetingHypothesis, pulses: int, tooth: int) -> int:
     """Return the tooth, or the next one that is left."""
     while rv.gone[tooth] == 1:
         tooth = _following(tooth, pulses)
@@ -64,7 +64,7 @@ def _left(rv: Rival, pulses: int, tooth: int) -> int:
 
 
 @kernel
-def _step(rv: Rival, nominal: f8s, pulses: int, tooth: int, at: int) -> tuple[int, int, int]:
+def _step(rv: CompetingHypothesis, nominal: f8s, pulses: int, tooth: int, at: int) -> tuple[int, int, int]:
     """Go from one pulse that is left to the next, by both places.
 
     Args:
@@ -92,7 +92,7 @@ def _step(rv: Rival, nominal: f8s, pulses: int, tooth: int, at: int) -> tuple[in
 
 
 @kernel
-def _walk(rv: Rival, nominal: f8s, pulses: int, first: int) -> int:
+def _walk(rv: CompetingHypothesis, nominal: f8s, pulses: int, first: int) -> int:
     """Lay the pulses that are left onto the wheel; returns the first tooth missing then, NONE: they do not fit.
 
     Args:
@@ -114,7 +114,7 @@ def _walk(rv: Rival, nominal: f8s, pulses: int, first: int) -> int:
 
 
 @kernel
-def _lay(rv: Rival, an: anchor.State, size: int, nominal: f8s, pulses: int, index: int) -> int:
+def _lay(rv: CompetingHypothesis, an: anchor.State, size: int, nominal: f8s, pulses: int, index: int) -> int:
     """Lay the intervals of the last turn onto the wheel, the latest one first; notes the teeth that are gone.
 
     Each interval is of so many pitches that the time of one changes least.
@@ -158,7 +158,7 @@ def _lay(rv: Rival, an: anchor.State, size: int, nominal: f8s, pulses: int, inde
 
 
 @kernel
-def seek(rv: Rival, an: anchor.State, size: int, c: LearnedWheel, repeats: int, index: int) -> int:
+def seek(rv: CompetingHypothesis, an: anchor.State, size: int, c: LearnedWheel, repeats: int, index: int) -> int:
     """Look for a rival of a place at which teeth are missing in each turn.
 
     Args:
@@ -196,7 +196,7 @@ def seek(rv: Rival, an: anchor.State, size: int, c: LearnedWheel, repeats: int, 
 
 
 @kernel
-def place_of(rv: Rival, nominal: f8s, pulses: int, index: int) -> int:
+def place_of(rv: CompetingHypothesis, nominal: f8s, pulses: int, index: int) -> int:
     """Return the tooth that the rival place has for a pulse which is tooth ``index`` by the present one.
 
     :data:`NONE` for a tooth that is missing by the present one.
@@ -210,7 +210,7 @@ def place_of(rv: Rival, nominal: f8s, pulses: int, index: int) -> int:
 
 
 @kernel
-def take_edge(rv: Rival, here: bool, there: bool) -> int:
+def take_edge(rv: CompetingHypothesis, here: bool, there: bool) -> int:
     """Take an edge of the cam; returns 1: it is the present place, 2: the rival, 0: not decided yet.
 
     Args:

@@ -129,7 +129,7 @@ class State(Record):
     uncovered: i4 = means("slots that were not")
     twice: u1 = means("since the engine stood, 1: no gap was seen, 2: the pulses have fitted two places")
     burst: noise.Burst = means("pulses within one tooth")
-    rival: competing_hypothesis.Rival = means("another place that explains missing teeth as well")
+    rival: competing_hypothesis.CompetingHypothesis = means("another place that explains missing teeth as well")
     seen: Seen = means("wheel that the pulses show")
     looks: u1 = means("1: the wheel is looked at, as it is seen (:mod:`.wrong_wheel`)")
     wrong: u1 = means("1: it is a wrong one")
