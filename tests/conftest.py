@@ -13,7 +13,7 @@ from gateway.common.fence import Fence
 from gateway_fdi.common import log
 from gateway_fdi.jit import BOUNDSCHECK, COMPILED
 
-os.environ["GATEWAY_TRUST"] = "all"  # tests write code and run it; tests/test_trust.py takes this away
+os.environ["GATEWAY_TRUST"] = "all"  # tests write code and run it; tests/common/test_trust.py takes this away
 
 
 def pytest_configure(config):

@@ -27,15 +27,16 @@ BELOW = {
 PACKAGES = (*BELOW, "gateway_pytest")
 
 #: Files of tests, helpers, and folders of them that use a plant's shipped files, or a package's commands and types, by
-#: name only. What a file imports, itself or by its helpers, has no line here (tests/test_uses.py holds the lines).
+#: name only. What a file imports, itself or by its helpers, has no line here (tests/package/test_uses.py holds the
+#: lines).
 USES = {
     "fleet": ("gateway_fleet",),
-    "test_doc_blocks.py": (*PLANTS, "gateway_fleet", "gateway_arena"),
-    "test_reader.py": (*PLANTS, _BENCH),
-    "test_site.py": (*PLANTS, "gateway_fleet"),
-    "test_tutorials.py": ("structural", _BENCH, "gateway_fleet"),
-    "test_walks.py": ("crank", _BENCH, "gateway_fleet"),
-    "test_windows.py": (_BENCH,),
+    "docs/test_doc_blocks.py": (*PLANTS, "gateway_fleet", "gateway_arena"),
+    "docs/test_reader.py": (*PLANTS, _BENCH),
+    "docs/test_site.py": (*PLANTS, "gateway_fleet"),
+    "docs/test_tutorials.py": ("structural", _BENCH, "gateway_fleet"),
+    "docs/test_walks.py": ("crank", _BENCH, "gateway_fleet"),
+    "package/test_windows.py": (_BENCH,),
     "pytest_plugin": (_BENCH,),
     "api/test_arrays.py": ("structural",),
     "arena/test_arena.py": ("linear", "structural"),
@@ -103,15 +104,15 @@ USES = {
     "system/vcan/test_steering_scenarios.py": ("steering",),
     "system/vcan/test_truck_scenarios.py": ("truck",),
     "system/vcan/test_guest.py": PLANTS,
-    "test_causes.py": ("structural", "pedal", "crank", "truck"),
-    "test_docs.py": (*PLANTS, _BENCH, "gateway_fleet"),
-    "test_gateway.py": PLANTS,
-    "test_kernels_again.py": PLANTS,
-    "test_mistakes.py": ("crank",),
-    "test_own_frames.py": ("crank",),
-    "test_plugins.py": ("crank", _BENCH),
-    "test_reload.py": ("crank", "pedal", "steering", "linear", "truck"),
-    "test_start.py": tuple(name for name in PLANTS if name != "structural"),
+    "runtime/test_causes.py": ("structural", "pedal", "crank", "truck"),
+    "docs/test_docs.py": (*PLANTS, _BENCH, "gateway_fleet"),
+    "runtime/test_gateway.py": PLANTS,
+    "jit/test_kernels_again.py": PLANTS,
+    "config/test_mistakes.py": ("crank",),
+    "servers/test_own_frames.py": ("crank",),
+    "common/test_plugins.py": ("crank", _BENCH),
+    "runtime/test_reload.py": ("crank", "pedal", "steering", "linear", "truck"),
+    "package/test_start.py": tuple(name for name in PLANTS if name != "structural"),
     "vecu/test_conditional.py": ("crank", "linear"),
     "vecu/test_encode.py": ("pedal", "steering"),
     "vecu/test_every_ecu.py": ("crank",),

@@ -1,9 +1,8 @@
 """The shipped scenarios, each played by this process to a daemon of its own configuration.
 
-What is found in which of them is tested in one process (tests/test_gateway.py), where time is the frames'. Here they go
-over a bus in real time: one of a configuration, two where a daemon is to see another drive; with GATEWAY_TESTS=full all
-of them.
-"""
+What is found in which of them is tested in one process (tests/runtime/test_gateway.py), where time is the frames'. Here
+they go over a bus in real time: one of a configuration, two where a daemon is to see another drive; with
+GATEWAY_TESTS=full all of them."""
 
 import re
 import time

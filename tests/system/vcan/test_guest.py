@@ -66,7 +66,7 @@ def test_a_tracer_that_knows_half_of_the_registers_writes_them(ptrace_xsave):
 
 
 def test_no_scenario_is_left_out():
-    """Each is of a kind that is played in a kernel, or in one process only (tests/test_gateway.py)."""
+    """Each is of a kind that is played in a kernel, or in one process only (tests/runtime/test_gateway.py)."""
     kinds = ("crank", "pedal", "steering", "linear", "truck")
     alone = ("responder", "restbus", "structural", "table", "turbo")
     every = {}

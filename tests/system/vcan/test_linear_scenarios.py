@@ -5,7 +5,7 @@ from scenario_runs import by_config, run_all
 
 pytestmark = pytest.mark.vcan
 
-#: Those of the aircraft fly for minutes, in real time; in one process they run in tests/test_gateway.py.
+#: Those of the aircraft fly for minutes, in real time; in one process they run in tests/runtime/test_gateway.py.
 BELT = {config: paths for config, paths in by_config("linear").items() if "belt" in config}
 
 

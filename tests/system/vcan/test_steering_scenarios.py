@@ -19,7 +19,7 @@ def test_its_parts_over_vcan(tmp_path):
     """Nothing is found that is not there, and something that is.
 
     What compares angles is not tested while senders stand still for tens of ms, as they do in the kernel of a busy
-    machine. In one process, and with pauses of a known length, all are asked for (tests/test_gateway.py,
+    machine. In one process, and with pauses of a known length, all are asked for (tests/runtime/test_gateway.py,
     tests/steering/monitor/test_pauses.py), as are those of ``steering_angle``, which need a second of even
     milliseconds in between. Where the scenario stood still its plant stood still, too, which no steering does while
     time goes on: that run shows only that the daemon goes on, and it is played again to one that knows nothing.

@@ -1,6 +1,6 @@
 """Commands and TOML of the documentation: each command line is taken by its command, each table by what reads it.
 
-Tutorials (tests/test_tutorials.py) and the uses of docs/api.md (tests/api/test_docs.py) run; nothing here does.
+Tutorials (tests/docs/test_tutorials.py) and the uses of docs/api.md (tests/api/test_docs.py) run; nothing here does.
 """
 
 import re
@@ -19,7 +19,7 @@ from gateway_bench.vecu.scenario import Scenario
 from gateway_fdi.common.resources import all_shipped, shipped
 from gateway_fdi.structure.file import load_model
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGES = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 BLOCK = re.compile(r"^ *```([\w-]*)[^\n]*\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 #: What ends a command of a shell's line.

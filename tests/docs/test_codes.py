@@ -11,7 +11,7 @@ from gateway_plants.crank.monitor import faults as crank
 from gateway_plants.steering.monitor import faults as steering
 from gateway_plants.truck.monitor import faults as truck
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 KNOWN = {
     "crank": crank.FAULTS,
     "steering": steering.FAULTS,

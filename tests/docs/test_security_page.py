@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = (Path(__file__).parent.parent / "docs" / "security.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
 IMPACTS = ("severe", "major", "moderate", "negligible")
 
 

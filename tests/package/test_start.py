@@ -28,7 +28,7 @@ from gateway_fdi.common import log
 from gateway_fdi.errors import InputError
 from gateway_plants.structural.analysis.command import structure
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 #: Modules that tell that a package was executed: the bare name of a postponed one is bound before that.
 EXTRA = ("asammdf", "pandas", "matplotlib", "sympy")

@@ -12,7 +12,7 @@ from amount import amount
 from gateway.answers.databases import read_cdd
 from gateway_fdi.errors import InputError
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 #: Seconds to load: what reads MF4 is another's, and has a test of its own.
 SLOW = ("log.mf4",)
 

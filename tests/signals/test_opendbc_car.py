@@ -12,7 +12,7 @@ from gateway.cli.check import check
 
 opendbc, packer = pytest.importorskip("opendbc"), pytest.importorskip("opendbc.can.packer")
 
-PAGE = Path(__file__).parents[1] / "docs" / "signals.md"
+PAGE = Path(__file__).parents[2] / "docs" / "signals.md"
 SECTION = PAGE.read_text().split("## A car of opendbc in ten lines")[1].split("\n## ")[0]
 BLOCKS = re.findall(r"```(?:toml)?\n(.*?)```", SECTION, re.DOTALL)
 

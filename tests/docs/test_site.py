@@ -9,7 +9,7 @@ from pathlib import Path
 
 from surface import MODULES
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 def test_the_site_is_built_without_a_warning(tmp_path):

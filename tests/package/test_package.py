@@ -17,7 +17,7 @@ from gateway import __version__
 from gateway.cli import app
 from gateway.cli.version import version
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 def matches(pattern, path):

@@ -12,10 +12,11 @@ import pytest
 from amount import FULL
 from nested_pytest import PYTEST
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
 CHECKED = {"GATEWAY_BOUNDSCHECK": "1"}
-ENGINE = ("engine",)
+#: Without the checks of messages in whole gateways (engine/checks), which are slow so.
+ENGINE = tuple(sorted(str(path.relative_to(TESTS)) for path in TESTS.glob("engine/test_*.py")))
 BUSES = (
     "bus/test_adapters.py",
     "bus/test_readers.py",

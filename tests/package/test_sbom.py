@@ -14,7 +14,7 @@ from packaging.utils import canonicalize_name
 
 from gateway import __version__
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 
 

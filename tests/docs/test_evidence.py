@@ -12,7 +12,7 @@ import pytest
 from nested_pytest import PYTEST
 from uses import PACKAGES, PLANTS, lacking
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 CATALOGUE = """
 [[part]]
 name = "A"
@@ -80,7 +80,7 @@ def test_dead_rows_and_marks_are_named(evidence):
     parts, dead = evidence.catalogue(CATALOGUE, {"A: 2": ["tests/test_x.py::test_y"], "A: 9": ["tests/test_x.py"]})
     assert dead == ["A: 1: no test", "A: 9: no row of evidence.toml (tests/test_x.py)"]
     assert evidence.missing(parts) == ["A: 2: there is no tests/test_x.py::test_y"]
-    own = "tests/test_evidence.py"
+    own = "tests/docs/test_evidence.py"
     page = f"# Page\n## Who\n| cannot | held by |\n|---|---|\n| fly | `{own}::test_that_is_not`, `{own}` |\n"
     row = evidence.promises(page).rows[0]
     assert (row.key, row.says) == ("Who 1", "fly")
@@ -138,7 +138,7 @@ def test_outcomes_are_those_of_the_run_also_of_several_processes(evidence, tmp_p
     ],
 )  # fmt: skip
 def test_a_row_is_verified_only_by_tests_that_passed(evidence, tmp_path, monkeypatch, capsys, counts, result, code):
-    test = "tests/test_evidence.py::test_dead_rows_and_marks_are_named"
+    test = "tests/docs/test_evidence.py::test_dead_rows_and_marks_are_named"
     (tmp_path / "evidence.toml").write_text(CATALOGUE.replace('"2" = "says two"\n', ""))
     (tmp_path / "security.md").write_text("# Security\n")
     monkeypatch.setattr(evidence, "CATALOGUE", tmp_path / "evidence.toml")

@@ -9,7 +9,7 @@ import pytest
 from processes import bus, process
 from windows import BREAK
 
-WINDOWS = Path(__file__).parent / "support" / "windows.py"
+WINDOWS = Path(__file__).parents[1] / "support" / "windows.py"
 MASKED = [sys.executable, str(WINDOWS)]
 
 SCENARIO = """

@@ -13,7 +13,7 @@ from gateway.monitors.evidence import as_bits, as_digits, in_words
 from gateway.runtime.assemble import prepare
 from gateway.serve.words import told_in_words
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 #: One of each plant, with as many kinds of tests as there are.
 NAMES = ("clocks", "obd_port", "signals", "crank_cam", "linear_belt", "pedal_three", "steering", "motor", "truck")
 CONFIGS = [ROOT / "gateway.toml", *(p for p in sorted(ROOT.glob("packages/**/configs/*.toml")) if p.stem in NAMES)]
