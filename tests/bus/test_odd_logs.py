@@ -163,6 +163,18 @@ def test_what_candump_prints(stamps, steps, tmp_path):
     assert len(reader.passed_over) == 1, "the explanation of the error frame"
 
 
+def test_what_others_print_as_candump_does(tmp_path):
+    """Of a public log of a car: stamps of 10 ms were taken for times between frames, short identifiers for damage."""
+    text = "".join(
+        f"(925.{k // 4:02d}) RX0 {name} [1] 0{k}\n" for k, name in enumerate(["50F", "B1", "7", "12DD54AD"] * 2)
+    )
+    frames, reader = read(tmp_path / "a.log", text + "(925.02) RX0 7DD54AD [1] 08\n", channels={"RX0": 0})
+    assert lines(frames)[:4] == ["can0 50F#00", "can0 0B1#01", "can0 007#02", "can0 12DD54AD#03"]
+    assert lines(frames)[8] == "can0 07DD54AD#08"
+    assert (frames["t_ns"] // 10_000_000 - 92_500).tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 2]
+    assert not reader.problems
+
+
 CSV = {
     "savvy": "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n1000,0000021A,false,Rx,0,2,FE,36,\n"
     "3000,18FF0001,true,Tx,1,0,\n",

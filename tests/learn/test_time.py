@@ -265,3 +265,12 @@ def test_a_fault_in_the_learning_drive_is_told(tmp_path, capsys, monkeypatch):
         assert text in page
     assert said.count("FAULT IN") == 4
     assert "FAULT IN" not in told("healthy", faulty=False)[0]
+
+
+def test_what_comes_every_few_hours_has_no_limit_that_no_check_may_have(tmp_path):
+    """A timeout of days, and a rate in hours, were written into a file that `gateway check` refused."""
+    log = drive(tmp_path / "drive.log", 150_000.0, [(0x100, 7200.0, lambda k: bytes([k & 0xFF]), 0.0)])
+    result = learn(asked(tmp_path / "car.toml", log, databases=()), quiet)
+    write(result.files(tmp_path / "car.toml"))
+    config = load_config(tmp_path / "car.toml")
+    assert [check.timeout_ms for check in config.bus[0].check if check.message == "ID_100"] in ([None], [])

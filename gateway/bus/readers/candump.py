@@ -49,7 +49,7 @@ from gateway_fdi.jit import kernel
 #: A line of a log whose interface the kernel does not know, and one of a console.
 _LOGGED = re.compile(rb"\s*\(\d+(?:\.\d+)?\)\s+([^\0-\x20]+)\s+[0-9A-Fa-f]{3,8}#")
 _PRINTED = re.compile(
-    rb"\s*\(([\d.: -]+\.\d+)\)\s+(\S+)\s+(?:([TR]X)\s+([B-]\s+[E-])\s+)?([0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+"
+    rb"\s*\(([\d.: -]+\.\d+)\)\s+(\S+)\s+(?:([TR]X)\s+([B-]\s+[E-])\s+)?([0-9A-Fa-f]{1,8})\s+"
     rb"(\[\d{1,2}\]|\{[0-9A-Fa-f]\})\s*(.*)"
 )
 #: Seconds from which on stamps are wall time.
@@ -181,13 +181,13 @@ class Candump(Lines):
         return any(_LOGGED.match(line) or _PRINTED.match(line) for line in first.splitlines()[:20])
 
     def begin(self, first: bytes) -> None:
-        """Find out whether stamps count from the frame before (-t d): then they go up and down."""
+        """Find out whether stamps count from the frame before (-t d): then they go down about as often as up."""
         if not _PRINTED.match(first):
             return
         found = [one[1] for one in map(_PRINTED.match, first[:_LOOK].splitlines()) if one]
         stamps = [float(stamp) for stamp in found if stamp.count(b".") == 1 and b"-" not in stamp]
-        steps = [b <= a for a, b in pairwise(stamps)]
-        self._delta = bool(stamps) and max(stamps) < _WALL_S and sum(steps) * 5 > len(steps)
+        down, up = (sum(a > b for a, b in pairwise(ways)) for ways in (stamps, stamps[::-1]))
+        self._delta = len(stamps) > 1 and max(stamps) < _WALL_S and 2 * down >= up
 
     def asked(self, line: bytes, names: Names, batch: Batch) -> int:
         """Take the name of a line's interface, or read a line of a console."""
@@ -211,7 +211,7 @@ class Candump(Lines):
         stamp, name, sent, bits, digits, size, rest = found.groups()
         t_ns = self._stamp_ns(stamp.decode())
         can_id = int(digits, 16)
-        if len(digits) == 8 and not can_id & ERROR:
+        if (len(digits) == 8 or can_id > 0x7FF) and not can_id & ERROR:  # others than candump fill up with no zeros
             can_id |= EXTENDED
         count = 8 if size[:1] == b"{" else int(size[1:-1])
         fd = count > 8 or len(size) == 4  # [08]: CAN FD, [8]: classic

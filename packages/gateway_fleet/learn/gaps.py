@@ -157,6 +157,8 @@ FEW = 0.75
 AWAY, AWAY_NS = 100.0, 10_000_000_000
 #: Cycles of a timeout, at least; more where that number of frames lost one after the other is not rare enough.
 CYCLES, RARE = 5.0, 1e-10
+#: Longest time that a check of a message may have [ms].
+LONGEST_MS = 3.6e6
 
 
 def sending(gaps: Gaps) -> str:
@@ -235,7 +237,8 @@ def timeout_ms(gaps: Gaps) -> float | None:
         return None
     lost = min(lost_share(gaps), 0.5)
     cycles = max(CYCLES, np.log(RARE) / np.log(lost)) if lost > 0.0 else CYCLES
-    return _rounded(max(cycles * cycle, gaps.largest_ns * _longer(gaps.count)) * 1e-6)
+    found = _rounded(max(cycles * cycle, gaps.largest_ns * _longer(gaps.count)) * 1e-6)
+    return found if found <= LONGEST_MS else None
 
 
 def _longer(count: int) -> float:
@@ -280,7 +283,7 @@ def most(gaps: Gaps, repeated: float) -> dict[str, float | bool] | None:
     least, share = (LONG_ROW, SHORT_SHARE) if slow and rolls else (LEAST_ROW, LEAST_SHARE)
     for row, span_ns in gaps.spans_ns.items():
         whole, count = row * cycle, gaps.counted // row
-        if whole < WINDOW_NS or row < least or span_ns == 0 or count < LEAST_ROWS:
+        if not WINDOW_NS <= whole <= LONGEST_MS * 1e6 or row < least or span_ns == 0 or count < LEAST_ROWS:
             continue
         share = min(share, 1.0 - MORE / row)
         if whole - _longer(count) * max(whole - span_ns, 0.0) >= share * whole:
@@ -305,7 +308,7 @@ def wake_ms(gaps: Gaps, timeout: float) -> float | None:
     """
     times, latest_ns = gaps.wakes
     latest = max(latest_ns, 1_000_000) * 1e-6
-    most = max(_rounded(LATER * latest), timeout, WAKE_MS)
+    most = min(max(_rounded(LATER * latest), timeout, WAKE_MS), LONGEST_MS)
     if times >= LEAST_WAKES:
         return min(max(_rounded(_longer(times) * latest), timeout), most)
     return most if times else None
