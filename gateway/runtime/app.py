@@ -35,11 +35,11 @@ log = get_logger(__name__)
 class Gateway(Ingest):
     """Engine, fault memory and servers of one configuration, from its beginning to its end or its successor.
 
-    Its parts, in the order of a batch: :class:`~gateway.runtime.input_stage.Reception` gives frames to the engine,
+    Its parts, in the order of a batch: :class:`~gateway.runtime.input_stage.InputStage` gives frames to the engine,
     :class:`~gateway.runtime.verdicts.Verdicts` takes its events into the fault memory,
     :class:`~gateway.runtime.outbox.Outbox` has them committed, tells them and sends them.
     :class:`~gateway.runtime.interventions.Interventions` takes the testers' changes of the memory,
-    :class:`~gateway.runtime.controls.Controls` how they do it. :class:`~gateway.runtime.composition.Connected` makes
+    :class:`~gateway.runtime.controls.Controls` how they do it. :class:`~gateway.runtime.composition.Composition` makes
     and connects them, :class:`~gateway.runtime.ingest.Ingest` gives them their turns. This class has the rest:
     beginning, end, succession and account.
 

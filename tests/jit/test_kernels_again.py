@@ -16,7 +16,9 @@ TESTS = Path(__file__).parents[1]
 PLAIN = {"NUMBA_DISABLE_JIT": "1"}
 CHECKED = {"GATEWAY_BOUNDSCHECK": "1"}
 #: Without the checks of messages in whole gateways (engine/checks), which are slow so.
-ENGINE = tuple(sorted(str(path.relative_to(TESTS)) for path in TESTS.glob("engine/test_*.py")))
+ENGINE = tuple(
+    sorted(str(path.relative_to(TESTS)) for path in TESTS.glob("engine/test_*.py") if path.stem != "test_depends")
+)
 BUSES = (
     "bus/test_adapters.py",
     "bus/test_readers.py",

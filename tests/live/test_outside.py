@@ -148,7 +148,7 @@ def on_the_bus(bench):
 DOOR, SERVER = "gateway.live.doip_door.DoipDoor", "gateway.servers.doip.server.DoipServer"
 PLACES = {
     "accept": (DOOR + "._take", by_doip, "doip"),
-    "listening": ("gateway.live.listening_sockets.Listening.accept", by_doip, "doip"),
+    "listening": ("gateway.live.listening_sockets.ListeningSockets.accept", by_doip, "doip"),
     "connect": (SERVER + ".connect", by_doip, "doip"),
     "receive": (SERVER + ".receive", by_doip, "doip"),
     "splitter": ("gateway.servers.doip.codec.Splitter.take", by_doip, "doip"),
@@ -314,7 +314,7 @@ def test_a_door_that_cannot_be_opened_again_is_tried_again(bench, monkeypatch, c
                 patch.setattr(f"{place}.turn", broken)
                 yield from bench.wait(4)
             with monkeypatch.context() as patch:
-                patch.setattr("gateway.live.listening_sockets.Listening.add", broken)
+                patch.setattr("gateway.live.listening_sockets.ListeningSockets.add", broken)
                 yield from bench.wait(12)
             yield from bench.wait(11)
             yield from bench.ask_all()

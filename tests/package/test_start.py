@@ -318,7 +318,7 @@ for name in {names!r}:
         f"gateway_fdi.structure.generator.{name}"
         for name in (
             *("budget", "c_code", "code", "conditioning", "initial", "loading", "propagation", "realisation"),
-            *("solving", "symbols"),
+            *("solver", "symbols"),
         )
     } | {f"gateway_fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     pages = {
@@ -338,7 +338,7 @@ for name in {names!r}:
         "gateway_bench.vecu.fmu.model",
         *(f"gateway_bench.pytest_plugin.{name}" for name in ("fixtures", "plugin", "scenarios")),
     }
-    road = ("campaign", "deliver", "join", "member", "signed", "statistics", "trials")
+    road = ("campaign", "deliver", "join", "member", "signed_documents", "statistics", "trials")
     assert refused == algebra | pages | others | {f"gateway_fleet.live.{name}" for name in road}
 
 

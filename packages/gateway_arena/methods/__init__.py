@@ -21,12 +21,12 @@ METHODS = {
     "courses": "courses:Courses",
     "pi_bank": "bank:Bank",
     "fixed": "structural:Fixed",
-    "selected": "selected:Selected",
+    "selected": "residual_selection:Selected",
     "toolbox": "toolbox:Toolbox",
-    "ekf": "extended:Ekf",
-    "pca": "learned:Pca",
-    "svm": "learned:Svm",
-    "forest": "learned:Forest",
+    "ekf": "extended_kalman:Ekf",
+    "pca": "machine_learning:Pca",
+    "svm": "machine_learning:Svm",
+    "forest": "machine_learning:Forest",
     "kalman": "filters:Kalman",
 }
 
@@ -43,9 +43,9 @@ def method(name: str) -> Method:
     """
     if name in METHODS:
         module, _, kind = METHODS[name].partition(":")
-        if module in ("learned", "selected"):
+        if module in ("machine_learning", "residual_selection"):
             need("arena", "methods that learn from data", key="--method")
-        if module in ("structural", "courses", "selected", "extended", "toolbox"):
+        if module in ("structural", "courses", "residual_selection", "extended_kalman", "toolbox"):
             need("structure", "equations", key="--method")
         made: Method = getattr(import_module(f"{__name__}.{module}"), kind)()
         return made

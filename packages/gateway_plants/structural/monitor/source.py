@@ -155,7 +155,7 @@ def _moved(plan: Plan, slow: Sequence[Slow]) -> list[str]:
                 ]
     begins = "what == sampling.FIRST"
     return [
-        f"if following.moves(s.follow, c.follow, s.own, c.own, {begins}):",
+        f"if parameter_tracking.moves(s.follow, c.follow, s.own, c.own, {begins}):",
         *(f"    {line}" for line in [*lines, "s.fit.awake = 0" if faulty(plan) else "pass"]),
     ]
 
@@ -173,7 +173,7 @@ def _corrected(plan: Plan, slow: Sequence[Slow], k: int) -> list[str]:
             "    elif isfinite(r):",
             f"        s.follow.h[c.acts_{k}[i]] = (r - b) * {1.0 / STEP!r}",
         ]
-    return [*lines, f"s.own.residual[{k}] = following.correct(s.follow, c.follow, s.own, c.own, {k}, r)"]
+    return [*lines, f"s.own.residual[{k}] = parameter_tracking.correct(s.follow, c.follow, s.own, c.own, {k}, r)"]
 
 
 def _residuals(plan: Plan, slow: Sequence[Slow]) -> list[str]:
@@ -229,7 +229,7 @@ def _gained(plan: Plan, slow: Sequence[Slow], k: int) -> list[str]:
 
 def _begun(plan: Plan, slow: Sequence[Slow]) -> list[str]:
     """Return the lines that let faults begin beside the tests, in their states."""
-    lines = ["weighing.know(s.fit, c.fit, s.follow.slow)"] if slow else []
+    lines = ["fault_likelihood.know(s.fit, c.fit, s.follow.slow)"] if slow else []
     for k, test in faulty(plan):
         g = fields_of(plan)[k]
         same = [f"s.fault_{k}[i].{name} = s.{g}.{name}" for name in _same(test.source, test.faulty, "State")]
@@ -240,7 +240,7 @@ def _begun(plan: Plan, slow: Sequence[Slow]) -> list[str]:
         for i, fault in enumerate(test.faults):
             if field_name(fault) in names:
                 lines.append(f"s.faulty_{k}[{i}].{field_name(fault)} = {SIZE!r}")
-    return ["if weighing.begins(s.fit, c.fit, s.own, c.own):", *(f"    {line}" for line in lines)]
+    return ["if fault_likelihood.begins(s.fit, c.fit, s.own, c.own):", *(f"    {line}" for line in lines)]
 
 
 def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[str]:
@@ -272,7 +272,7 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
             else []
         ),
         *(
-            [f"class Followed(following.State, lengths={{'tests': {len(plan.tests)}}}):", "    pass", "", ""]
+            [f"class Followed(parameter_tracking.State, lengths={{'tests': {len(plan.tests)}}}):", "    pass", "", ""]
             if slow
             else []
         ),
@@ -298,7 +298,7 @@ def _records(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow]) -> list[
         *(f"    acts_{k}: Annotated[i8s, {count}]" for k, count in beside),
         *(f"    column_{k}: Annotated[i8s, {len(test.faults)}]" for k, test in faulty(plan)),
         *(["    fit: FitConst"] if faulty(plan) else []),
-        *(["    follow: following.Const"] if slow else []),
+        *(["    follow: parameter_tracking.Const"] if slow else []),
         *(["    late: delay.Const"] if is_late(slow) else []),
         "",
         "",
@@ -311,8 +311,8 @@ def _weighed(plan: Plan, slow: Sequence[Slow]) -> list[str]:
         return []
     room = model_of(plan, len(slow), 1.0, 1.0).lengths
     return [
-        f"class Fit(weighing.State, lengths={room}):", "    pass", "", "",
-        f"class FitConst(weighing.Const, lengths={room}):", "    pass", "", "",
+        f"class Fit(fault_likelihood.State, lengths={room}):", "    pass", "", "",
+        f"class FitConst(fault_likelihood.Const, lengths={room}):", "    pass", "", "",
     ]  # fmt: skip
 
 
@@ -326,7 +326,12 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
     """
     weighed = bool(faulty(plan))
     rooms = ", ".join(
-        ("decision", *(("following",) if slow else ()), "records", "sampling", *(("weighing",) if weighed else ()))
+        (
+            "decision",
+            *(("fault_likelihood",) if weighed else ()),
+            *(("parameter_tracking",) if slow else ()),
+            *("records", "sampling"),
+        )
     )
     imports = [f"import {module_name(test.faulty)} as sized{k}" for k, test in faulty(plan)]
     imports += [f"import {module_name(test.source)} as m{k}" for k, test in enumerate(plan.generators)]
@@ -360,7 +365,7 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
             *(["        if what != sampling.GO:", "            s.fit.awake = 0"] if weighed else []),
             *(f"        {line}" for line in _residuals(plan, slow)),
             *(
-                ["        if s.fit.awake == 1:", "            weighing.take(s.fit, c.fit, s.own, c.own)"]
+                ["        if s.fit.awake == 1:", "            fault_likelihood.take(s.fit, c.fit, s.own, c.own)"]
                 if weighed
                 else []
             ),
