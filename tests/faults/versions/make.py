@@ -55,7 +55,7 @@ def changes():
             security=1, role="", action="clear", request=b"\x14\xff\xff\xff", outcome=0,
         )  # fmt: skip
         known["interventions"] = {1: made}
-    if (Path(records.__file__).parent / "explained.py").exists():
+    if (Path(records.__file__).parent / "explanation.py").exists():
         from gateway.faults.explanation import Cause, Ranked
 
         known["records"][1].cause = Cause("cause", (Ranked(("signal m.M.A",), 0.97),), "m.f1", "P0301-11", 2001)
