@@ -21,7 +21,7 @@ import cantools
 import numpy as np
 
 from gateway.bus.frames import EXTENDED, empty, to_message
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 from gateway.decode.parquet_tables import Lake
 from gateway.signals.database import load_database
 from gateway_fdi.common.resources import shipped
@@ -72,7 +72,7 @@ def main():
     def decode(log):
         lake = Lake(Path(folder) / "lake", [load_database([path])])
         tables = lake.begin("car", log.stem)
-        for batch in read_log(log):
+        for batch in LogReader(log):
             tables.add(batch)
         return tables.finish().rows
 

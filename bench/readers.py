@@ -19,7 +19,7 @@ import can
 import numpy as np
 
 from gateway.bus.frames import EXTENDED, empty, to_message
-from gateway.bus.logs import FORMATS, open_writer, read_log
+from gateway.bus.logs import FORMATS, LogReader, open_writer
 
 
 def traffic(count):
@@ -50,7 +50,7 @@ def seconds(work):
 
 
 def drain(path):
-    return sum(map(len, read_log(path)))
+    return sum(map(len, LogReader(path)))
 
 
 def theirs(path):
@@ -85,7 +85,7 @@ def grown(small, big, suffix, factor):
         big.write_bytes(b"\n".join(head + body * factor + ends) + b"\n")
         return big
     if suffix == ".parquet":
-        write(big, np.tile(next(iter(read_log(small))), factor))
+        write(big, np.tile(next(iter(LogReader(small))), factor))
         return big
     return small
 

@@ -23,7 +23,7 @@ from engine import make_log
 from growth import DBC, MESSAGE, chunks_of, shape_of, timeout_ms
 
 from gateway.bus.frames import EXTENDED, empty, joined
-from gateway.bus.logs import open_writer, read_log
+from gateway.bus.logs import LogReader, open_writer
 from gateway.bus.timeline import LogTime
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
@@ -99,7 +99,7 @@ def even_ns(frames):
 def read_ns(log):
     """Return what reading a frame takes [ns]."""
     begun = time.thread_time_ns()
-    count = sum(len(frames) for frames in read_log(log, channels={"can0": 0}))
+    count = sum(len(frames) for frames in LogReader(log, channels={"can0": 0}))
     return (time.thread_time_ns() - begun) / count
 
 
@@ -108,7 +108,7 @@ def from_file_ns(log, config):
     gateway = Gateway(load_config(config), lasting=True)
     gateway.engine.warm()
     begun = time.thread_time_ns()
-    count = replay(gateway, read_log(log, channels={"can0": 0}))
+    count = replay(gateway, LogReader(log, channels={"can0": 0}))
     took = time.thread_time_ns() - begun
     gateway.close()
     return took / count

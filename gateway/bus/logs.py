@@ -284,10 +284,6 @@ class LogReader:
         return frames if kept.all() else chosen(frames, kept)
 
 
-#: Opens a log for reading.
-read_log = LogReader
-
-
 def _sink(suffix: str, path: Path, interfaces: Mapping[int, str] | None) -> Sink:
     """Return what writes a format."""
     if suffix == ".log":

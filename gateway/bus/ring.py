@@ -16,7 +16,7 @@ from pydantic import Field
 
 from gateway.bus.frames import Frames
 from gateway.bus.log_source import number_of, segments
-from gateway.bus.logs import LogReader, LogWriter, open_writer
+from gateway.bus.logs import LogWriter, open_writer
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError
@@ -37,10 +37,6 @@ class RingParams(StrictModel):
     format: Literal["log", "blf"] = Field(
         "log", description="log: candump, nothing lost at kill -9; blf: a third of the size"
     )
-
-
-#: Opens a log, or a folder of segments, for reading.
-read_recording = LogReader
 
 
 class Ring:

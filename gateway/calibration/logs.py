@@ -13,7 +13,7 @@ import numpy as np
 from gateway.answers.pages import AnswerBus
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import contents
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway.bus.timeline import LogTime
 from gateway.config.channels import channels_of
 from gateway.config.model import Config
@@ -109,7 +109,7 @@ def read_even(config: Config, path: Path, maps: Sequence[str] = ()) -> Iterator[
             learnt from such a one.
     """
     channels = channels_of(config, maps)
-    reader = read_recording(path, channels)
+    reader = LogReader(path, channels)
     time = LogTime()
     for frames in reader:
         if len(frames):

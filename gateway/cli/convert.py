@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gateway.bus.logs import open_writer
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader, open_writer
 from gateway.cli.present import print_json, say
 from gateway.common.times import zone_of
 from gateway_fdi.errors import InputError, InputErrors
@@ -27,7 +26,7 @@ def convert_log(source: Path, log: Path, *, zone: str | None = None, json: bool)
         raise InputError("a log is not converted into itself", file=log)
     wrong: list[InputError] = []
     names = channels_in(source)
-    reader = read_recording(source, {name: k for k, name in enumerate(names)}, zone_of(zone or "UTC"))
+    reader = LogReader(source, {name: k for k, name in enumerate(names)}, zone_of(zone or "UTC"))
     count = 0
     with open_writer(log, interfaces=dict(enumerate(names))) as writer:
         try:
@@ -53,7 +52,7 @@ def convert_log(source: Path, log: Path, *, zone: str | None = None, json: bool)
 
 def channels_in(source: Path) -> list[str]:
     """Return the names of a log's channels; numbers stay what they are, where they can."""
-    reader = read_recording(source)
+    reader = LogReader(source)
     try:
         for _ in reader:
             pass

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, Frames
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway.cli.convert import channels_in
 from gateway.cli.present import print_json
 from gateway_fdi.errors import InputError, InputErrors
@@ -50,7 +50,7 @@ def describe(source: Path, zone: tzinfo, *, json: bool) -> int:
         }
         for name in names
     ]  # fmt: skip
-    reader = read_recording(source, {name: k for k, name in enumerate(names)}, zone)
+    reader = LogReader(source, {name: k for k, name in enumerate(names)}, zone)
     wrong: list[InputError] = []
     try:
         for frames in reader:

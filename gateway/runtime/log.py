@@ -10,7 +10,7 @@ import numpy as np
 
 from gateway.bus.frames import WOVEN, Frames
 from gateway.bus.log_contents import Contents, contents
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway.common.times import zone_of
 from gateway.config.channels import channels_of
 from gateway.config.model import Config
@@ -44,7 +44,7 @@ class Log:
     def __init__(self, path: Path, config: Config, maps: Sequence[str] = ()) -> None:
         self._config, self._maps = config, tuple(maps)
         self._channels = channels_of(config, maps)
-        self.reader = read_recording(path, self._channels, zone_of(config.clock.zone))
+        self.reader = LogReader(path, self._channels, zone_of(config.clock.zone))
         self.damage: InputError | None = None
         self.foreign = ""
 
@@ -70,7 +70,7 @@ class Log:
         count, rows = int((rows >= 0).sum()), np.minimum(rows, 0)  # more may be known than rows have numbers
         heard: tuple[set[tuple[int, int]], set[tuple[int, int]]] = (set(), set())
         with suppress(InputError):  # told when it is read again
-            for batch in read_recording(self.reader.path, self._channels, zone_of(self._config.clock.zone)):
+            for batch in LogReader(self.reader.path, self._channels, zone_of(self._config.clock.zone)):
                 frames = batch[batch["can_id"] & WOVEN == 0]
                 is_known = looked_up(frames, keys, rows) >= 0
                 for found, some in zip(heard, (frames[~is_known], frames[is_known]), strict=True):

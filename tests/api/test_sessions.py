@@ -16,7 +16,7 @@ from command import command
 
 from gateway import api
 from gateway.bus.frames import empty, put_message, to_message
-from gateway.bus.logs import open_writer, read_log
+from gateway.bus.logs import LogReader, open_writer
 from gateway.servers.dtc_frame import read_dtc_frame
 from gateway_fdi.common.resources import shipped
 
@@ -35,7 +35,7 @@ def dtcs(events):
 
 
 def messages(path):
-    return [to_message(frame) for frames in read_log(path) for frame in frames]
+    return [to_message(frame) for frames in LogReader(path) for frame in frames]
 
 
 def test_a_replay_is_that_of_the_command_line(log, capsys, monkeypatch):
@@ -65,7 +65,7 @@ def test_messages_make_the_events_of_their_log_one_by_one_or_all_at_once(log):
 
 def test_two_gateways_in_one_process_do_not_know_each_other(log):
     path, _ = log
-    frames = np.concatenate(list(read_log(path)))
+    frames = np.concatenate(list(LogReader(path)))
     setup = api.open("gateway.toml")
     alone = setup.replay(frames)
     with setup.session() as one, setup.session(inject=["drop CTW_PT4 @2..3"]) as other:

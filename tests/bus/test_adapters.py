@@ -29,7 +29,7 @@ from gateway.bus.frames import (
     put_message,
     to_message,
 )
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 from gateway.bus.socketcand import parse_extended
 from gateway.bus.uri import loopback_address, open_bus
 from gateway_fdi.errors import BusError, InputError
@@ -219,6 +219,6 @@ def test_a_frame_with_the_flags_of_a_whole_message_is_an_error_frame_at_each_doo
         "raw socket": int(received["can_id"][0]),
         "python-can": int(received["can_id"][1]),
         "hub": parse_extended(["x", f"{can_id:X}", "-", "0", data.hex()])[1],
-        "log": int(next(iter(read_log(log)))["can_id"][0]),
+        "log": int(next(iter(LogReader(log)))["can_id"][0]),
     }
     assert doors == dict.fromkeys(doors, EXTENDED | ERROR | 0x123)

@@ -12,7 +12,7 @@ import pytest
 from command import command
 
 from gateway.bus.log_source import CutOffError
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 from gateway.bus.readers import blf, mf4
 from gateway_fdi.errors import InputError
 
@@ -49,7 +49,7 @@ def pack(path, inner, data):
 
 def ended(path):
     """Read a log; returns its frames, its error, and the most memory that was held [byte]."""
-    reader, frames = read_log(path, chunk=1000), 0
+    reader, frames = LogReader(path, chunk=1000), 0
     tracemalloc.start()
     try:
         with pytest.raises(InputError) as wrong:

@@ -21,7 +21,7 @@ from gateway.bus.frames import (
     put_message,
     to_message,
 )
-from gateway.bus.logs import FORMATS, open_writer, read_log
+from gateway.bus.logs import FORMATS, LogReader, open_writer
 from gateway_fdi.errors import InputError
 
 
@@ -70,7 +70,7 @@ def test_candump_keeps_every_nanosecond(tmp_path, batch):
     with open_writer(path) as writer:
         writer.write(frames[:3])
         writer.write(frames[3:])
-    again = np.concatenate(list(read_log(path, chunk=7)))
+    again = np.concatenate(list(LogReader(path, chunk=7)))
     np.testing.assert_array_equal(again, frames)
 
 
@@ -98,7 +98,7 @@ def test_what_we_write_we_read(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     with open_writer(path) as writer:
         writer.write(frames)
-    reader = read_log(path, chunk=64)
+    reader = LogReader(path, chunk=64)
     again = np.concatenate(list(reader))
     assert reader.bytes_done == reader.bytes_total > 0
     np.testing.assert_array_equal(again["can_id"], frames["can_id"])
@@ -116,7 +116,7 @@ def test_what_python_can_writes_we_read(tmp_path, suffix):
     with can.Logger(path) as logger:
         for one in frames:
             logger(to_message(one, channel=0))
-    again = np.concatenate(list(read_log(path)))
+    again = np.concatenate(list(LogReader(path)))
     with can.LogReader(path) as oracle:
         for ours, theirs in zip(again, oracle, strict=True):
             assert int(ours["can_id"]) & 0x1FFFFFFF == theirs.arbitration_id
@@ -151,7 +151,7 @@ def test_a_damaged_log_is_one_clear_error_after_its_good_frames(tmp_path, suffix
         path.write_bytes(whole[:cut])
         parts = []
         try:
-            for batch in read_log(path):
+            for batch in LogReader(path):
                 parts.append(batch.copy())
         except InputError as error:
             refused += 1
@@ -180,7 +180,7 @@ def test_candump_names_the_bad_line_and_goes_on(tmp_path):
         "(1.1234567890) can0 123#11",
     ):
         path.write_text(f"(1.000000) can0 123#1122\n\n{bad}\n(2.000000) can0 123#33\n")
-        reader = read_log(path)
+        reader = LogReader(path)
         (frames,) = reader
         assert frames["data"][:, 0].tolist() == [0x11, 0x33], "the rest is read"
         (wrong,) = reader.problems
@@ -190,14 +190,14 @@ def test_candump_names_the_bad_line_and_goes_on(tmp_path):
 def test_channels_become_buses(tmp_path):
     path = tmp_path / "a.log"
     path.write_text("(1.0) can0 001#\n(2.0) can1 002#\n(3.0) vcan7 003#\n")
-    batch = np.concatenate(list(read_log(path, channels={"can1": 4, "can0": 2})))
+    batch = np.concatenate(list(LogReader(path, channels={"can1": 4, "can0": 2})))
     assert batch["bus"].tolist() == [2, 4]
 
 
 def test_error_frames_keep_their_identifier(tmp_path):
     path = tmp_path / "a.log"
     path.write_text("(1.0) can0 20000040#0000000000000000\n")
-    (batch,) = read_log(path)
+    (batch,) = LogReader(path)
     assert int(batch[0]["can_id"]) == ERROR | 0x40
     with open_writer(tmp_path / "b.log") as writer:
         writer.write(batch)
@@ -206,8 +206,8 @@ def test_error_frames_keep_their_identifier(tmp_path):
 
 def test_unknown_formats_and_missing_files(tmp_path):
     with pytest.raises(InputError, match=r"\.log \(candump\)"):
-        read_log(tmp_path / "a.xyz")
+        LogReader(tmp_path / "a.xyz")
     with pytest.raises(InputError, match="No such file"):
-        read_log(tmp_path / "a.log")
+        LogReader(tmp_path / "a.log")
     with pytest.raises(InputError, match="No such file"):
         open_writer(tmp_path / "none" / "a.log")

@@ -13,7 +13,7 @@ from asammdf.blocks.conversion_utils import from_dict
 from asammdf.blocks.source_utils import Source
 
 from gateway.bus.frames import EXTENDED, FD, FD_LENGTHS, empty, put_message
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 
 SEED = 411
 NAME = "CAN_DataFrame"
@@ -84,7 +84,7 @@ def path(tmp_path_factory):
 
 
 def test_what_frames_have_in_common_is_read(path):
-    reader = read_log(path)
+    reader = LogReader(path)
     found = np.concatenate(list(reader))
     assert reader.seen == {"8": 300, "0": 300, "1": 200}, "channel 1 is the first: 0"
     expected, channels = theirs(path)
@@ -100,4 +100,4 @@ def test_what_frames_have_in_common_is_read(path):
 
 def test_a_channel_is_taken_by_its_number(path):
     for name, count in (("8", 300), ("0", 300), ("1", 200)):
-        assert sum(map(len, read_log(path, channels={name: 0}))) == count
+        assert sum(map(len, LogReader(path, channels={name: 0}))) == count

@@ -10,7 +10,7 @@ import pytest
 from gateway.bus import logs
 from gateway.bus.candump import format_frame
 from gateway.bus.frames import ERROR, FD, REMOTE
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 from gateway_fdi.errors import InputError
 
 HEAD = "date Tue Oct 5 10:09:25.286 am 2021\nbase hex  timestamps absolute\ninternal events logged\n"
@@ -20,7 +20,7 @@ OFF, PASSIVE, WARNING = ERROR | 0x40, (ERROR | 4, 0x30), (ERROR | 4, 0x0C)
 def read(path, text, **how):
     """Return a log's frames in wall time, and its reader."""
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    reader = read_log(path, **how)
+    reader = LogReader(path, **how)
     frames = np.concatenate([*reader])
     frames["t_ns"] += reader.origin_ns
     return frames, reader
@@ -203,6 +203,27 @@ def test_whole_stamps_of_csv_count_what_a_bus_can_carry(step, unit_ns, tmp_path)
     assert set(np.diff(frames["t_ns"]).tolist()) == {step * unit_ns}
 
 
+@pytest.mark.parametrize(
+    ("stamps", "expected"),
+    [
+        (("1767062175875212", "1767062175875870"), [1767062175875212000, 1767062175875870000]),
+        (("1767062175875", "1767062175876"), [1767062175875000000, 1767062175876000000]),
+        (
+            ("-1725172529967471", "-1725172529967955", "-1725172529966481"),
+            [3600_000_000_000, 3599_999_516_000, 3600_000_990_000],
+        ),
+        (("-0.5", "0.25"), [3599_500_000_000, 3600_250_000_000]),
+    ],
+    ids=["us of the wall clock", "ms of the wall clock", "below zero", "from below zero"],
+)
+def test_stamps_of_csv_may_be_large_or_below_zero(stamps, expected, tmp_path):
+    """All frames of three public logs of cars, in us below zero, were damage; so were whole ones of the wall clock."""
+    rows = "".join(f"{stamp},0000021A,false,Rx,0,2,FE,36,\n" for stamp in stamps)
+    frames, reader = read(tmp_path / "a.csv", "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n" + rows)
+    assert frames["t_ns"].tolist() == expected
+    assert not reader.problems
+
+
 def test_a_csv_of_something_else_is_refused(tmp_path):
     with pytest.raises(InputError, match="no CSV of frames that we know"):
         read(tmp_path / "a.csv", "ID,Data Bytes\n0000021A,FE 36\n")
@@ -262,7 +283,7 @@ def test_a_plug_in_may_take_a_suffix_that_we_have(tmp_path, monkeypatch):
 
     monkeypatch.setattr(logs, "READERS", {".log": Taken})
     (tmp_path / "a.log").write_bytes(b"MINE 1\n")
-    reader = read_log(tmp_path / "a.log")
+    reader = LogReader(tmp_path / "a.log")
     assert list(reader) == []
     assert (taken, reader.formats) == ([b"MINE 1\n"], [".log (of a plug-in)"])
     assert len(reader.problems) == 1, "its texts are damage"
@@ -279,7 +300,7 @@ def test_a_zip_of_a_mac_and_one_with_other_files(tmp_path):
         archive.writestr("more.log.gz", gzip.compress(GOOD.encode()))
         archive.writestr("readme.txt", "a healthy drive\n")
         archive.writestr("trip", HEAD + "0.1 1 123 Rx d 1 00\n")
-    reader = read_log(path)
+    reader = LogReader(path)
     assert sum(map(len, reader)) == 3
     assert not reader.problems
     assert len(reader.passed_over.notes()) == 1, "the text"

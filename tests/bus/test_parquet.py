@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from gateway.bus.corpus import find
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, OWN, REMOTE, empty
 from gateway.bus.log_source import CutOffError
-from gateway.bus.logs import open_writer, read_log
+from gateway.bus.logs import LogReader, open_writer
 from gateway.cli import app
 from gateway_fdi.errors import InputError
 
@@ -52,7 +52,7 @@ def written(path, frames, interfaces=None):
 
 
 def all_of(path, **how):
-    parts = list(read_log(path, **how))
+    parts = list(LogReader(path, **how))
     return np.concatenate(parts) if parts else empty(0)
 
 
@@ -62,7 +62,7 @@ def test_frames_of_all_kinds_go_and_come(tmp_path, chunk):
     path = written(tmp_path / "a.parquet", frames, {0: "vcan0", 1: "body"})
     again = all_of(path, chunk=chunk, channels={"vcan0": 0, "body": 1, "can2": 2})
     np.testing.assert_array_equal(again, frames)
-    reader = read_log(path)
+    reader = LogReader(path)
     assert sum(map(len, reader)) == 1000
     assert reader.seen == {"vcan0": (frames["bus"] == 0).sum(), "body": (frames["bus"] == 1).sum(),
                            "can2": (frames["bus"] == 2).sum()}  # fmt: skip
@@ -101,7 +101,7 @@ def test_other_types_of_columns(tmp_path):
     assert first["can_id"].tolist() == [1, 0x800 | EXTENDED, 2]
     assert first["length"].tolist() == [2, 0, 12]
     assert first["flags"].tolist() == [0, 0, FD]
-    assert read_log(path).seen == {}
+    assert LogReader(path).seen == {}
     others = {
         "t": LOOSE["t"].cast(pa.int64()).to_numpy() * 1000,
         "id": pa.array([1, 0x800, 2], pa.uint16()),
@@ -112,7 +112,7 @@ def test_other_types_of_columns(tmp_path):
     pq.write_table(pa.table(others), path)
     np.testing.assert_array_equal(all_of(path), first)
     np.testing.assert_array_equal(all_of(path, chunk=1), first)
-    reader = read_log(path, channels={"3": 0, "none": 1})
+    reader = LogReader(path, channels={"3": 0, "none": 1})
     assert [len(batch) for batch in reader] == [2]
     assert reader.seen == {"3": 1, "none": 1, "7": 1}
     pq.write_table(pa.table(LOOSE | {"data": pa.array([b"\1\2"] * 3, pa.binary(2))}), path)
@@ -179,8 +179,8 @@ def test_any_log_becomes_parquet_and_back(tmp_path):
     assert (tmp_path / "b.log").read_text() == source.read_text()
     assert convert(source, tmp_path / "a.blf").exit_code == 0
     assert convert(tmp_path / "a.blf", tmp_path / "c.parquet", "--json").exit_code == 0
-    assert read_log(tmp_path / "c.parquet").seen == {}
-    reader = read_log(tmp_path / "c.parquet")
+    assert LogReader(tmp_path / "c.parquet").seen == {}
+    reader = LogReader(tmp_path / "c.parquet")
     assert sum(map(len, reader)) == 400
     assert set(reader.seen) == {"0", "1", "2"}
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from gateway.bus.frames import ERROR, FD, FD_LENGTHS, OWN, REMOTE, empty, put_message
 from gateway.bus.log_source import CutOffError
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 from gateway.bus.readers import blf
 from gateway.bus.readers.asc import date_ns
 from gateway_fdi.errors import InputError
@@ -29,7 +29,7 @@ BUS_ERROR_FRAME = ERROR | 0x88
 
 def ours(path, chunk=100_000):
     """Return all frames of a log."""
-    batches = list(read_log(path, chunk=chunk))
+    batches = list(LogReader(path, chunk=chunk))
     return np.concatenate(batches) if batches else empty(0)
 
 
@@ -59,11 +59,11 @@ def assert_equal(path, near=NEAR, chunk=100_000):
     for name in ("can_id", "flags", "length", "data"):
         np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
     assert np.abs(found["t_ns"] - expected["t_ns"]).max(initial=0) <= near
-    reader = read_log(path)
+    reader = LogReader(path)
     assert sum(map(len, reader)) == len(expected)
     assert reader.seen == {name: channels.count(name) for name in channels}
     for name in set(channels):
-        one = np.concatenate(list(read_log(path, channels={name: 7})))
+        one = np.concatenate(list(LogReader(path, channels={name: 7})))
         assert len(one) == channels.count(name)
         assert set(one["bus"].tolist()) == {7}
     return len(found)
@@ -165,7 +165,7 @@ End TriggerBlock
 def test_events_of_asc(tmp_path):
     path = tmp_path / "a.asc"
     path.write_text(ASC)
-    reader = read_log(path)
+    reader = LogReader(path)
     frames = np.concatenate(list(reader))
     assert reader.origin_ns == 1_506_783_973_191_000_000
     assert frames["t_ns"][-1] == 30_806_898_000
@@ -233,7 +233,7 @@ def test_dates_of_asc(text, seconds):
 def test_a_bad_line_of_asc_is_named_and_the_rest_is_read(line, tmp_path):
     path = tmp_path / "a.asc"
     path.write_text(f"base hex\n0.0 1 100 Rx d 1 11\n{line}\n0.2 1 100 Rx d 1 22\n")
-    reader = read_log(path)
+    reader = LogReader(path)
     (found,) = reader
     assert found["data"][:, 0].tolist() == [0x11, 0x22]
     (wrong,) = reader.problems
@@ -281,7 +281,7 @@ TRC = {
 def test_versions_of_trc(version, tmp_path):
     path = tmp_path / "a.trc"
     path.write_text(TRC[version])
-    reader = read_log(path)
+    reader = LogReader(path)
     found = np.concatenate(list(reader))
     states = found["can_id"] & ERROR != 0
     expected, _ = theirs(path)
@@ -302,7 +302,7 @@ def test_versions_of_trc(version, tmp_path):
 def test_a_line_of_trc_with_too_few_columns_is_told(tmp_path):
     path = tmp_path / "a.trc"
     path.write_text(TRC["1.1"] + "     6)   1400.0  Rx\n     7)   1500.0  Rx  0300  1  AA\n")
-    reader = read_log(path)
+    reader = LogReader(path)
     assert sum(map(len, reader)) == 6
     (wrong,) = reader.problems
     assert (wrong.line, wrong.value) == (9, "6)   1400.0  Rx")
@@ -379,7 +379,7 @@ def test_a_blf_without_containers_is_read_too(tmp_path):
 def beginning(path):
     """Yield a log's batches up to what ends it."""
     try:
-        yield from read_log(path)
+        yield from LogReader(path)
     except InputError:
         return
 
@@ -402,7 +402,7 @@ def test_a_blf_that_ends_early_keeps_what_came_before(damaged, text, tmp_path):
     frames = np.concatenate(found) if found else empty(0)
     np.testing.assert_array_equal(frames, expected[: len(frames)])
     with pytest.raises(InputError, match=text):
-        list(read_log(path))
+        list(LogReader(path))
 
 
 @pytest.mark.parametrize(
@@ -420,7 +420,7 @@ def test_a_blf_that_is_damaged_goes_on_with_the_next_object(damaged, text, tmp_p
     path.write_bytes(whole)
     known = ours(path)["can_id"].tolist()
     path.write_bytes(damaged(whole))
-    reader = read_log(path)
+    reader = LogReader(path)
     found = np.concatenate(list(reader))["can_id"].tolist()
     assert len(known) - 25 <= len(found) <= len(known)
     rest = iter(known)
@@ -453,7 +453,7 @@ def test_compressed_logs(suffix, tmp_path):
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(CutOffError):
-        list(read_log(path))
+        list(LogReader(path))
     found = list(beginning(path)) if suffix != ".zip" else []
     frames = np.concatenate(found) if found else empty(0)
     np.testing.assert_array_equal(frames, expected[: len(frames)])
@@ -464,20 +464,20 @@ def test_several_logs_in_an_archive_are_one_log(tmp_path):
     plain.write_bytes(LINES)
     half = LINES.index(b"(2500.5)")
     zipped(path, ("trip/2.log", LINES[half:]), ("trip/1.log", LINES[:half]))
-    reader = read_log(path)
+    reader = LogReader(path)
     np.testing.assert_array_equal(np.concatenate(list(reader)), ours(plain))
     assert reader.seen == {"can0": 5000}
     zipped(path, ("notes.txt", b"x"))
     with pytest.raises(InputError, match="a log is one of"):
-        read_log(path)
+        LogReader(path)
     zipped(path)
     with pytest.raises(InputError, match="no log in this archive"):
-        read_log(path)
+        LogReader(path)
 
 
 def test_many_interfaces(tmp_path):
     path = tmp_path / "a.log"
     path.write_text("".join(f"({k}.0) an_interface_with_a_long_name_{k % 40} 001#{k:02X}\n" for k in range(200)))
-    reader = read_log(path)
+    reader = LogReader(path)
     assert sum(map(len, reader)) == 200
     assert reader.seen == {f"an_interface_with_a_long_name_{k}": 5 for k in range(40)}

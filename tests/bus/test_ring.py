@@ -7,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.bus.frames import empty, put
-from gateway.bus.ring import Ring, RingParams, read_recording, segments
+from gateway.bus.logs import LogReader
+from gateway.bus.ring import Ring, RingParams, segments
 from gateway_fdi.errors import InputError
 
 
@@ -19,7 +20,7 @@ def batch(first, count, *, t_ns=0):
 
 
 def numbers(folder):
-    frames = [f for part in read_recording(folder) for f in part]
+    frames = [f for part in LogReader(folder) for f in part]
     return [int.from_bytes(bytes(f["data"][:8]), "big") for f in frames]
 
 
@@ -133,7 +134,7 @@ def test_blf_segments_are_whole_files(tmp_path):
 
 def test_wrong_places_are_told(tmp_path):
     with pytest.raises(InputError, match="no recorded segments"):
-        read_recording(tmp_path)
+        LogReader(tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="not usable for recordings"):
         Ring(RingParams(folder=tmp_path / "file" / "ring"), {})

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.bus.conditions import BUS_OFF, CONTROLLER, LOSS, condition_frame
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, empty, joined, put
-from gateway.bus.logs import FORMATS, open_writer, read_log
+from gateway.bus.logs import FORMATS, LogReader, open_writer
 
 PAGE = Path(__file__).parents[2] / "docs" / "daemon.md"
 BEGIN_NS = 1_700_000_000 * 10**9
@@ -53,7 +53,7 @@ def through(suffix, frames, folder):
     with open_writer(path) as writer:
         writer.write(frames[:5])
         writer.write(frames[5:])
-    reader = read_log(path, channels={"can0": 0, "can1": 1, "0": 0, "1": 1, "none": 0})
+    reader = LogReader(path, channels={"can0": 0, "can1": 1, "0": 0, "1": 1, "none": 0})
     again = np.concatenate(list(reader))
     again["t_ns"] += reader.origin_ns
     assert not reader.problems

@@ -7,7 +7,7 @@ from fault_examples import catalogue, event, nothing
 from rig import Rig, write_config
 from typer.testing import CliRunner
 
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 from gateway.cli import app, faults, present
 from gateway.faults.memory import FaultMemory
 from gateway.faults.resilient_store import ResilientStore
@@ -68,7 +68,7 @@ def test_near_misses(run, tmp_path):
 def test_recordings_are_logs_that_can_be_read(run, tmp_path):
     out = tmp_path / "logs"
     (entry,) = json.loads(run("recordings", "P1000-11", "--memory", tmp_path / "f.sqlite", "--out", out, "--json"))
-    frames = [frame for batch in read_log(out / "P1000-11-1.log") for frame in batch]
+    frames = [frame for batch in LogReader(out / "P1000-11-1.log") for frame in batch]
     assert len(frames) == entry["frames"] > 2
     assert "P1000-11-1.log" in run("recordings", "P1000-11", "--memory", tmp_path / "f.sqlite", "--out", out)
 

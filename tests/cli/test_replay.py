@@ -14,7 +14,7 @@ from own_message import DBC
 
 from gateway import api
 from gateway.bus.frames import to_message
-from gateway.bus.logs import open_writer, read_log
+from gateway.bus.logs import LogReader, open_writer
 from gateway.common import extras
 from gateway.faults.store import Store
 from gateway.runtime.app import Gateway
@@ -190,7 +190,7 @@ def test_many_frames_of_another_channel_do_not_end_the_log(tmp_path):
     with can.Logger(tmp_path / "a.asc") as logger:
         for k in range(40):
             logger(can.Message(timestamp=k / 10, arbitration_id=1, channel=5 if k < 30 else 0))
-    reader = read_log(tmp_path / "a.asc", chunk=10, channels={"0": 0})
+    reader = LogReader(tmp_path / "a.asc", chunk=10, channels={"0": 0})
     assert sum(map(len, reader)) == 10
     assert reader.seen == {"5": 30, "0": 10}
 
@@ -213,7 +213,7 @@ def written(folder, suffix):
     """A log of one bus with a silence in its middle, in a format."""
     (folder / "base.log").write_text(lines("can0", count=400, begin=1.7e9))
     path = folder / f"drive{suffix}"
-    frames = np.concatenate(list(read_log(folder / "base.log")))
+    frames = np.concatenate(list(LogReader(folder / "base.log")))
     if suffix == ".blf":  # containers so small that some lie before the cut
         with can.BLFWriter(path, max_container_size=2000) as logger:
             for frame in frames:

@@ -11,7 +11,7 @@ from rig import Rig, Tester, dtc_text, write_config
 from udsoncan.services import ReadDTCInformation
 
 from gateway.bus.frames import OWN, payload
-from gateway.bus.logs import open_writer, read_log
+from gateway.bus.logs import LogReader, open_writer
 from gateway.clients.ecu import Ask
 from gateway.common.times import NEVER
 from gateway.config.load import load_config
@@ -113,7 +113,7 @@ def test_a_log_replays_to_the_live_verdict(battery, own, tmp_path):
         log.write(frames)
     again, events = Gateway(load_config(file), file=file), []
     again.listen(events.append)
-    replay(again, read_log(tmp_path / "drive.log"))
+    replay(again, LogReader(tmp_path / "drive.log"))
     told = [event for event in made.events if event["event"] in ("dtc", "monitor", "diagnosis")]
     assert [e["fault"] for e in told if e["event"] == "dtc" and e["status"] & 1] == [LOW, "answers:obd.Cells.timeout"]
     assert [event for event in events if event["event"] in ("dtc", "monitor", "diagnosis")] == told
@@ -134,7 +134,7 @@ def test_a_recording_of_a_fault_replays_to_that_fault(battery, tmp_path):
     (tmp_path / "fault.log").write_bytes(zlib.decompress(recording.log))
     again, events = Gateway(load_config(file), file=file), []
     again.listen(events.append)
-    replay(again, read_log(tmp_path / "fault.log"))
+    replay(again, LogReader(tmp_path / "fault.log"))
     assert LOW in [event["fault"] for event in events if event["event"] == "dtc"]
 
 

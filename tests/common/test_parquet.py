@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 from gateway_fdi.errors import InputError
 
 pa = pytest.importorskip("pyarrow")
@@ -20,7 +20,7 @@ def log(path, data, rows=1000, **options):
 
 
 def read(path):
-    return sum(len(frames) for frames in read_log(path))
+    return sum(len(frames) for frames in LogReader(path))
 
 
 def peak(work):
@@ -35,7 +35,7 @@ def test_honest_logs_are_read_plain_and_by_dictionaries(tmp_path):
     for k, options in enumerate(({}, {"use_dictionary": False}, {"data_page_size": 100}, {"data_page_version": "2.0"})):
         for compression in ("none", "zstd", "snappy"):
             path = log(tmp_path / f"{k}{compression}.parquet", words, compression=compression, **options)
-            frames = next(iter(read_log(path)))
+            frames = next(iter(LogReader(path)))
             assert len(frames) == 1000
             assert bytes(frames["data"][:, :2].tobytes()) == b"".join(words)
 

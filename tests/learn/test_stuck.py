@@ -5,7 +5,7 @@ import random
 import pytest
 from learning import asked, drive, quiet
 
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway_bench.wire.replay import through
@@ -51,7 +51,7 @@ def learned(folder, seconds, seed):
 def alarms(config, log):
     """Return (seconds, fault) of each fault that a log sets."""
     config = load_config(config)
-    said = through(config, list(read_recording(log, channels_of(config, ()))))
+    said = through(config, list(LogReader(log, channels_of(config, ()))))
     return [(t - 1000.0, fault) for t, fault, failed in said.dtcs if failed]
 
 

@@ -9,8 +9,7 @@ from command import command
 from learning import asked, drive, quiet
 
 from gateway.bus.frames import empty, put
-from gateway.bus.logs import open_writer
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader, open_writer
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway_bench.wire.replay import through
@@ -62,7 +61,7 @@ def test_a_pause_of_the_whole_bus_deletes_no_timeout_and_is_told(tmp_path):
     assert any("1 pauses" in note for note in result.learned.notes)
     config = load_config(tmp_path / "car.toml")
     assert config.bus[0].health.sleeps
-    said = through(config, list(read_recording(log, channels_of(config, ()))))
+    said = through(config, list(LogReader(log, channels_of(config, ()))))
     assert [fault for _, fault, failed in said.dtcs if failed and "timeout" in fault] == []
 
 
@@ -98,7 +97,7 @@ def test_an_ecu_that_wakes_late_has_its_time(tmp_path):
     assert keys["M0"]["wake_ms"] >= 15_000, "one wake-up says little: it has the bus's own time"
     config = load_config(tmp_path / "car.toml")
     silent = lines_of(log, lambda t, can_id, _rng: not (can_id == IDS[3] and t > 45.0), None)
-    said = through(config, list(read_recording(silent, channels_of(config, ()))))
+    said = through(config, list(LogReader(silent, channels_of(config, ()))))
     assert [fault for _, fault, failed in said.dtcs if failed and "timeout" in fault] == ["M3.timeout"]
 
 

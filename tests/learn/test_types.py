@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from learning import asked, drive, quiet
 
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.runtime.assemble import prepare
@@ -95,7 +95,7 @@ def alarms(file, log, kind, value):
     """Return (seconds, fault) of each fault that is set with a fault put into each signal, one after the other."""
     config = load_config(file)
     parts = prepare(config)
-    (frames,) = read_recording(log, channels_of(config, ()))
+    (frames,) = LogReader(log, channels_of(config, ()))
     for k, name in enumerate(ALL):
         text = f"{kind} {full(name)}{value(name)} @{LEAD * (k + 1)}..{LEAD * (k + 1) + LONG}"
         asked_for = parse_injection(text, [config.bus[0].name], parts.databases)

@@ -7,8 +7,7 @@ import pytest
 from learning import asked, quiet
 
 from gateway.bus.frames import empty
-from gateway.bus.logs import open_writer
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader, open_writer
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway_bench.wire.replay import through
@@ -98,7 +97,7 @@ def fleet(tmp_path_factory):
 def codes(fleet, seed, fault=""):
     log = van(fleet / f"van{seed}{fault}.log", seed, fault)
     config = load_config(fleet / "van.toml")
-    said = through(config, list(read_recording(log, channels_of(config, ()))))
+    said = through(config, list(LogReader(log, channels_of(config, ()))))
     return {name for _, name, failed in said.dtcs if failed}
 
 

@@ -9,8 +9,7 @@ from bench_config import beat, write_config
 from daemon_rig import World
 
 from gateway.bus.conditions import are_steps, step_ns_of
-from gateway.bus.logs import read_log
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.faults.store import Store
@@ -217,12 +216,12 @@ def replayed(config, frames, channels=None):
 def test_its_recording_replays_to_the_same_verdicts(step_s, at, tmp_path):
     world = run(tmp_path / "run", step_s, at, more="")
     config = tmp_path / "run" / "beat.toml"
-    events, gateway = replayed(config, read_recording(tmp_path / "run" / "ring"))
+    events, gateway = replayed(config, LogReader(tmp_path / "run" / "ring"))
     live = [e for _, e in world.events if e["event"] in ("dtc", "clock")]
     assert json.dumps(events) == json.dumps(live), "to the nanosecond, by the wall clock"
     assert gateway.engine.offset_ns == round(step_s * 1e9)
     # The frames in it have the stamps that the bus gave them.
-    frames = np.concatenate(list(read_recording(tmp_path / "run" / "ring")))
+    frames = np.concatenate(list(LogReader(tmp_path / "run" / "ring")))
     (step,) = np.flatnonzero(are_steps(frames))
     assert step_ns_of(frames[step]) == round(step_s * 1e9)
     beats = frames[frames["can_id"] == 0x300]["t_ns"]
@@ -238,10 +237,10 @@ def test_frames_kept_around_a_failure_have_the_step_too(step_s, tmp_path):
     store.close()
     log = zlib.decompress(recording.log)
     (tmp_path / "cut.log").write_bytes(log)
-    frames = np.concatenate(list(read_log(tmp_path / "cut.log")))
+    frames = np.concatenate(list(LogReader(tmp_path / "cut.log")))
     (step,) = np.flatnonzero(are_steps(frames))
     assert step_ns_of(frames[step]) == round(step_s * 1e9)
-    events, _ = replayed(tmp_path / "run" / "beat.toml", read_recording(tmp_path / "cut.log"))
+    events, _ = replayed(tmp_path / "run" / "beat.toml", LogReader(tmp_path / "cut.log"))
     (failed,) = [e for e in events if e["event"] == "dtc" and e["status"] & 1]
     assert failed["dtc"] == "U0401-82"
     assert failed["t_ns"] == recording.t_ns, "stamped as in the live run"
@@ -251,7 +250,7 @@ def test_frames_kept_around_a_failure_have_the_step_too(step_s, tmp_path):
 def test_a_recording_of_another_tool_with_a_step_in_it(step_s, undisturbed, tmp_path):
     """Without a frame that tells of the step: back is known by the stamps, forward is taken for a gap."""
     run(tmp_path / "run", step_s, "debounce", more="")
-    frames = np.concatenate(list(read_recording(tmp_path / "run" / "ring")))
+    frames = np.concatenate(list(LogReader(tmp_path / "run" / "ring")))
     foreign = frames[frames["can_id"] == 0x300]
     events, gateway = replayed(tmp_path / "run" / "beat.toml", [foreign[:70], foreign[70:]])
     dtcs = [(e["dtc"], e["status"] & 1) for e in events if e["event"] == "dtc"]
@@ -306,7 +305,7 @@ def test_frames_of_several_buses_stay_in_one_order(step_s, tmp_path):
     assert failed == [("U3000-62", 1), ("U0140-87", 1)]  # what was never heard has 15 s to come
     assert world.counters["late"] == 0
     config = load_config(tmp_path / "stepped" / "beat.toml")
-    ring = read_recording(tmp_path / "stepped" / "ring", channels_of(config))
+    ring = LogReader(tmp_path / "stepped" / "ring", channels_of(config))
     events, _ = replayed(tmp_path / "stepped" / "beat.toml", ring)
     assert events == [e for _, e in world.events if e["event"] in ("dtc", "clock")]
 
@@ -353,7 +352,7 @@ def test_a_monitor_of_plain_python_says_the_same_live_and_in_the_replay_of_the_r
     world.play(daemon, world.wait(3.0, bench.traffic()))
     daemon.close()
     live = [e for e in world.told("dtc") if e["fault"] == "mine.fault"]
-    ring = read_recording(tmp_path / "ring", channels_of(load_config(path)))
+    ring = LogReader(tmp_path / "ring", channels_of(load_config(path)))
     events, _ = replayed(path, ring)
     assert [e for e in events if e.get("fault") == "mine.fault"] == live
     assert len(live) >= 4, "it fails and heals, again and again"

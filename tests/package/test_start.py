@@ -16,7 +16,7 @@ import gateway_bench
 import gateway_fdi
 import gateway_fleet
 import gateway_plants
-from gateway.bus.logs import open_writer, read_log
+from gateway.bus.logs import LogReader, open_writer
 from gateway.cli.doctor import doctor
 from gateway.common import extras
 from gateway.common.extras import EXTRAS, PURPOSES
@@ -232,7 +232,7 @@ import sys
 from pathlib import Path
 import numpy as np
 from gateway.bus.frames import empty
-from gateway.bus.logs import LogWriter, read_log
+from gateway.bus.logs import LogWriter, LogReader
 frames = empty(3)
 frames["t_ns"], frames["can_id"], frames["length"] = [10**9, 2 * 10**9, 3 * 10**9], [1, 2, 3], 2
 path = Path(sys.argv[1]) / "a.mf4"
@@ -240,7 +240,7 @@ assert "asammdf" not in sys.modules
 writer = LogWriter(path)
 writer.write(frames)
 writer.close()
-again = np.concatenate(list(read_log(path)))
+again = np.concatenate(list(LogReader(path)))
 print(again["can_id"].tolist(), "asammdf" in sys.modules)
 """
     assert run(code, tmp_path).stdout.strip() == "[1, 2, 3] True"
@@ -260,8 +260,8 @@ def test_mf4_logs_without_their_extra_name_it(lacking, tmp_path):
     assert not path.exists()
     path.write_bytes(b"MDF     4.10")
     with pytest.raises(InputError, match=r"a\.mf4: .*pip install '\.\[mf4\]'"):
-        read_log(path)
-    assert len(list(read_log(_candump(tmp_path)))) == 1
+        LogReader(path)
+    assert len(list(LogReader(_candump(tmp_path)))) == 1
 
 
 def _candump(folder):

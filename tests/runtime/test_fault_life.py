@@ -10,7 +10,7 @@ import pytest
 from rig import MS, Rig, write_config
 
 from gateway.bus.frames import empty, put
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 from gateway.config.load import load_config
 from gateway.faults import service
 from gateway_fdi.errors import GatewayError
@@ -214,7 +214,7 @@ def recorded(rig, tmp_path, k):
     for number, recording in enumerate(rig.gateway.store.recordings(rig.fault(k))):
         path = tmp_path / f"{number}.log"
         path.write_bytes(zlib.decompress(recording.log))
-        frames = [f for batch in read_log(path) for f in batch]
+        frames = [f for batch in LogReader(path) for f in batch]
         made.append((recording, [int(f["t_ns"]) // MS for f in frames]))
     return made
 

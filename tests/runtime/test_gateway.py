@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from jsonschema_rs import Draft202012Validator, meta
 
 from gateway.bus.frames import ERROR, EXTENDED, FD, FRAME, REMOTE, empty
-from gateway.bus.logs import open_writer, read_log
+from gateway.bus.logs import LogReader, open_writer
 from gateway.clients.ecu import COUNTED
 from gateway.config.load import load_config
 from gateway.config.schema import schema
@@ -93,7 +93,7 @@ def test_every_scenario_meets_its_expectations_and_live_equals_replay(name, tmp_
         config, events, findings, summary = live(name, seed, log)
         assert all(finding.good for finding in findings), [f.text for f in findings]
         for chunk in (1 if FULL or name in SINGLY else 11, 100_000):
-            again, repeated = replayed(config, read_log(log, chunk=chunk))
+            again, repeated = replayed(config, LogReader(log, chunk=chunk))
             assert again == events
             assert heard(repeated) == heard(summary)
             assert repeated["monitors"] == summary["monitors"]

@@ -97,9 +97,9 @@ def _log(suffix):
             yield lzma.compress(path.read_bytes()) if suffix.endswith(".xz") else path.read_bytes()
 
     def read(file):
-        from gateway.bus.logs import read_log
+        from gateway.bus.logs import LogReader
 
-        for _ in read_log(file):
+        for _ in LogReader(file):
             pass
 
     return _of_file(suffix, samples, read)

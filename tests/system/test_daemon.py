@@ -20,7 +20,8 @@ from debian import program
 from kernel_can import daemon, events_in, wait_for
 from processes import bus, gateway, process
 
-from gateway.bus.ring import read_recording, segments
+from gateway.bus.logs import LogReader
+from gateway.bus.ring import segments
 from gateway.faults.service import daemon_state
 
 pytestmark = pytest.mark.system
@@ -281,7 +282,7 @@ def test_the_recording_keeps_what_came_before_kill_9(tmp_path):
             running.wait(300)
         size = sum(path.stat().st_size for path in segments(tmp_path / "ring"))
         assert size <= 0.024e6, "the bound, and what was begun meanwhile"
-        frames = [f for batch in read_recording(tmp_path / "ring") for f in batch]
+        frames = [f for batch in LogReader(tmp_path / "ring") for f in batch]
         kept = [int(f["data"][0]) for f in frames if f["can_id"] == 0x300]
         assert len(kept) > 100
         assert all((b - a) % 256 == 1 for a, b in pairwise(kept)), "no gap"
@@ -294,7 +295,7 @@ def test_the_recording_keeps_what_came_before_kill_9(tmp_path):
 
 
 def newest(folder):
-    frames = [f for batch in read_recording(folder) for f in batch if f is not None]
+    frames = [f for batch in LogReader(folder) for f in batch if f is not None]
     mine = [int(f["data"][0]) for f in frames if f["can_id"] == 0x300]
     return mine[-1] if mine else -1
 
@@ -306,7 +307,7 @@ def names_of(*uris):
 
 def recorded(ring, *uris):
     """Return how many frames of the ECU are in a ring by now."""
-    return sum(int((batch["can_id"] == 0x300).sum()) for batch in read_recording(ring, names_of(*uris)))
+    return sum(int((batch["can_id"] == 0x300).sum()) for batch in LogReader(ring, names_of(*uris)))
 
 
 @pytest.mark.parametrize("form", ["log", "blf"])
@@ -332,7 +333,7 @@ def test_record_alone_takes_several_buses_down(tmp_path, form):
         assert "62 frames recorded" in "".join(recorder.log), "with the condition of each bus"
     path = tmp_path / ("ring" if form == "log" else "drive.blf")
     channels = names_of(uri, second) if form == "log" else {"0": 0, "1": 1}
-    frames = [f for batch in read_recording(path, channels) for f in batch]
+    frames = [f for batch in LogReader(path, channels) for f in batch]
     for index in (0, 1):
         mine = [f for f in frames if f["can_id"] == 0x300 and f["bus"] == index]
         assert [int(f["data"][0]) for f in mine] == list(range(30))

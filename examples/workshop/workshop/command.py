@@ -5,13 +5,13 @@ from pathlib import Path
 
 import typer
 
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 
 
 def workshop(log: Path) -> None:
     """Count the frames of a log by their identifiers."""
     counts: Counter[int] = Counter()
-    for frames in read_log(log):
+    for frames in LogReader(log):
         counts.update(frames["can_id"].tolist())
     for can_id, count in sorted(counts.items()):
         typer.echo(f"{can_id:03X}  {count}")

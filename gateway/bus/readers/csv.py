@@ -38,6 +38,7 @@ BASE64 = np.full(256, 255, np.uint8)
 for _value, _character in enumerate(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"):
     BASE64[_character] = _value
 
+_HOUR_NS = 3_600_000_000_000
 #: Doubles near stamps this large [ns] are too far apart for more than microseconds (gateway.bus.frames.nanoseconds).
 _COARSE = 10**15
 _PYTHON_CAN = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
@@ -45,8 +46,9 @@ _PYTHON_CAN = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
 NOTHING = -1
 TIME, ID, DATA, LEN, BUS, EXT, DIR, EDL, BRS_AT, ESI_AT, RTR, ERR = range(12)
 #: How a log is written: what separates fields, the unit of stamps, the layout of the payload, the number of the first
-#: channel, the last column that a line must have, and a bit for each role that a column has.
-SEPARATOR, UNIT, LAYOUT, FIRST, LAST, KNOWN = range(6)
+#: channel, the last column that a line must have, a bit for each role that a column has, and what is added to stamps
+#: that begin below zero [ns].
+SEPARATOR, UNIT, LAYOUT, FIRST, LAST, KNOWN, SHIFT = range(7)
 #: Names of each of these columns, letters and digits in lower case; of several the first that is there.
 ROLES = (
     ("timestampepoch", "timestamp", "time", "times", "timestamps", "timesec"),
@@ -157,7 +159,9 @@ def csv_line(text: Any, at: int, roles: Any, how: Any, words: Any, row: Any, k: 
         if role >= EXT:
             said |= (text[at] == 49 or (text[at] | 32) in (116, 121)) << role  # 1, true, yes, Tx
         elif role == TIME:
-            t_ns, at, digits = decimal(text, at, how[UNIT])
+            below = text[at] == 45
+            t_ns, at, digits = decimal(text, at + below, how[UNIT])
+            t_ns = how[SHIFT] + (-t_ns if below else t_ns) if t_ns >= 0 else t_ns
             if not ends(text, at, separator):
                 return -2, at
             if how[LAYOUT] == ENCODED and t_ns >= _COARSE and digits < 9:
@@ -217,7 +221,10 @@ def _mapped(line: bytes, more: Sequence[bytes] = ()) -> tuple[NDArray[np.int64],
         return None
     rows = [one.decode("latin-1").split(separator) for one in more]
     fields = rows[0] if rows else []
-    unit = _unit([row[place[TIME]].strip(' "') for row in rows if place[TIME] < len(row)])
+    stamps = [row[place[TIME]].strip(' "') for row in rows if place[TIME] < len(row)]
+    unit = _unit([stamp.removeprefix("-") for stamp in stamps])
+    below = re.match(r"-(\d+)", stamps[0] if stamps else "")
+    shift = int(below[1]) * 10**unit + _HOUR_NS if below else 0  # the first frame is seldom the earliest
     bus = names[place[BUS]] if place[BUS] >= 0 else ""
     first = 1 if bus == "buschannel" or (bus == "channel" and fields[place[BUS] :][:1] != ["0"]) else 0
     layout = JOINED if names[place[DATA]] in ("data", "databytes") else APART
@@ -229,7 +236,8 @@ def _mapped(line: bytes, more: Sequence[bytes] = ()) -> tuple[NDArray[np.int64],
         roles += [DATA] * max(64 + place[DATA] - len(roles), 0)
     last = max(column for role, column in enumerate(place) if role != DATA)  # a frame without bytes may have no DATA
     known_roles = sum(1 << role for role, column in enumerate(place) if column >= 0)
-    return np.array(roles, np.int64), np.array([ord(separator), unit, layout, first, last, known_roles], np.int64)
+    how = [ord(separator), unit, layout, first, last, known_roles, shift]
+    return np.array(roles, np.int64), np.array(how, np.int64)
 
 
 def _unit(stamps: Sequence[str]) -> int:

@@ -29,8 +29,8 @@ for _digit in range(16):
 #: Two words as :func:`pair` has them.
 RX, TX = 0x5278, 0x5478
 
-#: Largest whole seconds whose nanoseconds an int64 holds.
-_MOST_SECONDS = 9223372035
+#: Largest stamp [ns].
+_MOST_NS = (1 << 63) - 1
 
 
 @kernel
@@ -121,7 +121,7 @@ def decimal(text: Any, at: int, places: int) -> tuple[int, int, int]:
     while 48 <= text[at] <= 57:
         value = value * 10 + (byte(text, at) - 48)
         at += 1
-    if at == begin or at - begin > 11 or value > _MOST_SECONDS:
+    if at == begin or at - begin > 20 - places or (at - begin > 9 and value >= _MOST_NS // 10**places):
         return -1, at, -1
     if text[at] != 46:
         for _ in range(places):

@@ -11,7 +11,7 @@ from typing import Any
 
 from gateway.api.progress import Progress as Shown
 from gateway.api.progress import shown
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.answers import answers_asked
 from gateway_fleet.learn.document import BusAsked, relative
@@ -150,7 +150,7 @@ def _channels(logs: Sequence[Path]) -> list[str]:
     """
     seen: set[str] = set()
     for log in logs:
-        reader = read_recording(log)
+        reader = LogReader(log)
         for _ in reader:
             pass
         seen.update(name for name, frames in reader.seen.items() if frames)

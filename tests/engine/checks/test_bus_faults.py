@@ -90,7 +90,7 @@ def test_a_wrong_setting_is_named(tmp_path):
 @pytest.mark.evidence("Live is replay: bus faults")
 def test_a_recording_with_its_conditions_replays_to_the_same_faults(tmp_path):
     """What happened to the bus is in the log, as candump writes error frames."""
-    from gateway.bus.logs import open_writer, read_log
+    from gateway.bus.logs import LogReader, open_writer
 
     frames = np.concatenate(
         [
@@ -108,7 +108,7 @@ def test_a_recording_with_its_conditions_replays_to_the_same_faults(tmp_path):
         if k:
             with open_writer(tmp_path / "drive.log") as log:
                 log.write(frames)
-            (frames,) = read_log(tmp_path / "drive.log")
+            (frames,) = LogReader(tmp_path / "drive.log")
         gateway, events = gateway_of(tmp_path), []
         gateway.listen(events.append)
         gateway.start(0)

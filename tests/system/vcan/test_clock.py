@@ -9,7 +9,7 @@ import pytest
 from bench_config import beat, write_config
 from kernel_can import can_frame, daemon, raw, wait_for
 
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.replay import replay
@@ -146,5 +146,5 @@ def test_time_goes_on_where_the_kernels_clock_is_set(step_s, place, tmp_path):
     again = []
     gateway = Gateway(load_config(config))
     gateway.listen(again.append)
-    replay(gateway, read_recording(tmp_path / "ring"))
+    replay(gateway, LogReader(tmp_path / "ring"))
     assert [e for e in again if e["event"] in ("dtc", "clock")] == told

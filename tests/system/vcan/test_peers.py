@@ -21,8 +21,7 @@ from processes import GATEWAY
 from scenario_runs import unhurried
 
 from gateway.bus.frames import payload
-from gateway.bus.logs import read_log
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway_fdi.common.resources import shipped
 
 pytestmark = pytest.mark.vcan
@@ -69,7 +68,7 @@ def weather(folder):
     heard = end["received"] + end["overflow"]
     assert sent <= heard <= most <= sent + 200, "theirs and our own, which came back"
     assert end["rejected"] == 0
-    recorded = [frame for batch in read_recording(folder / "ring") for frame in batch]
+    recorded = [frame for batch in LogReader(folder / "ring") for frame in batch]
     conditions = sum(int(frame["can_id"]) == 0x20000000 for frame in recorded)
     assert len(recorded) - conditions == end["received"]
     assert len(list((folder / "ring").iterdir())) > 1
@@ -94,7 +93,7 @@ def reports(log):
 
     Without the number of all DTCs: how long a daemon waits for its ECU decides about another one.
     """
-    frames = np.concatenate(list(read_log(log)))
+    frames = np.concatenate(list(LogReader(log)))
     seen = [MESSAGE.decode(payload(f)) for f in frames if int(f["can_id"]) == MESSAGE.frame_id]
     wanted = [v for v in seen if v["Index"] == 0 and int(v["Dtc"]) >> 8 == 0x0336]
     return [{name: v for name, v in report.items() if name != "Count"} for report in wanted]

@@ -15,7 +15,7 @@ from processes import GATEWAY
 from rest_bus_cars import CARS, REQUEST, RESPONSE, Monitor, file_of, load, write
 
 from gateway.bus.frames import payload
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 
 pytestmark = pytest.mark.vcan
 
@@ -56,7 +56,7 @@ def test_a_rest_bus_of_others_and_its_readers(car, tmp_path):
     failed = {event["fault"] for event in running.events() if event["event"] == "dtc" and event["status"] & 1}
     # A busy machine starts the rest bus late, or reads on after it: nobody is heard then.
     assert failed <= {"can.bus_silent"}, "every protected message passes its check"
-    frames = np.concatenate(list(read_log(log)))
+    frames = np.concatenate(list(LogReader(log)))
     seen, values = Counter(), []
     name, _, signal = (rising or "..").rpartition(".")
     for frame in frames:

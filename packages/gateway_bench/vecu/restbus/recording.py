@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.logs import read_log
+from gateway.bus.logs import LogReader
 from gateway.signals.database import Database
 from gateway.signals.protection.protection import Protection
 from gateway.signals.signal_access import ChangedMessage, ChangedSignal, words_of
@@ -26,7 +26,7 @@ def _points(database: Database, file: Path, channel: str | None, name: str, _cha
     times: list[int] = []
     values: list[float] = []
     start = None
-    reader = read_log(file, channels=None if channel is None else {channel: 0})
+    reader = LogReader(file, channels=None if channel is None else {channel: 0})
     for frames in reader:
         start = int(frames["t_ns"][0]) if start is None and len(frames) else start
         for frame in frames[wanted.among(frames)]:

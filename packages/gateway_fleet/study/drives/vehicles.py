@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.corpus import Recording, find
 from gateway.bus.frames import Frames, empty
-from gateway.bus.logs import open_writer
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader, open_writer
 from gateway.config.model import Config
 from gateway.runtime.log import Log
 from gateway.signals.database import SUFFIXES
@@ -137,11 +136,11 @@ class Learning:
 
 def _halves(source: Path, home: Path) -> tuple[Path, Path]:
     """Write both halves of a drive, and return their files."""
-    named = read_recording(source)
+    named = LogReader(source)
     if not sum(map(len, named)):
         raise InputError("no frame to learn from", file=source)
     channels = {name: k for k, name in enumerate(named.seen)}
-    frames = _joined(list(read_recording(source, channels)))
+    frames = _joined(list(LogReader(source, channels)))
     middle = (int(frames["t_ns"][0]) + int(frames["t_ns"][-1])) // 2
     paths = home / "first.log", home / "second.log"
     for path, half in zip(paths, np.split(frames, np.searchsorted(frames["t_ns"], [middle])), strict=True):

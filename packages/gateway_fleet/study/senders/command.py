@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import Frames
-from gateway.bus.logs import open_writer
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader, open_writer
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.learn import Asked, learn, write
@@ -86,7 +85,7 @@ def _of_logs(out: Path, logs: Sequence[Path], databases: Sequence[Path]) -> tupl
 
 def _frames(log: Path) -> Frames:
     """Return the frames of a log in order."""
-    frames = np.concatenate(list(read_recording(log)))
+    frames = np.concatenate(list(LogReader(log)))
     return frames[np.argsort(frames["t_ns"], kind="stable")]
 
 

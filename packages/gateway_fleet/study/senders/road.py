@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gateway.bus.ring import read_recording
+from gateway.bus.logs import LogReader
 from gateway.config.load import load_config
 from gateway.engine.events import QUALIFIED_FAILED, STRANGER, Events
 from gateway.runtime.assemble import prepare
@@ -67,7 +67,7 @@ def _replayed(out: Path, log: Path, about: Mapping[str, Any]) -> dict[str, Any]:
                 name = "unknown" if event["kind"] == STRANGER else engine.faults[int(event["fault"])].id
                 events_s.append(((int(event["t_ns"]) - start_ns) * 1e-9, name))
 
-    for frames in read_recording(log, {"can0": 0}):
+    for frames in LogReader(log, {"can0": 0}):
         start_ns = int(frames["t_ns"][0]) if start_ns is None else start_ns
         engine.process(frames, hear)
     within = [
