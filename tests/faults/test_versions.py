@@ -161,10 +161,10 @@ import sys
 from pathlib import Path
 import gateway.faults.records
 from gateway.faults import service
-from gateway.faults.resilient_store import KeptStore
+from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.records import Changes
 path = Path({path!r})
-store = KeptStore(path)
+store = ResilientStore(path)
 record = store.load()[{which}]
 print([m.reason for m in store.incidents()], hasattr(record, "latest_pass_ns"))
 if {write}:

@@ -30,7 +30,6 @@ from gateway_plants.crank.monitor.faults import (
 )
 from gateway_plants.crank.monitor.sync_state import (
     BY_CAM,
-    BY_GAP,
     CONFIRMED,
     NEVER,
     NOT_TOLD,
@@ -306,7 +305,9 @@ def prove(s: State, c: Const, out: Reports) -> None:
     if c.pulses < MARKED and s.tracker.variance > COARSE and s.doubted == NEVER and s.waiting.same <= s.waiting.moved:
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
+        doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
         confirm(s, out)
+        s.anchor.unchecked = 1 if doubtful else 0
 
 
 @kernel
@@ -328,8 +329,8 @@ def _held_back(s: State, c: Const) -> bool:
 @kernel
 def confirm(s: State, out: Reports) -> None:
     """Take the place on the wheel for proven, and report what was held until then."""
-    s.anchor.unchecked = 1 if s.placed == BY_GAP and (s.reversal.stood == 1 or s.refused > 1) else 0
     s.phase = CONFIRMED
+    s.anchor.unchecked = 0
     s.refused = 0
     no_gap.clear(s.waiting)
     s.suspects = 0
