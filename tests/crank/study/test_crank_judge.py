@@ -61,6 +61,8 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
         *((550101, k) for k in (2943, 4707)),  # what had to be chosen among hypotheses was proven
         *((550101, k) for k in (218, 699, 5727, 5979)),  # a gap that was filled, at the starter's speed
         *((770077, k) for k in (1067, 2780, 8660)),  # one of two equal gaps, behind frames that were lost
+        *((225577, k) for k in (1915, 3369, 3465, 7241, 8353)),  # a pulse believed missed, before the next gap
+        *((225577, k) for k in (389, 9425)),  # a broken tooth like the gap, behind a turning back
         *((70001, k) for k in (388, 2224)),  # pieces of a filled gap like the gap and a pitch, behind lost frames
     ],
 )
