@@ -30,11 +30,11 @@ from gateway.faults.fleet import FleetParams
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Changes
 from gateway.faults.resilient_store import ResilientStore
-from gateway.serve.broker import Broker, BrokerLink
 from gateway_fleet.live.batch import digest_of, packed, topic
 from gateway_fleet.live.collect import Came, Collector
 from gateway_fleet.live.deliver import digest_in
 from gateway_fleet.live.statistics import _Test, told
+from gateway_serve.broker import Broker, BrokerLink
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "support"))
 from judging import Fleet

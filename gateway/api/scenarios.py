@@ -28,7 +28,12 @@ def _callable(found: object, place: str) -> Callable[..., Any]:
 CALLS: Registry[Callable[..., Any]] = Registry("gateway.calls", _callable)
 
 
-def _call(name: str) -> Callable[..., Any]:
+def call_of(name: str) -> Callable[..., Any]:
+    """Return a function of a package above the core.
+
+    Raises:
+        GatewayError: no installed package brings it.
+    """
     if name not in CALLS:
         raise GatewayError(f"no installed package brings {name}")
     return CALLS[name]
@@ -58,7 +63,7 @@ def simulate(
         InputError, InputErrors: the scenario or its configuration is wrong.
     """
     with spoken():
-        run: Run = _call("simulate")(
+        run: Run = call_of("simulate")(
             path_of(scenario, "scenario"),
             seed=seed,
             series=series,
@@ -116,7 +121,7 @@ def learn(
         InputError, InputErrors: a file is not there, is damaged, or is in the way.
     """
     with spoken():
-        file, facts = _call("learn")(
+        file, facts = call_of("learn")(
             paths_of(databases, "databases"),
             paths_of(logs, "logs"),
             path_of(out, "out"),

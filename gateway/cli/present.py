@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from gateway.config.model import Config
+
 #: Columns of a table that does not go to a terminal.
 WIDTH = 180
 
@@ -97,3 +99,13 @@ def find_scenario(name: Path) -> Path:
 
 def _names(paths: Iterable[Path]) -> list[str]:
     return [path.stem for path in paths]
+
+
+def socket_of(config: Config, memory: Path | None = None, given: Path | None = None) -> Path:
+    """Return the status socket of a configuration: the given one, its own, or one beside its fault memory."""
+    if given is not None:
+        return given
+    if config.status is not None:
+        return config.status.socket
+    file = memory or config.memory.path
+    return file.with_name(file.name + ".status")

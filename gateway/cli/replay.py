@@ -10,12 +10,12 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
+from gateway.api.scenarios import call_of
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents
 from gateway.cli.events import EventPrinter
 from gateway.cli.junit import Case, of_faults, write_junit
 from gateway.cli.present import find_config, say_unless_stored
-from gateway.cli.report import RunReport
 from gateway.cli.signal_plot import Watched
 from gateway.cli.trace import Trace, only, single
 from gateway.common.extras import need
@@ -81,7 +81,7 @@ def replay(
     try:
         begun = time.monotonic()
         traced = Trace(gateway.engine) if trace else None
-        report = None if html is None else RunReport(html, gateway, path)
+        report = None if html is None else call_of("run_report")(html, gateway, path)
         collector = gateway if report is None else report.collector
         with watched.of(gateway, parts, collector) as consumer, steps_watched(gateway.engine):
             fed = FaultInjector(consumer, injectors, gateway) if injectors else consumer

@@ -14,7 +14,7 @@ from typing import Self
 
 from gateway.bus.logs import open_writer
 from gateway.cli.events import EventPrinter
-from gateway.cli.present import find_config, say, say_unless_stored
+from gateway.cli.present import find_config, say, say_unless_stored, socket_of
 from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.faults.catalogue import FaultDefinition
@@ -108,7 +108,7 @@ def run(
         taps = []
         if serve:
             need("serve", "pages", key="--serve")
-            from gateway.cli.serve import PageProcess, socket_of  # noqa: PLC0415 - few want it
+            from gateway.cli.page_process import PageProcess  # noqa: PLC0415 - few want it
 
             status = socket_of(load_config(path), memory, status)
         if record is not None:

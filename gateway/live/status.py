@@ -1,6 +1,6 @@
 """The status socket: a unix socket on which a daemon shows what it does, and takes commands of who may open it.
 
-A process that may open it (mode 0600: of its owner, or root) may read and intervene; :mod:`gateway.serve` puts HTTP and
+A process that may open it (mode 0600: of its owner, or root) may read and intervene; :mod:`gateway_serve` puts HTTP and
 rights before it, in another process. All of it is done in the daemon's loop, between two batches, without waiting:
 
 - Out, a line of JSON each, of some with ``size`` bytes after it: ``hello`` (what there is to see), ``event`` (the JSON

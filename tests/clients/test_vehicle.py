@@ -201,10 +201,10 @@ def test_people_and_programs_see_them(brake, tmp_path, capsys):
 def test_metrics_and_the_broker_have_them():
     from pathlib import Path
 
-    from gateway.serve.broker import Broker
-    from gateway.serve.hub import Hub
-    from gateway.serve.metrics import Metrics
-    from gateway.serve.mqtt import Published, Publisher
+    from gateway_serve.broker import Broker
+    from gateway_serve.hub import Hub
+    from gateway_serve.metrics import Metrics
+    from gateway_serve.mqtt import Published, Publisher
 
     hub = Hub(Path("none"))
     hub.ecus = [{"ecu": "brake", "requests": 7, "answers": 5, "absent": 2, "not_asked": {}}]

@@ -13,7 +13,7 @@ from long_messages import batch, fast, transported
 from gateway.bus.candump import CandumpWriter
 from gateway.bus.frames import EXTENDED
 from gateway.bus.traffic import Seen
-from gateway.serve.messages import MessageNames
+from gateway_serve.messages import MessageNames
 
 DBC = """VERSION ""
 BU_: A

@@ -11,7 +11,7 @@ from gateway.config.load import load_config
 from gateway.faults.summary import in_lines, summary_of
 from gateway.monitors.evidence import as_bits, as_digits, in_words
 from gateway.runtime.assemble import prepare
-from gateway.serve.words import told_in_words
+from gateway_serve.words import told_in_words
 
 ROOT = Path(__file__).parents[2]
 #: One of each plant, with as many kinds of tests as there are.

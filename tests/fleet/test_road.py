@@ -19,12 +19,12 @@ from kernel_can import wait_for
 from road import Memory, broker, car_of, event, free_port, occurrences, plain, rows, waiting
 from tls_files import write_tls
 
-from gateway.serve.broker import Broker, BrokerLink
 from gateway_fdi.errors import InputError
 from gateway_fleet.cli.owner import fleet_publish, fleet_sign
 from gateway_fleet.live import signed_documents
 from gateway_fleet.live.batch import packed
 from gateway_fleet.live.identity import car_id, new_key
+from gateway_serve.broker import Broker, BrokerLink
 
 pytestmark = pytest.mark.system
 

@@ -322,11 +322,11 @@ for name in {names!r}:
         )
     } | {f"gateway_fdi.structure.simulation.{name}" for name in ("plant", "reduction", "system")}
     pages = {
-        f"gateway.serve.{name}"
+        f"gateway_serve.{name}"
         for name in ("app", "broker", "metrics", "mqtt", "server", "report.figures", "report.page")
     }
     pages |= {
-        f"gateway.serve.sovd.{name}"
+        f"gateway_serve.sovd.{name}"
         for name in (
             *("app", "bulk_data", "configurations", "data", "entities", "faults", "locks", "logs", "modes", "openapi"),
             *("operations", "replies", "subscriptions", "table"),

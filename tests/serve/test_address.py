@@ -5,10 +5,10 @@ import sys
 
 import pytest
 
-from gateway.cli.serve import serve as command
-from gateway.serve import server
-from gateway.serve.server import ServeSettings, kept_address
 from gateway_fdi.errors import InputError
+from gateway_serve import server
+from gateway_serve.cli.serve import serve as command
+from gateway_serve.server import ServeSettings, kept_address
 
 ADDRESS = "http://127.0.0.1:8808/#control=secret"
 

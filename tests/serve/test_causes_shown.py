@@ -9,18 +9,18 @@ from shared_signal import config, frames
 from typer.testing import CliRunner
 
 from gateway.cli import app
-from gateway.cli.report import RunReport
-from gateway.cli.watch import drawn, told
 from gateway.faults import service
 from gateway.faults.fault_groups import cases_of
 from gateway.live.hello import described
 from gateway.runtime.app import Gateway
-from gateway.serve.broker import Broker
-from gateway.serve.hub import Hub
-from gateway.serve.memory import MemoryFile
-from gateway.serve.metrics import Metrics
-from gateway.serve.mqtt import Published, Publisher
-from gateway.serve.report.page import Told, write_report
+from gateway_serve.broker import Broker
+from gateway_serve.cli.run_report import RunReport
+from gateway_serve.cli.watch import drawn, told
+from gateway_serve.hub import Hub
+from gateway_serve.memory import MemoryFile
+from gateway_serve.metrics import Metrics
+from gateway_serve.mqtt import Published, Publisher
+from gateway_serve.report.page import Told, write_report
 
 SPEED = "signal can0.Speed.V"
 HOLD = 'symptoms = "hold"'

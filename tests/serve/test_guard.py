@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gateway.serve.guard import Guard, Rights, host_name
+from gateway_serve.guard import Guard, Rights, host_name
 
 OWN = frozenset({"127.0.0.1", "::1", "localhost", "gateway.example"})
 

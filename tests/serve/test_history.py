@@ -9,12 +9,12 @@ import pytest
 
 from gateway.bus.traffic import Seen
 from gateway.engine.buckets import TickRow
-from gateway.serve.buses import BusLoads
-from gateway.serve.history import COARSE, FIELDS, FINE, PAST_BYTES, TICKS, History
-from gateway.serve.hub import MANY_EVENTS, MOST_PASSING, MOST_WAITING, Viewer
-from gateway.serve.messages import MessageNames
-from gateway.serve.wire import Garbled, Splitter
-from gateway.serve.words import told_in_words
+from gateway_serve.buses import BusLoads
+from gateway_serve.history import COARSE, FIELDS, FINE, PAST_BYTES, TICKS, History
+from gateway_serve.hub import MANY_EVENTS, MOST_PASSING, MOST_WAITING, Viewer
+from gateway_serve.messages import MessageNames
+from gateway_serve.wire import Garbled, Splitter
+from gateway_serve.words import told_in_words
 
 
 def tick(fault, low, high, *, ratio=0.1):

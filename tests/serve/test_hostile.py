@@ -30,10 +30,10 @@ from kernel_can import wait_for
 from page_address import address_of
 from processes import bus, gateway, process
 
-from gateway.serve.app import MOST_VIEWERS
-from gateway.serve.guard import is_loopback
-from gateway.serve.server import MOST_CONNECTIONS, ServeSettings, rights_of
 from gateway_fdi.errors import InputError
+from gateway_serve.app import MOST_VIEWERS
+from gateway_serve.guard import is_loopback
+from gateway_serve.server import MOST_CONNECTIONS, ServeSettings, rights_of
 
 pytestmark = pytest.mark.system
 
@@ -232,7 +232,7 @@ def read_to_end(connection):
 def test_who_does_not_read_an_answer_is_sent_away(tmp_path):
     """All connections that there may be, each with a file of a megabyte that is not read; with short times."""
     program = (
-        "import gateway.serve.guard as guard, gateway.serve.server as server; guard.SEND_S = server.HEAD_S = 1.0;"
+        "import gateway_serve.guard as guard, gateway_serve.server as server; guard.SEND_S = server.HEAD_S = 1.0;"
         "from gateway.cli import main; main()"
     )
     with server(tmp_path, program=program) as (_, port, _, pid):

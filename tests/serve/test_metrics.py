@@ -14,11 +14,11 @@ from gateway.config.load import load_config
 from gateway.engine.buckets import TickRow
 from gateway.live.hello import described
 from gateway.runtime.app import Gateway
-from gateway.serve.broker import Broker
-from gateway.serve.hub import Hub
-from gateway.serve.metrics import Metrics
-from gateway.serve.mqtt import Published, Publisher
 from gateway_fdi.common.resources import shipped
+from gateway_serve.broker import Broker
+from gateway_serve.hub import Hub
+from gateway_serve.metrics import Metrics
+from gateway_serve.mqtt import Published, Publisher
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 
@@ -84,7 +84,7 @@ def test_labels_are_those_of_the_catalogue(hub):
 
 
 def hub_bits():
-    from gateway.serve.memory import BITS
+    from gateway_serve.memory import BITS
 
     return BITS
 

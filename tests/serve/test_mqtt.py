@@ -15,9 +15,9 @@ from debian import program
 from kernel_can import wait_for
 from paho.mqtt.enums import CallbackAPIVersion
 
-from gateway.serve.broker import Broker
-from gateway.serve.hub import Hub
-from gateway.serve.mqtt import Published, Publisher, topic_part
+from gateway_serve.broker import Broker
+from gateway_serve.hub import Hub
+from gateway_serve.mqtt import Published, Publisher, topic_part
 
 pytestmark = pytest.mark.system
 
@@ -156,9 +156,9 @@ def test_one_that_is_killed_is_offline(tmp_path, port):
     program = f"""
 import sys, asyncio
 from pathlib import Path
-from gateway.serve.hub import Hub
-from gateway.serve.broker import Broker
-from gateway.serve.mqtt import Publisher, Published
+from gateway_serve.hub import Hub
+from gateway_serve.broker import Broker
+from gateway_serve.mqtt import Publisher, Published
 hub = Hub(Path("nobody"))
 hub.connected = True
 asyncio.run(Publisher(hub, Broker(host="127.0.0.1", port={port}), Published(), "te/st").run())

@@ -18,8 +18,8 @@ from gateway.faults.dtc import ALL_DTCS
 from gateway.faults.service import open_reader
 from gateway.faults.store import Store
 from gateway.runtime.app import Gateway
-from gateway.serve.hub import Hub
-from gateway.serve.memory import MemoryFile
+from gateway_serve.hub import Hub
+from gateway_serve.memory import MemoryFile
 
 
 class File:

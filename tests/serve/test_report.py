@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from gateway.cli.replay import replay
-from gateway.serve.report.page import OF_THE_MOMENT
-from gateway.serve.report.timeline import MOST_TICKS, Span, timeline
 from gateway_bench.cli.simulate import INSIDE, simulate
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
+from gateway_serve.report.page import OF_THE_MOMENT
+from gateway_serve.report.timeline import MOST_TICKS, Span, timeline
 
 CONFIG = shipped("gateway.toml")
 MOST_BYTES = 5_000_000

@@ -12,9 +12,9 @@ from test_access import LEVEL, SECRET
 from test_local import ROUTED
 
 from gateway.live.status import StatusSocket
-from gateway.serve.memory import BITS
-from gateway.serve.sovd.faults import instant
 from gateway.servers.uds.security import hmac_sha256
+from gateway_serve.memory import BITS
+from gateway_serve.sovd.faults import instant
 
 OWN = "/sovd/v1/components/gateway"
 

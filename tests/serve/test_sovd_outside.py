@@ -22,7 +22,7 @@ from kernel_can import wait_for
 from processes import bus, gateway, process
 from rig import write_config
 
-from gateway.serve.guard import BODY_BYTES
+from gateway_serve.guard import BODY_BYTES
 
 pytestmark = pytest.mark.system
 

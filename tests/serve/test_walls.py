@@ -10,11 +10,11 @@ from amount import amount
 from gateway.bus.frames import EXTENDED, empty, put
 from gateway.clients.survey import LISTEN_NS, Survey
 from gateway.common.fence import Fence
-from gateway.serve.broker import Broker
-from gateway.serve.guard import Guard, Rights
-from gateway.serve.hub import Hub
-from gateway.serve.metrics import Metrics
-from gateway.serve.mqtt import Published, Publisher
+from gateway_serve.broker import Broker
+from gateway_serve.guard import Guard, Rights
+from gateway_serve.hub import Hub
+from gateway_serve.metrics import Metrics
+from gateway_serve.mqtt import Published, Publisher
 
 MS = 1_000_000
 HELLO = {
@@ -123,8 +123,8 @@ def test_an_exception_in_a_request_is_answered_500_and_counted(caught, begun):
 
 
 def test_mqtt_tells_the_rest_where_one_state_cannot_be_told(caught, monkeypatch):
-    monkeypatch.setattr("gateway.serve.mqtt.LOOK_S", 0.01)
-    monkeypatch.setattr("gateway.serve.mqtt.REST_S", 0.01)
+    monkeypatch.setattr("gateway_serve.mqtt.LOOK_S", 0.01)
+    monkeypatch.setattr("gateway_serve.mqtt.REST_S", 0.01)
     hub = Hub("none")
     made = Publisher(hub, Broker(host="127.0.0.1", port=1), Published(), "x")
     told, looks = [], 0
@@ -239,7 +239,7 @@ def test_requests_by_chance_are_answered(tmp_path):
     pytest.importorskip("httpx")
     from starlette.testclient import TestClient
 
-    from gateway.serve.app import Page
+    from gateway_serve.app import Page
 
     hub = Hub(tmp_path / "none")
     app = Guard(Page(hub).app(), rights(), hub.on_refused, hub.fence.wall("page"))

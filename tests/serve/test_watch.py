@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from gateway.cli.watch import drawn, told, watch
 from gateway.config.load import load_config
 from gateway.engine.buckets import TickRow
 from gateway.live.hello import described
 from gateway.runtime.app import Gateway
-from gateway.serve.hub import Hub
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import GatewayError
+from gateway_serve.cli.watch import drawn, told, watch
+from gateway_serve.hub import Hub
 
 
 @pytest.fixture

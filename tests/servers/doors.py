@@ -15,12 +15,12 @@ from uds_tester import EXTRA, Asked
 
 from gateway.cli.faults import clear_faults
 from gateway.live.status import StatusSocket
-from gateway.serve.app import Page
-from gateway.serve.guard import Guard, Rights
-from gateway.serve.hub import Hub
-from gateway.serve.wire import Splitter
 from gateway.servers.doip.server import DoipServer
 from gateway_fdi.errors import GatewayError
+from gateway_serve.app import Page
+from gateway_serve.guard import Guard, Rights
+from gateway_serve.hub import Hub
+from gateway_serve.wire import Splitter
 
 TOKEN = "control"
 HEAD = {"host": "127.0.0.1", "content-type": "application/json"}

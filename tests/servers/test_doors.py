@@ -16,10 +16,10 @@ from test_access import LEVEL
 
 from gateway.faults import service
 from gateway.runtime.app import Gateway
-from gateway.serve.broker import Broker
-from gateway.serve.hub import Hub
-from gateway.serve.metrics import Metrics
-from gateway.serve.mqtt import Published, Publisher
+from gateway_serve.broker import Broker
+from gateway_serve.hub import Hub
+from gateway_serve.metrics import Metrics
+from gateway_serve.mqtt import Published, Publisher
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs/security.md"
@@ -375,7 +375,7 @@ def test_a_broker_can_ask_for_nothing(tmp_path):
     hub = Hub(tmp_path / "nobody")
     publisher = Publisher(hub, Broker(host="127.0.0.1"), Published(), "x")
     assert publisher._client.on_message is None
-    source = (ROOT / "gateway/serve/mqtt.py").read_text()
+    source = (ROOT / "packages/gateway_serve/mqtt.py").read_text()
     assert ".subscribe(" not in source
     assert [line.split('ask("')[1].split('"')[0] for line in source.splitlines() if 'ask("' in line] == ["values"]
     assert publisher.states()[f"{publisher.base}/monitoring"] == "on"

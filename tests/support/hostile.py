@@ -9,7 +9,7 @@ import socket
 from contextlib import contextmanager
 from typing import NamedTuple
 
-from gateway.serve.guard import BODY_BYTES, MOST_HEADERS
+from gateway_serve.guard import BODY_BYTES, MOST_HEADERS
 
 #: Waits for what hangs only.
 PATIENCE_S = 120.0

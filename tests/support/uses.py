@@ -18,11 +18,12 @@ _BENCH = "gateway_bench"
 BELOW = {
     "gateway_fdi": (),
     "gateway": ("gateway_fdi",),
-    _BENCH: ("gateway", "gateway_fdi", "gateway_pytest"),
+    "gateway_serve": ("gateway", "gateway_fdi"),
+    _BENCH: ("gateway_serve", "gateway", "gateway_fdi", "gateway_pytest"),
     "gateway_conformance": ("gateway", "gateway_fdi", "gateway_pytest"),
-    "gateway_plants": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
-    "gateway_fleet": (_BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
-    "gateway_arena": ("gateway_plants", _BENCH, "gateway", "gateway_fdi", "gateway_pytest"),
+    "gateway_plants": (_BENCH, "gateway_serve", "gateway", "gateway_fdi", "gateway_pytest"),
+    "gateway_fleet": (_BENCH, "gateway_serve", "gateway", "gateway_fdi", "gateway_pytest"),
+    "gateway_arena": ("gateway_plants", _BENCH, "gateway_serve", "gateway", "gateway_fdi", "gateway_pytest"),
 }
 PACKAGES = (*BELOW, "gateway_pytest")
 

@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Self
 
 from gateway.bus.frames import Frames
+from gateway.cli.page_process import PageProcess
 from gateway.cli.present import say
-from gateway.cli.serve import PageProcess
 from gateway.common.extras import need
 from gateway.live.status import StatusSocket
 from gateway.runtime.app import Gateway

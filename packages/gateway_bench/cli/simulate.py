@@ -19,7 +19,6 @@ from gateway.cli.events import EventPrinter
 from gateway.cli.junit import write_junit
 from gateway.cli.lines import wrapped
 from gateway.cli.present import print_json, say
-from gateway.cli.report import RunReport
 from gateway.cli.run import Ending
 from gateway.common.extras import need
 from gateway.host import process
@@ -37,6 +36,7 @@ from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import GatewayError, InputError
+from gateway_serve.cli.run_report import RunReport
 
 if TYPE_CHECKING:
     from gateway_bench.cli.demo_page import DemoPage

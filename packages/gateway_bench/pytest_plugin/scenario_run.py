@@ -102,14 +102,14 @@ def leave(
         refuse_impossible([line.dtc for line in scenario.expect], gateway.catalogue)
         collector = None
         if installed("serve"):
-            from gateway.serve.report.collect import Collector  # noqa: PLC0415 - an extra
+            from gateway_serve.report.collect import Collector  # noqa: PLC0415 - an extra
 
             collector = Collector(gateway)
         try:
             drive(gateway, player, judge=judge, on_frames=writer.write, fed=collector)
             yield "recording", log
             if collector is not None:
-                from gateway.serve.report.page import Told, write_report  # noqa: PLC0415 - an extra
+                from gateway_serve.report.page import Told, write_report  # noqa: PLC0415 - an extra
 
                 report = folder / "report.html"
                 source = [("scenario", f"{scenario.name}: {scenario.description}"), ("seed", str(player.seed))]

@@ -8,12 +8,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from gateway.cli.broker import broker_of
-from gateway.cli.present import find_config, say
-from gateway.cli.serve import socket_of
+from gateway.cli.present import find_config, say, socket_of
 from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway_fdi.errors import GatewayError, InputError
+from gateway_serve.cli.broker import broker_of
 
 #: How long a broker is waited for [s].
 BROKER_S = 20.0
@@ -53,9 +52,9 @@ def _write(path: Path, content: bytes) -> None:
 def fleet_publish(file: Path, broker: str, **by: Any) -> int:
     """Publish a signed document to all cars, those that come later too; returns the exit code."""
     need("car", "signatures")
-    from gateway.serve.broker import BrokerLink  # noqa: PLC0415 - of an extra
     from gateway_fdi.common.tomlfile import parse_toml  # noqa: PLC0415
     from gateway_fleet.live.signed_documents import content_of  # noqa: PLC0415
+    from gateway_serve.broker import BrokerLink  # noqa: PLC0415 - of an extra
 
     document = file.read_bytes()
     tables = parse_toml(content_of(document), file)

@@ -9,14 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from gateway.cli.broker import address_of, broker_of
-from gateway.cli.present import find_config, print_json, say
-from gateway.cli.serve import socket_of
+from gateway.cli.present import find_config, print_json, say, socket_of
 from gateway.common.extras import need
 from gateway.common.works import work_until
 from gateway.config.load import load_config
 from gateway.host.process import call_at_end
 from gateway_fdi.errors import InputError
+from gateway_serve.cli.broker import address_of, broker_of
 
 
 def fleet_join(
@@ -70,10 +69,10 @@ def fleet_collect(
     need("fleet", "collectors")
     if broker is None and http is None:
         raise InputError("where events come from: --broker, --http, or both", key="--broker")
-    from gateway.serve.broker import BrokerLink  # noqa: PLC0415 - of an extra
     from gateway_fleet.live.batch import topic  # noqa: PLC0415
     from gateway_fleet.live.collect import Came, Collector, arrived, sender  # noqa: PLC0415
     from gateway_fleet.live.door import Door  # noqa: PLC0415
+    from gateway_serve.broker import BrokerLink  # noqa: PLC0415 - of an extra
 
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -12,11 +12,11 @@ from collections.abc import Awaitable, Callable, Sequence
 from typing import Protocol
 
 from gateway.faults.fleet import FleetParams
-from gateway.serve.broker import Broker, BrokerLink
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError
 from gateway_fleet.live.batch import MOST_EVENTS, digest_of, packed, topic
 from gateway_fleet.live.queue import Queue
+from gateway_serve.broker import Broker, BrokerLink
 
 #: How often the queue is looked at [s]. How long an answer is waited for at first, and at most: so long a car waits
 #: before it sends again what got none [s].

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from gateway.faults.fleet import FleetParams
-from gateway.serve.link import Refused, StatusLink
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError
 from gateway_fleet.live.deliver import Delivery, Way
 from gateway_fleet.live.queue import Queue
+from gateway_serve.link import Refused, StatusLink
 
 log = get_logger(__name__)
 

@@ -15,7 +15,6 @@ from typing import Any
 
 from gateway.config.model import Config
 from gateway.faults.memory_reader import MemoryReader
-from gateway.serve.link import Refused
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.live.causes import CauseCount
@@ -23,6 +22,7 @@ from gateway_fleet.live.join import Car
 from gateway_fleet.live.shadow import Shadow
 from gateway_fleet.live.statistics import Drive
 from gateway_fleet.live.trials import SHADOW, Trials
+from gateway_serve.link import Refused
 
 #: How often time driven is noted, and the signals of conditions are asked for [s].
 TURN_S = 5.0
