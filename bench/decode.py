@@ -22,9 +22,9 @@ import numpy as np
 
 from gateway.bus.frames import EXTENDED, empty, to_message
 from gateway.bus.logs import LogReader
-from gateway.decode.parquet_tables import Lake
 from gateway.signals.database import load_database
 from gateway_fdi.common.resources import shipped
+from gateway_logs.decode.parquet_tables import Lake
 
 #: Frames that cantools gets.
 PART = 20_000

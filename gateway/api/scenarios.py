@@ -5,38 +5,17 @@ They come by the plug-ins' door ``calls``, as commands do; here are their signat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gateway.api.calls import call_of
 from gateway.api.paths import Pathish, path_of, paths_of
 from gateway.api.progress import Progress
 from gateway.api.run import Run
 from gateway.api.setup import Setup, open
 from gateway.api.words import spoken
-from gateway.common.plugins import Registry
-from gateway_fdi.errors import GatewayError
-
-
-def _callable(found: object, place: str) -> Callable[..., Any]:
-    if not callable(found):
-        raise GatewayError(f"{place} is no function")
-    return found
-
-
-CALLS: Registry[Callable[..., Any]] = Registry("gateway.calls", _callable)
-
-
-def call_of(name: str) -> Callable[..., Any]:
-    """Return a function of a package above the core.
-
-    Raises:
-        GatewayError: no installed package brings it.
-    """
-    if name not in CALLS:
-        raise GatewayError(f"no installed package brings {name}")
-    return CALLS[name]
 
 
 def simulate(

@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
+from gateway.api.calls import call_of
 from gateway.api.event_collector import EventCollector
 from gateway.api.paths import Pathish, path_of, paths_of
 from gateway.api.progress import Progress, shown
 from gateway.api.run import Run
 from gateway.api.session import Session
-from gateway.api.thresholds import Calibrated
+from gateway.api.thresholds import Calibrated, Targets
 from gateway.api.words import spoken
 from gateway.bus.frames import FRAME, Frames
-from gateway.calibration.configuration import Targets, calibrate
 from gateway.config.load import config_of, load_config, placed
 from gateway.config.model import Config as Tables
 from gateway.config.resolve import protections
@@ -275,7 +275,7 @@ class Setup:
         paths = paths_of(logs, "logs")
         targets = Targets(mtfa_s, margin, floor)
         with spoken():
-            return Calibrated(self.file, targets, calibrate(self.file, paths, targets, tuple(maps)))
+            return Calibrated(self.file, call_of("calibrate")(self.file, paths, targets, tuple(maps)))
 
 
 def _texts(values: Sequence[str], key: str) -> Sequence[str]:

@@ -2,14 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from gateway.api.table import Table
 from gateway.api.words import spoken
-from gateway.calibration.configuration import Found, Targets, as_dict, keep
+
+
+@dataclass(frozen=True)
+class Targets:
+    """Targets of thresholds.
+
+    Attributes:
+        mtfa_s: mean time between false alarms [s], for stopping rules.
+        margin: largest healthy T over its threshold, for CUSUM tests.
+        floor: least threshold of these [nu].
+    """
+
+    mtfa_s: float = 3600.0
+    margin: float = 0.5
+    floor: float = 25.0
+
+
+class Findings(Protocol):
+    """What a package above the core finds in healthy logs; attributes as of :class:`Calibrated`."""
+
+    seconds: float
+    failed: tuple[str, ...]
+    facts: dict[str, Any]
+
+    @property
+    def rows(self) -> Sequence[tuple[str, str, float | None, float, float]]:
+        """Rows of :attr:`Calibrated.thresholds`."""
+
+    def write(self, into: Path) -> None:
+        """Write them into a configuration, or a copy of it beside it."""
 
 
 class Calibrated:
@@ -17,8 +47,7 @@ class Calibrated:
 
     Args:
         file: of the configuration.
-        targets: of it.
-        found: in the logs.
+        learned: in the logs.
 
     Attributes:
         seconds: length of the logs [s].
@@ -26,18 +55,16 @@ class Calibrated:
         facts: everything, as ``gateway calibrate --json`` has it.
     """
 
-    def __init__(self, file: Path, targets: Targets, found: Found) -> None:
-        self._file, self._targets, self._found = file, targets, found
-        self.seconds, self.failed = found.seconds, found.failed
-        self.facts: Mapping[str, Any] = as_dict(targets, found)
+    def __init__(self, file: Path, learned: Findings) -> None:
+        self._file, self._learned = file, learned
+        self.seconds, self.failed = learned.seconds, learned.failed
+        self.facts: Mapping[str, Any] = learned.facts
 
     @property
     def thresholds(self) -> Table:
         """Proposals beside the present values: of stopping rules their levels, of CUSUM tests J in units of nu."""
         types = {"monitor": str, "test": str, "now": float, "largest": float, "proposed": float}
-        rules = [(p.monitor, p.symptom, p.now, p.largest, p.threshold) for p in self._found.proposals]
-        tests = () if self._found.tests is None else self._found.tests.rows
-        return Table.of(types, [*rules, *((t.monitor, t.name, t.now, t.largest, t.threshold) for t in tests)])
+        return Table.of(types, self._learned.rows)
 
     def write(self, into: str | PathLike[str] | None = None) -> Path:
         """Write the thresholds with their source into the configuration's file, or into a copy of it beside it.
@@ -50,7 +77,7 @@ class Calibrated:
         """
         path = self._file if into is None else Path(fspath(into))
         with spoken():
-            keep(self._file, self._targets, self._found, path)
+            self._learned.write(path)
         return path
 
     def __repr__(self) -> str:

@@ -27,7 +27,7 @@ _DOORS = {
     "monitor": ("gateway.monitors", "gateway.monitors.registry", "MONITORS"),
     "ecu": ("gateway.vecu", "gateway_bench.vecu.registry", "VIRTUAL_ECUS"),
     "command": ("gateway.commands", "gateway.cli.commands", "OTHERS"),
-    "call": ("gateway.calls", "gateway.api.scenarios", "CALLS"),
+    "call": ("gateway.calls", "gateway.api.calls", "CALLS"),
     "reader": ("gateway.readers", "gateway.bus.logs", "READERS"),
     "protection": ("gateway.protections", "gateway.signals.protection.rules", "OTHERS"),
     "key": ("gateway.keys", "gateway.servers.uds.security", "KEYS"),

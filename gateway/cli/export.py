@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gateway.api.calls import call_of
 from gateway.cli.present import find_config
 from gateway.common.jsonlines import line
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.odx import pdx_of
 from gateway_fdi.errors import InputError
 
 
@@ -21,7 +21,7 @@ def export(config_path: Path | None, *, out: Path | None, pdx: Path | None) -> i
     path = find_config(config_path)
     gateway = Gateway(load_config(path), None, file=path)
     try:
-        files = {} if pdx is None else {pdx: pdx_of(gateway)}
+        files = {} if pdx is None else {pdx: call_of("pdx_of")(gateway)}
         if out is not None or pdx is None:
             text = line(gateway.describe(), indent=2) + "\n"
             if out is None:

@@ -46,7 +46,7 @@ def new_monitor(name: str, folder: Path | None, method: str | None = None, *, pl
     if method is not None and plain:
         raise InputError("a method of the arena is plain Python already", key="--plain")
     if method is not None:
-        from gateway.api.scenarios import CALLS  # noqa: PLC0415 - few are made of a method
+        from gateway.api.calls import CALLS  # noqa: PLC0415 - few are made of a method
 
         if "new_monitor_from" not in CALLS:
             raise InputError("no installed package brings methods", key="--from", value=method)

@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from gateway.api.scenarios import call_of
+from gateway.api.calls import call_of
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents
 from gateway.cli.events import EventPrinter

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from gateway.api.scenarios import CALLS
+from gateway.api.calls import CALLS
 from gateway.cli.present import print_json, say
 from gateway.common.jsonlines import line
 from gateway.config.schema import schema as configuration

@@ -9,12 +9,12 @@ from fleet_command import needs_fleet
 from typer.testing import CliRunner
 
 from gateway.bus.logs import open_writer
-from gateway.calibration.cusum import learn
-from gateway.calibration.file import write
-from gateway.calibration.logs import Reading, digest
 from gateway.cli import app
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
+from gateway_calibration.cusum import learn
+from gateway_calibration.file import write
+from gateway_calibration.logs import Reading, digest
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED

@@ -13,10 +13,10 @@ from linear.plants import SERVO, simulate
 from typer.testing import CliRunner
 
 from gateway.bus.logs import open_writer
-from gateway.calibration.part import Part, load, save
 from gateway.cli import app
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario
+from gateway_calibration.part import Part, load, save
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
 from gateway_fdi.jit import COMPILED

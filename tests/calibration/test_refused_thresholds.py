@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from gateway.calibration.cusum import Quantity, _refuse_nu, _refuse_threshold
+from gateway_calibration.cusum import Quantity, _refuse_nu, _refuse_threshold
 from gateway_fdi.cusum import typical
 from gateway_fdi.errors import InputError
 

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.bus.logs import open_writer
-from gateway.calibration.file import write
-from gateway.calibration.logs import Reading, digest
-from gateway.calibration.stopping import alarms, calibrate, levels, propose, tables
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario
+from gateway_calibration.file import write
+from gateway_calibration.logs import Reading, digest
+from gateway_calibration.stopping import alarms, calibrate, levels, propose, tables
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED

@@ -24,9 +24,9 @@ from gateway.bus.corpus import find
 from gateway.bus.frames import ERROR, EXTENDED, REMOTE, empty, put
 from gateway.bus.logs import open_writer
 from gateway.cli import app
-from gateway.decode.parquet_tables import Lake
 from gateway.signals.database import Database, load_database
 from gateway_fdi.errors import InputError, InputErrors
+from gateway_logs.decode.parquet_tables import Lake
 
 S = 10**9
 BEGIN_NS = 1_700_000_000 * S

@@ -106,10 +106,10 @@ def test_a_comment_compiles_nothing(copy):
 
 @pytest.mark.long
 def test_an_edit_of_one_monitor_compiles_that_monitor(copy, tmp_path):
-    edit(copy / "gateway/monitors/rule/monitor.py", "min(c.signals, EVIDENCE)", "min(EVIDENCE, c.signals)")
+    edit(copy / "packages/gateway_checks/rule/monitor.py", "min(c.signals, EVIDENCE)", "min(EVIDENCE, c.signals)")
     ended = run(MADE_READY, root=copy, cache=tmp_path / "cache")
     assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.strip().endswith("['monitors.rule.monitor.step']")
+    assert ended.stdout.strip().endswith("['gateway_checks.rule.monitor.step']")
 
 
 @pytest.mark.long
@@ -118,7 +118,7 @@ def test_damaged_shipped_code_is_not_loaded(copy, tmp_path):
         path.write_bytes(path.read_bytes()[:-1] + b"x")
     ended = run(MADE_READY, root=copy, cache=tmp_path / "cache")
     assert ended.returncode == 0, ended.stderr
-    assert ended.stdout.strip().endswith("['monitors.rule.monitor.step']")
+    assert ended.stdout.strip().endswith("['gateway_checks.rule.monitor.step']")
 
 
 @pytest.mark.long

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from learning import drive, quiet
 
-from gateway.calibration.logs import read_answered
 from gateway.config.load import load_config
 from gateway.config.resolve import answer_buses
 from gateway.runtime.assemble import prepare
 from gateway_bench.wire.replay import through
+from gateway_calibration.logs import read_answered
 from gateway_fleet.learn.car import Asking, asked_for, learned
 
 SECONDS = 900

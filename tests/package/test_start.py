@@ -41,7 +41,7 @@ STUDIES = (
     "gateway_fleet.learn",
     "gateway_bench.vecu",
     "gateway_fdi.structure",
-    "gateway.calibration",
+    "gateway_calibration",
 )
 #: What gateway.toml has no use for.
 OTHERS = tuple(f"gateway_plants.{name}.monitor" for name in ("pedal", "steering", "linear", "truck"))

@@ -22,10 +22,10 @@ from gateway.answers.decode import AnswerDecoder
 from gateway.answers.layout import Address, read_file
 from gateway.cli.export import export
 from gateway.cli.present import find_config
-from gateway.runtime.odx import pdx_of
 from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services import SERVICES
 from gateway_fdi.errors import InputError
+from gateway_testers.odx.export import pdx_of
 
 UDS = """security = [{ level = 1, secret = "00112233" }]
 p2_ms = 40

@@ -21,8 +21,8 @@ IMPORTED = (
     "gateway.cli.run",
     "gateway.cli.check",
     "gateway.cli.doctor",
-    "gateway.monitors.rule",
-    "gateway.monitors.signal",
+    "gateway_checks.rule",
+    "gateway_checks.signal",
     "gateway_fdi.jit.machine",
     "structlog",
 )

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from gateway import api
-from gateway.calibration.stopping import propose
 from gateway.cli.present import find_config, print_json, say
 from gateway_arena.contract import SAMPLES, Array, Found, NotForThisPlantError, Record, WithoutSlopes, cut
 from gateway_arena.monitor.fitted_file import method_of, write
 from gateway_arena.monitor.monitor import TYPE
 from gateway_arena.monitor.params import Params
 from gateway_arena.monitor.runner import Collector, collecting
+from gateway_calibration.stopping import propose
 from gateway_fdi.errors import InputError, named
 from gateway_fdi.stopping import assured
 from gateway_fdi.structure.model import Model

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames
-from gateway.monitors.rule.machine import Code, Machine, load, run
-from gateway.monitors.rule.text import compile_text, is_relation
 from gateway.signals.database import Database
 from gateway.signals.decode import decode, lookup
 from gateway.signals.signal_access import words_of
 from gateway.signals.tables import SignalRef, compile_plan
+from gateway_checks.rule.machine import Code, Machine, load, run
+from gateway_checks.rule.text import compile_text, is_relation
 from gateway_fdi.errors import InputError
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import ERROR, EXTENDED, ID_MASK, Frames, empty
-from gateway.monitors.signal.parts import no_value
 from gateway.signals.bits import mask_of
 from gateway.signals.columns import limits
 from gateway.signals.database import Database
@@ -27,6 +26,7 @@ from gateway_bench.vecu.contract import Truth
 from gateway_bench.vecu.databases import database_of
 from gateway_bench.vecu.message_faults import EcuKind, Effect, MessageFault, SignalKind
 from gateway_bench.vecu.wire_faults import WireKind, disturbed
+from gateway_checks.signal.parts import no_value
 from gateway_fdi.errors import InputError, named, under
 
 Mask = NDArray[np.bool_]

@@ -14,14 +14,15 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
+from gateway.api.thresholds import Targets
 from gateway.bus.corpus import find
-from gateway.calibration import cusum, plants, sensors, stopping
-from gateway.calibration.configuration import Found, Targets, anything, as_dict, calibrate, keep
-from gateway.calibration.earlier import load_afresh
-from gateway.calibration.logs import refuse
 from gateway.cli.present import print_json, say, wide_console
 from gateway.cli.study import headed, tabulate
 from gateway.common.extras import need
+from gateway_calibration import cusum, plants, sensors, stopping
+from gateway_calibration.configuration import Found, anything, as_dict, calibrate, keep
+from gateway_calibration.earlier import load_afresh
+from gateway_calibration.logs import refuse
 from gateway_fdi.errors import InputError
 from gateway_fdi.stopping import assured
 

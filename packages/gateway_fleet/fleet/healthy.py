@@ -1,7 +1,7 @@
 """Healthy logs of a fleet: the findings of each for thresholds, found once by workers, put together here.
 
 The result is that of ``gateway calibrate`` in one process: the same parts
-(:mod:`gateway.calibration.part`) in the same order of logs. Parts are kept by the log's contents, the configuration,
+(:mod:`gateway_calibration.part`) in the same order of logs. Parts are kept by the log's contents, the configuration,
 and their question, so that a second run finds only what is new. A log of which nothing is to be learnt (damaged, cut
 off, foreign, ...), or that kills its worker, is left out and told.
 """
@@ -16,17 +16,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gateway.api.thresholds import Targets
 from gateway.bus.corpus import DIGITS, Recording
 from gateway.bus.log_source import CutOffError
-from gateway.calibration import cusum, plants, sensors, stopping
-from gateway.calibration.configuration import Found, Targets
-from gateway.calibration.earlier import load_afresh
-from gateway.calibration.logs import Chosen, NothingToLearnError, Progress, Reading, of_kind
-from gateway.calibration.part import Part, load, save
 from gateway.common.pool import Pool, Workers
 from gateway.config.model import Config
 from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
 from gateway.runtime.app import Gateway
+from gateway_calibration import cusum, plants, sensors, stopping
+from gateway_calibration.configuration import Found
+from gateway_calibration.earlier import load_afresh
+from gateway_calibration.logs import Chosen, NothingToLearnError, Progress, Reading, of_kind
+from gateway_calibration.part import Part, load, save
 from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.fleet.task import Setup, digest_of, unreadable
 from gateway_fleet.fleet.verdicts import TABLES, Done, Manifest, Row, error_rows, signature, write_table

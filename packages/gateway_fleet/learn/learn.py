@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from gateway.bus.frames import ID_MASK
-from gateway.calibration.logs import read_answered
 from gateway.config.model import BusConfig, Config
 from gateway.config.resolve import answer_buses, load_databases
 from gateway.engine.checks.own_health import OWNER
 from gateway.signals.database import Database
+from gateway_calibration.logs import read_answered
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.derive import derive
 from gateway_fleet.learn.document import BusAsked, document

@@ -15,8 +15,8 @@ from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
 from gateway.bus.frames import ID_MASK
-from gateway.monitors.signal.params import MOST_CODES, MOST_VALUES
-from gateway.monitors.signal.parts import no_value
+from gateway_checks.signal.params import MOST_CODES, MOST_VALUES
+from gateway_checks.signal.parts import no_value
 from gateway_fleet.learn import gaps
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter, signal_of

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from gateway.bus.frames import Frames, empty
-from gateway.calibration.logs import read_answered
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.engine.adopt import adopt
 from gateway.engine.core import Engine
 from gateway.engine.events import QUALIFIED_FAILED, Events
 from gateway.runtime.assemble import Parts, prepare
+from gateway_calibration.logs import read_answered
 from gateway_fleet.learn.observe import LogSeen
 
 #: Frames and time [ns] of each part of what was held out that is kept to put faults into; and when such a part begins,

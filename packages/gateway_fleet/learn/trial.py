@@ -15,8 +15,8 @@ from cantools.database.can.signal import Signal
 
 from gateway.bus.frames import Frames
 from gateway.engine.core import Engine
-from gateway.monitors.signal.parts import no_value
 from gateway.runtime.injection import Injection, Injector
+from gateway_checks.signal.parts import no_value
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter
 from gateway_fleet.learn.document import SIGNAL_NAME, BusAsked, monitor_name

@@ -7,9 +7,9 @@ from car import Car, write
 from gateway.bus.frames import EXTENDED, empty, put
 from gateway.config.load import load_config
 from gateway.config.resolve import load_databases
-from gateway.decode.parquet_tables import Lake
 from gateway.signals.database import load_database
 from gateway_fleet.learn.observe import Observer
+from gateway_logs.decode.parquet_tables import Lake
 
 GROUP = 0x18FEF100
 MESSAGE = f'BO_ {(GROUP | 0xFE) | EXTENDED} CCVS: 8 A\n SG_ Speed : 8|16@1+ (0.00390625,0) [0|250] "km/h" B\n'

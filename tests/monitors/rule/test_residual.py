@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.monitors.contract import LastResult
-from gateway.monitors.rule.params import PartParams, Rule
-from gateway.monitors.rule.residual import BENT, LINEAR, blames, residual_of
-from gateway.monitors.rule.text import compile_text
+from gateway_checks.rule.params import PartParams, Rule
+from gateway_checks.rule.residual import BENT, LINEAR, blames, residual_of
+from gateway_checks.rule.text import compile_text
 
 
 def part(holds, tolerance=3.0, when=None):

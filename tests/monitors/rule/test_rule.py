@@ -9,9 +9,9 @@ from amount import amount
 from car import Car, write
 
 from gateway.config.load import load_config
-from gateway.monitors.rule.machine import Code, Machine, load, run
-from gateway.monitors.rule.text import compile_text
 from gateway.runtime.app import Gateway
+from gateway_checks.rule.machine import Code, Machine, load, run
+from gateway_checks.rule.text import compile_text
 from gateway_fdi.errors import InputError, InputErrors
 
 MS = 1_000_000

@@ -8,12 +8,12 @@ from structural_config import configuration
 
 from gateway.bus.frames import empty, put
 from gateway.bus.logs import open_writer
-from gateway.calibration.cusum import learn
-from gateway.calibration.file import write
-from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
 from gateway.runtime.app import Gateway
+from gateway_calibration.cusum import learn
+from gateway_calibration.file import write
+from gateway_calibration.logs import Reading
 from gateway_fdi.cusum import typical
 from gateway_fdi.errors import InputError
 from gateway_fdi.jit import COMPILED

@@ -5,12 +5,12 @@ from amount import FULL, amount
 from structural_config import named
 
 from gateway.bus.logs import open_writer
-from gateway.calibration.cusum import learn
-from gateway.calibration.file import write
-from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
 from gateway_bench.scenario_session import opened
+from gateway_calibration.cusum import learn
+from gateway_calibration.file import write
+from gateway_calibration.logs import Reading
 from gateway_fdi.jit import COMPILED
 from gateway_plants.structural.study import battery
 

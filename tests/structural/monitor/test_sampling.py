@@ -275,9 +275,9 @@ def failures(config, rows):
 def test_jumps_of_the_motor(tmp_path):
     """Calibrated from a healthy drive, a fault that begins at once has its name sooner than by CUSUM; healthy: none."""
     from gateway.bus.logs import open_writer
-    from gateway.calibration.cusum import learn
-    from gateway.calibration.file import write
-    from gateway.calibration.logs import Reading
+    from gateway_calibration.cusum import learn
+    from gateway_calibration.file import write
+    from gateway_calibration.logs import Reading
 
     log = tmp_path / "healthy.log"
     writer = open_writer(log)

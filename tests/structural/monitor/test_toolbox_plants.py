@@ -8,11 +8,11 @@ from amount import amount
 from structural_config import named
 
 from gateway.bus.logs import open_writer
-from gateway.calibration.cusum import learn
-from gateway.calibration.file import write
-from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
 from gateway_bench.scenario_session import opened
+from gateway_calibration.cusum import learn
+from gateway_calibration.file import write
+from gateway_calibration.logs import Reading
 from gateway_fdi.jit import COMPILED
 
 with warnings.catch_warnings():

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.monitors.rule.machine import Code, Machine, load, run
-from gateway.monitors.rule.program import Program
+from gateway_checks.rule.machine import Code, Machine, load, run
+from gateway_checks.rule.program import Program
 from gateway_fdi.jit import kernel
 
 

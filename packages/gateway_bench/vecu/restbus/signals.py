@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.monitors.rule.program import Program
-from gateway.monitors.rule.text import compile_text
 from gateway.signals.database import Database
 from gateway_bench.vecu.restbus.courses import Course, Short, course_of, resampled, values_of
 from gateway_bench.vecu.restbus.expression import evaluated
 from gateway_bench.vecu.restbus.recording import points_of
+from gateway_checks.rule.program import Program
+from gateway_checks.rule.text import compile_text
 from gateway_fdi.common.tomlfile import key_path
 from gateway_fdi.errors import InputError, named, under
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from cantools.database.can.signal import Signal
 
 from gateway.bus.logs import open_writer
-from gateway.monitors.rule.text import compile_text
 from gateway.signals.database import Database, load_database
+from gateway_checks.rule.text import compile_text
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.learn import Asked, learn, write

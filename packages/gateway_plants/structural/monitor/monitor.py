@@ -27,9 +27,9 @@ from gateway.monitors.contract import (
     Signal,
     Warnings,
 )
-from gateway.monitors.rule.machine import load
-from gateway.monitors.rule.program import Program
-from gateway.monitors.rule.text import compile_text, is_relation
+from gateway_checks.rule.machine import load
+from gateway_checks.rule.program import Program
+from gateway_checks.rule.text import compile_text, is_relation
 from gateway_fdi.errors import Gathered, InputError, under
 from gateway_fdi.masks import pack
 from gateway_fdi.structure.file import find_model, load_own_model

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from gateway.monitors.contract import EVIDENCE
-from gateway.monitors.rule.machine import Code, Machine
+from gateway_checks.rule.machine import Code, Machine
 from gateway_fdi import cusum
 from gateway_fdi.isolation import machine
 from gateway_fdi.jit import f8, f8s, i8, i8s, means

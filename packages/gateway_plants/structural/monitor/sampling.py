@@ -11,8 +11,8 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any
 
-from gateway.monitors.rule.machine import run
 from gateway.monitors.sampling import periods_in
+from gateway_checks.rule.machine import run
 from gateway_fdi.jit import kernel
 from gateway_fdi.masks import clear, disjoint, include
 from gateway_plants.structural.monitor.records import Const, State

@@ -9,13 +9,13 @@ import numpy as np
 
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import open_writer
-from gateway.calibration.cusum import learn
-from gateway.calibration.file import write
-from gateway.calibration.logs import Reading
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
+from gateway_calibration.cusum import learn
+from gateway_calibration.file import write
+from gateway_calibration.logs import Reading
 from gateway_plants.structural.study.foreign import Array, Numbers, Plant
 
 #: Time of the first frame [ns].

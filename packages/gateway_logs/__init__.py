@@ -1,0 +1,1 @@
+"""Work on logs that no daemon needs: tables of signals."""

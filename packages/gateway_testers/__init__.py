@@ -1,0 +1,1 @@
+"""Testers of other makes: what they are given, to ask this gateway."""
