@@ -21,8 +21,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "suppo
 
 from fleet_logs import tables_hash, write_config, write_fleet
 
-from gateway.bus.corpus import find
 from gateway_fleet.fleet.run import Order, run
+from gateway_logs.corpus import find
 
 
 def cpu_times():

@@ -28,9 +28,9 @@ import psutil
 from fleet_logs import write_config, write_log
 from long_log import generate, greatest, one_worker
 
-from gateway.bus.corpus import find
 from gateway_fleet.fleet.run import Order, run
 from gateway_fleet.fleet.verdicts import Verdicts
+from gateway_logs.corpus import find
 
 
 def quarters(process: psutil.Process, stop: threading.Event, into: list[int]) -> None:

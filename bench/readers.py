@@ -19,7 +19,8 @@ import can
 import numpy as np
 
 from gateway.bus.frames import EXTENDED, empty, to_message
-from gateway.bus.logs import FORMATS, LogReader, open_writer
+from gateway.bus.log_format import formats
+from gateway.bus.logs import LogReader, open_writer
 
 
 def traffic(count):
@@ -99,7 +100,7 @@ def main():
     frames = traffic(options.their_frames)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        for suffix in FORMATS:
+        for suffix in formats():
             small, big = Path(folder) / f"small{suffix}", Path(folder) / f"big{suffix}"
             write(small, frames)
             path = grown(small, big, suffix, max(1, options.frames // options.their_frames))

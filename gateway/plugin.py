@@ -33,6 +33,7 @@ class Plugin:
         calls: functions behind those of ``gateway.api`` whose work lies above the core (``gateway.api.calls``).
         measures: measurements of ``gateway doctor --bench`` (``gateway.cli.doctor.Measure``).
         readers: of log formats, by suffix, as ``".xyz"`` (``gateway.bus.readers.batch.Reader``).
+        formats: of logs that are read and written, by suffix (``gateway.bus.log_format.LogFormat``).
         protections: carmakers' rules of checksums: name in ``checksum.rule`` -> function of a
             ``gateway.signals.protection.rules.Frame`` that returns the checksum.
         keys: key functions of UDS security access: of seed, secret and level.
@@ -47,6 +48,7 @@ class Plugin:
     commands: Places = field(default_factory=dict)
     calls: Places = field(default_factory=dict)
     readers: Places = field(default_factory=dict)
+    formats: Places = field(default_factory=dict)
     protections: Places = field(default_factory=dict)
     keys: Places = field(default_factory=dict)
     measures: Places = field(default_factory=dict)

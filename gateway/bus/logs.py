@@ -1,4 +1,4 @@
-"""Log files in and out: read by :mod:`gateway.bus.readers`, written by :mod:`gateway.bus.writers`."""
+"""Log files in and out, by their formats (:mod:`gateway.bus.log_format`)."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from datetime import UTC, tzinfo
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.candump import CandumpWriter
 from gateway.bus.conditions import BUS_ERROR, PROTOCOL
 from gateway.bus.frames import ERROR, ID_MASK, Frames, chosen, of_bus
+from gateway.bus.log_format import LogFormat, formats
 from gateway.bus.log_source import (
     ARCHIVE,
     COMPRESSIONS,
@@ -26,51 +26,17 @@ from gateway.bus.log_source import (
     pull,
     segments,
 )
-from gateway.bus.parquet import ParquetWriter
-from gateway.bus.readers.asc import Asc
 from gateway.bus.readers.batch import Names, PassedOver, Reader
-from gateway.bus.readers.blf import Blf
-from gateway.bus.readers.candump import Candump
-from gateway.bus.readers.csv import Csv
-from gateway.bus.readers.mf4 import Mf4
-from gateway.bus.readers.parquet import Parquet
 from gateway.bus.readers.text import BOM, Lines
-from gateway.bus.readers.trc import Trc
-from gateway.bus.writers import WRITERS, Sink
-from gateway.common.extras import need
 from gateway.common.plugins import Registry, accept_callable
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError
 
 log = get_logger(__name__)
 
-#: Suffix -> what it is.
-FORMATS = {
-    ".log": "candump",
-    ".asc": "Vector ASC",
-    ".blf": "Vector BLF",
-    ".mf4": "ASAM MDF 4",
-    ".trc": "PEAK trace",
-    ".csv": "CSV",
-    ".parquet": "Parquet",
-}
-#: Formats that need an extra -> the extra, and its purpose.
-_EXTRAS = {".mf4": ("mf4", "MF4 logs"), ".parquet": ("parquet", "logs in Parquet")}
-
-
 #: Suffix -> reader of another package's format; it may be one that we have.
 READERS: Registry[Callable[[Path], Reader]] = Registry("gateway.readers", accept_callable)
 
-#: Readers, which tell their format by a log's first bytes; of several that fit the suffix decides, else the first.
-_OURS: dict[str, Any] = {
-    ".blf": Blf,
-    ".mf4": Mf4,
-    ".parquet": Parquet,
-    ".trc": Trc,
-    ".asc": Asc,
-    ".csv": Csv,
-    ".log": Candump,
-}
 #: Bytes by which a format is told.
 _FIRST = 1 << 16
 #: Frames of a batch at most.
@@ -79,38 +45,42 @@ CHUNK = 100_000
 
 def is_format(suffix: str) -> bool:
     """Return whether files of a suffix are logs that can be read."""
-    return suffix.lower() in FORMATS or suffix.lower() in READERS
+    return suffix.lower() in formats() or suffix.lower() in READERS
 
 
-def _known(suffix: str, path: Path, *, read: bool) -> str:
-    """Return a suffix that is of a format of ours.
+def _known(suffix: str, path: Path, *, read: bool) -> LogFormat:
+    """Return the format of a suffix.
 
     Raises:
-        InputError: it is not, or its package is not installed.
+        InputError: there is none, or its package is not installed.
     """
-    if suffix not in FORMATS:
-        known = ", ".join(f"{name} ({what})" for name, what in FORMATS.items())
+    every = formats()
+    if suffix not in every:
+        known = ", ".join(f"{name} ({each.name})" for name, each in sorted(every.items()))
         more = f"; to be read also with {', '.join(COMPRESSIONS)} after it" if read else ""
         raise InputError(f"a log is one of {known}{more}", file=path)
-    if suffix in _EXTRAS:
-        need(*_EXTRAS[suffix], file=path)
-    return suffix
+    every[suffix].need(path)
+    return every[suffix]
 
 
 def _maker(name: str, first: bytes, path: Path) -> tuple[str, Callable[[Path], Reader]]:
     """Return the format of a log, and what makes its reader: its first bytes say so, or else its suffix."""
-    suffix, first = Path(name).suffix.lower(), first.removeprefix(BOM)
-    fitting = [own for own, reader in _OURS.items() if reader.sniff(first)]
-    fitting = [own for own in fitting if not issubclass(_OURS[own], Lines)] or fitting
+    suffix, first, every = Path(name).suffix.lower(), first.removeprefix(BOM), formats()
+    fitting = [own for own, each in every.items() if (sniff := getattr(each.reader, "sniff", None)) and sniff(first)]
+    fitting = [own for own in fitting if not _has_lines(every[own])] or fitting
     if suffix in READERS:
         made = READERS[suffix]
         sniff = getattr(made, "sniff", None)
-        if sniff(first) if sniff else suffix not in FORMATS or not fitting:
+        if sniff(first) if sniff else suffix not in every or not fitting:
             return f"{suffix} (of a plug-in)", made
     if fitting and suffix not in fitting:
         suffix = fitting[0]
-    suffix = _known(suffix, path, read=True)
-    return FORMATS[suffix], _OURS[suffix]
+    found = _known(suffix, path, read=True)
+    return found.name, found.reader
+
+
+def _has_lines(of: LogFormat) -> bool:
+    return isinstance(of.reader, type) and issubclass(of.reader, Lines)
 
 
 def _first(path: Path, member: str = "") -> bytes:
@@ -284,15 +254,6 @@ class LogReader:
         return frames if kept.all() else chosen(frames, kept)
 
 
-def _sink(suffix: str, path: Path, interfaces: Mapping[int, str] | None) -> Sink:
-    """Return what writes a format."""
-    if suffix == ".log":
-        return CandumpWriter(path.open("wb"), interfaces)
-    if suffix == ".parquet":
-        return ParquetWriter(path, interfaces)
-    return WRITERS[suffix](path)
-
-
 class LogWriter:
     """Writes a log; a context manager.
 
@@ -305,10 +266,10 @@ class LogWriter:
     """
 
     def __init__(self, path: Path, *, interfaces: Mapping[int, str] | None = None) -> None:
-        suffix = _known(path.suffix.lower(), path, read=False)
-        self._path, self._format = path, FORMATS[suffix]
+        of = _known(path.suffix.lower(), path, read=False)
+        self._path, self._format = path, of.name
         try:
-            self._sink = _sink(suffix, path, interfaces)
+            self._sink = of.writer(path, interfaces)
         except OSError as error:
             raise InputError(error.strerror or str(error), file=path) from error
 

@@ -29,6 +29,7 @@ _DOORS = {
     "command": ("gateway.commands", "gateway.cli.commands", "OTHERS"),
     "call": ("gateway.calls", "gateway.api.calls", "CALLS"),
     "reader": ("gateway.readers", "gateway.bus.logs", "READERS"),
+    "format": ("gateway.formats", "gateway.bus.log_format", "OTHERS"),
     "protection": ("gateway.protections", "gateway.signals.protection.rules", "OTHERS"),
     "key": ("gateway.keys", "gateway.servers.uds.security", "KEYS"),
     "measure": ("gateway.measures", "gateway.cli.doctor", "MEASURES"),
@@ -40,6 +41,7 @@ _WORDS = {
     "monitor": "monitor type",
     "ecu": "ecu type",
     "reader": "log reader",
+    "format": "log format",
     "key": "key function",
     "server": "server type",
 }

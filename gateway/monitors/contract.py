@@ -116,7 +116,7 @@ WAKES_ITSELF = (
 _PLACES = re.compile(r"""File "([^"]+)", line (\d+)""")
 
 #: Packages of the gateway's kernels, and how generated modules begin: their indices need no check.
-OWN_PACKAGES, GENERATED = ("gateway", "gateway_fdi", "gateway_plants"), "gateway_generated_"
+OWN_PACKAGES, GENERATED = ("gateway", "gateway_fdi", "gateway_checks", "gateway_plants"), "gateway_generated_"
 
 #: Takes the results beyond :data:`MAX_RESULTS`, so that a kernel need not ask.
 _SPARE = MAX_RESULTS

@@ -1,1 +1,1 @@
-"""Work on logs that no daemon needs: tables of signals."""
+"""Logs of other tools: their formats, collections of them, tables of signals."""

@@ -13,8 +13,8 @@ from command import command
 
 from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import LogReader
-from gateway.bus.readers import blf, mf4
 from gateway_fdi.errors import InputError
+from gateway_logs.formats import blf, mf4
 
 try:
     zstd = import_module("compression.zstd")

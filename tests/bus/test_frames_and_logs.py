@@ -21,8 +21,11 @@ from gateway.bus.frames import (
     put_message,
     to_message,
 )
-from gateway.bus.logs import FORMATS, LogReader, open_writer
+from gateway.bus.log_format import formats
+from gateway.bus.logs import LogReader, open_writer
 from gateway_fdi.errors import InputError
+
+FORMATS = formats()
 
 
 @st.composite

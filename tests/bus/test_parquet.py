@@ -9,12 +9,12 @@ import pytest
 from duck import ask
 from typer.testing import CliRunner
 
-from gateway.bus.corpus import find
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, OWN, REMOTE, empty
 from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import LogReader, open_writer
 from gateway.cli import app
 from gateway_fdi.errors import InputError
+from gateway_logs.corpus import find
 
 SEED = 410
 BEGIN_NS = 1_700_000_000 * 10**9

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from gateway.bus.frames import ERROR, FD, FD_LENGTHS, OWN, REMOTE, empty, put_message
 from gateway.bus.log_source import CutOffError
 from gateway.bus.logs import LogReader
-from gateway.bus.readers import blf
-from gateway.bus.readers.asc import date_ns
 from gateway_fdi.errors import InputError
+from gateway_logs.formats import blf
+from gateway_logs.formats.asc import date_ns
 
 #: What doubles at today's epoch cannot tell apart, and the rounding to microseconds above it [ns].
 NEAR = 2000

@@ -7,7 +7,8 @@ import pytest
 
 from gateway.bus.conditions import BUS_OFF, CONTROLLER, LOSS, condition_frame
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, OWN, REMOTE, empty, joined, put
-from gateway.bus.logs import FORMATS, LogReader, open_writer
+from gateway.bus.log_format import formats
+from gateway.bus.logs import LogReader, open_writer
 
 PAGE = Path(__file__).parents[2] / "docs" / "daemon.md"
 BEGIN_NS = 1_700_000_000 * 10**9
@@ -38,6 +39,8 @@ COLUMNS = {
     "0 bytes": ("length", 0xFF, (8, 11)),
     "ns": ("t_ns", (1 << 63) - 1, range(12)),
 }
+
+FORMATS = formats()
 
 
 def twelve():
@@ -73,7 +76,7 @@ def row(suffix, folder):
         np.testing.assert_array_equal(again, frames)
     assert bool(writer.problems) != all(kept), "what is lost is told, and nothing else"
     cells = " | ".join("yes" if one else "no" for one in kept)
-    return f"| `{suffix}` | {FORMATS[suffix]} | {cells} |"
+    return f"| `{suffix}` | {FORMATS[suffix].name} | {cells} |"
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

@@ -20,12 +20,12 @@ from oracle import said
 from random_messages import messages
 from typer.testing import CliRunner
 
-from gateway.bus.corpus import find
 from gateway.bus.frames import ERROR, EXTENDED, REMOTE, empty, put
 from gateway.bus.logs import open_writer
 from gateway.cli import app
 from gateway.signals.database import Database, load_database
 from gateway_fdi.errors import InputError, InputErrors
+from gateway_logs.corpus import find
 from gateway_logs.decode.parquet_tables import Lake
 
 S = 10**9

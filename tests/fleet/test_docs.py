@@ -7,8 +7,8 @@ import pytest
 from duck import ask
 from fleet_logs import write_config, write_fleet
 
-from gateway.bus.corpus import find
 from gateway_fleet.fleet.run import Order, run
+from gateway_logs.corpus import find
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "fleet.md"
 QUERIES = re.findall(r"```sql\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)

@@ -10,7 +10,6 @@ from duck import ask
 from fleet_logs import tables_hash, write_config, write_fleet, write_log
 from typer.testing import CliRunner
 
-from gateway.bus.corpus import find
 from gateway.cli import app
 from gateway.faults.store import Store
 from gateway_fdi.errors import InputError
@@ -19,6 +18,7 @@ from gateway_fleet.fleet.diff import diff
 from gateway_fleet.fleet.run import Order, run
 from gateway_fleet.fleet.task import MOST_EVENTS, _Watch
 from gateway_fleet.fleet.verdicts import TABLES, Verdicts
+from gateway_logs.corpus import find
 
 
 @pytest.fixture

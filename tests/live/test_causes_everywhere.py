@@ -8,7 +8,6 @@ from daemon_rig import TURN_NS, World
 from shared_signal import frames as car_frames
 from shared_signal import write as write_car
 
-from gateway.bus.corpus import find
 from gateway.bus.logs import open_writer
 from gateway.cli.replay import replay
 from gateway.config.load import load_config
@@ -18,6 +17,7 @@ from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.fleet.run import Order, run
 from gateway_fleet.fleet.verdicts import Verdicts
+from gateway_logs.corpus import find
 
 URI = "virtual:a"
 

@@ -176,7 +176,7 @@ def test_what_compose_starts_is_there():
     used = set()
     for name in ("gateway", "page"):
         command, *words = services[name]["command"]
-        asked = typer.main.get_command(app).commands[command].make_context(command, list(words)).params
+        asked = typer.main.get_command(app).get_command(None, command).make_context(command, list(words)).params
         assert Path(asked["status"]).parent == Path(state)
         assert services[name]["volumes"] == [f"state:{state}"]
         used |= {asked["status"]}

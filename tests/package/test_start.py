@@ -13,9 +13,14 @@ import structlog
 
 import gateway
 import gateway_bench
+import gateway_calibration
+import gateway_checks
 import gateway_fdi
 import gateway_fleet
+import gateway_logs
 import gateway_plants
+import gateway_serve
+import gateway_testers
 from gateway.bus.logs import LogReader, open_writer
 from gateway.cli.doctor import doctor
 from gateway.common import extras
@@ -41,7 +46,7 @@ STUDIES = (
     "gateway_fleet.learn",
     "gateway_bench.vecu",
     "gateway_fdi.structure",
-    "gateway_calibration",
+    "gateway_calibration.configuration",
 )
 #: What gateway.toml has no use for.
 OTHERS = tuple(f"gateway_plants.{name}.monitor" for name in ("pedal", "steering", "linear", "truck"))
@@ -296,7 +301,10 @@ def test_doctor_says_what_is_not_installed(lacking, capsys, memory):
 @pytest.mark.long
 def test_without_extras_all_but_their_features_is_there():
     """Every module of the packages but the studies, with the packages of all extras missing."""
-    packages = (gateway, gateway_fdi, gateway_bench, gateway_plants, gateway_fleet)
+    packages = (
+        *(gateway, gateway_fdi, gateway_bench, gateway_plants, gateway_fleet),
+        *(gateway_serve, gateway_checks, gateway_calibration, gateway_logs, gateway_testers),
+    )
     names = [
         module.name
         for package in packages

@@ -72,7 +72,8 @@ def _line(function: FunctionType, offset: int) -> int:
 def _called(function: FunctionType, kernels: list[FunctionType]) -> Iterator[FunctionType]:
     """Yield the kernels that a kernel reads."""
     cells = [cell.cell_contents for cell in function.__closure__ or ()]
-    read = [function.__globals__.get(name) for name in function.__code__.co_names] + cells
+    names = {each.argval for each in dis.get_instructions(function) if each.opname == "LOAD_GLOBAL"}
+    read = [function.__globals__.get(name) for name in sorted(names)] + cells
     for value in read:
         plain = getattr(value, "py_func", value)
         if isinstance(plain, FunctionType) and plain in kernels:

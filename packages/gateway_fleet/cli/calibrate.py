@@ -15,7 +15,6 @@ from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from gateway.api.thresholds import Targets
-from gateway.bus.corpus import find
 from gateway.cli.present import print_json, say, wide_console
 from gateway.cli.study import headed, tabulate
 from gateway.common.extras import need
@@ -25,6 +24,7 @@ from gateway_calibration.earlier import load_afresh
 from gateway_calibration.logs import refuse
 from gateway_fdi.errors import InputError
 from gateway_fdi.stopping import assured
+from gateway_logs.corpus import find
 
 if TYPE_CHECKING:
     from gateway_fleet.fleet.healthy import Answer

@@ -10,7 +10,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from gateway.bus.corpus import find
 from gateway.cli.present import find_config, print_json, say, table_of, wide_console
 from gateway.cli.progress import LogsDone
 from gateway.common.extras import need
@@ -19,6 +18,7 @@ from gateway_fleet.fleet.answer import CAUSE, LOG, Answer, answer, clock
 from gateway_fleet.fleet.report import write_csv, write_report
 from gateway_fleet.fleet.task import Outcome
 from gateway_fleet.fleet.verdicts import Verdicts
+from gateway_logs.corpus import find
 
 #: Findings that a terminal gets; a report has all.
 MOST_FINDINGS = 30

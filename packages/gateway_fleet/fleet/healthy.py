@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from gateway.api.thresholds import Targets
-from gateway.bus.corpus import DIGITS, Recording
 from gateway.bus.log_source import CutOffError
 from gateway.common.pool import Pool, Workers
 from gateway.config.model import Config
@@ -31,6 +30,7 @@ from gateway_calibration.part import Part, load, save
 from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.fleet.task import Setup, digest_of, unreadable
 from gateway_fleet.fleet.verdicts import TABLES, Done, Manifest, Row, error_rows, signature, write_table
+from gateway_logs.corpus import DIGITS, Recording
 
 #: Kinds of parts. LEVELS and SUMS and SENSORS are asked of each log alone, PEAKS with the sums of all, PLANT with what
 #: the log before has left.

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gateway import __version__
-from gateway.bus.corpus import Recording
 from gateway.common.pool import Pool, Workers
 from gateway.config.load import load_config
 from gateway_fdi.errors import InputError
 from gateway_fleet.fleet.task import Outcome, Setup, Task, digest_of, judge, log_of, refuse, unreadable
 from gateway_fleet.fleet.verdicts import Done, Manifest, Verdicts, signature
+from gateway_logs.corpus import Recording
 
 #: States of recordings that could not be judged to their end.
 FAILED = ("failed", "killed", "unreadable")

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from gateway import __version__
-from gateway.bus.corpus import DIGITS, Recording
 from gateway.bus.frames import Frames
 from gateway.bus.log_contents import Contents
 from gateway.bus.logs import LogReader
@@ -43,6 +42,7 @@ from gateway.signals.database import file_and_bus
 from gateway_fdi.common.tomlfile import texts_in
 from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.fleet.verdicts import Row, Verdict, Verdicts, error_rows
+from gateway_logs.corpus import DIGITS, Recording
 
 #: Changes of status that are kept of a log; more are reported.
 MOST_EVENTS = 10_000

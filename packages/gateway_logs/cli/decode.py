@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gateway.bus.corpus import Recording, find
 from gateway.bus.logs import LogReader
 from gateway.cli.present import find_config, print_json, say
 from gateway.common.extras import need
@@ -19,6 +18,7 @@ from gateway.config.model import BusConfig, Config
 from gateway.config.resolve import answer_buses, load_databases
 from gateway.runtime.answers import Answers
 from gateway_fdi.errors import InputError, InputErrors
+from gateway_logs.corpus import Recording, find
 from gateway_logs.decode.parquet_tables import Lake, Written
 
 #: Stamps before this are no wall time: 1980-01-01 [ns].

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import open_writer
-from gateway.bus.readers.csv import ID, ROLES
 from gateway_fdi.errors import InputError
+from gateway_logs.formats.csv import ID, ROLES
 
 #: Names of the columns of time and truth where none are given, in lower case; first identifier; share of the healthy
 #: begin of a table with a truth that is learned of.

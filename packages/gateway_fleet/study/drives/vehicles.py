@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.bus.corpus import Recording, find
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogReader, open_writer
 from gateway.config.model import Config
@@ -22,6 +21,7 @@ from gateway_fleet.learn.car import Asking, asked_for, learned
 from gateway_fleet.learn.learn import of_log
 from gateway_fleet.learn.tails import FALSE_PER_HOUR
 from gateway_fleet.study.drives.tables import Columns, is_table, read, written
+from gateway_logs.corpus import Recording, find
 
 
 @dataclass(frozen=True)

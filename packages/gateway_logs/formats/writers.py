@@ -1,4 +1,4 @@
-"""Writers of logs in other tools' formats, which :mod:`gateway.bus.readers` gives back frame by frame.
+"""Writers of logs in other tools' formats, which their readers give back frame by frame.
 
 Each keeps nanoseconds, remote frames with their DLC, and the classes and data of error frames, which python-can's
 writers lose. Where a format has no place for classes, they stand behind what it has, as ``SocketCAN``. Properties that
@@ -12,32 +12,21 @@ import zlib
 from abc import ABC, abstractmethod
 from base64 import b64encode
 from collections import Counter
-from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.conditions import BUS_OFF, CHIP_STATES, CONTROLLER, exact
 from gateway.bus.frames import BRS, ERROR, ESI, EXTENDED, FD, FD_LENGTHS, ID_MASK, OWN, REMOTE, Frames
-from gateway.bus.readers import blf, mf4, trc
+from gateway_logs.formats import blf, mf4, trc
 
 #: Bytes of a container of BLF, unpacked.
 _CONTAINER = 1 << 17
 #: Flags of a frame of TRC 2.1 -> its type.
 _TYPES = {flags: name for name, flags in trc.TYPES.items()}
-
-
-class Sink(Protocol):
-    """Writes a format; may have ``lost``, what the format cannot hold -> of how many frames."""
-
-    def write(self, frames: Frames) -> None:
-        """Append a batch."""
-
-    def close(self) -> None:
-        """Finish the file."""
 
 
 class _Dated:
@@ -305,13 +294,3 @@ def _mf4_records(kind: str, frames: Frames) -> NDArray[Any]:
     for name, (_, values) in members.items():
         records[f"{kind}.{name}"] = values
     return records
-
-
-#: Suffix -> what writes the format.
-WRITERS: dict[str, Callable[[Path], Sink]] = {
-    ".asc": AscWriter,
-    ".trc": TrcWriter,
-    ".csv": CsvWriter,
-    ".blf": BlfWriter,
-    ".mf4": Mf4Writer,
-}

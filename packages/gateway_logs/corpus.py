@@ -11,9 +11,9 @@ from pathlib import Path
 
 from gateway.bus.log_source import ARCHIVE, compression_of, segments
 from gateway.bus.logs import is_format
-from gateway.bus.readers.parquet import is_frame_log
 from gateway.common.extras import installed
 from gateway_fdi.errors import InputError
+from gateway_logs.formats.parquet import is_frame_log
 
 #: Hexadecimal digits of a digest that names a recording.
 DIGITS = 16

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gateway.bus.frames import ID_MASK, Frames
-from gateway.bus.readers.parquet import FLAGS, FLAGS_OF_ID
+from gateway_logs.formats.parquet import FLAGS, FLAGS_OF_ID
 
 #: Frames of a row group: the part of a log that is held while it is written or read.
 GROUP = 1 << 17

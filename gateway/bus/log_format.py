@@ -1,0 +1,71 @@
+"""A format of logs: its name, and what reads and writes it. Candump is the core's own; others come by a door."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from gateway.bus.candump import CandumpWriter
+from gateway.bus.frames import Frames
+from gateway.bus.readers.batch import Reader
+from gateway.bus.readers.candump import Candump
+from gateway.common.extras import need
+from gateway.common.plugins import Registry
+from gateway_fdi.errors import InputError
+
+
+class Sink(Protocol):
+    """Writes a format; may have ``lost``, what the format cannot hold -> of how many frames."""
+
+    def write(self, frames: Frames) -> None:
+        """Append a batch."""
+
+    def close(self) -> None:
+        """Finish the file."""
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """A format of logs.
+
+    Attributes:
+        name: for people.
+        reader: of a path; it may have ``sniff`` (:class:`gateway.bus.readers.batch.Reader`).
+        writer: of a path and the names of the buses, for formats that keep them.
+        rank: of several formats that know a log by its first bytes that of the lowest rank reads it.
+        extra: that it needs, and for what; None: none.
+    """
+
+    name: str
+    reader: Callable[[Path], Reader]
+    writer: Callable[[Path, Mapping[int, str] | None], Sink]
+    rank: int
+    extra: tuple[str, str] | None = None
+
+    def need(self, path: Path) -> None:
+        """Refuse a log whose format needs what is not installed.
+
+        Raises:
+            InputError: it is not installed.
+        """
+        if self.extra is not None:
+            need(*self.extra, file=path)
+
+
+def _accepted(found: object, place: str) -> LogFormat:
+    if not isinstance(found, LogFormat):
+        raise InputError(f"no LogFormat, but {type(found).__name__}", value=place)
+    return found
+
+
+#: Suffix -> format, of packages above the core.
+OTHERS: Registry[LogFormat] = Registry("gateway.formats", _accepted)
+CANDUMP = LogFormat("candump", Candump, lambda path, names: CandumpWriter(path.open("wb"), names), rank=100)
+
+
+def formats() -> dict[str, LogFormat]:
+    """Return all formats by their suffix, those first that know their logs best."""
+    found = {**OTHERS, ".log": CANDUMP}
+    return dict(sorted(found.items(), key=lambda each: each[1].rank))
