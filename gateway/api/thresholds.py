@@ -28,7 +28,7 @@ class Targets:
 
 
 class Findings(Protocol):
-    """What a package above the core finds in healthy logs; attributes as of :class:`Calibrated`."""
+    """Findings of a package above the core in healthy logs; attributes as of :class:`Calibrated`."""
 
     seconds: float
     failed: tuple[str, ...]
