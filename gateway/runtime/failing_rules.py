@@ -8,8 +8,8 @@ from typing import Any
 
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
+from gateway.runtime.rule_candidates import differing, fitting, fitting_modes
 from gateway.signals.database import Database
-from gateway.signals.protection.fitting import differing, fitting, fitting_modes
 from gateway.signals.protection.params import protection_for
 from gateway_fdi.common.log import get_logger
 

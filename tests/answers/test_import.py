@@ -6,9 +6,9 @@ import pytest
 from answer_files import odx, signal_set
 
 from gateway.answers.layout import Address, layouts_for, read_layouts
-from gateway.cli.import_layouts import import_layouts
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
+from gateway_ask.cli.import_layouts import import_layouts
 from gateway_fdi.errors import InputError
 
 

@@ -11,8 +11,8 @@ import pytest
 from gateway.answers.decode import AnswerDecoder
 from gateway.answers.layout import Address, read_file
 from gateway.bus.frames import EXTENDED
-from gateway.cli.import_layouts import import_layouts
 from gateway.config.load import load_config
+from gateway_ask.cli.import_layouts import import_layouts
 from gateway_fdi.errors import InputError
 
 SCRIPT = Path(__file__).parents[2] / "scripts/judge-wican"

@@ -9,10 +9,10 @@ from asking_rig import BUS, MS, Car, Ecu, settled, write
 from gallia.services.uds import server as gallia
 
 from gateway.bus.frames import joined
-from gateway.clients.survey import Survey
 from gateway.faults.vehicle import TOLD
+from gateway_ask.survey import Survey
 
-cli = importlib.import_module("gateway.cli.survey")
+cli = importlib.import_module("gateway_ask.cli.survey")
 
 #: What it can be asked for; the rest of it is of chance.
 SERVICES = [0x10, 0x19, 0x22, 0x3E]

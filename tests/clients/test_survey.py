@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import EXTENDED, FRAME, empty, payload, put
-from gateway.clients.document import tables
-from gateway.clients.survey import LISTEN_NS, Survey
 from gateway.config.load import load_config
+from gateway_ask.document import tables
+from gateway_ask.survey import LISTEN_NS, Survey
 from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
 
-cli = importlib.import_module("gateway.cli.survey")  # gateway.cli.survey is the command
+cli = importlib.import_module("gateway_ask.cli.survey")  # gateway_ask.cli.survey is the command
 
 MS = 1_000_000
 SOME = (*range(0x720, 0x730), 0x7E0, *(EXTENDED | 0x18DA00F1 | k << 8 for k in range(0x3C, 0x42)))

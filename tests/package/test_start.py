@@ -12,6 +12,7 @@ import pytest
 import structlog
 
 import gateway
+import gateway_ask
 import gateway_bench
 import gateway_calibration
 import gateway_checks
@@ -303,7 +304,7 @@ def test_without_extras_all_but_their_features_is_there():
     """Every module of the packages but the studies, with the packages of all extras missing."""
     packages = (
         *(gateway, gateway_fdi, gateway_bench, gateway_plants, gateway_fleet),
-        *(gateway_serve, gateway_checks, gateway_calibration, gateway_logs, gateway_testers),
+        *(gateway_serve, gateway_checks, gateway_calibration, gateway_logs, gateway_testers, gateway_ask),
     )
     names = [
         module.name

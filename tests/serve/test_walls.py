@@ -8,8 +8,8 @@ import pytest
 from amount import amount
 
 from gateway.bus.frames import EXTENDED, empty, put
-from gateway.clients.survey import LISTEN_NS, Survey
 from gateway.common.fence import Fence
+from gateway_ask.survey import LISTEN_NS, Survey
 from gateway_serve.broker import Broker
 from gateway_serve.guard import Guard, Rights
 from gateway_serve.hub import Hub

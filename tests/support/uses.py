@@ -13,17 +13,20 @@ TESTS = ROOT / "tests"
 _IMPORT = re.compile(r"^ *(?:from|import) ([\w.]+)", re.MULTILINE)
 PLANTS = ("crank", "pedal", "steering", "linear", "truck", "structural")
 _BENCH = "gateway_bench"
+#: Beside each other above the core.
+_GUESTS = tuple(f"gateway_{name}" for name in ("serve", "checks", "calibration", "logs", "testers", "ask"))
+_CORE = ("gateway", "gateway_fdi")
 
 #: Package -> those below it. The door of pytest imports nothing, and opens the bench's plugin.
 BELOW = {
     "gateway_fdi": (),
     "gateway": ("gateway_fdi",),
-    "gateway_serve": ("gateway", "gateway_fdi"),
-    _BENCH: ("gateway_serve", "gateway", "gateway_fdi", "gateway_pytest"),
-    "gateway_conformance": ("gateway", "gateway_fdi", "gateway_pytest"),
-    "gateway_plants": (_BENCH, "gateway_serve", "gateway", "gateway_fdi", "gateway_pytest"),
-    "gateway_fleet": (_BENCH, "gateway_serve", "gateway", "gateway_fdi", "gateway_pytest"),
-    "gateway_arena": ("gateway_plants", _BENCH, "gateway_serve", "gateway", "gateway_fdi", "gateway_pytest"),
+    **dict.fromkeys(_GUESTS, _CORE),
+    _BENCH: (*_GUESTS, *_CORE, "gateway_pytest"),
+    "gateway_conformance": (*_GUESTS, *_CORE, "gateway_pytest"),
+    "gateway_plants": (_BENCH, *_GUESTS, *_CORE, "gateway_pytest"),
+    "gateway_fleet": (_BENCH, *_GUESTS, *_CORE, "gateway_pytest"),
+    "gateway_arena": ("gateway_plants", _BENCH, *_GUESTS, *_CORE, "gateway_pytest"),
 }
 PACKAGES = (*BELOW, "gateway_pytest")
 

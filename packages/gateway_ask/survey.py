@@ -13,9 +13,9 @@ import numpy as np
 
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, joined, payload, put
 from gateway.clients.dm1 import Dm1Listener
-from gateway.clients.identification import Questioned, Said, questioned
 from gateway.clients.poller import Ecu, Poller
 from gateway.isotp.addressing import FUNCTIONAL
+from gateway_ask.identification import Questioned, Said, questioned
 
 MS = 1_000_000
 #: How long it listens before it asks, and how long an answer may take [ns].

@@ -16,8 +16,8 @@ from gateway.answers.pages import answer_bus
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.cli.lines import Lines
 from gateway.cli.present import print_json
-from gateway.clients.document import Asked, Read, tables
 from gateway.clients.params import AskParams
+from gateway_ask.document import Asked, Read, tables
 from gateway_fdi.errors import InputError
 
 #: Time between two requests where a file does not say [ms].

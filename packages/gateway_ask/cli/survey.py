@@ -16,9 +16,9 @@ from gateway.bus.frames import EXTENDED, ID_MASK, empty
 from gateway.bus.uri import open_bus
 from gateway.cli.lines import Lines
 from gateway.cli.present import print_json
-from gateway.clients.document import Asked, Read, tables
-from gateway.clients.identification import Said
-from gateway.clients.survey import Found, Place, Survey
+from gateway_ask.document import Asked, Read, tables
+from gateway_ask.identification import Said
+from gateway_ask.survey import Found, Place, Survey
 from gateway_fdi.errors import InputError
 
 #: Longest wait for frames [s]; frames that are taken at once; time between two lines of progress in a pipe [s].

@@ -1,0 +1,5 @@
+"""Plug-in of questions to a car."""
+
+from gateway.plugin import Plugin
+
+PLUGIN = Plugin(commands={"survey": "gateway_ask.commands:survey", "import": "gateway_ask.commands:import_"})
