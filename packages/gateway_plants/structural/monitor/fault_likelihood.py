@@ -48,7 +48,7 @@ from gateway_fdi.evidence.hypotheses import of_fault
 from gateway_fdi.evidence.model import FINER, SCALES
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import f8, f8s, i8, kernel, means
-from gateway_fdi.masks import clear, empty, has, include, within
+from gateway_fdi.masks import clear, copy, empty, has, include, within
 from gateway_plants.structural.monitor.plan import Plan
 
 #: Size of the fault that runs beside a test.
@@ -94,6 +94,8 @@ class State(model.State, lengths=model.LENGTHS):
     looks: f8 = means("number of independent residuals")
     alone: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each fault alone")
     stands: i8 = means("blocks since it is sure")
+    together: Annotated[f8s, "faults"] = means("likewise of each with the second fault that fits best beside it")
+    without: Annotated[f8s, "faults"] = means("likewise of the best two without it")
     excess: f8 = means("variance of what the best fault leaves, over that of the noise, 1 at least")
 
 
@@ -129,6 +131,7 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
     Behind a fault that has ended they wait until no test has been near for the time to settle.
     """
     near = not empty(own.fired)
+    own.by_size = 1 if c.slow > 0 else 0
     for k in range(own_const.tests):
         near = near or own.norm[k] > NEAR
     if near:
@@ -144,6 +147,9 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
         return False
     s.awake = own.awaits = 1 if near else 0
     own.weighed = 0
+    for w in range(len(own.likely)):
+        own.before[w] |= own.last[w]
+        own.last[w] = 0
     if not near:
         return False
     n = c.slow + c.first[c.faults]
@@ -291,12 +297,17 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         known = known or own.norm[k] > 1.0
     if known and left > 2.0 * SPEAKS * s.excess:
         own.awaits = 1 if left - 2.0 * best * s.excess <= (1.0 - FITS) * left + BEYOND * s.looks else 0
+    if known and left > 2.0 * SPEAKS * s.excess and _are_two(s, c, own, left, best):
+        return
     if own.awaits == 0 or not known or best <= SPEAKS:
+        for f in range(c.faults):
+            if c.slow > 0 and s.alone[f] >= 0.5 * best * s.excess > 0.0:
+                include(own.likely, f)
         s.stands = 0
         return
     s.stands += 1
     own.awaits = 1 if s.stands <= BLOCKS else 0
-    single, seen = _second(s, c, n) <= SPEAKS * s.excess, False
+    seen = False
     for f in range(c.faults):
         less = best - s.alone[f] / s.excess - NEARLY * best
         if less > LESS:
@@ -308,27 +319,74 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         if best_too or not missed:
             include(own.likely, f)
             own.awaits = 1 if 2.0 * less > LESS else own.awaits
-    own.weighed = 1 if single and seen else -1
+    own.weighed = 1 if seen else -1
     own.awaits = own.awaits if own.weighed == 1 else 0
+    if own.weighed == 1 and c.slow > 0:
+        copy(own.last, own.likely)
+        same = False
+        for w in range(len(own.likely)):
+            same = same or own.likely[w] & own.before[w] != 0
+        for w in range(len(own.likely)):
+            own.likely[w] |= 0 if same else own.before[w]
 
 
 @kernel
-def _second(s: Any, c: Any, n: int) -> float:
-    """Return the largest logarithm of a likelihood ratio of a fault beside the one that fits best.
-
-    The first one's size is as it was found, each of its gains known to :data:`ERROR`: its columns are moved to what it
-    explains, and what is not known of them is integrated out.
-    """
-    begin, end, size = c.slow + c.first[s.first], c.slow + c.first[s.first + 1], s.found[s.first]
-    for i in range(begin, end):
-        for j in range(n):
-            s.work_b[j] -= s.work_a[j, i] * size
-    for i in range(begin, end):
-        blur(s.work_a, s.work_b, n, i, (ERROR * size) ** -2)
-    largest = 0.0
+def _are_two(s: Any, c: Any, own: Any, left: float, best: float) -> bool:
+    """Return whether two faults fit, and one does not; leaves those that may be, and those that are in all such pairs."""
+    most = -inf
     for f in range(c.faults):
-        if f != s.first:
-            found = s.found[f]
-            largest = max(largest, _ratio(s, c, f))
-            s.found[f] = found
-    return float(largest)
+        s.together[f] = s.without[f] = -inf
+    for f in range(c.faults):
+        for g in range(f):
+            if max(s.alone[f], s.alone[g]) < 0.5 * best * s.excess:
+                continue
+            value = _both(s, c, f, g)
+            most = max(most, value)
+            for k in range(c.faults):
+                if k == f or k == g:
+                    s.together[k] = max(s.together[k], value)
+                else:
+                    s.without[k] = max(s.without[k], value)
+    if most - best * s.excess <= SPEAKS * s.excess or left - 2.0 * most > (1.0 - FITS) * left + BEYOND * s.looks:
+        return False
+    excess = max((left + s.looks - 2.0 * most) / s.looks, 1.0)
+    clear(own.sure)
+    for f in range(c.faults):
+        if most - s.together[f] <= LESS * excess:
+            include(own.likely, f)
+            if most - s.without[f] > LESS * excess:
+                include(own.sure, f)
+    copy(own.last, own.likely)
+    own.weighed, own.awaits, s.stands = 2, 0, 0
+    return True
+
+
+@kernel
+def _both(s: Any, c: Any, f: int, g: int) -> float:
+    """Return the logarithm of the likelihood ratio of two faults by the form in the scratch.
+
+    Sizes are of least squares; each gain is known to :data:`ERROR`, and what is not known of it is integrated out.
+    """
+    p, first, second = c.slow, c.first[f + 1] - c.first[f], c.first[g + 1] - c.first[g]
+    y, z, a, b, d = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(first + second):
+        row = p + (c.first[f] + i if i < first else c.first[g] + i - first)
+        s.one_b[i] = s.work_b[row]
+        y += s.one_b[i] if i < first else 0.0
+        z += 0.0 if i < first else s.one_b[i]
+        for j in range(first + second):
+            s.one_a[i, j] = s.work_a[row, p + (c.first[f] + j if j < first else c.first[g] + j - first)]
+            a += s.one_a[i, j] if i < first and j < first else 0.0
+            b += s.one_a[i, j] if i < first <= j else 0.0
+            d += s.one_a[i, j] if i >= first and j >= first else 0.0
+    area = a * d - b * b
+    if not area > 1e-9 * a * d:
+        return -inf
+    one, other = (d * y - b * z) / area, (a * z - b * y) / area
+    value = 0.5 * (one * y + other * z)
+    for i in range(first + second):
+        for j in range(first + second):
+            s.one_b[i] -= s.one_a[i, j] * (one if j < first else other)
+    for i in range(first + second):
+        value += blur(s.one_a, s.one_b, first + second, i, (ERROR * (one if i < first else other)) ** -2)
+    return float(value)

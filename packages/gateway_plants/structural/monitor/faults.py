@@ -178,6 +178,7 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     every = [one._replace(share=_FIRES) for one in dict.fromkeys(parts.values())]
     weighed = {"fit": [*every, Blame("model", "model")]}
     weighed |= {f"fit of {f}": [parts[f]._replace(share=_FITS)] for f in plan.faults}
+    weighed |= {f"more than {f}": [one for one in every if one.part != parts[f].part] for f in plan.faults}
     return (weighed if fault_likelihood.faults_of(plan) else {}) | {
         test.name: [
             *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
@@ -199,7 +200,21 @@ def levels(plan: Plan, state: Any) -> list[float]:
     said = int(own["weighed"])
     if fault_likelihood.faults_of(plan):
         likely = unpack(np.asarray(own["likely"])[None, :], len(plan.faults))[0]
-        weighed = [2.0, *(nan if one else 0.0 for one in likely)] if said == 1 else [-inf] * (1 + len(plan.faults))
+        named = plan.diagnoses[own["found"]] if 0 <= own["found"] < len(plan.diagnoses) else ()
+        weighed = [-inf] * (1 + 2 * len(plan.faults))
+        if said == 1:
+            fits = [nan if one or f in named else 0.0 for f, one in zip(plan.faults, likely, strict=True)]
+            weighed = [2.0, *fits, *[-inf] * len(fits)]
+        elif said == 2:
+            sure = unpack(np.asarray(own["sure"])[None, :], len(plan.faults))[0]
+            fits = [
+                2.0 if two and not (f in named and len(named) > 1) else nan if one or f in named else 0.0
+                for f, one, two in zip(plan.faults, likely, sure, strict=True)
+            ]
+            more = [2.0 if (two if sure.any() else one) else -inf for one, two in zip(likely, sure, strict=True)]
+            return [2.0, *fits, *more, *[-inf] * len(plan.tests)]
+        if said != 1 and own["by_size"] == 1:
+            return weighed + [-inf] * len(plan.tests)
     fired = unpack(np.asarray(own["fired"])[None, :], len(plan.tests))[0]
     levels = [
         max(float(norm), 1.0) if up else min(float(norm), 0.0) for norm, up in zip(own["norm"], fired, strict=False)
