@@ -170,8 +170,8 @@ _FITS = 1.1
 def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     """Return whom the failure of each test blames: the faults that it sees, and the model.
 
-    Behind the tests there are, where faults are weighed, one that fails if a fault fits, and one of each fault that
-    passes if it does not.
+    Behind the tests there are, where faults are weighed, one that fails if a fault fits, and two of each fault: one
+    passes if it does not fit, and fails if it is one of two for sure; one fails if another one is there beside it.
     """
     sensors = _sensors(model)
     parts = {f: Blame(sensors[f]) if f in sensors else Blame(f, "plant") for f in plan.faults}
@@ -191,7 +191,8 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
 def levels(plan: Plan, state: Any) -> list[float]:
     """Return the levels of the tests: T over J, 1 at least as long as a test counts as one that has fired.
 
-    Where sizes say which faults are likely, a test that has not fired says nothing; nor does one that some of these do
+    Where something may be off, tests say nothing until sizes do. Where sizes say which faults are likely, a test that
+    has not fired says nothing; nor does one that some of these do
     not see: its residual is in what they say. One that has just fired says nothing where sizes have spoken: it may be
     another fault's.
     """
