@@ -201,7 +201,7 @@ def levels(plan: Plan, state: Any) -> list[float]:
     said = int(own["weighed"])
     if fault_likelihood.faults_of(plan):
         likely = unpack(np.asarray(own["likely"])[None, :], len(plan.faults))[0]
-        named = plan.diagnoses[own["found"]] if 0 <= own["found"] < len(plan.diagnoses) else ()
+        named = plan.diagnoses[own["found"]] if own["by_size"] and 0 <= own["found"] < len(plan.diagnoses) else ()
         weighed = [-inf] * (1 + 2 * len(plan.faults))
         if said == 1:
             fits = [nan if one or f in named else 0.0 for f, one in zip(plan.faults, likely, strict=True)]
