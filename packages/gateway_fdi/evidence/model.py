@@ -99,7 +99,7 @@ class Model:
             "residuals": len(self.noise), "slow": max(len(self.slow), 1), "gains": max(gains, 1),
             "columns": max(len(self.slow) + gains, 1), "faults": max(len(self.faults), 1),
             "edges": len(self.faults) + 1,
-            "room": max((len(fault.residuals) for fault in self.faults), default=1) + 1,
+            "room": 2 * max((len(fault.residuals) for fault in self.faults), default=1) + 1,
         }  # fmt: skip
 
     def fill(self, c: Any) -> None:

@@ -6,7 +6,7 @@ import pytest
 from gateway.monitors import contract
 from gateway_fdi.isolation import machine, table
 from gateway_fdi.jit import COMPILED
-from gateway_fdi.masks import unpack
+from gateway_fdi.masks import pack, unpack
 from gateway_plants.structural.monitor import decision, records
 from gateway_plants.structural.monitor.plan import MOST_FAULTS, MOST_TESTS
 
@@ -82,6 +82,16 @@ def test_two_faults_at_once_are_not_isolated():
     s, c, signatures = monitor(1)
     results, _ = step(s, c, signatures[7] | signatures[139] | signatures[3], 4.0)
     assert [k for k, verdict in results.items() if verdict == contract.FAILED] == [FAULTS]
+
+
+def test_where_something_may_be_off_tests_name_nobody_against_sizes():
+    """All tests of a fault, and of it alone, have fired: sizes say nothing, the same fault, another one."""
+    for likely, expected in (((), FAULTS), ((7,), 7), ((7, 139), FAULTS), ((139,), FAULTS)):
+        s, c, signatures = monitor(0)
+        s.by_size = 1
+        s.likely = pack([likely], SIZE)[0]
+        results, _ = step(s, c, signatures[7], 4.0)
+        assert [k for k, verdict in results.items() if verdict == contract.FAILED] == [expected], likely
 
 
 def up_and_down(s, c, fired, chatters, seconds):

@@ -96,6 +96,15 @@ def test_of_two_faults_none_is_likely(config, gain):
     assert weighed(config, drive(SEED, bias=-0.2)) == (["f_b"], False)
 
 
+def test_two_faults_at_once_are_both_the_cause(tmp_path):
+    config = configuration(SPEEDS, tmp_path, 'sensors = { c = { gain = "0.1 %" } }\n')
+    calibrated(config, drive(1), drive(2))
+    events, state = events_of(config, drive(SEED, gain=0.02, bias=-0.4))
+    assert unpack(np.asarray(state["own"]["sure"])[None, :], 3)[0].tolist() == [True, True, False]
+    causes = [group["cause"] for e in events if e["event"] == "diagnosis" for group in e["groups"]]
+    assert [cause for cause in causes if cause][-1] == ["plant own.f_a", "signal b.M1.b"]
+
+
 def still(seed, offset=0.0, since=20.0):
     """Readings of a speed that stands, noise apart; from a time on one sensor has an offset."""
     rng, t = np.random.default_rng(seed), np.arange(4000) * 0.01
@@ -135,12 +144,21 @@ def test_of_faults_that_sizes_leave_no_test_proves_one():
     """What only one of them makes fire is in their sizes already."""
     seen = {"f_a": [0, 1], "f_b": [0]}
     tests = [SimpleNamespace(faults=tuple(f for f, of in seen.items() if k in of), faulty="code") for k in (0, 1)]
-    plan = SimpleNamespace(faults=tuple(seen), tests=tests, seen_by=seen.get)
-    both = pack([[0, 1]], 2)[0]
-    own = {"weighed": 1, "likely": both, "fired": both, "norm": [5.0, 5.0]}
-    assert np.array_equal(levels(plan, {"own": own}), [2.0, np.nan, np.nan, 5.0, -np.inf], equal_nan=True)
-    alone = own | {"likely": pack([[0]], 2)[0]}
-    assert np.array_equal(levels(plan, {"own": alone}), [2.0, np.nan, 0.0, 5.0, 5.0], equal_nan=True)
+    plan = SimpleNamespace(faults=tuple(seen), tests=tests, seen_by=seen.get, diagnoses=[("f_a", "f_b"), ("f_a",)])
+    both, one = pack([[0, 1], [0]], 2)
+    own = {"weighed": 1, "likely": both, "fired": both, "norm": [5.0, 5.0], "found": -1, "by_size": 1}
+    nan, never = np.nan, -np.inf
+
+    def said(**more):
+        return levels(plan, {"own": own | more})
+
+    np.testing.assert_equal(said(), [2.0, nan, nan, never, never, 5.0, never])
+    np.testing.assert_equal(said(likely=one), [2.0, nan, 0.0, never, never, 5.0, 5.0])
+    np.testing.assert_equal(said(likely=one, found=0), [2.0, nan, nan, never, never, 5.0, 5.0])  # it has a group's name
+    np.testing.assert_equal(said(weighed=0), [never] * 7)
+    np.testing.assert_equal(said(weighed=2, sure=both), [2.0, 2.0, 2.0, 2.0, 2.0, never, never])
+    np.testing.assert_equal(said(weighed=2, sure=one), [2.0, 2.0, nan, 2.0, never, never, never])
+    np.testing.assert_equal(said(weighed=2, sure=one, found=0), [2.0, nan, nan, 2.0, never, never, never])
 
 
 def test_the_cause_is_the_sensor_whatever_its_factor(config):

@@ -162,8 +162,11 @@ def _tell(s: State, c: Const, out: Any, k: int, largest: float) -> None:
     if k != s.found:
         return
     table.explain(s, c)
-    if s.weighed == 1:
+    if s.weighed > 0:
         copy(s.explained, s.likely)
+    elif s.by_size == 1:
+        for w in range(len(s.likely)):
+            s.explained[w] &= s.likely[w]
     for j in range(EVIDENCE):
         what = c.shown[k, j]
         if what >= 0:
@@ -194,15 +197,15 @@ def _answer(s: State, c: Const) -> int:
     one of these is not told.
     """
     said = table.answer(s, c)
-    if s.weighed == 0:
+    if s.weighed == 0 and s.by_size == 0:
+        return int(said)
+    if said >= 0 and s.weighed < 2 and not empty(s.likely) and within(s.likely, c.group[said]):
         return int(said)
     if said >= 0:
-        if within(s.likely, c.group[said]):
-            return int(said)
         clear(s.explained)
+    if s.weighed != 1:
         return OPEN
-    if s.weighed < 0:
-        return OPEN
+    said = OPEN
     least = c.faults + 1
     for k in range(c.groups):
         count = _count(c.group[k], c.faults)

@@ -18,15 +18,19 @@ sure where the likelihood ratio of the best fault is large enough. Faults that a
 is on its way to be unlikely, more than half of it; that has then taken longer than the rest will. Others may stay
 together: up to :data:`~.decision.MOST_TOGETHER` of them are told as one of several, when that has stood.
 
-What was found may be no single fault of this model. Then the tests decide alone:
+What was found may be no single fault of this model:
 
-- **Several faults.** The best one is taken as there with the size s that was found, each gain u_i known to a share:
-  with (A, b) the form of the gains, b := b - A u, u = s in its columns, and the deviation from it, N(0, (error s)^2),
-  is integrated out. Another fault whose likelihood ratio in what is left is as large as one needs to speak is a second
-  one. Of faults that fit as well as each other the tests name none alone, in this case too.
+- **Two faults.** Sizes of each pair are of least squares, each gain u_i known to a share: with (A, b) the form
+  of the gains, b := b - A u, u the sizes in their columns, and the deviation from it, N(0, (error s)^2), is integrated
+  out. One of the two is among the faults that fit best alone. Two fit if their likelihood ratio over that of the best
+  fault is as large as one needs to speak, and as rare as a second fault is. Faults that all such pairs have are sure.
 - **No fault of the model.** Of what the residuals have beyond their noise the best one leaves more than a share, beside
   what a model leaves that is off.
 - **A test** has fired for sure that none of those that fit best sees.
+
+Where nothing may be off, the tests decide alone then. Where something may, they name no fault that sizes do not: a
+fault that was there while it was learned is in what is known, and the tests see what that leaves. For the same reason
+faults that were likely before faults began beside the tests anew stay likely beside others.
 
 **The fault has ended.** Of each block alone, with y and U its form by the size s, what may be off integrated out as it
 was known before, y s - U s^2 / 2 is the logarithm of the likelihood that the fault has its size still, against that it
@@ -48,7 +52,7 @@ from gateway_fdi.evidence.hypotheses import of_fault
 from gateway_fdi.evidence.model import FINER, SCALES
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import f8, f8s, i8, kernel, means
-from gateway_fdi.masks import clear, empty, has, include, within
+from gateway_fdi.masks import clear, copy, empty, has, include, within
 from gateway_plants.structural.monitor.plan import Plan
 
 #: Size of the fault that runs beside a test.
@@ -62,6 +66,8 @@ JITTER, ERROR = 0.3, 0.3
 #: Logarithm of the likelihood, and share of the best one's, by which a fault that fits less well is unlikely; that it
 #: takes to speak at all: of healthy cars that are 8 % off one reached it in 12 hours.
 LESS, NEARLY, SPEAKS = 6.0, 0.1, 20.0
+#: Share of the best one's from which on a fault is not out of the question while sizes are not sure.
+LEANS = 0.5
 #: Share of what is beyond noise that the best fault has to explain; variances of the noise that it may leave besides.
 #: T over J of a test that is no chance.
 FITS, BEYOND, SURE = 0.9, 1.0, 3.0
@@ -94,6 +100,8 @@ class State(model.State, lengths=model.LENGTHS):
     looks: f8 = means("number of independent residuals")
     alone: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each fault alone")
     stands: i8 = means("blocks since it is sure")
+    together: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each with the best one beside it")
+    without: Annotated[f8s, "faults"] = means("likewise of the best two without it")
     excess: f8 = means("variance of what the best fault leaves, over that of the noise, 1 at least")
 
 
@@ -129,6 +137,7 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
     Behind a fault that has ended they wait until no test has been near for the time to settle.
     """
     near = not empty(own.fired)
+    own.by_size = 1 if c.slow > 0 else 0
     for k in range(own_const.tests):
         near = near or own.norm[k] > NEAR
     if near:
@@ -144,6 +153,9 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
         return False
     s.awake = own.awaits = 1 if near else 0
     own.weighed = 0
+    for w in range(len(own.likely)):
+        own.before[w] |= own.last[w]
+        own.last[w] = 0
     if not near:
         return False
     n = c.slow + c.first[c.faults]
@@ -291,12 +303,20 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         known = known or own.norm[k] > 1.0
     if known and left > 2.0 * SPEAKS * s.excess:
         own.awaits = 1 if left - 2.0 * best * s.excess <= (1.0 - FITS) * left + BEYOND * s.looks else 0
+    second = _second(s, c, own, left, best) if known and left > 2.0 * SPEAKS * s.excess else 0.0
+    most = (best + second) * s.excess
+    if c.slow > 0 and second > SPEAKS + LESS and left - 2.0 * most <= (1.0 - FITS) * left + BEYOND * s.looks:
+        copy(own.last, own.likely)
+        own.weighed, own.awaits, s.stands = 2, 0, 0
+        return
+    clear(own.likely)
     if own.awaits == 0 or not known or best <= SPEAKS:
+        _lean(s, c, own, best)
         s.stands = 0
         return
     s.stands += 1
     own.awaits = 1 if s.stands <= BLOCKS else 0
-    single, seen = _second(s, c, n) <= SPEAKS * s.excess, False
+    seen = False
     for f in range(c.faults):
         less = best - s.alone[f] / s.excess - NEARLY * best
         if less > LESS:
@@ -308,27 +328,87 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         if best_too or not missed:
             include(own.likely, f)
             own.awaits = 1 if 2.0 * less > LESS else own.awaits
-    own.weighed = 1 if single and seen else -1
+    own.weighed = 1 if seen and second <= SPEAKS else -1
     own.awaits = own.awaits if own.weighed == 1 else 0
+    if own.weighed == 1 and c.slow > 0:
+        _recall(own)
 
 
 @kernel
-def _second(s: Any, c: Any, n: int) -> float:
-    """Return the largest logarithm of a likelihood ratio of a fault beside the one that fits best.
-
-    The first one's size is as it was found, each of its gains known to :data:`ERROR`: its columns are moved to what it
-    explains, and what is not known of them is integrated out.
-    """
-    begin, end, size = c.slow + c.first[s.first], c.slow + c.first[s.first + 1], s.found[s.first]
-    for i in range(begin, end):
-        for j in range(n):
-            s.work_b[j] -= s.work_a[j, i] * size
-    for i in range(begin, end):
-        blur(s.work_a, s.work_b, n, i, (ERROR * size) ** -2)
-    largest = 0.0
+def _lean(s: Any, c: Any, own: Any, best: float) -> None:
+    """Find the faults that are not out of the question, where something may be off and sizes are not sure."""
     for f in range(c.faults):
-        if f != s.first:
-            found = s.found[f]
-            largest = max(largest, _ratio(s, c, f))
-            s.found[f] = found
-    return float(largest)
+        if c.slow > 0 and s.alone[f] >= LEANS * best * s.excess > 0.0:
+            include(own.likely, f)
+
+
+@kernel
+def _recall(own: Any) -> None:
+    """Let the faults that were likely before stay likely beside others."""
+    copy(own.last, own.likely)
+    same = False
+    for w in range(len(own.likely)):
+        same = same or own.likely[w] & own.before[w] != 0
+    for w in range(len(own.likely)):
+        own.likely[w] |= 0 if same else own.before[w]
+
+
+@kernel
+def _second(s: Any, c: Any, own: Any, left: float, best: float) -> float:
+    """Return by how much two faults fit better than one, the logarithm of the likelihood ratio over what is left.
+
+    Leaves the faults of all pairs that fit in ``own.likely``, and those that each of these pairs has in ``own.sure``.
+    """
+    most = -inf
+    for f in range(c.faults):
+        s.together[f] = s.without[f] = -inf
+    for f in range(c.faults):
+        for g in range(f):
+            if max(s.alone[f], s.alone[g]) < LEANS * best * s.excess:
+                continue
+            value = _both(s, c, f, g)
+            most = max(most, value)
+            for k in range(c.faults):
+                if k in (f, g):
+                    s.together[k] = max(s.together[k], value)
+                else:
+                    s.without[k] = max(s.without[k], value)
+    excess = max((left + s.looks - 2.0 * most) / s.looks, 1.0)
+    clear(own.sure)
+    for f in range(c.faults):
+        if most - s.together[f] <= LESS * excess:
+            include(own.likely, f)
+            if most - s.without[f] > LESS * excess:
+                include(own.sure, f)
+    return float(most / s.excess - best)
+
+
+@kernel
+def _both(s: Any, c: Any, f: int, g: int) -> float:
+    """Return the logarithm of the likelihood ratio of two faults by the form in the scratch.
+
+    Sizes are of least squares; each gain is known to :data:`ERROR`, and what is not known of it is integrated out.
+    """
+    p, first, second = c.slow, c.first[f + 1] - c.first[f], c.first[g + 1] - c.first[g]
+    y, z, a, b, d = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(first + second):
+        row = p + (c.first[f] + i if i < first else c.first[g] + i - first)
+        s.one_b[i] = s.work_b[row]
+        y += s.one_b[i] if i < first else 0.0
+        z += 0.0 if i < first else s.one_b[i]
+        for j in range(first + second):
+            s.one_a[i, j] = s.work_a[row, p + (c.first[f] + j if j < first else c.first[g] + j - first)]
+            a += s.one_a[i, j] if i < first and j < first else 0.0
+            b += s.one_a[i, j] if i < first <= j else 0.0
+            d += s.one_a[i, j] if i >= first and j >= first else 0.0
+    area = a * d - b * b
+    if not area > 1e-9 * a * d:
+        return -inf
+    one, other = (d * y - b * z) / area, (a * z - b * y) / area
+    value = 0.5 * (one * y + other * z)
+    for i in range(first + second):
+        for j in range(first + second):
+            s.one_b[i] -= s.one_a[i, j] * (one if j < first else other)
+    for i in range(first + second):
+        value += blur(s.one_a, s.one_b, first + second, i, (ERROR * (one if i < first else other)) ** -2)
+    return float(value)

@@ -170,14 +170,15 @@ _FITS = 1.1
 def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     """Return whom the failure of each test blames: the faults that it sees, and the model.
 
-    Behind the tests there are, where faults are weighed, one that fails if a fault fits, and one of each fault that
-    passes if it does not.
+    Behind the tests there are, where faults are weighed, one that fails if a fault fits, and two of each fault: one
+    passes if it does not fit, and fails if it is one of two for sure; one fails if another one is there beside it.
     """
     sensors = _sensors(model)
     parts = {f: Blame(sensors[f]) if f in sensors else Blame(f, "plant") for f in plan.faults}
     every = [one._replace(share=_FIRES) for one in dict.fromkeys(parts.values())]
     weighed = {"fit": [*every, Blame("model", "model")]}
     weighed |= {f"fit of {f}": [parts[f]._replace(share=_FITS)] for f in plan.faults}
+    weighed |= {f"more than {f}": [one for one in every if one.part != parts[f].part] for f in plan.faults}
     return (weighed if fault_likelihood.faults_of(plan) else {}) | {
         test.name: [
             *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
@@ -190,7 +191,8 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
 def levels(plan: Plan, state: Any) -> list[float]:
     """Return the levels of the tests: T over J, 1 at least as long as a test counts as one that has fired.
 
-    Where sizes say which faults are likely, a test that has not fired says nothing; nor does one that some of these do
+    Where something may be off, tests say nothing until sizes do. Where sizes say which faults are likely, a test that
+    has not fired says nothing; nor does one that some of these do
     not see: its residual is in what they say. One that has just fired says nothing where sizes have spoken: it may be
     another fault's.
     """
@@ -199,7 +201,21 @@ def levels(plan: Plan, state: Any) -> list[float]:
     said = int(own["weighed"])
     if fault_likelihood.faults_of(plan):
         likely = unpack(np.asarray(own["likely"])[None, :], len(plan.faults))[0]
-        weighed = [2.0, *(nan if one else 0.0 for one in likely)] if said == 1 else [-inf] * (1 + len(plan.faults))
+        named = plan.diagnoses[own["found"]] if own["by_size"] and 0 <= own["found"] < len(plan.diagnoses) else ()
+        weighed = [-inf] * (1 + 2 * len(plan.faults))
+        if said == 1:
+            fits = [nan if one or f in named else 0.0 for f, one in zip(plan.faults, likely, strict=True)]
+            weighed = [2.0, *fits, *[-inf] * len(fits)]
+        elif said == 2:
+            sure = unpack(np.asarray(own["sure"])[None, :], len(plan.faults))[0]
+            fits = [
+                2.0 if two and not (f in named and len(named) > 1) else nan if one or f in named else 0.0
+                for f, one, two in zip(plan.faults, likely, sure, strict=True)
+            ]
+            more = [2.0 if (two if sure.any() else one) else -inf for one, two in zip(likely, sure, strict=True)]
+            return [2.0, *fits, *more, *[-inf] * len(plan.tests)]
+        if said != 1 and own["by_size"] == 1:
+            return weighed + [-inf] * len(plan.tests)
     fired = unpack(np.asarray(own["fired"])[None, :], len(plan.tests))[0]
     levels = [
         max(float(norm), 1.0) if up else min(float(norm), 0.0) for norm, up in zip(own["norm"], fired, strict=False)
