@@ -8,9 +8,11 @@ import pytest
 from typer.testing import CliRunner
 
 from gateway.cli import app
+from gateway.config.load import load_config
 from gateway_fdi.errors import InputError
-from gateway_fleet.study.drives.tables import Columns, columns_of, is_table, read
-from gateway_fleet.study.drives.vehicles import Learning, vehicles
+from gateway_fleet.study.drives.judge import told_of
+from gateway_fleet.study.drives.tables import FIRST_ID, Columns, columns_of, is_table, read
+from gateway_fleet.study.drives.vehicles import Learning, drive_of, vehicles
 
 ROWS, WRONG = 1200, slice(800, 1100)
 
@@ -73,6 +75,19 @@ def test_a_higher_rate_never_makes_a_limit_of_a_learned_file_wider(tmp_path):
         for name, (low, high) in before.items():
             assert low <= ends[name][0] < ends[name][1] <= high, f"{name} at {per_hour:g} per hour"
         before = ends
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_at_1_hz_one_odd_value_is_no_code_and_two_are(told, rows):
+    folder, _ = told
+    home = folder / "learned" / "pump" / "2"
+    config = load_config(home / "car.toml")
+    frames = drive_of(home / "first.log", config)
+    flow = np.flatnonzero(frames["can_id"] == FIRST_ID + 1)[250 : 250 + rows]
+    before = told_of(config, frames).codes
+    frames["data"][flow, :8] = np.array([90.0]).view(np.uint8)
+    new = told_of(config, frames).codes.keys() - before.keys()
+    assert new == ({"signals.Flow_RateRMS.high"} if rows == 2 else set())
 
 
 def test_what_only_wanders_has_no_limit_that_accuses_it(told):

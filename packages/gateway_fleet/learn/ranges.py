@@ -150,7 +150,7 @@ def _of_drive(
         return (course.lowest - wild, course.highest + wild), text
     longer = drive.rate.hours / drive.hours
     spans = (ROOM + ROOM_OF_ONE / course.swings) * float(np.clip(np.log10(longer) / FAR, 0.0, 1.0))
-    # What comes LEAST times in the drive is the tail's alone; what comes once is not nearer than the farthest value.
+    # The tail alone says what comes LEAST times in the drive; what comes once is not nearer than the farthest value.
     once = float(np.clip(np.log(LEAST * longer) / np.log(LEAST), 0.0, 1.0))
     good = column[~np.isnan(column)]
     window = min(max(round(max(LASTS_S, every_s) / drive.step_s), 1) + 1, len(good))
