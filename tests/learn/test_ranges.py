@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from gateway_fdi.tails import exceeded_once, shape_of
+from gateway_fleet.learn import tails
 from gateway_fleet.learn.course import Course
 from gateway_fleet.learn.novelty import in_words, per_minute
-from gateway_fleet.learn.ranges import SWINGS, Shown, is_careful, range_of, waiting
+from gateway_fleet.learn.ranges import LASTS_S, SWINGS, Shown, is_careful, range_of, waiting
 from gateway_fleet.learn.snapshots import Snapshots
 from gateway_fleet.learn.standards import standard
-from gateway_fleet.learn.tails import Rate
+from gateway_fleet.learn.tails import Rate, wandering
 
 DBC = (
     'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 M: 8 A\n SG_ Yaw : 0|16@1- (0.01,0) [0|0] "deg/s" A\n'
@@ -26,7 +27,7 @@ SIGNALS = {signal.name: signal for message in BASE.messages for signal in messag
 def seen(values):
     course = Course(count=len(values), lowest=values.min(), highest=values.max())
     course.values = set(np.unique(values)[:25].tolist())
-    course.count_swings(values)
+    course.measure(values)
     return course
 
 
@@ -67,12 +68,63 @@ def test_a_rate_that_the_drive_itself_shows_is_taken_from_it():
 def test_a_drive_that_shows_too_little_supports_no_limit_and_is_told():
     climbs = np.linspace(0.0, 20.0, 12_000).round(2)
     assert found("Yaw", climbs)[0] is None
-    assert waiting(SIGNALS["Yaw"], seen(climbs))
+    assert "of 8 ways through its span" in waiting(SIGNALS["Yaw"], seen(climbs), 600.0)
     assert found("Yaw", swinging(1, 20.0, 0.05))[0] is None, "20 s"
     ends, why = found("Flow", climbs)
     assert ends == (-200.0, 220.0), "of a float what is wild is told all the same"
     assert "ten times" in why
     assert seen(swinging(1, 600.0, 0.05)).swings >= SWINGS
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("step_s", [0.05, 1.0])
+@pytest.mark.parametrize("name", ["Yaw", "Flow"])
+def test_a_level_that_moves_all_the_time_gets_room_for_where_it_goes(seed, step_s, name):
+    """It swings through its span with noise, but its mean climbs: a limit that holds tomorrow leaves room for it."""
+    noise = swinging(seed, 1200.0, step_s)
+    climbs = noise + np.linspace(0.0, 4.0, len(noise))
+    learned, more = np.split(climbs, 2)
+    course, rate = seen(learned), Rate(4.0, 1)
+    assert course.swings >= SWINGS
+    assert course.walk > 1.0, f"seed {seed}"
+    ends, why = found(name, learned, step_s=step_s, every_s=step_s, rate=rate)
+    lasting = np.lib.stride_tricks.sliding_window_view(more, round(max(LASTS_S, step_s) / step_s) + 1).min(axis=1)
+    assert lasting.max() < ends[1], f"seed {seed}"
+    assert "its level still moved after 10 min" in why
+    hours, _ = found(name, learned, step_s=step_s, every_s=step_s)
+    assert hours is None or hours[1] >= 9.0 * np.abs(learned).max(), "no ten minutes say where it is in 1e5 h"
+    assert waiting(SIGNALS["Yaw"], course, 600.0) == "its level still moves"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_random_walk_is_left_as_seldom_as_was_asked_for(seed, monkeypatch):
+    """In its own law: a share of 1 - 1/e leaves within a time what is exceeded once in it."""
+    rng = np.random.default_rng(seed)
+    walks = np.cumsum(rng.normal(0.0, 1.0, (400, 2000)), axis=1)
+    learned, later = walks[:, :500], walks[:, 500:]
+    still = rng.normal(0.0, 1.0, (400, 500))
+    refused = [wandering(walk) > 0.0 or seen(walk).swings < SWINGS for walk in learned]
+    assert np.mean(refused) > 0.95, f"seed {seed}"
+    assert np.mean([wandering(one) > 0.0 for one in still]) < 0.1, "noise is taken for it by chance only"
+    assert wandering(np.ones(500)) == wandering(np.zeros(1)) == 0.0
+    monkeypatch.setattr(tails, "MOVED", 0.0)
+    once = np.sqrt(3.0 * np.mean([wandering(walk) ** 2 for walk in learned]))  # three times as long
+    left = np.abs(later - learned[:, -1:]).max(axis=1) > once
+    assert left.mean() == pytest.approx(1.0 - np.exp(-1.0), abs=0.1), f"seed {seed}"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+@pytest.mark.parametrize("drift", [0.0, 3.0])
+@pytest.mark.parametrize("name", ["Yaw", "Flow"])
+def test_fewer_false_alarms_never_make_a_limit_narrower(seed, drift, name):
+    values = swinging(seed, 900.0, 0.1) + np.linspace(0.0, drift, 9000)
+    widths = []
+    for per_hour in (3000.0, 400.0, 100.0, 60.0, 40.0, 20.0, 9.0, 8.0, 7.0, 1.0, 0.1, 1e-3, 1e-6):
+        low, high = found(name, values, step_s=0.1, every_s=0.1, rate=Rate(per_hour, 2))[0] or (-327.68, 327.67)
+        widths.append((high, -low))
+    assert widths == sorted(widths), f"seed {seed}"
+    assert all(np.all(np.diff(np.array(widths), axis=0) >= 0.0, axis=1)), f"seed {seed}"
+    assert widths[0] < widths[-1] or seen(values).swings < SWINGS
 
 
 def test_a_database_is_a_bound_where_its_ranges_are_kept():

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway_fleet.learn.tails import wandering
+
 #: First time of a log, in which signals do not count: senders start [ns].
 START_NS = 1_000_000_000
 #: Different values that are kept, to say whether a signal is a quantity or a state.
@@ -28,6 +30,7 @@ class Course:
         rest_s: the longest time without change, while it came [s].
         values: the first different ones, at most MOST_VALUES + 1.
         swings: how often it went from one end of its span to the other, in the latest logs.
+        walk: how far its level wanders in a time as long as they are; 0: it is not shown to move.
     """
 
     count: int = 0
@@ -40,6 +43,7 @@ class Course:
     rest_s: float = 0.0
     values: set[float] = field(default_factory=set)
     swings: int = 0
+    walk: float = 0.0
 
     @property
     def span(self) -> float:
@@ -62,8 +66,9 @@ class Course:
         self.rest_s = max(self.rest_s, other.rest_s)
         self.values = set(sorted(self.values | other.values)[: MOST_VALUES + 1])
 
-    def count_swings(self, values: NDArray[np.float64]) -> None:
-        """Count how often values, in order, go from a quarter at one end of their span to that at the other."""
+    def measure(self, values: NDArray[np.float64]) -> None:
+        """Count how often values, in order, go from a quarter at one end of their span to the other; and its walk."""
+        self.walk = wandering(values[~np.isnan(values)])
         with np.errstate(invalid="ignore"):
             side = np.sign((values > self.highest - 0.25 * self.span) * 1 - (values < self.lowest + 0.25 * self.span))
         self.swings = int(np.count_nonzero(np.diff(side[side != 0])))

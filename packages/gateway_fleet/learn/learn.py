@@ -34,8 +34,8 @@ from gateway_fleet.learn.update import add_before, dropped, read_file
 #: How often a limit is widened before it is taken out, and how often the configuration is replayed at most.
 WIDENED, ROUNDS = 3, 8
 
-#: Alarms that are accepted, of those asked for: one thing sets several; how often a rate is brought nearer to it.
-IN_ROWS, NEARER = 3.0, 3
+#: Alarms of one limit that are accepted, of those that all may have: what leaves its limit often comes in rows.
+IN_ROWS = 6.0
 
 #: Told: the task, log or number, how far it is (0 to 1).
 Progress = Callable[[str, str, float], None]
@@ -219,17 +219,9 @@ def learn(asked: Asked, progress: Progress) -> Result:
     merge(observation, before, names)
     progress("deriving", "", 0.0)
     logs = [*before.logs, *logs_text(observation)]
-    messages, per_hour = {key: seen.message for key, seen in observation.seen.items()}, asked.per_hour
-    for _ in range(NEARER):
-        for key, seen in observation.seen.items():
-            seen.message = messages[key]
-        learned = derive(observation, databases, asked.buses, before.seconds, per_hour)
-        result = Result(learned, observation, "")
-        result.databases = _own_texts(asked, databases, result)
-        share = 1.0 if file is not None else _too_often(asked, result, logs, progress)
-        if share <= IN_ROWS:
-            break
-        per_hour /= share
+    learned = derive(observation, databases, asked.buses, before.seconds, asked.per_hour)
+    result = Result(learned, observation, "")
+    result.databases = _own_texts(asked, databases, result)
     kept: set[tuple[str, str, str]] = set()
     if file is None:
         buses = _named(asked, result.databases)
@@ -270,28 +262,12 @@ def settle(
         _try(asked, result, proof, progress)
 
 
-def _too_often(asked: Asked, result: Result, logs: Sequence[str], progress: Progress) -> float:
-    """Return how often signals alarm on the learned drives, of how often they may; 0: they may not even once."""
-    accepted = asked.per_hour * sum(log.seconds for log in result.observation.logs) / 3600.0
-    if accepted < 1.0:
-        return 0.0
-    text = document(asked.name, _named(asked, result.databases), result.learned, logs)
-    with _beside(asked.out, text, result.databases) as path:
-        proof = replayed(path, result.observation.logs, asked.maps, _by_log(progress, "rate"))
-    return sum(proof.alarms[fault].learned for fault in _of_signals(asked, result, proof)) / accepted
-
-
-def _of_signals(asked: Asked, result: Result, proof: Replayed) -> list[str]:
-    """Return the alarms of limits of signals, and of relations."""
-    owners = {fault: owner(result.learned, fault, asked.buses) for fault in proof.alarms}
-    return [fault for fault, line in owners.items() if line is not None and line[0].table in (SIGNAL, RULE)]
-
-
 def _accept(asked: Asked, result: Result, proof: Replayed) -> None:
-    """Take out alarms of signals and relations if they are as many as were asked for; they come in rows."""
-    mine, accepted = _of_signals(asked, result, proof), asked.per_hour * proof.hours
-    if sum(proof.alarms[fault].count for fault in mine) <= 2.0 * IN_ROWS * accepted:
-        for fault in mine if accepted >= 1.0 else ():
+    """Take out alarms of signals and relations that are no more than was asked for."""
+    accepted = asked.per_hour * proof.hours
+    for fault in list(proof.alarms) if accepted >= 1.0 else ():
+        line = owner(result.learned, fault, asked.buses)
+        if line is not None and line[0].table in (SIGNAL, RULE) and proof.alarms[fault].count <= IN_ROWS * accepted:
             del proof.alarms[fault]
 
 

@@ -24,7 +24,7 @@ from gateway_fleet.learn.course import Course
 from gateway_fleet.learn.lines import CHECK, SIGNAL, Learned, Line, short, shown
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.protections import ProtectionFound
-from gateway_fleet.learn.ranges import SWINGS, Shown, database_range, range_of, representable, waiting
+from gateway_fleet.learn.ranges import LASTS_S, Shown, database_range, range_of, representable, waiting
 from gateway_fleet.learn.standards import standard
 from gateway_fleet.learn.stuck_detection import Drives, moving
 from gateway_fleet.learn.unknown import SHOWN
@@ -40,6 +40,8 @@ TOLD = 0.5
 #: Standstill is learned of logs of this length [s], of signals that moved this often; the limit is longer by this
 #: factor.
 LONG_S, MOVES, LONGER, LEAST_REST_S = 600.0, 1000, 10.0, 10.0
+#: Usual times between values after which a second one has come, above what the monitor waits for it (its LATE).
+TWICE = 1.75
 #: A code that stands for no value in healthy logs for longer is no fault [s].
 HEALTHY_NONE_S = 0.25
 #: Share of the texts of a value table that must have come for others to be a fault, and how many there must be.
@@ -205,8 +207,10 @@ def _range(
     found, text = range_of(own, signal, course, column, every_s, drive)
     if found is None:
         return {}, text
-    late = {} if own is None or own.failed_ms is None else {"failed_ms": own.failed_ms}
-    return {"plausible": list(found)} | late, text
+    # A limit is of values that come twice: where they come seldom, the test waits for the second, and so it heals.
+    late = short(TWICE * 1e3 * every_s, 2) if every_s > LASTS_S else 0.0
+    times = {"failed_ms": max(late, 0.0 if own is None else own.failed_ms or 0.0), "passed_ms": late}
+    return {"plausible": list(found)} | {name: ms for name, ms in times.items() if ms}, text
 
 
 def _gradient(signal: Signal, course: Course, period: float, _seconds: float) -> tuple[dict[str, Any], str]:
@@ -291,11 +295,10 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
         untested = _without_a_text(observation, bus, learned.lines, name)
         if untested:
             notes.append(f"{name}: values without a text are not tested, too few texts came: {', '.join(untested)}")
-        waits = _waiting(observation, bus)
-        if waits:
-            notes.append(
-                f"{name}: no range, they went too few ways through what they span ({SWINGS} wanted): {', '.join(waits)}"
-            )
+        ranged = {line.name for line in learned.of(name, SIGNAL) if "plausible" in line.keys}
+        seconds = sum(log.seconds for log in observation.logs)
+        if waits := _waiting(observation, bus, ranged, seconds):
+            notes.append(f"{name}: no range after {seconds:.0f} s: {', '.join(waits)}")
         resting = [line.name for line in learned.of(name, SIGNAL) if "inside" in line.keys.get("stuck", {})]
         if resting:
             notes.append(f"{name}: a value that stands at the end of its range is not tested: {', '.join(resting)}")
@@ -307,15 +310,14 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
     return notes
 
 
-def _waiting(observation: Observation, bus: int) -> list[str]:
-    """Return the quantities of a bus that the drives have not shown enough of for a limit, and how much they want."""
-    seconds = sum(log.seconds for log in observation.logs)
+def _waiting(observation: Observation, bus: int, ranged: set[str], seconds: float) -> list[str]:
+    """Return the quantities of a bus that the drives have not shown enough of for a limit, and why."""
     return [
-        f"{seen.message.name}.{signal.name} ({course.swings} in {seconds:.0f} s:"
-        f" about {np.ceil(max(seconds, 30.0) * SWINGS / max(course.swings, 1) / 60.0):.0f} min)"
+        f"{name} ({why})"
         for (index, _), seen in sorted(observation.seen.items())
         for signal, course in zip(seen.signals, seen.courses.each, strict=True)
-        if index == bus and waiting(signal, course)
+        if index == bus and (name := f"{seen.message.name}.{signal.name}") not in ranged
+        if (why := waiting(signal, course, seconds))
     ]
 
 

@@ -316,7 +316,7 @@ class Observer:
         for seen in self._made:
             for k, course in enumerate(seen.courses.each):
                 if not course.states or seen.signals[k].is_float:
-                    course.count_swings(matrix[:, seen.columns.start + k])
+                    course.measure(matrix[:, seen.columns.start + k])
         return Observation(
             {(seen.bus, seen.message.name): seen for seen in self._made if seen.frames},
             [(seen.bus, seen.message.name) for seen in self._made if not seen.frames],

@@ -30,19 +30,14 @@ class Alarm:
     """A fault that a healthy log set.
 
     Attributes:
-        learned, held_out: how often, in what was learned from and in what was not.
+        count, held_out: how often in all, and in what was not learned from.
         value, threshold: of the first time.
     """
 
-    learned: int = 0
+    count: int = 0
     held_out: int = 0
     value: float = np.nan
     threshold: float = np.nan
-
-    @property
-    def count(self) -> int:
-        """How often in all."""
-        return self.learned + self.held_out
 
 
 @dataclass
@@ -100,10 +95,10 @@ def _replay(
     def hear(events: Events) -> None:
         for event in events[events["kind"] == QUALIFIED_FAILED]:
             alarm = result.alarms.setdefault(engine.faults[int(event["fault"])].id, Alarm())
-            if not alarm.learned and not alarm.held_out:
+            if not alarm.count:
                 alarm.value, alarm.threshold = float(event["value"]), float(event["threshold"])
             alarm.held_out += held
-            alarm.learned += not held
+            alarm.count += 1
 
     windows: list[list[Frames]] = []
     last_ns = 0

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.signals.columns import limits
 from gateway.signals.tables import signal_row
+from gateway_fdi.tails import LEAST
 from gateway_fleet.learn.course import Course
 from gateway_fleet.learn.lines import short, shown
 from gateway_fleet.learn.standards import Standard
@@ -141,30 +142,40 @@ def _of_drive(
     states = len(course.values) < LEAST_DIFFERENT if signal.is_float else course.states
     if states or course.count < LEAST_VALUES:
         return nothing, ""
+    wild = WILD * max(abs(course.lowest), abs(course.highest)) if signal.is_float else np.inf
     if course.swings < SWINGS or drive.hours * 3600.0 < LEAST_S:
         if not signal.is_float:
             return nothing, ""
-        room = WILD * max(abs(course.lowest), abs(course.highest))
         text = "its largest value ten times, as a number of its kind says nothing of a range"
-        return (course.lowest - room, course.highest + room), text
-    far = np.log10(drive.rate.hours / max(drive.hours, 1e-9)) / FAR
-    spans = (ROOM + ROOM_OF_ONE / course.swings) * float(np.clip(far, 0.0, 1.0))
+        return (course.lowest - wild, course.highest + wild), text
+    longer = drive.rate.hours / drive.hours
+    spans = (ROOM + ROOM_OF_ONE / course.swings) * float(np.clip(np.log10(longer) / FAR, 0.0, 1.0))
+    # The tail alone says what comes LEAST times in the drive; what comes once is not nearer than the farthest value.
+    once = float(np.clip(np.log(LEAST * longer) / np.log(LEAST), 0.0, 1.0))
     good = column[~np.isnan(column)]
     window = min(max(round(max(LASTS_S, every_s) / drive.step_s), 1) + 1, len(good))
     lasting = np.lib.stride_tricks.sliding_window_view(good, window)
     rows = max(round(1.0 / drive.step_s), len(good) // course.swings, 1)
     step = 0.25 * abs(float(signal.scale)) if not signal.is_float else 0.0
+    walk, most_room = course.walk * float(np.sqrt(longer)), wild if course.walk else np.inf
     ends = []
     for sign in (-1.0, 1.0):
         longest = (sign * lasting).min(axis=1)
         tail = limit_above(block_maxima(longest, rows), rows * drive.step_s, step, drive.rate, heavy=True)
-        most = (course.highest if sign > 0 else -course.lowest) if spans > 0.0 else -np.inf
-        ends.append(sign * max(tail, most + spans * course.span))
+        most = course.highest if sign > 0 else -course.lowest
+        end = tail + once * max(most + spans * course.span - tail, 0.0) + walk
+        ends.append(sign * min(end, most + most_room))
     text = f"through its span {course.swings} times; beyond once in {shown(drive.rate.hours)} h"
+    if walk > 0.0:
+        text += f"; its level still moved after {shown(60.0 * drive.hours)} min: room for it {shown(walk)}"
     return (ends[0], ends[1]), text
 
 
-def waiting(signal: Signal, course: Course) -> bool:
-    """Return whether a signal is a quantity that the drives have not shown enough of for a limit."""
-    quantity = not (signal.choices or course.states or signal.is_float)
-    return quantity and course.count >= LEAST_VALUES and course.swings < SWINGS
+def waiting(signal: Signal, course: Course, seconds: float) -> str:
+    """Return why drives of this length [s] say too little of a quantity for a limit; "": they say enough."""
+    if signal.choices or course.states or signal.is_float or course.count < LEAST_VALUES:
+        return ""
+    if course.swings < SWINGS:
+        minutes = np.ceil(max(seconds, LEAST_S) * SWINGS / max(course.swings, 1) / 60.0)
+        return f"{course.swings} of {SWINGS} ways through its span: about {minutes:.0f} min"
+    return "its level still moves" if course.walk else ""
