@@ -38,7 +38,7 @@ def found(name, values, *, step_s=0.05, every_s=0.05, rate=Rate(1e-3, 100), care
 
 def swinging(seed, seconds, step_s, spread=1.0):
     """A signal that comes back each few seconds."""
-    count, width = round(seconds / step_s), max(round(1.0 / step_s), 1)
+    count, width = round(seconds / step_s), max(round(1.0 / step_s), 6)
     noise = np.random.default_rng(seed).normal(0, 1, count + width)
     return spread * np.convolve(noise, np.ones(width) / np.sqrt(width), "valid")[:count]
 
@@ -52,6 +52,18 @@ def test_a_signal_that_swings_often_gets_a_limit_that_hours_of_it_keep(seed, ste
     assert ends is not None, why
     assert ends[0] < more.min() < more.max() < ends[1], f"seed {seed}"
     assert max(-ends[0], ends[1]) < 16.0, "and it sees what is five times as large as any"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_noise_about_one_value_says_nothing_of_where_it_goes(seed):
+    """A brake that nobody pressed for 340 s, in each second: a range of its noise accused it once it was pressed."""
+    still = np.random.default_rng(seed).normal(519.0, 8.0, 340).round()
+    course = seen(still)
+    assert course.swings >= SWINGS > course.ways
+    assert found("Level", still, step_s=1.0, every_s=1.0)[0] == (-100.0, 1100.0), "but what the database says"
+    assert found("Yaw", still / 100.0, step_s=1.0, every_s=1.0)[0] is None
+    assert waiting(SIGNALS["Level"], course), "and it is told"
+    assert found("Yaw", still / 100.0, step_s=1.0, every_s=1.0, rate=Rate(36.0, 2))[0] is not None, "ten minutes' rate"
 
 
 def test_a_rate_that_the_drive_itself_shows_is_taken_from_it():

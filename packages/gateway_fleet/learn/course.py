@@ -28,6 +28,7 @@ class Course:
         rest_s: the longest time without change, while it came [s].
         values: the first different ones, at most MOST_VALUES + 1.
         swings: how often it went from one end of its span to the other, in the latest logs.
+        ways: of these, without noise.
     """
 
     count: int = 0
@@ -40,6 +41,7 @@ class Course:
     rest_s: float = 0.0
     values: set[float] = field(default_factory=set)
     swings: int = 0
+    ways: int = 0
 
     @property
     def span(self) -> float:
@@ -62,11 +64,17 @@ class Course:
         self.rest_s = max(self.rest_s, other.rest_s)
         self.values = set(sorted(self.values | other.values)[: MOST_VALUES + 1])
 
-    def count_swings(self, values: NDArray[np.float64]) -> None:
-        """Count how often values, in order, go from a quarter at one end of their span to that at the other."""
+    def count_swings(self, values: NDArray[np.float64], rows: int = 1) -> None:
+        """Count how often values, in order, go from a quarter at one end of their span to that at the other.
+
+        ``rows``: that one value of the signal takes. Two values are there in a real way; noise about one value comes
+        there alone, and says nothing of where a quantity goes.
+        """
         with np.errstate(invalid="ignore"):
             side = np.sign((values > self.highest - 0.25 * self.span) * 1 - (values < self.lowest + 0.25 * self.span))
+        twice = (side[rows:] == side[:-rows]) & (side[rows:] != 0)
         self.swings = int(np.count_nonzero(np.diff(side[side != 0])))
+        self.ways = int(np.count_nonzero(np.diff(side[rows:][twice])))
 
     def data(self) -> list[Any]:
         """Return it for a file."""

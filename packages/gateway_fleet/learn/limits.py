@@ -291,7 +291,8 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
         untested = _without_a_text(observation, bus, learned.lines, name)
         if untested:
             notes.append(f"{name}: values without a text are not tested, too few texts came: {', '.join(untested)}")
-        waits = _waiting(observation, bus)
+        ranges = {line.name for line in learned.of(name, SIGNAL) if "plausible" in line.keys}
+        waits = [text for signal, text in _waiting(observation, bus) if signal not in ranges]
         if waits:
             notes.append(
                 f"{name}: no range, they went too few ways through what they span ({SWINGS} wanted): {', '.join(waits)}"
@@ -307,12 +308,15 @@ def notes_of(observation: Observation, buses: Sequence[str], learned: Learned) -
     return notes
 
 
-def _waiting(observation: Observation, bus: int) -> list[str]:
-    """Return the quantities of a bus that the drives have not shown enough of for a limit, and how much they want."""
+def _waiting(observation: Observation, bus: int) -> list[tuple[str, str]]:
+    """Return the quantities of a bus that drives have not shown enough of for a limit, and how much they want."""
     seconds = sum(log.seconds for log in observation.logs)
     return [
-        f"{seen.message.name}.{signal.name} ({course.swings} in {seconds:.0f} s:"
-        f" about {np.ceil(max(seconds, 30.0) * SWINGS / max(course.swings, 1) / 60.0):.0f} min)"
+        (
+            name := f"{seen.message.name}.{signal.name}",
+            f"{name} ({course.ways} in {seconds:.0f} s:"
+            f" about {np.ceil(max(seconds, 30.0) * SWINGS / max(course.ways, 1) / 60.0):.0f} min)",
+        )
         for (index, _), seen in sorted(observation.seen.items())
         for signal, course in zip(seen.signals, seen.courses.each, strict=True)
         if index == bus and waiting(signal, course)

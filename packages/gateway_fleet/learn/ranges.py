@@ -141,18 +141,19 @@ def _of_drive(
     states = len(course.values) < LEAST_DIFFERENT if signal.is_float else course.states
     if states or course.count < LEAST_VALUES:
         return nothing, ""
-    if course.swings < SWINGS or drive.hours * 3600.0 < LEAST_S:
+    far = np.log10(drive.rate.hours / max(drive.hours, 1e-9)) / FAR
+    swings = course.ways if far > 0.0 else course.swings
+    if swings < SWINGS or drive.hours * 3600.0 < LEAST_S:
         if not signal.is_float:
             return nothing, ""
         room = WILD * max(abs(course.lowest), abs(course.highest))
         text = "its largest value ten times, as a number of its kind says nothing of a range"
         return (course.lowest - room, course.highest + room), text
-    far = np.log10(drive.rate.hours / max(drive.hours, 1e-9)) / FAR
-    spans = (ROOM + ROOM_OF_ONE / course.swings) * float(np.clip(far, 0.0, 1.0))
+    spans = (ROOM + ROOM_OF_ONE / swings) * float(np.clip(far, 0.0, 1.0))
     good = column[~np.isnan(column)]
     window = min(max(round(max(LASTS_S, every_s) / drive.step_s), 1) + 1, len(good))
     lasting = np.lib.stride_tricks.sliding_window_view(good, window)
-    rows = max(round(1.0 / drive.step_s), len(good) // course.swings, 1)
+    rows = max(round(1.0 / drive.step_s), len(good) // swings, 1)
     step = 0.25 * abs(float(signal.scale)) if not signal.is_float else 0.0
     ends = []
     for sign in (-1.0, 1.0):
@@ -160,11 +161,11 @@ def _of_drive(
         tail = limit_above(block_maxima(longest, rows), rows * drive.step_s, step, drive.rate, heavy=True)
         most = (course.highest if sign > 0 else -course.lowest) if spans > 0.0 else -np.inf
         ends.append(sign * max(tail, most + spans * course.span))
-    text = f"through its span {course.swings} times; beyond once in {shown(drive.rate.hours)} h"
+    text = f"through its span {swings} times; beyond once in {shown(drive.rate.hours)} h"
     return (ends[0], ends[1]), text
 
 
 def waiting(signal: Signal, course: Course) -> bool:
     """Return whether a signal is a quantity that the drives have not shown enough of for a limit."""
     quantity = not (signal.choices or course.states or signal.is_float)
-    return quantity and course.count >= LEAST_VALUES and course.swings < SWINGS
+    return quantity and course.count >= LEAST_VALUES and course.ways < SWINGS
