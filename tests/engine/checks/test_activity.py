@@ -350,7 +350,9 @@ def test_loss_is_known_where_one_message_is_watched(tmp_path, others):
     if others != "none":
         network.setdefault(others, {})["Doors"] = [(0x200 + k, 20) for k in range(4)]
     frames = traffic(network, rng, 60, lambda b, e, i, t: b == "body" or (e == "Engine" and rng.random() < 0.7))
-    codes, _, events = run(networks.config_of(tmp_path, network, 5.0, health=SLEEPS), frames, 60)
+    cycles, check = (17.0, RATE) if others == "drive" else (5.0, "")
+    config = networks.config_of(tmp_path, network, cycles, health=SLEEPS, check=check)
+    codes, _, events = run(config, frames, 60)
     assert codes == ({f"drive.M{0x200 + k:X}.timeout" for k in range(4)} if others == "drive" else set())
     assert [e["bus"] for e in events if e["event"] == "lossy"] == ["drive"]
 
