@@ -16,7 +16,7 @@ from typing import Any
 
 from gateway.common.times import NEVER
 from gateway.engine.checks.bus_health import ASLEEP, AWAITED, AWAKE, FALLING, PART, WAKING
-from gateway.engine.checks.communication import COMES, FIRST, MISSES, MISSING, NOT_YET, STOPPED
+from gateway.engine.checks.communication import COMES, FIRST, MISSES, MISSING, NOT_YET, SOON, STOPPED
 from gateway.engine.checks.kinds import TIMEOUT
 from gateway.engine.checks.software import ENOUGH, FIRST_NS, is_other
 from gateway.engine.events import ACTIVITY, LOSSY
@@ -63,7 +63,7 @@ def set_activity(T: Any, t_ns: int, bus: int, activity: int) -> None:
         announce(T, t_ns, ACTIVITY, bus, bus, float(activity), float(before))
     if activity in (AWAKE, PART):
         h.begun = 1
-        h.stops = 0
+        h.stops = 0 if before != activity else h.stops
     h.look_ns = t_ns + _LOOK_NS if activity in (WAKING, FALLING) else NEVER
     h.deadline_ns = min(h.deadline_ns, h.look_ns)
 
@@ -94,7 +94,7 @@ def look_at_activity(T: Any, t_ns: int, bus: int) -> None:
 def begin_waking(T: Any, t_ns: int, bus: int) -> None:
     """Take the first frame of a bus that was asleep: none of its messages has come yet."""
     h = T.health[bus]
-    h.stops = 0
+    h.stops = h.weighed_ns = 0
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
         if c.bus == bus and c.timeout_ns > 0:
@@ -165,10 +165,9 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
         c.coming, c.overdue_ns = STOPPED, due
         if not lossy:
             _note_stop(h, c, due)
-        if h.activity in (AWAKE, PART) and h.stops > 1 and not lossy:
-            _fall(T, due, c.bus)
     until_ns = h.stopped_ns + h.settle_ns
-    if h.activity in (AWAKE, PART) and due >= until_ns and _are_many(T, due, c.bus, STOPPED):
+    apart, settled = h.stops > 1 and not lossy, due >= until_ns and _are_many(T, due, c.bus, STOPPED)
+    if h.activity in (AWAKE, PART) and (apart or settled or other_falls(T, c.bus)):
         _fall(T, due, c.bus)
     if h.activity == FALLING or (h.activity == ASLEEP and h.fell_ns > h.joined_ns):
         until_ns = h.fell_ns + _AFTER_RUN_NS
@@ -185,6 +184,16 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
         until_ns = h.fell_ns + _AFTER_RUN_NS
     c.deadline_ns = min(until_ns, due + max(h.settle_ns, c.timeout_ns))
     return True
+
+
+@kernel
+def other_falls(T: Any, bus: int) -> bool:
+    """Return whether another bus falls asleep, or did: the vehicle is switched off."""
+    for k in range(T.health.shape[0] - 1):
+        o = T.health[k]
+        if k != bus and (o.activity == FALLING or (o.activity == ASLEEP and o.fell_ns > o.joined_ns)):
+            return True
+    return False
 
 
 @kernel
@@ -208,8 +217,8 @@ def note_gap(T: Any, t_ns: int, c: Any, gap_ns: int) -> None:
         c.first, c.span_ns = c.first + 1, c.span_ns + gap_ns
         if c.first == FIRST:
             c.wide_ns = max(c.wide_ns, int(MISSES * c.span_ns / FIRST))
-    elif gap_ns <= c.timeout_ns >> 4:
-        h.gaps = max(h.gaps - 1, 0)
+    elif gap_ns <= c.wide_ns // SOON:
+        h.gaps = max(h.gaps - (1 - c.repeats), 0)  # one that is sent at a change, too, was not late
     elif h.gapped == c.row + 1 and _has_others(T, c):
         h.alone += 1
     else:
@@ -229,10 +238,11 @@ def note_gap(T: Any, t_ns: int, c: Any, gap_ns: int) -> None:
 
 @kernel
 def _has_others(T: Any, c: Any) -> bool:
-    """Return whether more than TWO messages of the bus of a message are watched."""
+    """Return whether more than TWO messages of the bus of a message are watched, and come."""
     count = 0
     for k in range(T.checks.shape[0]):
-        if T.checks[k].bus == c.bus and T.checks[k].timeout_ns > 0:
+        o = T.checks[k]
+        if o.bus == c.bus and o.timeout_ns > 0 and o.coming in (COMES, STOPPED):
             count += 1
             if count > _TWO:
                 return True
@@ -264,12 +274,18 @@ def is_lossy(t_ns: int, h: Any) -> bool:
 
 
 @kernel
+def lost_share(h: Any) -> float:
+    """Return the share of the frames of a bus that get lost, as far as it is seen now."""
+    return float(min(max(h.share if h.lossy == 1 else 0.0, h.gaps / max(h.watched, _WEIGHED)), _MOST))
+
+
+@kernel
 def _lost_ns(h: Any, c: Any) -> int:
     """Return how long behind its timeout frames of a message may be missing that were lost on the way [ns].
 
     Where each is lost with the probability p, and none knows of another, n of them are with p^n.
     """
-    share = min(max(h.share if h.lossy == 1 else 0.0, h.gaps / max(h.watched, _WEIGHED)), _MOST)
+    share = lost_share(h)
     together = _TOGETHER if share > _HALF else 1.0
     return int(max(_LONGER * c.timeout_ns, together * math.log(_RARE) / (1.0 - share) * c.wide_ns / MISSES))
 
@@ -370,6 +386,8 @@ def begin_to_come(T: Any, t_ns: int, c: Any) -> bool:
     h, stopped = T.health[c.bus], c.coming == STOPPED
     if c.coming == NOT_YET:
         h.joined_ns = max(h.joined_ns, t_ns)
+        if h.weighed_ns > 0 and c.one_ns > 0:  # until now it had no rate
+            h.watched += int(c.stride * c.slots * ((t_ns - h.weighed_ns) / c.one_ns))
         if h.activity == PART and not _are_many(T, t_ns, c.bus, NOT_YET):
             set_activity(T, t_ns, c.bus, AWAKE)
     elif stopped and h.activity in (AWAKE, PART) and h.stops <= 1 and is_gone(T, t_ns, c):

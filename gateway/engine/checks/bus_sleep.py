@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gateway.common.times import NEVER
-from gateway.engine.checks.activity import UNUSUAL, set_activity, watch_silence
+from gateway.engine.checks.activity import UNUSUAL, other_falls, set_activity, watch_silence
 from gateway.engine.checks.bus_health import ASLEEP, AWAITED, SILENT, SPOKEN, WHOLE, Params, Silence
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.checks.kinds import TIMEOUT
@@ -99,7 +99,7 @@ def others_sleep(T: Any, t_ns: int, bus: int) -> bool:
         o = T.health[k]
         if k != bus and o.quiet_ns > 0:
             others += 1
-            awake = o.talks_ns <= h.heard_ns or t_ns - o.talks_ns >= h.wake_ns
+            awake = o.activity != ASLEEP and (o.talks_ns <= h.heard_ns or t_ns - o.talks_ns >= h.wake_ns)
             if awake and o.heard_ns - h.heard_ns > UNUSUAL * max(h.gap_ns, o.gap_ns):
                 spoken += 1
     return others > 0 and spoken == 0
@@ -119,7 +119,8 @@ def judge_silence(T: Any, t_ns: int, bus: int) -> None:
     """Judge a bus that was silent for long enough; its verdict is in ``failed``.
 
     Nothing is said of one that may sleep: no other bus is heard, or ``[power]`` says so; nor, unless that says that the
-    vehicle is awake, of one that ``sleeps`` and is the only one, or fell asleep. It is looked at again.
+    vehicle is awake, of one that ``sleeps`` and is the only one, or fell asleep, or has not settled yet, or while
+    another falls asleep. It is looked at again.
 
     Args:
         T: the tables.
@@ -132,6 +133,7 @@ def judge_silence(T: Any, t_ns: int, bus: int) -> None:
         if c.bus == bus and c.parked_ns > 0:
             not_tested(T, t_ns, c.fault[TIMEOUT])
     silent_ns, fault = t_ns - h.heard_ns, h.fault[SILENT]
+    may_fall = h.settle_ns > 0 and not said_awake(T, T.debounces[fault])
     set_activity(T, t_ns, bus, ASLEEP)
     h.until[SILENT] = t_ns + max(h.quiet_ns, _AGAIN_NS if silent_ns > _HOUR_NS else 0)
     if sleeps(T, T.debounces[fault]):
@@ -142,8 +144,10 @@ def judge_silence(T: Any, t_ns: int, bus: int) -> None:
     elif h.asleep == 1 and h.wake_ns > 0:  # it wakes
         h.asleep = 0
         h.until[SILENT] = t_ns + h.wake_ns
-    elif h.settle_ns > 0 and not said_awake(T, T.debounces[fault]) and (h.stops > 1 or is_alone(T, bus)):
+    elif may_fall and (h.stops > 1 or is_alone(T, bus) or other_falls(T, bus)):
         not_tested(T, t_ns, fault)
+    elif may_fall and silent_ns < h.settle_ns:
+        h.until[SILENT] = h.heard_ns + h.settle_ns
     else:
         h.failed |= 1 << SILENT
         h.bad |= 1 << SILENT

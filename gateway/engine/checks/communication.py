@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 #: ``activity``); it is missing.
 COMES, NOT_YET, STOPPED, MISSING = range(4)
 #: A timeout has CYCLES cycles at most. A frame is missing in a gap of more than MISSES cycles. People write timeouts of
-#: fewer cycles: the mean of the FIRST gaps of a message is then its cycle.
-CYCLES, MISSES, FIRST = 5.0, 1.5625, 16
+#: fewer cycles: the mean of the FIRST gaps of a message is then its cycle. One of more than LONG, as of a recorder that
+#: loses frames, says nothing of it where `most` does. A frame that comes within a gap's SOON-th part was late.
+CYCLES, MISSES, FIRST, LONG, SOON = 5.0, 1.5625, 16, 7.5, 5
 
 #: Verdict on a frame: its data may be used.
 ACCEPT = 0
@@ -313,6 +314,9 @@ def fill(
     row["cycle_ns"] = round((p.cycle_ms or 0) * 1e6)
     row["deadline_ns"] = NEVER
     row["wide_ns"] = round(MISSES / CYCLES * row["timeout_ns"])
+    cycle_ns = row["one_ns"] / max(row["stride"] * row["slots"], 1)
+    if 0 < cycle_ns < row["timeout_ns"] / LONG:
+        row["wide_ns"], row["first"] = round(MISSES * cycle_ns), FIRST
     row["rule"] = protection.digest(asked, message.frame_id)
     row["presence"] = row["sync"] = -1
     for ref in _deciding(check, message, asked):

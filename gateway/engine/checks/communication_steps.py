@@ -23,6 +23,7 @@ from gateway.engine.checks.communication import (
     PROVEN,
     REJECT,
     SAMPLES,
+    SOON,
     STOPPED,
     WIDE,
 )
@@ -440,7 +441,7 @@ def note_arrival(T: Any, t_ns: int, c: Any, words: Any) -> None:
         moved_ns = deadline_ns - before_ns
         if c.coming != COMES:
             come(T, t_ns, c)
-        elif moved_ns > c.wide_ns or moved_ns < c.timeout_ns >> 4 or c.first < FIRST:
+        elif moved_ns > c.wide_ns or moved_ns < c.wide_ns // SOON or c.first < FIRST:
             note_gap(T, t_ns, c, moved_ns)
         c.deadline_ns = deadline_ns
         c.silent_ns = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from gateway.engine.checks.activity import is_lossy
+from gateway.engine.checks.activity import is_lossy, lost_share
 from gateway.engine.checks.kinds import COUNTER, CRC, EARLY, SECOND
 from gateway.engine.checks.software import FIRST_NS, is_other
 from gateway.engine.debounce import is_settled
@@ -96,12 +96,26 @@ def note_window(T: Any, c: Any, span_ns: int) -> None:
 
 
 @kernel
-def may_lose(T: Any, t_ns: int, c: Any) -> bool:
-    """Return whether frames of a message's bus get lost, or nobody knows yet."""
+def lost_of(T: Any, c: Any) -> float:
+    """Return the share of the frames of a message's bus that are told to get lost; 0: they do not."""
+    if c.bus >= T.health.shape[0] - 1 or T.health[c.bus].lossy == 0:
+        return 0.0
+    return float(lost_share(T.health[c.bus]))
+
+
+@kernel
+def is_new(T: Any, t_ns: int, c: Any) -> bool:
+    """Return whether a message's bus has just begun, so that nobody knows whether it loses frames."""
     if c.bus >= T.health.shape[0] - 1:
         return False
     h = T.health[c.bus]
-    return bool((h.settle_ns > 0 and t_ns < h.joined_ns + FIRST_NS) or is_lossy(t_ns, h))
+    return bool(h.settle_ns > 0 and t_ns < h.joined_ns + FIRST_NS)
+
+
+@kernel
+def may_lose(T: Any, t_ns: int, c: Any) -> bool:
+    """Return whether frames of a message's bus get lost, or nobody knows yet."""
+    return bool(c.bus < T.health.shape[0] - 1 and (is_new(T, t_ns, c) or is_lossy(t_ns, T.health[c.bus])))
 
 
 @kernel
@@ -143,7 +157,8 @@ def keep_stamp(T: Any, t_ns: int, c: Any) -> None:
     elif span_ns < c.most_ns:
         judge_rate(T, t_ns, c, span_ns)
     elif at == 0:
-        c.wraps += 0 if may_lose(T, t_ns, c) else 1  # it had its rate; where frames get lost nobody knows
+        if not is_new(T, t_ns, c) and span_ns * (1.0 - lost_of(T, c)) >= c.most_ns:
+            c.wraps += 1  # it had its rate
         note_window(T, c, span_ns)
         d = T.debounces[c.fault[EARLY]]
         if c.crowded == 1 or c.wraps & 7 == 0 or T.clock[0].held == 1 or d.gated == 1 or not is_settled(d):
@@ -160,8 +175,9 @@ def judge_rate(T: Any, t_ns: int, c: Any, span_ns: int) -> None:
         c.steady, c.filled = 0, 1
         c.stamps[0], c.at = t_ns, 1 if c.slots > 1 else 0
     rate = most * (c.most_ns / max(span_ns, 1))
-    if failed and c.wraps == 0 and is_other(T, t_ns, c, EARLY, 1, rate, float(most)):
-        not_tested(T, t_ns, c.fault[EARLY])
+    other = failed and c.wraps == 0 and is_other(T, t_ns, c, EARLY, 1, rate, float(most))
+    if other or (failed and (c.repeats == 1 or c.wraps == 0) and lost_of(T, c) > 0.0):
+        not_tested(T, t_ns, c.fault[EARLY])  # one behind a lost one may repeat what was before; or it never fitted
         return
     place = report_result(T, t_ns, c.fault[EARLY], failed, rate, float(most))
     store_evidence(T, c.fault[EARLY], place, 0, float(most + 1))

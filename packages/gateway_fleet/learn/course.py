@@ -30,6 +30,7 @@ class Course:
         rest_s: the longest time without change, while it came [s].
         values: the first different ones, at most MOST_VALUES + 1.
         swings: how often it went from one end of its span to the other, in the latest logs.
+        ways: of these, without noise.
         walk: how far its level wanders in a time as long as they are; 0: it is not shown to move.
     """
 
@@ -43,6 +44,7 @@ class Course:
     rest_s: float = 0.0
     values: set[float] = field(default_factory=set)
     swings: int = 0
+    ways: int = 0
     walk: float = 0.0
 
     @property
@@ -66,12 +68,18 @@ class Course:
         self.rest_s = max(self.rest_s, other.rest_s)
         self.values = set(sorted(self.values | other.values)[: MOST_VALUES + 1])
 
-    def measure(self, values: NDArray[np.float64]) -> None:
-        """Count how often values, in order, go from a quarter at one end of their span to the other; and its walk."""
+    def measure(self, values: NDArray[np.float64], rows: int = 1) -> None:
+        """Count how often values, in order, go from a quarter at one end of their span to the other; and their walk.
+
+        ``rows``: that one value of the signal takes. Two values are there in a real way; noise about one value comes
+        there alone, and says nothing of where a quantity goes.
+        """
         self.walk = wandering(values[~np.isnan(values)])
         with np.errstate(invalid="ignore"):
             side = np.sign((values > self.highest - 0.25 * self.span) * 1 - (values < self.lowest + 0.25 * self.span))
+        twice = (side[rows:] == side[:-rows]) & (side[rows:] != 0)
         self.swings = int(np.count_nonzero(np.diff(side[side != 0])))
+        self.ways = int(np.count_nonzero(np.diff(side[rows:][twice])))
 
     def data(self) -> list[Any]:
         """Return it for a file."""

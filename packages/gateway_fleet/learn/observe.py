@@ -312,11 +312,12 @@ class Observer:
         """Return what was seen."""
         for bus in range(len(self._pauses)):
             tell_wakes([seen.gaps for seen in self._made if seen.bus == bus])
-        matrix = self._snapshots.matrix()
+        matrix, step_s, every_s = self._snapshots.matrix(), self._snapshots.step_s, self._snapshots.every_s()
         for seen in self._made:
             for k, course in enumerate(seen.courses.each):
                 if not course.states or seen.signals[k].is_float:
-                    course.measure(matrix[:, seen.columns.start + k])
+                    at = seen.columns.start + k
+                    course.measure(matrix[:, at], max(round(every_s[at] / step_s), 1))
         return Observation(
             {(seen.bus, seen.message.name): seen for seen in self._made if seen.frames},
             [(seen.bus, seen.message.name) for seen in self._made if not seen.frames],

@@ -143,13 +143,14 @@ def _of_drive(
     if states or course.count < LEAST_VALUES:
         return nothing, ""
     wild = WILD * max(abs(course.lowest), abs(course.highest)) if signal.is_float else np.inf
-    if course.swings < SWINGS or drive.hours * 3600.0 < LEAST_S:
+    ways = course.ways if drive.rate.hours > drive.hours else course.swings  # the drive itself shows what comes in it
+    if ways < SWINGS or drive.hours * 3600.0 < LEAST_S:
         if not signal.is_float:
             return nothing, ""
         text = "its largest value ten times, as a number of its kind says nothing of a range"
         return (course.lowest - wild, course.highest + wild), text
     longer = drive.rate.hours / drive.hours
-    spans = (ROOM + ROOM_OF_ONE / course.swings) * float(np.clip(np.log10(longer) / FAR, 0.0, 1.0))
+    spans = (ROOM + ROOM_OF_ONE / ways) * float(np.clip(np.log10(longer) / FAR, 0.0, 1.0))
     # The tail alone says what comes LEAST times in the drive; what comes once is not nearer than the farthest value.
     once = float(np.clip(np.log(LEAST * longer) / np.log(LEAST), 0.0, 1.0))
     good = column[~np.isnan(column)]
@@ -165,7 +166,7 @@ def _of_drive(
         most = course.highest if sign > 0 else -course.lowest
         end = tail + once * max(most + spans * course.span - tail, 0.0) + walk
         ends.append(sign * min(end, most + most_room))
-    text = f"through its span {course.swings} times; beyond once in {shown(drive.rate.hours)} h"
+    text = f"through its span {ways} times; beyond once in {shown(drive.rate.hours)} h"
     if walk > 0.0:
         text += f"; its level still moved after {shown(60.0 * drive.hours)} min: room for it {shown(walk)}"
     return (ends[0], ends[1]), text
@@ -175,7 +176,7 @@ def waiting(signal: Signal, course: Course, seconds: float) -> str:
     """Return why drives of this length [s] say too little of a quantity for a limit; "": they say enough."""
     if signal.choices or course.states or signal.is_float or course.count < LEAST_VALUES:
         return ""
-    if course.swings < SWINGS:
-        minutes = np.ceil(max(seconds, LEAST_S) * SWINGS / max(course.swings, 1) / 60.0)
-        return f"{course.swings} of {SWINGS} ways through its span: about {minutes:.0f} min"
+    if course.ways < SWINGS:
+        minutes = np.ceil(max(seconds, LEAST_S) * SWINGS / max(course.ways, 1) / 60.0)
+        return f"{course.ways} of {SWINGS} ways through its span: about {minutes:.0f} min"
     return "its level still moves" if course.walk else ""
