@@ -96,7 +96,7 @@ def test_a_level_that_moves_all_the_time_gets_room_for_where_it_goes(seed, step_
     noise = swinging(seed, max(1200.0, 14_400.0 * step_s), step_s)
     climbs = noise + np.linspace(0.0, 4.0, len(noise))
     learned, more = np.split(climbs, 2)
-    course, rate = seen(learned), Rate(4.0 if step_s < 1.0 else 1.0 / 3.0, 1)
+    course, rate = seen(learned), Rate(4.0 if step_s < 1.0 else 1.0 / 30.0, 1)
     assert course.swings >= SWINGS
     assert course.walk > 1.0, f"seed {seed}"
     ends, why = found(name, learned, step_s=step_s, every_s=step_s, rate=rate)
