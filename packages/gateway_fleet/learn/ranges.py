@@ -22,6 +22,8 @@ from gateway_fleet.learn.lines import short, shown
 from gateway_fleet.learn.standards import Standard
 from gateway_fleet.learn.tails import Rate, block_maxima, limit_above
 
+#: Noise about one value says where it is in a time so many times as long as the drive, not where a quantity goes.
+KNOWN = 1000.0
 #: A value beyond counts where it lasts for this time [s], and comes twice.
 LASTS_S = 0.5
 #: Different values of a floating-point signal: its numbers are no states.
@@ -143,7 +145,7 @@ def _of_drive(
     if states or course.count < LEAST_VALUES:
         return nothing, ""
     wild = WILD * max(abs(course.lowest), abs(course.highest)) if signal.is_float else np.inf
-    ways = course.ways if drive.rate.hours > drive.hours else course.swings  # the drive itself shows what comes in it
+    ways = course.ways if drive.rate.hours > KNOWN * drive.hours else course.swings
     if ways < SWINGS or drive.hours * 3600.0 < LEAST_S:
         if not signal.is_float:
             return nothing, ""
