@@ -52,6 +52,7 @@ from gateway_plants.crank.pulse_tracking.tracker import (
     COARSE,
     agreed,
     best,
+    expect,
     keep_best,
     marginalise_decided,
     shift,
@@ -75,6 +76,8 @@ MARKED = 24
 SURE = 3
 #: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
 EVEN_TURNS = 2
+#: Turns in a row that have to show the same place of a wheel of few pulses whose edges look noisy.
+SHOWN = 2
 #: Two places were told: which one is right, no later turn says.
 TOLD = 2
 #: Pairs of turns that have to show a whole wheel behind one that fitted twice, and what its teeth may be off [pitch].
@@ -163,6 +166,8 @@ def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
         return s.suspects > 1 and s.hole == 0
     s.suspects = max(s.suspects, 1)
     s.recurring = 1 if s.defects.turns > 0 else 0
+    if s.recurring == 1:
+        expect(s.tracker, c.pulses, tooth, net)
     return False
 
 
@@ -201,10 +206,12 @@ def decide(s: State, c: Const, out: Reports) -> None:
     marginalise_decided(s.tracker)
     _spoil(s, c, tooth, missed - added)
     s.fitted = -1  # this turn does not count
+    crowd = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
+    burst = crowd and noise.close(s.burst, c.firing_us)
     s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
     if s.phase == CONFIRMED and (s.tracker.took > min(LATE, c.pulses // 2) or wrong_wheel.unsure(s, c)):
         doubt(s)
-    if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
+    if s.phase == TENTATIVE and not burst and _suspicious(s, c, tooth, missed - added):
         lose(s, c, out, s.tracker.mean_cost)
         s.refused += 1
         begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= anchor.FEW else 0)
@@ -225,7 +232,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     missed, added = max(missed, 0), max(added, 0)
     s.recent_missed += 0 if own else missed
     s.recent_added += 0 if own else added
-    if s.recent_missed > 0 and s.recent_added > 0 and s.recent_missed + s.recent_added > LOSS:
+    if s.recent_missed > 0 and s.recent_added > 0 and s.recent_missed + s.recent_added > LOSS and not burst:
         lose(s, c, out, s.tracker.mean_cost)
         return
     if missed == added:
@@ -239,8 +246,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
         fault = PULSES_LOST if s.burst_missed >= LOSS else MISSED
         _fail(s, c, out, fault, s.burst_missed, s.burst_tooth)
     if added > 0:
-        burst = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
-        if burst or s.teeth - s.burst.told <= TOGETHER:
+        if crowd or s.teeth - s.burst.told <= TOGETHER:
             if noise.close(s.burst, c.firing_us):
                 _tell_noise(s, c, out)
             else:
@@ -275,6 +281,8 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
         own: whether it is known to come again.
         out: record of Out.
     """
+    if own:
+        expect(s.tracker, c.pulses, tooth, net)
     if own and s.teeth - s.decided > c.pulses - TOGETHER:  # nothing else is missing or added in this turn
         s.recent_missed = 0
         s.recent_added = 0
@@ -302,7 +310,7 @@ def prove(s: State, c: Const, out: Reports) -> None:
     proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
     if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or _held_back(s, c):
         return
-    if c.pulses < MARKED and s.tracker.variance > COARSE and s.doubted == NEVER and s.waiting.same <= s.waiting.moved:
+    if c.pulses < MARKED and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN:
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
@@ -356,7 +364,8 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
     an = s.anchor
     if s.index == 1:
         pitches = s.tracker.pitches
-        an.short = 1 if s.defects.turns == 0 and anchor.shorter(c.anchor, pitches, c.pulses, s.y2, s.y1, y) else 0
+        odd = anchor.odd(c.anchor, pitches, c.pulses, s.y2, s.y1, y, s.tracker.variance <= COARSE)
+        an.short = 1 if s.defects.turns == 0 and odd else 0
     if c.even == 1:
         if an.age >= c.pulses:
             an.age = c.pulses + anchor.EDGES - c.anchor.length
