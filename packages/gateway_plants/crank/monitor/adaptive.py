@@ -160,7 +160,8 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
     else:
         period = best(s.tracker).period
         noise.note(s.burst, s.teeth, y, period)
-        silent = y > (MOST_MISSED + 1) * period and _silent(s, c, y, period)
+        crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST  # the time of a pitch may be that of its pulses
+        silent = not crowded and y > (MOST_MISSED + 1) * period and _silent(s, c, y, period)
         _watch_turning(s, c, y, silent)
         if silent and s.reversal.stood == 1:
             search(s, c)

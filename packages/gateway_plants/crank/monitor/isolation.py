@@ -153,10 +153,10 @@ def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
 
     One fault does not: it is held until the place is proven. Nor do those that come again a turn later at the same
     teeth: they are defects of the wheel or the sensor (teeth broken off, pulses too many in each turn), not a wrong
-    place (:mod:`.defects`); but beside the gap it is a wrong edge, or a wrong wheel. Others do, unless frames were lost
+    place (:mod:`.defects`); but a tooth missing beside the gap is a wrong edge, or a wrong wheel. Others do, unless frames were lost
     in between, and pulses with them.
     """
-    beside = _beside_gap(c, tooth)
+    beside = net > 0 and _beside_gap(c, tooth)
     if beside or not defects.take(s.defects, c.pulses, tooth, net, s.teeth):
         s.suspects += 1
         s.recurring = 0
@@ -312,6 +312,8 @@ def prove(s: State, c: Const, out: Reports) -> None:
         return
     if c.pulses < MARKED and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN:
         return
+    if s.held_fault >= 0 and not _alone(s, c, out):
+        return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
         confirm(s, out)
@@ -411,22 +413,23 @@ def _told_apart(s: State, c: Const) -> bool:
 
 @kernel
 def _laid(s: State, c: Const) -> bool:
-    """Tell whether it is the whole turn, laid onto the wheel, that proves a place at which teeth are missing.
+    """Tell whether it is the whole turn, laid onto the wheel, that proves a place with defects in each turn.
 
     Not on a wheel whose gap is no mark of its own (12+1).
     """
-    return bool(s.phase == TENTATIVE and s.recurring == 1 and c.anchor.ratio > 0.0 and defects.missing(s.defects) > 0)
+    return bool(s.phase == TENTATIVE and s.recurring == 1 and c.anchor.ratio > 0.0)
 
 
 @kernel
-def _broken_off(s: State, c: Const, out: Reports) -> bool:
-    """Tell whether teeth that are missing in each turn are so by this place alone; reports another place as likely."""
-    missing = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index)
-    if missing != defects.missing(s.defects):
+def _alone(s: State, c: Const, out: Reports) -> bool:
+    """Tell whether no other place explains the last turn as well; reports the one that lacks teeth in each turn, too."""
+    period = best(s.tracker).period
+    laid = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period)
+    if s.recurring == 1 and laid.missing != defects.missing(s.defects):
         return False
     if s.rival.other == competing_hypothesis.NONE:
         return True
-    if s.defects.turns < SURE:
+    if laid.missing == 0 or s.recurring == 0 or s.defects.turns < SURE:
         return False
     no_gap.clear(s.waiting)
     s.twice = TOLD
@@ -447,7 +450,7 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
         other: whether it is the rival.
     """
     if other:
-        tooth = competing_hypothesis.place_of(s.rival, c.wheel.nominal, c.pulses, s.index)
+        tooth = competing_hypothesis.place_of(s.rival, c.wheel, s.index)
         shift(s.tracker, c.pulses, tooth - s.index)
         s.index = best(s.tracker).index
         s.held.tooth = s.rival.other
@@ -492,7 +495,7 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
         return
     if s.recurring == 1 and not _told_apart(s, c):
         return
-    if s.recurring == 1 and defects.missing(s.defects) > 0 and not _broken_off(s, c, out):
+    if s.recurring == 1 and not _alone(s, c, out):
         return
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap
