@@ -310,7 +310,7 @@ def prove(s: State, c: Const, out: Reports) -> None:
     proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
     if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or _held_back(s, c):
         return
-    if c.pulses < MARKED and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN:
+    if _noisy(s, c):
         return
     if s.held_fault >= 0 and not _alone(s, c, out):
         return
@@ -318,6 +318,12 @@ def prove(s: State, c: Const, out: Reports) -> None:
         doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
         confirm(s, out)
         s.anchor.unchecked = 1 if doubtful else 0
+
+
+@kernel
+def _noisy(s: State, c: Const) -> bool:
+    """Tell whether the edges of a wheel of few pulses look so noisy that its turns have to show the place for longer."""
+    return bool(c.pulses < MARKED and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN)
 
 
 @kernel
@@ -425,7 +431,7 @@ def _alone(s: State, c: Const, out: Reports) -> bool:
     """Tell whether no other place explains the last turn as well; reports the one that lacks teeth in each turn, too."""
     period = best(s.tracker).period
     laid = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period)
-    if s.recurring == 1 and laid.missing != defects.missing(s.defects):
+    if s.recurring == 1 and (laid.defects > competing_hypothesis.MOST or laid.missing != defects.missing(s.defects)):
         return False
     if s.rival.other == competing_hypothesis.NONE:
         return True
@@ -491,7 +497,7 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
     if told:
         s.sure = 1
-    if s.phase != TENTATIVE or not told or not decides(s, c) or _held_back(s, c):
+    if s.phase != TENTATIVE or not told or not decides(s, c) or _held_back(s, c) or _noisy(s, c):
         return
     if s.recurring == 1 and not _told_apart(s, c):
         return

@@ -101,7 +101,7 @@ def unanimous(tr: Tracker) -> bool:
     h = tr.banks[first]
     for k in range(1, tr.count):
         other = tr.banks[first + k]
-        if other.cost < DECISION and other.index != h.index:
+        if (other.cost < DECISION or tr.variance > 4 * COARSE) and other.index != h.index:
             return False
     return True
 
