@@ -185,7 +185,7 @@ def _watch_noise(s: State, c: Const, y: float) -> None:
     noise.note(s.burst, s.teeth, y, s.seen.pitch)
     count = noise.crowd(s.burst, s.teeth)
     if count >= noise.BURST and noise.close(s.burst, c.firing_us):
-        noise.begin_anywhere(s.burst, count, s.seen.pitch)
+        noise.begin(s.burst, count, s.burst.crowd_us, s.seen.pitch, 0.0, -1)
         wheel_estimation.skip(s.seen)
 
 

@@ -11,9 +11,7 @@ many, and teeth in between are missing. A place is a rival if it needs no more o
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-from gateway_fdi.jit import Record, f8, f8s, i4, kernel, means
+from gateway_fdi.jit import Record, f8, i4, kernel, means
 from gateway_plants.crank.monitor import anchor
 from gateway_plants.crank.pulse_tracking.profile import LearnedWheel
 
@@ -39,20 +37,6 @@ class CompetingHypothesis(Record):
     there: i4 = means("edges of the cam that fitted the rival place alone")
 
 
-class Laid(NamedTuple):
-    """The last turn as it lies on the wheel.
-
-    Attributes:
-        defects: teeth missing and pulses too many.
-        missing: of these, teeth.
-        tooth: the first one that is; NONE: none is.
-    """
-
-    defects: int
-    missing: int
-    tooth: int
-
-
 @kernel
 def clear(rv: CompetingHypothesis) -> None:
     """There is no rival."""
@@ -62,7 +46,7 @@ def clear(rv: CompetingHypothesis) -> None:
 
 
 @kernel
-def _lay(an: anchor.State, size: int, wh: LearnedWheel, index: int, period: float, most: int) -> Laid:
+def _lay(an: anchor.State, size: int, wh: LearnedWheel, index: int, period: float, most: int) -> tuple[int, int, int]:
     """Lay the intervals of the last turn onto the wheel, the latest pulse at tooth ``index``.
 
     Args:
@@ -72,6 +56,9 @@ def _lay(an: anchor.State, size: int, wh: LearnedWheel, index: int, period: floa
         index: of the latest tooth.
         period: time of a pitch there [us].
         most: defects; with more it does not matter how many.
+
+    Returns:
+        teeth missing and pulses too many, of these the teeth, and the first one that is missing; NONE: none is.
     """
     tooth, total, missing, added, lost = index, 0.0, 0, 0, NONE
     at, way = int(an.at), 0.0
@@ -79,7 +66,7 @@ def _lay(an: anchor.State, size: int, wh: LearnedWheel, index: int, period: floa
         at = at - 1 if at > 0 else size - 1
         y = an.intervals[at]
         if y <= 0.0 or missing + added > most:
-            return Laid(MOST + 1, missing, NONE)
+            return MOST + 1, missing, NONE
         way += y / period
         following = way + an.intervals[at - 1 if at > 0 else size - 1] / period
         before, span, skipped = tooth, 0.0, -1
@@ -100,14 +87,14 @@ def _lay(an: anchor.State, size: int, wh: LearnedWheel, index: int, period: floa
         tooth, way = before, 0.0
         if total > wh.whole - NEAR:
             break
-    return Laid(missing + added, missing, lost)
+    return missing + added, missing, lost
 
 
 @kernel
 def seek(
     rv: CompetingHypothesis, an: anchor.State, size: int, wh: LearnedWheel, repeats: int, index: int, us: float
-) -> Laid:
-    """Look for a rival of a place; returns how the last turn lies there.
+) -> tuple[int, int]:
+    """Look for a rival of a place; returns the defects of the last turn there, and how many are missing teeth.
 
     Args:
         rv: record of CompetingHypothesis.
@@ -118,19 +105,19 @@ def seek(
         index: of the latest tooth.
         us: time of a pitch there [us].
     """
-    laid = _lay(an, size, wh, index, us, MOST)
+    defects, missing, tooth = _lay(an, size, wh, index, us, MOST)
     had, before, other = rv.other, rv.off, NONE
-    if laid.defects <= MOST:
+    if defects <= MOST:
         for shift in range(1, wh.pulses):
             there = (index + shift) % wh.pulses
-            rival = _lay(an, size, wh, there, us, laid.defects)
-            if shift % repeats != 0 and rival.defects <= laid.defects:
-                other, rv.off = max(rival.tooth, 0), (wh.place[there] - wh.place[index]) % wh.whole
+            number, _missing, first = _lay(an, size, wh, there, us, defects)
+            if shift % repeats != 0 and number <= defects:
+                other, rv.off = max(first, 0), (wh.place[there] - wh.place[index]) % wh.whole
                 break
     if had == NONE or other != had or rv.off != before:
         clear(rv)
-    rv.tooth, rv.other = laid.tooth, other
-    return laid
+    rv.tooth, rv.other = tooth, other
+    return defects, missing
 
 
 @kernel

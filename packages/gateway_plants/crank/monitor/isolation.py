@@ -119,7 +119,8 @@ def fall_noisy(s: State, c: Const, count: int) -> None:
         s.losses += 1
     keep_best(s.tracker)
     h = best(s.tracker)
-    noise.begin(s.burst, h, count, speed(s, c), known, tooth_of(s, c, h.index))
+    noise.begin(s.burst, count, h.elapsed, h.period, speed(s, c), tooth_of(s, c, h.index))
+    s.burst.tooth, s.burst.known = h.index, known
     anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
     anchor.restart(s.anchor)
     doubt(s)
@@ -153,8 +154,8 @@ def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
 
     One fault does not: it is held until the place is proven. Nor do those that come again a turn later at the same
     teeth: they are defects of the wheel or the sensor (teeth broken off, pulses too many in each turn), not a wrong
-    place (:mod:`.defects`); but a tooth missing beside the gap is a wrong edge, or a wrong wheel. Others do, unless frames were lost
-    in between, and pulses with them.
+    place (:mod:`.defects`); but a tooth missing beside the gap is a wrong edge, or a wrong wheel. Others do, unless
+    frames were lost in between, and pulses with them.
     """
     beside = net > 0 and _beside_gap(c, tooth)
     if beside or not defects.take(s.defects, c.pulses, tooth, net, s.teeth):
@@ -322,7 +323,7 @@ def prove(s: State, c: Const, out: Reports) -> None:
 
 @kernel
 def _noisy(s: State, c: Const) -> bool:
-    """Tell whether the edges of a wheel of few pulses look so noisy that its turns have to show the place for longer."""
+    """Tell whether the edges of a wheel of few pulses are so noisy that more turns have to show its place."""
     return bool(c.pulses < MARKED and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN)
 
 
@@ -428,14 +429,14 @@ def _laid(s: State, c: Const) -> bool:
 
 @kernel
 def _alone(s: State, c: Const, out: Reports) -> bool:
-    """Tell whether no other place explains the last turn as well; reports the one that lacks teeth in each turn, too."""
+    """Tell whether no other place explains the last turn as well; reports one, if teeth are missing in each turn."""
     period = best(s.tracker).period
-    laid = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period)
-    if s.recurring == 1 and (laid.defects > competing_hypothesis.MOST or laid.missing != defects.missing(s.defects)):
+    number, missing = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period)
+    if s.recurring == 1 and (number > competing_hypothesis.MOST or missing != defects.missing(s.defects)):
         return False
     if s.rival.other == competing_hypothesis.NONE:
         return True
-    if laid.missing == 0 or s.recurring == 0 or s.defects.turns < SURE:
+    if missing == 0 or s.recurring == 0 or s.defects.turns < SURE:
         return False
     no_gap.clear(s.waiting)
     s.twice = TOLD
@@ -443,6 +444,17 @@ def _alone(s: State, c: Const, out: Reports) -> bool:
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
     e.here, e.there = s.rival.here, s.rival.there
     return False
+
+
+@kernel
+def _move(s: State, c: Const, number: int) -> None:
+    """Put the index on by so many teeth; what was learned at the wrong place is forgotten."""
+    shift(s.tracker, c.pulses, number)
+    s.index = best(s.tracker).index
+    profile.forget(s.profile, c.wheel, s.tracker.pitches)
+    runout.forget(s.law)
+    turns.trust(s, c)
+    anchor.restart(s.anchor)
 
 
 @kernel
@@ -456,12 +468,8 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
         other: whether it is the rival.
     """
     if other:
-        tooth = competing_hypothesis.place_of(s.rival, c.wheel, s.index)
-        shift(s.tracker, c.pulses, tooth - s.index)
-        s.index = best(s.tracker).index
+        _move(s, c, competing_hypothesis.place_of(s.rival, c.wheel, s.index) - s.index)
         s.held.tooth = s.rival.other
-        profile.forget(s.profile, c.wheel, s.tracker.pitches)
-        anchor.restart(s.anchor)
     competing_hypothesis.clear(s.rival)
     s.twice = 0
     s.recurring = 0
@@ -473,14 +481,9 @@ def place_by_cam(s: State, c: Const, number: int) -> None:
     """Put the index of a wheel of equal pitches on by so many teeth: it is told by the cam then."""
     s.placed = BY_CAM
     s.uneven = NEVER
-    if number == 0:
-        return
-    shift(s.tracker, c.pulses, number)
-    s.index = best(s.tracker).index
-    profile.forget(s.profile, c.wheel, s.tracker.pitches)
-    runout.forget(s.law)
-    turns.trust(s, c)
-    defects.clear(s.defects)
+    if number != 0:
+        _move(s, c, number)
+        defects.clear(s.defects)
 
 
 @kernel
@@ -526,9 +529,8 @@ def unwatched(s: State, c: Const, number: int, out: Reports) -> None:
 
 @kernel
 def relocate(s: State, c: Const, out: Reports, found: int) -> None:
-    """Put the index right by a shift that the whole turn proves; what was learned at the wrong place is forgotten."""
-    shift(s.tracker, c.pulses, found)
-    s.index = best(s.tracker).index
+    """Put the index right by a shift that the whole turn proves."""
+    _move(s, c, found)
     if s.phase == CONFIRMED and not wrong_wheel.unsure(s, c):
         off = found if 2 * found <= c.pulses else found - c.pulses
         e = report(out, RELOCATED, True, off, 0.0).relocated
@@ -538,10 +540,6 @@ def relocate(s: State, c: Const, out: Reports, found: int) -> None:
     s.doubted = NEVER
     uncover(s, c)
     s.held_fault = -1
-    profile.forget(s.profile, c.wheel, s.tracker.pitches)
-    runout.forget(s.law)
-    turns.trust(s, c)
-    anchor.restart(s.anchor)
 
 
 @kernel

@@ -75,27 +75,12 @@ def close(b: Burst, firing_us: float) -> bool:
 
 
 @kernel
-def begin(b: Burst, h: Hypothesis, count: int, rpm: float, known: bool, named: int) -> None:
-    """Begin a burst.
+def begin(b: Burst, count: int, us: float, period: float, rpm: float, named: int) -> None:
+    """Begin a burst of so many pulses, so long since the last tooth, at a time of a pitch [us] and a speed.
 
-    Args:
-        b: record of Burst.
-        h: the hypothesis before it, or the one that holds its pulses for clutter.
-        count: its pulses so far.
-        rpm: speed before it.
-        known: whether the place was proven before it.
-        named: the tooth as it is told; -1: no place is.
+    ``rpm`` is 0, and ``named`` -1, while no place is known.
     """
-    b.named = named
-    b.count, b.tooth, b.us, b.period = count, h.index, h.elapsed, h.period
-    b.rpm, b.known = rpm, known
-
-
-@kernel
-def begin_anywhere(b: Burst, count: int, period: float) -> None:
-    """Begin a burst of so many pulses while no place is known, at a time of a pitch [us]."""
-    b.count, b.us, b.period = count, b.crowd_us, period
-    b.rpm, b.known, b.named = 0.0, 0, -1
+    b.count, b.us, b.period, b.rpm, b.named, b.known = count, us, period, rpm, named, 0
 
 
 @kernel

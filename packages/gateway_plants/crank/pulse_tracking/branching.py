@@ -129,7 +129,7 @@ def _predict(
 @kernel
 def _missed_cost(tr: Tracker, tooth: int, before: float) -> float:
     """Return what a missed tooth costs, behind missed ones of so much [nat]."""
-    if tr.missing[tooth] > 0:
+    if tr.nets[tooth] > 0:
         return AGAIN_COST
     return MISSED_COST if before < MISSED_COST else MORE_MISSED_COST
 
@@ -138,7 +138,7 @@ def _missed_cost(tr: Tracker, tooth: int, before: float) -> float:
 def _clutter_cost(tr: Tracker, h: Hypothesis) -> float:
     """Return what one more added pulse costs [nat]."""
     if h.clutter == 0:
-        return AGAIN_COST if tr.doubled[h.index] > 0 else ADDED_COST
+        return AGAIN_COST if tr.nets[h.index] < 0 else ADDED_COST
     return MORE_ADDED_COST
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import exp
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means, u1s
+from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, kernel, means
 from gateway_plants.crank.pulse_tracking.motion import LEAST_SQUARE, MOST_GROWTH, Hypothesis, copy
 from gateway_plants.crank.wheel import MOST_TEETH
 
@@ -49,8 +49,7 @@ class Tracker(Record):
     pitches: Annotated[f8s, MOST_TEETH] = means("pitches as learned", "pitch")
     slack: Annotated[f8s, MOST_TEETH] = means("variance of the pitches while they are not learned", "pitch^2")
     again: i4 = means("turns in which what came in each turn may come again")
-    missing: Annotated[u1s, MOST_TEETH] = means("1: that is the tooth missed")
-    doubled: Annotated[u1s, MOST_TEETH] = means("1: that is a pulse too many behind the tooth")
+    nets: Annotated[i4s, MOST_TEETH] = means("that: 1: the tooth is missed, -1: a pulse too many is behind it")
     steady: i4 = means("regular pulses over one pitch in a row")
     k1: f8 = means("gain of the position")
     k2: f8 = means("gain of ln T")
@@ -151,10 +150,8 @@ def marginalise_decided(tr: Tracker) -> None:
 def expect(tr: Tracker, pulses: int, tooth: int, net: int) -> None:
     """Expect pulses missed, less those added, at a tooth in the next turns as well."""
     tr.again = AGAIN
-    for k in range(net):
-        tr.missing[(tooth + k) % pulses] = 1
-    if net < 0:
-        tr.doubled[tooth] = 1
+    for k in range(max(net, 1)):
+        tr.nets[(tooth + k) % pulses] = 1 if net > 0 else -1
 
 
 @kernel
@@ -162,8 +159,7 @@ def expect_less(tr: Tracker, turns: int) -> None:
     """Expect what came in each turn for so many turns less."""
     if 0 < tr.again <= turns:
         for k in range(MOST_TEETH):
-            tr.missing[k] = 0
-            tr.doubled[k] = 0
+            tr.nets[k] = 0
     tr.again = max(tr.again - turns, 0)
 
 
