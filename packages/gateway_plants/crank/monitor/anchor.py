@@ -164,7 +164,7 @@ def odd(c: Const, pitches: f8s, pulses: int, y2: float, y1: float, y: float, qui
     """
     gap = pitches[pulses - 1]
     ratio = min(c.ratio, gap * gap / (pitches[pulses - 2] * pitches[0]))
-    piece = quiet and not level(pitches, pulses, y2, y)
+    piece = quiet and c.ratio > 0.0 and not level(pitches, pulses, y2, y)
     return bool(y2 > 0.0 and (piece or y1 * y1 * RIGHT < ratio * y * y2))
 
 

@@ -324,7 +324,9 @@ def prove(s: State, c: Const, out: Reports) -> None:
 @kernel
 def _noisy(s: State, c: Const) -> bool:
     """Tell whether the edges of a wheel of few pulses are so noisy that more turns have to show its place."""
-    return bool(c.pulses < MARKED and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN)
+    return bool(
+        c.pulses < MARKED and c.anchor.ratio > 0.0 and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN
+    )
 
 
 @kernel
