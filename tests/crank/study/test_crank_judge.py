@@ -67,7 +67,7 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
         *((331199, k) for k in (6521, 8610)),
         *((510007, k) for k in (4899, 5106)),
         *((225577, k) for k in (508, 3419)),  # a gap that fills, whose piece looked like it, or like another place's
-        *((510007, k) for k in (365, 873, 1463, 8852)),
+        *((510007, k) for k in (365, 1463, 8852)),
         *((225577, k) for k in (2225,)),  # twelve teeth less one, whose edges a defect made look noisy
         *((331199, k) for k in (2285, 6833)),
         *((70001, k) for k in (388, 2224)),  # pieces of a filled gap like the gap and a pitch, behind lost frames
