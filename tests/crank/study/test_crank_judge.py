@@ -63,6 +63,13 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
         *((770077, k) for k in (1067, 2780, 8660)),  # one of two equal gaps, behind frames that were lost
         *((225577, k) for k in (1915, 3369, 3465, 7241, 8353)),  # a pulse believed missed, before the next gap
         *((225577, k) for k in (389, 9425)),  # a broken tooth like the gap, behind a turning back
+        *((225577, k) for k in (6835,)),  # what comes again in each turn was as dear as what comes once
+        *((331199, k) for k in (6521, 8610)),
+        *((510007, k) for k in (4899, 5106)),
+        *((225577, k) for k in (508, 3419)),  # a gap that fills, whose piece looked like it, or like another place's
+        *((510007, k) for k in (365, 1463, 8852)),
+        *((225577, k) for k in (2225,)),  # twelve teeth less one, whose edges a defect made look noisy
+        *((331199, k) for k in (2285, 6833)),
         *((70001, k) for k in (388, 2224)),  # pieces of a filled gap like the gap and a pitch, behind lost frames
     ],
 )

@@ -60,6 +60,8 @@ MOST_MEAN_COST = 8.0
 LEAST_UNSEEN = 1e-9
 #: Least time between two pulses, and of a pitch [us]: a frame may tell of none.
 LEAST_US = 0.1
+#: Regular pulses in a row by which the time of a pitch is known while no place is.
+REGULAR = 4
 #: An engine does not slow down by this factor from one tooth to the next.
 ABRUPT = 4.0
 #: The neighbours of the largest gap, so many on each side, are never taken the short way.
@@ -153,11 +155,13 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
     if s.phase == SEARCHING:
         if s.silent > 0:
             broken_silence(s, y, out)
+        _watch_noise(s, c, y)
         _seek(s, c, y)
     else:
         period = best(s.tracker).period
         noise.note(s.burst, s.teeth, y, period)
-        silent = y > (MOST_MISSED + 1) * period and _silent(s, c, y, period)
+        crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST  # the time of a pitch may be that of its pulses
+        silent = not crowded and y > (MOST_MISSED + 1) * period and _silent(s, c, y, period)
         _watch_turning(s, c, y, silent)
         if silent and s.reversal.stood == 1:
             search(s, c)
@@ -171,6 +175,18 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         wait(s, c, y, out)
     s.y2 = s.y1
     s.y1 = y
+
+
+@kernel
+def _watch_noise(s: State, c: Const, y: float) -> None:
+    """Look for a burst while no place is known: pulses closer than half the pitch of regular ones before them."""
+    if s.seen.run < REGULAR or c.pulses < anchor.FEW:
+        return
+    noise.note(s.burst, s.teeth, y, s.seen.pitch)
+    count = noise.crowd(s.burst, s.teeth)
+    if count >= noise.BURST and noise.close(s.burst, c.firing_us):
+        noise.begin(s.burst, count, s.burst.crowd_us, s.seen.pitch, 0.0, -1)
+        wheel_estimation.skip(s.seen)
 
 
 @kernel
@@ -361,7 +377,7 @@ def _track(s: State, c: Const, y: float, out: Reports) -> None:
     s.residuals[s.teeth & (RING - 1)] = tr.residual
     if not (cost <= HOPELESS and tr.mean_cost <= MOST_MEAN_COST and best(tr).period > LEAST_US):
         count = noise.crowd(s.burst, s.teeth)
-        if count >= noise.BURST and s.reversal.stood == 0:
+        if count >= noise.BURST and (s.reversal.stood == 0 or noise.close(s.burst, c.firing_us)):
             fall_noisy(s, c, count)
         else:
             lose(s, c, out, cost)

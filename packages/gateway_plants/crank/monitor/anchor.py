@@ -136,7 +136,6 @@ def seen(an: State, c: Const, y2: float, y1: float, y: float) -> bool:
     if ratio * RIGHT < expected or ratio > RIGHT * expected:
         return False
     an.age = 0
-    an.short = 0
     hold(an)
     return True
 
@@ -151,8 +150,8 @@ def hold(an: State) -> None:
 
 
 @kernel
-def shorter(c: Const, pitches: f8s, pulses: int, y2: float, y1: float, y: float) -> bool:
-    """Tell whether the gap ``y1`` [us], between its neighbours, is too short: a pulse may be in it.
+def odd(c: Const, pitches: f8s, pulses: int, y2: float, y1: float, y: float, quiet: bool) -> bool:
+    """Tell whether a pulse may be in the gap ``y1`` [us]: it is too short, or one of its neighbours is.
 
     Args:
         c: record of Const.
@@ -161,17 +160,19 @@ def shorter(c: Const, pitches: f8s, pulses: int, y2: float, y1: float, y: float)
         y2: interval before the gap [us]; 0: not known.
         y1: the gap.
         y: interval behind it.
+        quiet: whether edges jitter so little that a neighbour is short for no other reason.
     """
     gap = pitches[pulses - 1]
     ratio = min(c.ratio, gap * gap / (pitches[pulses - 2] * pitches[0]))
-    return bool(y2 > 0.0 and y1 * y1 * RIGHT < ratio * y * y2)
+    piece = quiet and c.ratio > 0.0 and not level(pitches, pulses, y2, y)
+    return bool(y2 > 0.0 and (piece or y1 * y1 * RIGHT < ratio * y * y2))
 
 
 @kernel
 def level(pitches: f8s, pulses: int, y2: float, y: float) -> bool:
     """Tell whether the neighbours of the gap are as long as each other [us]: else one may be a piece of it."""
-    ratio = y * pitches[pulses - 2] / (y2 * pitches[0])
-    return bool(1.0 / LEVEL < ratio < LEVEL)
+    one, other = y * pitches[pulses - 2], y2 * pitches[0]
+    return bool(one < LEVEL * other and other < LEVEL * one)
 
 
 @kernel

@@ -1,31 +1,29 @@
-"""Another place on the wheel that explains teeth which are missing in each turn as well as the present one does.
+"""Another place on the wheel that explains what the pulses show in each turn as well as the present one does.
 
 A tooth broken off a wheel of N - 1 leaves two equal gaps, half a wheel or any other angle apart: which of them is the
-wheel's own, the pulses cannot say. Such a place is not proven, and the other one is told with it. A cam sensor can
-decide: its edges fit one of the two.
+wheel's own, the pulses cannot say. A pulse in the middle of its gap leaves none, and one in the middle of a gap of two
+teeth may as well lie on the other side. Such a place is not proven. Where teeth are missing the other one is told with
+it, and a cam sensor can decide: its edges fit one of the two.
 
-The pulses that are left are those of the wheel without the teeth. They are laid onto the wheel at each other place: it
-is a rival if they fit with as many teeth of the wheel missing there. A place that needs more, and a pulse too many for
-each of them, is none.
+The pulses of the last turn are laid onto the wheel at each place, the latest one first: each is a tooth, or one too
+many, and teeth in between are missing. A place is a rival if it needs no more of both than the present one.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from gateway_fdi.jit import Record, f8s, i4, kernel, means, u1s
+from gateway_fdi.jit import Record, f8, i4, kernel, means
 from gateway_plants.crank.monitor import anchor
 from gateway_plants.crank.pulse_tracking.profile import LearnedWheel
-from gateway_plants.crank.wheel import MOST_TEETH
 
-#: Two pitches are equal within this [pitch].
-EQUAL = 0.15
+#: A pulse is a tooth within so much of its place [pitch], and this share of the way to it.
+NEAR, SHARE, MOST_OFF = 0.25, 0.05, 0.42
 #: Edges of the cam, more of one place than of the other, that decide.
 EDGES = 3
-#: The time of a pitch changes by no more than this factor from one interval to the next, and no interval is farther
-#: from its pitches than by this one.
-FASTER, WIDEST = 1.15, 1.3
-#: There is no rival.
+#: The time of a pitch changes by no more than this factor from one interval to the next.
+FASTER = 1.12
+#: Defects of a turn, at most.
+MOST = 6
+#: There is no rival; the pulses do not fit.
 NONE = -1
 
 
@@ -33,12 +31,10 @@ class CompetingHypothesis(Record):
     """A rival."""
 
     tooth: i4 = means("first tooth that is missing by the present place")
-    number: i4 = means("how many teeth are")
-    other: i4 = means("first tooth that is missing by the rival place; :data:`NONE`: there is no rival")
-    first: i4 = means("by the rival place, the first tooth left behind tooth")
+    other: i4 = means("first tooth that is missing by the rival place, 0 for pulses too many; NONE: there is no rival")
+    off: f8 = means("from the present place to the rival", "pitch")
     here: i4 = means("edges of the cam that fitted the present place alone")
     there: i4 = means("edges of the cam that fitted the rival place alone")
-    gone: Annotated[u1s, MOST_TEETH] = means("1: the tooth is missing by the present place")
 
 
 @kernel
@@ -50,162 +46,90 @@ def clear(rv: CompetingHypothesis) -> None:
 
 
 @kernel
-def _following(tooth: int, pulses: int) -> int:
-    """Return the next tooth."""
-    return tooth + 1 if tooth + 1 < pulses else 0
-
-
-@kernel
-def _left(rv: CompetingHypothesis, pulses: int, tooth: int) -> int:
-    """Return the tooth, or the next one that is left."""
-    while rv.gone[tooth] == 1:
-        tooth = _following(tooth, pulses)
-    return tooth
-
-
-@kernel
-def _step(rv: CompetingHypothesis, nominal: f8s, pulses: int, tooth: int, at: int) -> tuple[int, int, int]:
-    """Go from one pulse that is left to the next, by both places.
+def _lay(an: anchor.State, size: int, wh: LearnedWheel, index: int, period: float, most: int) -> tuple[int, int, int]:
+    """Lay the intervals of the last turn onto the wheel, the latest pulse at tooth ``index``.
 
     Args:
-        rv: record of Rival.
-        nominal: pitches of the wheel.
-        pulses: of one turn.
-        tooth: of the pulse by the present place.
-        at: the same by the other one.
-
-    Returns:
-        the next tooth, by both (NONE: the pulses do not fit), and the first one missing by the other in between.
-    """
-    span = nominal[tooth]
-    tooth = _following(tooth, pulses)
-    while rv.gone[tooth] == 1:
-        span += nominal[tooth]
-        tooth = _following(tooth, pulses)
-    there, missing = nominal[at], NONE
-    at = _following(at, pulses)
-    while span - there > EQUAL:
-        missing = at if missing == NONE else missing
-        there += nominal[at]
-        at = _following(at, pulses)
-    return tooth, at if there - span < EQUAL else NONE, missing
-
-
-@kernel
-def _walk(rv: CompetingHypothesis, nominal: f8s, pulses: int, first: int) -> int:
-    """Lay the pulses that are left onto the wheel; returns the first tooth missing then, NONE: they do not fit.
-
-    Args:
-        rv: record of Rival.
-        nominal: pitches of the wheel.
-        pulses: of one turn.
-        first: where the first tooth left behind ``tooth`` is laid.
-    """
-    begin = _left(rv, pulses, int(rv.tooth))
-    tooth, at, skipped = begin, first, NONE
-    for _ in range(pulses):
-        tooth, at, missing = _step(rv, nominal, pulses, tooth, at)
-        if at == NONE:
-            return NONE
-        skipped = missing if skipped == NONE else skipped
-        if tooth == begin:
-            return skipped if at == first else NONE
-    return NONE
-
-
-@kernel
-def _lay(rv: CompetingHypothesis, an: anchor.State, size: int, nominal: f8s, pulses: int, index: int) -> int:
-    """Lay the intervals of the last turn onto the wheel, the latest one first; notes the teeth that are gone.
-
-    Each interval is of so many pitches that the time of one changes least.
-
-    Args:
-        rv: record of Rival.
         an: record of anchor.State.
         size: of its intervals.
-        nominal: pitches of the wheel.
-        pulses: of one turn.
-        index: of the latest tooth, at least 1.
+        wh: record of LearnedWheel.
+        index: of the latest tooth.
+        period: time of a pitch there [us].
+        most: defects; with more it does not matter how many.
 
     Returns:
-        how many are, :data:`NONE` where the intervals do not fit.
+        teeth missing and pulses too many, of these the teeth, and the first one that is missing; NONE: none is.
     """
-    for k in range(pulses):
-        rv.gone[k] = 0
-    tooth, number, period, left = index, 0, 0.0, pulses
-    at = int(an.at)
-    while left > 0:
+    tooth, total, missing, added, lost = index, 0.0, 0, 0, NONE
+    at, way = int(an.at), 0.0
+    for _ in range(size):
         at = at - 1 if at > 0 else size - 1
         y = an.intervals[at]
-        if y <= 0.0:
-            return NONE
-        tooth = tooth - 1 if tooth > 0 else pulses - 1
-        span = nominal[tooth]
-        left -= 1
-        while period > 0.0 and left > 0:
-            before = tooth - 1 if tooth > 0 else pulses - 1
-            if y * y < span * (span + nominal[before]) * period * period:
-                break
-            rv.gone[tooth] = 1
-            number += 1
-            left -= 1
-            span += nominal[before]
-            tooth = before
-        period = y / span if period == 0.0 else period * min(max(y / (span * period), 1.0 / FASTER), FASTER)
-        if y > WIDEST * span * period or WIDEST * y < span * period:
-            return NONE
-    return number
+        if y <= 0.0 or missing + added > most:
+            return MOST + 1, missing, NONE
+        way += y / period
+        following = way + an.intervals[at - 1 if at > 0 else size - 1] / period
+        before, span, skipped = tooth, 0.0, -1
+        while span < way - min(NEAR + SHARE * span, MOST_OFF) or skipped < 0:
+            before = before - 1 if before > 0 else wh.pulses - 1
+            span += wh.nominal[before]
+            skipped += 1
+        off = abs(way - span)
+        if off > min(NEAR + SHARE * span, MOST_OFF) or abs(following - span) < off:
+            added += 1
+            continue
+        for k in range(1, skipped + 1):
+            gone = (tooth - k) % wh.pulses
+            lost = gone if lost == NONE else min(lost, gone)
+        missing += skipped
+        period *= min(max(way / span, 1.0 / FASTER), FASTER)
+        total += span
+        tooth, way = before, 0.0
+        if total > wh.whole - NEAR:
+            break
+    return missing + added, missing, lost
 
 
 @kernel
-def seek(rv: CompetingHypothesis, an: anchor.State, size: int, c: LearnedWheel, repeats: int, index: int) -> int:
-    """Look for a rival of a place at which teeth are missing in each turn.
+def seek(
+    rv: CompetingHypothesis, an: anchor.State, size: int, wh: LearnedWheel, repeats: int, index: int, us: float
+) -> tuple[int, int]:
+    """Look for a rival of a place; returns the defects of the last turn there, and how many are missing teeth.
 
     Args:
-        rv: record of Rival.
+        rv: record of CompetingHypothesis.
         an: record of anchor.State.
         size: of its intervals.
-        c: record of LearnedWheel.
+        wh: record of LearnedWheel.
         repeats: pulses after which the wheel's pattern repeats.
         index: of the latest tooth.
-
-    Returns:
-        the teeth that are missing, :data:`NONE` where the last turn does not fit the place.
+        us: time of a pitch there [us].
     """
-    had, before = rv.other != NONE, rv.tooth + MOST_TEETH * rv.number
-    number = _lay(rv, an, size, c.nominal, c.pulses, index)
-    if number == NONE:
-        return NONE
-    tooth = 0
-    while number > 0 and rv.gone[tooth] == 0:
-        tooth += 1
-    rv.tooth, rv.number = tooth, number
-    if had and before == tooth + MOST_TEETH * number:
-        return number
-    clear(rv)
-    begin = _left(rv, c.pulses, tooth)
-    for shift in range(1, c.pulses):
-        if number == 0 or shift % repeats == 0:
-            continue
-        first = (begin + shift) % c.pulses
-        other = _walk(rv, c.nominal, c.pulses, first)
-        if other != NONE:
-            rv.other, rv.first = other, first
-            break
-    return number
+    defects, missing, tooth = _lay(an, size, wh, index, us, MOST)
+    had, before, other = rv.other, rv.off, NONE
+    if defects <= MOST:
+        for shift in range(1, wh.pulses):
+            there = (index + shift) % wh.pulses
+            number, _missing, first = _lay(an, size, wh, there, us, defects)
+            if shift % repeats != 0 and number <= defects:
+                other, rv.off = max(first, 0), (wh.place[there] - wh.place[index]) % wh.whole
+                break
+    if had == NONE or other != had or rv.off != before:
+        clear(rv)
+    rv.tooth, rv.other = tooth, other
+    return defects, missing
 
 
 @kernel
-def place_of(rv: CompetingHypothesis, nominal: f8s, pulses: int, index: int) -> int:
+def place_of(rv: CompetingHypothesis, wh: LearnedWheel, index: int) -> int:
     """Return the tooth that the rival place has for a pulse which is tooth ``index`` by the present one.
 
     :data:`NONE` for a tooth that is missing by the present one.
     """
-    tooth, at = _left(rv, pulses, int(rv.tooth)), int(rv.first)
-    for _ in range(pulses):
-        if tooth == index:
-            return at
-        tooth, at, _missing = _step(rv, nominal, pulses, tooth, at)
+    place = (wh.place[index] + rv.off) % wh.whole
+    for k in range(wh.pulses):
+        if abs(wh.place[k] - place) < NEAR or abs(wh.place[k] + wh.whole - place) < NEAR:
+            return k
     return NONE
 
 
@@ -214,7 +138,7 @@ def take_edge(rv: CompetingHypothesis, here: bool, there: bool) -> int:
     """Take an edge of the cam; returns 1: it is the present place, 2: the rival, 0: not decided yet.
 
     Args:
-        rv: record of Rival.
+        rv: record of CompetingHypothesis.
         here: whether the edge fits the present place.
         there: whether it fits the rival.
     """

@@ -52,6 +52,7 @@ from gateway_plants.crank.pulse_tracking.tracker import (
     COARSE,
     agreed,
     best,
+    expect,
     keep_best,
     marginalise_decided,
     shift,
@@ -75,6 +76,8 @@ MARKED = 24
 SURE = 3
 #: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
 EVEN_TURNS = 2
+#: Turns in a row that have to show the same place of a wheel of few pulses whose edges look noisy.
+SHOWN = 2
 #: Two places were told: which one is right, no later turn says.
 TOLD = 2
 #: Pairs of turns that have to show a whole wheel behind one that fitted twice, and what its teeth may be off [pitch].
@@ -116,7 +119,8 @@ def fall_noisy(s: State, c: Const, count: int) -> None:
         s.losses += 1
     keep_best(s.tracker)
     h = best(s.tracker)
-    noise.begin(s.burst, h, count, speed(s, c), known, tooth_of(s, c, h.index))
+    noise.begin(s.burst, count, h.elapsed, h.period, speed(s, c), tooth_of(s, c, h.index))
+    s.burst.tooth, s.burst.known = h.index, known
     anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
     anchor.restart(s.anchor)
     doubt(s)
@@ -150,10 +154,10 @@ def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
 
     One fault does not: it is held until the place is proven. Nor do those that come again a turn later at the same
     teeth: they are defects of the wheel or the sensor (teeth broken off, pulses too many in each turn), not a wrong
-    place (:mod:`.defects`); but beside the gap it is a wrong edge, or a wrong wheel. Others do, unless frames were lost
-    in between, and pulses with them.
+    place (:mod:`.defects`); but a tooth missing beside the gap is a wrong edge, or a wrong wheel. Others do, unless
+    frames were lost in between, and pulses with them.
     """
-    beside = _beside_gap(c, tooth)
+    beside = net > 0 and _beside_gap(c, tooth)
     if beside or not defects.take(s.defects, c.pulses, tooth, net, s.teeth):
         s.suspects += 1
         s.recurring = 0
@@ -163,6 +167,8 @@ def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
         return s.suspects > 1 and s.hole == 0
     s.suspects = max(s.suspects, 1)
     s.recurring = 1 if s.defects.turns > 0 else 0
+    if s.recurring == 1:
+        expect(s.tracker, c.pulses, tooth, net)
     return False
 
 
@@ -201,10 +207,12 @@ def decide(s: State, c: Const, out: Reports) -> None:
     marginalise_decided(s.tracker)
     _spoil(s, c, tooth, missed - added)
     s.fitted = -1  # this turn does not count
+    crowd = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
+    burst = crowd and noise.close(s.burst, c.firing_us)
     s.burst.known = 1 if s.phase == CONFIRMED and added >= noise.BURST else 0
     if s.phase == CONFIRMED and (s.tracker.took > min(LATE, c.pulses // 2) or wrong_wheel.unsure(s, c)):
         doubt(s)
-    if s.phase == TENTATIVE and _suspicious(s, c, tooth, missed - added):
+    if s.phase == TENTATIVE and not burst and _suspicious(s, c, tooth, missed - added):
         lose(s, c, out, s.tracker.mean_cost)
         s.refused += 1
         begin_later(s.search, s.refused * (c.pulses // PARTS + 1) % c.pulses if c.pulses >= anchor.FEW else 0)
@@ -225,7 +233,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
     missed, added = max(missed, 0), max(added, 0)
     s.recent_missed += 0 if own else missed
     s.recent_added += 0 if own else added
-    if s.recent_missed > 0 and s.recent_added > 0 and s.recent_missed + s.recent_added > LOSS:
+    if s.recent_missed > 0 and s.recent_added > 0 and s.recent_missed + s.recent_added > LOSS and not burst:
         lose(s, c, out, s.tracker.mean_cost)
         return
     if missed == added:
@@ -239,8 +247,7 @@ def decide(s: State, c: Const, out: Reports) -> None:
         fault = PULSES_LOST if s.burst_missed >= LOSS else MISSED
         _fail(s, c, out, fault, s.burst_missed, s.burst_tooth)
     if added > 0:
-        burst = added >= noise.BURST and noise.crowd(s.burst, s.teeth) >= noise.BURST
-        if burst or s.teeth - s.burst.told <= TOGETHER:
+        if crowd or s.teeth - s.burst.told <= TOGETHER:
             if noise.close(s.burst, c.firing_us):
                 _tell_noise(s, c, out)
             else:
@@ -275,6 +282,8 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
         own: whether it is known to come again.
         out: record of Out.
     """
+    if own:
+        expect(s.tracker, c.pulses, tooth, net)
     if own and s.teeth - s.decided > c.pulses - TOGETHER:  # nothing else is missing or added in this turn
         s.recent_missed = 0
         s.recent_added = 0
@@ -302,12 +311,22 @@ def prove(s: State, c: Const, out: Reports) -> None:
     proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
     if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or _held_back(s, c):
         return
-    if c.pulses < MARKED and s.tracker.variance > COARSE and s.doubted == NEVER and s.waiting.same <= s.waiting.moved:
+    if _noisy(s, c):
+        return
+    if s.held_fault >= 0 and not _alone(s, c, out):
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
         confirm(s, out)
         s.anchor.unchecked = 1 if doubtful else 0
+
+
+@kernel
+def _noisy(s: State, c: Const) -> bool:
+    """Tell whether the edges of a wheel of few pulses are so noisy that more turns have to show its place."""
+    return bool(
+        c.pulses < MARKED and c.anchor.ratio > 0.0 and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN
+    )
 
 
 @kernel
@@ -356,7 +375,8 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
     an = s.anchor
     if s.index == 1:
         pitches = s.tracker.pitches
-        an.short = 1 if s.defects.turns == 0 and anchor.shorter(c.anchor, pitches, c.pulses, s.y2, s.y1, y) else 0
+        odd = anchor.odd(c.anchor, pitches, c.pulses, s.y2, s.y1, y, s.tracker.variance <= COARSE)
+        an.short = 1 if s.defects.turns == 0 and odd else 0
     if c.even == 1:
         if an.age >= c.pulses:
             an.age = c.pulses + anchor.EDGES - c.anchor.length
@@ -402,22 +422,23 @@ def _told_apart(s: State, c: Const) -> bool:
 
 @kernel
 def _laid(s: State, c: Const) -> bool:
-    """Tell whether it is the whole turn, laid onto the wheel, that proves a place at which teeth are missing.
+    """Tell whether it is the whole turn, laid onto the wheel, that proves a place with defects in each turn.
 
     Not on a wheel whose gap is no mark of its own (12+1).
     """
-    return bool(s.phase == TENTATIVE and s.recurring == 1 and c.anchor.ratio > 0.0 and defects.missing(s.defects) > 0)
+    return bool(s.phase == TENTATIVE and s.recurring == 1 and c.anchor.ratio > 0.0)
 
 
 @kernel
-def _broken_off(s: State, c: Const, out: Reports) -> bool:
-    """Tell whether teeth that are missing in each turn are so by this place alone; reports another place as likely."""
-    missing = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index)
-    if missing != defects.missing(s.defects):
+def _alone(s: State, c: Const, out: Reports) -> bool:
+    """Tell whether no other place explains the last turn as well; reports one, if teeth are missing in each turn."""
+    period = best(s.tracker).period
+    number, missing = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period)
+    if s.recurring == 1 and (number > competing_hypothesis.MOST or missing != defects.missing(s.defects)):
         return False
     if s.rival.other == competing_hypothesis.NONE:
         return True
-    if s.defects.turns < SURE:
+    if missing == 0 or s.recurring == 0 or s.defects.turns < SURE:
         return False
     no_gap.clear(s.waiting)
     s.twice = TOLD
@@ -425,6 +446,17 @@ def _broken_off(s: State, c: Const, out: Reports) -> bool:
     e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
     e.here, e.there = s.rival.here, s.rival.there
     return False
+
+
+@kernel
+def _move(s: State, c: Const, number: int) -> None:
+    """Put the index on by so many teeth; what was learned at the wrong place is forgotten."""
+    shift(s.tracker, c.pulses, number)
+    s.index = best(s.tracker).index
+    profile.forget(s.profile, c.wheel, s.tracker.pitches)
+    runout.forget(s.law)
+    turns.trust(s, c)
+    anchor.restart(s.anchor)
 
 
 @kernel
@@ -438,12 +470,8 @@ def settle(s: State, c: Const, out: Reports, other: bool) -> None:
         other: whether it is the rival.
     """
     if other:
-        tooth = competing_hypothesis.place_of(s.rival, c.wheel.nominal, c.pulses, s.index)
-        shift(s.tracker, c.pulses, tooth - s.index)
-        s.index = best(s.tracker).index
+        _move(s, c, competing_hypothesis.place_of(s.rival, c.wheel, s.index) - s.index)
         s.held.tooth = s.rival.other
-        profile.forget(s.profile, c.wheel, s.tracker.pitches)
-        anchor.restart(s.anchor)
     competing_hypothesis.clear(s.rival)
     s.twice = 0
     s.recurring = 0
@@ -455,14 +483,9 @@ def place_by_cam(s: State, c: Const, number: int) -> None:
     """Put the index of a wheel of equal pitches on by so many teeth: it is told by the cam then."""
     s.placed = BY_CAM
     s.uneven = NEVER
-    if number == 0:
-        return
-    shift(s.tracker, c.pulses, number)
-    s.index = best(s.tracker).index
-    profile.forget(s.profile, c.wheel, s.tracker.pitches)
-    runout.forget(s.law)
-    turns.trust(s, c)
-    defects.clear(s.defects)
+    if number != 0:
+        _move(s, c, number)
+        defects.clear(s.defects)
 
 
 @kernel
@@ -479,11 +502,11 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
     if told:
         s.sure = 1
-    if s.phase != TENTATIVE or not told or not decides(s, c) or _held_back(s, c):
+    if s.phase != TENTATIVE or not told or not decides(s, c) or _held_back(s, c) or _noisy(s, c):
         return
     if s.recurring == 1 and not _told_apart(s, c):
         return
-    if s.recurring == 1 and defects.missing(s.defects) > 0 and not _broken_off(s, c, out):
+    if s.recurring == 1 and not _alone(s, c, out):
         return
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap
@@ -508,9 +531,8 @@ def unwatched(s: State, c: Const, number: int, out: Reports) -> None:
 
 @kernel
 def relocate(s: State, c: Const, out: Reports, found: int) -> None:
-    """Put the index right by a shift that the whole turn proves; what was learned at the wrong place is forgotten."""
-    shift(s.tracker, c.pulses, found)
-    s.index = best(s.tracker).index
+    """Put the index right by a shift that the whole turn proves."""
+    _move(s, c, found)
     if s.phase == CONFIRMED and not wrong_wheel.unsure(s, c):
         off = found if 2 * found <= c.pulses else found - c.pulses
         e = report(out, RELOCATED, True, off, 0.0).relocated
@@ -520,10 +542,6 @@ def relocate(s: State, c: Const, out: Reports, found: int) -> None:
     s.doubted = NEVER
     uncover(s, c)
     s.held_fault = -1
-    profile.forget(s.profile, c.wheel, s.tracker.pitches)
-    runout.forget(s.law)
-    turns.trust(s, c)
-    anchor.restart(s.anchor)
 
 
 @kernel

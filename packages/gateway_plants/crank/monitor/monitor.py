@@ -270,7 +270,7 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     tooth = at % c.fast.teeth
     if two:
         tooth = (f.index + since) % pulses
-        other = competing_hypothesis.place_of(f.rival, c.fast.wheel.nominal, pulses, f.index)
+        other = competing_hypothesis.place_of(f.rival, c.fast.wheel, f.index)
         if other == competing_hypothesis.NONE:
             return
         other = (other + since) % pulses

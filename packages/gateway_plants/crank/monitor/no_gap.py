@@ -37,6 +37,7 @@ class Waiting(Record):
     turns: i4 = means("turns asked")
     place: i4 = means("place that the last turn showed")
     same: i4 = means("turns that showed the same place as the one before")
+    row: i4 = means("of these, since a turn showed another one")
     moved: i4 = means("turns that showed another place")
     shifted: i4 = means("moved ones that were even")
     against: i4 = means("turns that speak against the wheel")
@@ -54,6 +55,7 @@ def clear(wa: Waiting) -> None:
     wa.turns = 0
     wa.place = UNDECIDED
     wa.same = 0
+    wa.row = 0
     wa.moved = 0
     wa.shifted = 0
     wa.against = 0
@@ -110,7 +112,9 @@ def look(
     elif found >= 0 and wa.place >= 0:
         if found == wa.place:
             wa.same += 1
+            wa.row += 1
         else:
+            wa.row = 0
             wa.moved += 1
             wa.shifted += 1 if _even(an, c, anchor.contrasts(an, c.length)) else 0
     wa.place = found

@@ -20,6 +20,8 @@ BURST = 4
 SHORT = 0.5
 #: Pulses after which a burst that does not end is told all the same.
 MOST = 256
+#: Pitches that a burst lasts while no place is known, at most.
+MOST_PITCHES = 2.0
 #: Pulses behind a crowd, which may be its end.
 BEHIND = 2
 #: Teeth that can be told by the time since the last one, and how far from it one may be [pitch].
@@ -34,7 +36,7 @@ class Burst(Record):
     named: i4 = means("that tooth as it is told")
     us: f8 = means("time since that tooth", "us")
     period: f8 = means("time of a pitch before the burst", "us")
-    rpm: f8 = means("speed before the burst", "rpm")
+    rpm: f8 = means("speed before the burst; 0: not known, as no place is", "rpm")
     known: u1 = means("1: the place was proven before the burst")
     crowd: i4 = means("pulses that came sooner than half a pitch, one behind the other")
     crowd_us: f8 = means("sum of the intervals of these pulses", "us")
@@ -73,20 +75,12 @@ def close(b: Burst, firing_us: float) -> bool:
 
 
 @kernel
-def begin(b: Burst, h: Hypothesis, count: int, rpm: float, known: bool, named: int) -> None:
-    """Begin a burst.
+def begin(b: Burst, count: int, us: float, period: float, rpm: float, named: int) -> None:
+    """Begin a burst of so many pulses, so long since the last tooth, at a time of a pitch [us] and a speed.
 
-    Args:
-        b: record of Burst.
-        h: the hypothesis before it, or the one that holds its pulses for clutter.
-        count: its pulses so far.
-        rpm: speed before it.
-        known: whether the place was proven before it.
-        named: the tooth as it is told; -1: no place is.
+    ``rpm`` is 0, and ``named`` -1, while no place is known.
     """
-    b.named = named
-    b.count, b.tooth, b.us, b.period = count, h.index, h.elapsed, h.period
-    b.rpm, b.known = rpm, known
+    b.count, b.us, b.period, b.rpm, b.named, b.known = count, us, period, rpm, named, 0
 
 
 @kernel
@@ -121,6 +115,9 @@ def goes_on(b: Burst, y: float, firing_us: float, out: Reports) -> bool:
         out: record of Out.
     """
     b.us += y
+    if b.rpm == 0.0 and b.us > MOST_PITCHES * b.period:
+        b.count = 0  # no burst: an engine that turns faster than the pulses before
+        return False
     if y < SHORT * b.period and b.count < MOST:
         b.count += 1
         return True

@@ -23,7 +23,7 @@ from gateway_plants.crank.pulse_tracking.profile import (
     forget,
     harmonics,
 )
-from gateway_plants.crank.pulse_tracking.tracker import Tracker, best, unanimous
+from gateway_plants.crank.pulse_tracking.tracker import AGAIN, Tracker, best, expect_less, unanimous
 from gateway_plants.crank.wheel import MOST_TEETH, Wheel
 from gateway_plants.crank.wheel_estimation import LEAST_PULSES, Seen, skip
 from gateway_plants.crank.wheel_pairs import Pairs
@@ -302,6 +302,7 @@ def search(s: State, c: Const) -> None:
     s.doubling = 0
     s.hole = 0
     forget(s.profile, c.wheel, s.tracker.pitches)
+    expect_less(s.tracker, AGAIN)
     s.tracker.wander = c.unlearned
     for i in range(c.pulses):
         s.tracker.slack[i] = c.slack[i]

@@ -17,7 +17,7 @@ from gateway_plants.crank.monitor.faults import (
 from gateway_plants.crank.monitor.sync_state import CONFIRMED, Const, State, speed, tooth_of, unlearned
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.motion import Q3
-from gateway_plants.crank.pulse_tracking.tracker import COARSE, agreed, best
+from gateway_plants.crank.pulse_tracking.tracker import COARSE, agreed, best, expect_less
 
 #: Share of the teeth with a second pulse from which on the edges are doubled.
 DOUBLE_SHARE = 0.25
@@ -58,6 +58,7 @@ def turned(s: State) -> None:
     if s.anchor.wins > 0 or (s.anchor.verified == 0 and s.defects.turns == 0):
         s.profile.clean = 0
     profile.end(s.profile)
+    expect_less(s.tracker, 1)
 
 
 @kernel

@@ -33,6 +33,8 @@ NOISE, JOLT, OUTLIER, SLIP = 0, 1, 2, 3
 
 #: Costs [nat]: a missed tooth and each further one with it, an added pulse and each further one in the same interval.
 MISSED_COST, MORE_MISSED_COST, ADDED_COST, MORE_ADDED_COST = 12.0, 2.0, 12.0, 10.5
+#: Of one that came in the turns before as well.
+AGAIN_COST = 2.0
 #: Of causes other than noise.
 JOLT_COST, OUTLIER_COST, SLIP_COST = 4.0, 8.0, 13.0
 #: A pulse held for spurious although a tooth is overdue: a tooth is missed as well.
@@ -69,6 +71,7 @@ class Prediction(NamedTuple):
     Attributes:
         tooth: its index.
         missed: teeth that are missed before it.
+        cost: of these [nat].
         span: pitches from the last tooth.
         slack: variance of the pitch before it [pitch^2].
         q: of :func:`gateway_plants.crank.pulse_tracking.motion.travel`.
@@ -78,6 +81,7 @@ class Prediction(NamedTuple):
 
     tooth: int
     missed: int
+    cost: float
     span: float
     slack: float
     q: float
@@ -100,7 +104,7 @@ def _parent(tr: Tracker, h: Hypothesis, acceleration: float, ripple: float) -> P
 
 @kernel
 def _predict(
-    tr: Tracker, h: Hypothesis, parent: Parent, pulses: int, slot: int, span: float, missed: int
+    tr: Tracker, h: Hypothesis, parent: Parent, pulses: int, slot: int, span: float, missed: int, cost: float
 ) -> Prediction:
     """Predict the tooth behind a slot.
 
@@ -112,32 +116,37 @@ def _predict(
         slot: before the tooth.
         span: from the last tooth up to the slot [pitch].
         missed: teeth that are missed before it.
+        cost: of these [nat].
     """
     span += tr.pitches[slot]
     slack = tr.slack[slot]
     dt, q = travel(h, span)
     e = (h.elapsed - dt) * q / h.period
     variance = tr.variance * (spread(h, span, parent.scale) + 1.0) + slack
-    return Prediction(slot + 1 if slot + 1 < pulses else 0, missed, span, slack, q, e, variance)
+    return Prediction(slot + 1 if slot + 1 < pulses else 0, missed, cost, span, slack, q, e, variance)
 
 
 @kernel
-def _missed_cost(missed: int) -> float:
-    """Return what missed teeth cost [nat]."""
-    return 0.0 if missed == 0 else MISSED_COST + MORE_MISSED_COST * (missed - 1)
+def _missed_cost(tr: Tracker, tooth: int, before: float) -> float:
+    """Return what a missed tooth costs, behind missed ones of so much [nat]."""
+    if tr.nets[tooth] > 0:
+        return AGAIN_COST
+    return MISSED_COST if before < MISSED_COST else MORE_MISSED_COST
 
 
 @kernel
-def _clutter_cost(h: Hypothesis) -> float:
+def _clutter_cost(tr: Tracker, h: Hypothesis) -> float:
     """Return what one more added pulse costs [nat]."""
-    return ADDED_COST if h.clutter == 0 else MORE_ADDED_COST
+    if h.clutter == 0:
+        return AGAIN_COST if tr.nets[h.index] < 0 else ADDED_COST
+    return MORE_ADDED_COST
 
 
 @kernel
 def _noise_cost(parent: Parent, p: Prediction) -> float:
     """Return the cost of a tooth's residual as noise of its edge [nat]."""
     v = p.variance
-    return _missed_cost(p.missed) + 0.5 * p.e * p.e / v + 0.5 * log(v / parent.usual)
+    return p.cost + 0.5 * p.e * p.e / v + 0.5 * log(v / parent.usual)
 
 
 @kernel
@@ -145,14 +154,14 @@ def _jolt_cost(parent: Parent, p: Prediction) -> float:
     """Return its cost as a jolt of the torque [nat]."""
     v, span = p.variance, p.span
     m = span * span * (JOLT_STEP + parent.jolt * span * span / 16)
-    cost = _missed_cost(p.missed) + JOLT_COST
+    cost = p.cost + JOLT_COST
     return cost + 0.5 * p.e * p.e / (v + m) + 0.5 * log((v + m) / parent.usual)
 
 
 @kernel
 def _outlier_cost(h: Hypothesis, p: Prediction) -> float:
     """Return its cost as an outlier of the edge [nat]; two in a row cost twice as much."""
-    cost = _missed_cost(p.missed) + (2.0 * OUTLIER_COST if h.outlier == 1 else OUTLIER_COST)
+    cost = p.cost + (2.0 * OUTLIER_COST if h.outlier == 1 else OUTLIER_COST)
     return cost + 0.5 * p.e * p.e / (OUTLIER_PITCH * OUTLIER_PITCH)
 
 
@@ -222,12 +231,13 @@ def branch(tr: Tracker, h: Hypothesis, pulses: int, acceleration: float, ripple:
         how many it has then.
     """
     parent = _parent(tr, h, acceleration, ripple)
-    least = _clutter_cost(h) + OVERDUE_COST
+    least = _clutter_cost(tr, h) + OVERDUE_COST
     first = 0.0
-    slot, span = int(h.index), 0.0
+    slot, span, lacks = int(h.index), 0.0, 0.0
     for missed in range(MOST_MISSED + 1):
-        p = _predict(tr, h, parent, pulses, slot, span, missed)
+        p = _predict(tr, h, parent, pulses, slot, span, missed, lacks)
         slot, span = p.tooth, p.span
+        lacks += _missed_cost(tr, p.tooth, lacks)
         if missed == 0:
             first = p.e
         noise, jolt = _noise_cost(parent, p), _jolt_cost(parent, p)
@@ -239,9 +249,9 @@ def branch(tr: Tracker, h: Hypothesis, pulses: int, acceleration: float, ripple:
                 continue
             _associate(tr, h, parent, p, pulses, cause, cost)
             made = merge(tr, made)
-        if p.e < -0.5 * tr.pitches[slot] and _missed_cost(missed) > least:
+        if p.e < -0.5 * tr.pitches[slot] and p.cost > least:
             break
-    cost = _clutter_cost(h)
+    cost = _clutter_cost(tr, h)
     if first > 0.3 + 4.0 * tr.variance**0.5:
         cost += OVERDUE_COST
     if h.clutter < MOST_CLUTTER and cost < least + BRANCH:

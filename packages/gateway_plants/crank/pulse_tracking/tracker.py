@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import exp
 from typing import Annotated
 
-from gateway_fdi.jit import Record, f8, f8s, i4, i8, kernel, means
+from gateway_fdi.jit import Record, f8, f8s, i4, i4s, i8, kernel, means
 from gateway_plants.crank.pulse_tracking.motion import LEAST_SQUARE, MOST_GROWTH, Hypothesis, copy
 from gateway_plants.crank.wheel import MOST_TEETH
 
@@ -18,6 +18,9 @@ DECISION = 10.0
 #: Above this variance of an edge [pitch^2] single pulses cannot be told from noise (identifiability): a pulse may also
 #: be just the next tooth at any time, and every place on the wheel that is possible is kept until the gap tells.
 COARSE = 0.065**2
+
+#: Turns that a defect of each turn is expected in after it came last.
+AGAIN = 4
 
 #: Variance of ln(period) and of the growth when tracking begins.
 FIRST_VARIANCE = 0.01**2
@@ -45,6 +48,8 @@ class Tracker(Record):
     took: i8 = means("open without this pulse's pruning: so long has what is decided now been open")
     pitches: Annotated[f8s, MOST_TEETH] = means("pitches as learned", "pitch")
     slack: Annotated[f8s, MOST_TEETH] = means("variance of the pitches while they are not learned", "pitch^2")
+    again: i4 = means("turns in which what came in each turn may come again")
+    nets: Annotated[i4s, MOST_TEETH] = means("that: 1: the tooth is missed, -1: a pulse too many is behind it")
     steady: i4 = means("regular pulses over one pitch in a row")
     k1: f8 = means("gain of the position")
     k2: f8 = means("gain of ln T")
@@ -95,7 +100,7 @@ def unanimous(tr: Tracker) -> bool:
     h = tr.banks[first]
     for k in range(1, tr.count):
         other = tr.banks[first + k]
-        if other.cost < DECISION and other.index != h.index:
+        if (other.cost < DECISION or tr.variance > 4 * COARSE) and other.index != h.index:
             return False
     return True
 
@@ -139,6 +144,23 @@ def marginalise_decided(tr: Tracker) -> None:
     for k in range(tr.count):
         tr.banks[first + k].missed -= missed
         tr.banks[first + k].added -= added
+
+
+@kernel
+def expect(tr: Tracker, pulses: int, tooth: int, net: int) -> None:
+    """Expect pulses missed, less those added, at a tooth in the next turns as well."""
+    tr.again = AGAIN
+    for k in range(max(net, 1)):
+        tr.nets[(tooth + k) % pulses] = 1 if net > 0 else -1
+
+
+@kernel
+def expect_less(tr: Tracker, turns: int) -> None:
+    """Expect what came in each turn for so many turns less."""
+    if 0 < tr.again <= turns:
+        for k in range(MOST_TEETH):
+            tr.nets[k] = 0
+    tr.again = max(tr.again - turns, 0)
 
 
 @kernel
@@ -195,6 +217,7 @@ def jump(tr: Tracker, pulses: int, number: int) -> None:
 @kernel
 def shift(tr: Tracker, pulses: int, number: int) -> None:
     """Shift the index of every hypothesis."""
+    expect_less(tr, AGAIN)
     first = tr.bank * MOST
     for k in range(tr.count):
         h = tr.banks[first + k]
