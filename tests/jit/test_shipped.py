@@ -114,7 +114,7 @@ def test_an_edit_of_one_monitor_compiles_that_monitor(copy, tmp_path):
 
 @pytest.mark.long
 def test_damaged_shipped_code_is_not_loaded(copy, tmp_path):
-    for path in (copy / "gateway/precompiled").glob("*/monitors.rule.monitor.*"):
+    for path in (copy / "packages/gateway_checks/precompiled").glob("*/rule.monitor.*"):
         path.write_bytes(path.read_bytes()[:-1] + b"x")
     ended = run(MADE_READY, root=copy, cache=tmp_path / "cache")
     assert ended.returncode == 0, ended.stderr

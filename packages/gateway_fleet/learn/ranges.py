@@ -22,7 +22,7 @@ from gateway_fleet.learn.lines import short, shown
 from gateway_fleet.learn.standards import Standard
 from gateway_fleet.learn.tails import Rate, block_maxima, limit_above
 
-#: Noise about one value says where it is in a time so many times as long as the drive, not where a quantity goes.
+#: Times the drive's length up to which noise about one value gives a limit: it does not say where a quantity goes.
 KNOWN = 1000.0
 #: A value beyond counts where it lasts for this time [s], and comes twice.
 LASTS_S = 0.5

@@ -405,6 +405,8 @@ def _both(s: Any, c: Any, f: int, g: int) -> float:
     if not area > 1e-9 * a * d:
         return -inf
     one, other = (d * y - b * z) / area, (a * z - b * y) / area
+    if one == 0.0 or other == 0.0:
+        return -inf  # one of no size is not there
     value = 0.5 * (one * y + other * z)
     for i in range(first + second):
         for j in range(first + second):
