@@ -39,7 +39,7 @@ class Findings(Protocol):
         """Rows of :attr:`Calibrated.thresholds`."""
 
     def write(self, into: Path) -> None:
-        """Write them into a configuration, or a copy of it beside it."""
+        """Write them into a configuration, or a copy of it beside it; InputError: it cannot be written."""
 
 
 class Calibrated:

@@ -34,7 +34,7 @@ class LogFormat:
         name: for people.
         reader: of a path; it may have ``sniff`` (:class:`gateway.bus.readers.batch.Reader`).
         writer: of a path and the names of the buses, for formats that keep them.
-        rank: of several formats that know a log by its first bytes that of the lowest rank reads it.
+        rank: where several formats know a log by its first bytes, the one of the lowest rank reads it.
         extra: that it needs, and for what; None: none.
     """
 

@@ -2,7 +2,7 @@
 
 Each keeps nanoseconds, remote frames with their DLC, and the classes and data of error frames, which python-can's
 writers lose. Where a format has no place for classes, they stand behind what it has, as ``SocketCAN``. Properties that
-a format cannot hold at all are counted.
+a format cannot hold at all are counted; none of these keeps names of buses.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import zlib
 from abc import ABC, abstractmethod
 from base64 import b64encode
 from collections import Counter
+from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -57,7 +58,7 @@ class _TextWriter(_Dated, ABC):
 
     end = ""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, _names: Mapping[int, str] | None = None) -> None:
         super().__init__()
         self._file = path.open("w", encoding="ascii", newline="")
         self._count = 0
@@ -169,7 +170,7 @@ class CsvWriter(_TextWriter):
 class BlfWriter(_Dated):
     """Writes BLF, a container as soon as it is full."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, _names: Mapping[int, str] | None = None) -> None:
         super().__init__()
         self._file = path.open("wb")
         self._held = bytearray()
@@ -238,7 +239,7 @@ def _blf_object(can_id: int, flags: int, channel: int, data: bytes) -> tuple[int
 class Mf4Writer(_Dated):
     """Writes MF4 by asammdf, a group a kind of frames, in bulk; channels count from 1."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, _names: Mapping[int, str] | None = None) -> None:
         from asammdf import MDF  # noqa: PLC0415 - an extra, slow to load
 
         super().__init__()

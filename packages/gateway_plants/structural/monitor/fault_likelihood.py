@@ -22,8 +22,8 @@ What was found may be no single fault of this model:
 
 - **Two faults.** Sizes of each pair are of least squares, each gain u_i known to a share: with (A, b) the form
   of the gains, b := b - A u, u the sizes in their columns, and the deviation from it, N(0, (error s)^2), is integrated
-  out. One of the two is among the faults that fit best alone. Two fit if their likelihood ratio over that of the best
-  fault is as large as one needs to speak, and as rare as a second fault is. Faults that all such pairs have are sure.
+  out. One of the two is among the faults that fit best alone. Two fit if the logarithm of their likelihood
+  ratio over that of the best fault is above SPEAKS + LESS: a second fault is rare. A fault of all such pairs is sure.
 - **No fault of the model.** Of what the residuals have beyond their noise the best one leaves more than a share, beside
   what a model leaves that is off.
 - **A test** has fired for sure that none of those that fit best sees.
