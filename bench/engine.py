@@ -33,7 +33,6 @@ from gateway.live.link import Link
 from gateway.live.loop import Live
 from gateway.monitors.registry import MONITORS
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import FED
 from gateway.signals.database import load_database
 from gateway.signals.tables import SignalRef
 from gateway_fdi.common.resources import shipped
@@ -42,6 +41,7 @@ from gateway_fdi.jit.system import recvmmsg
 from gateway_plants.crank.ecu.kinematics import tooth_times
 from gateway_plants.crank.ecu.tooth_frames import tooth_frames
 from gateway_plants.crank.wheel import Wheel
+from gateway_replay.replay import FED
 
 RATE_RPM = 3000
 BATCH = 64

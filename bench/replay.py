@@ -27,8 +27,8 @@ from gateway.bus.logs import LogReader, open_writer
 from gateway.bus.timeline import LogTime
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import FED, replay
 from gateway_fdi.common.resources import shipped
+from gateway_replay.replay import FED, replay
 
 BUS = '[[bus]]\nname = "powertrain"\nuri = "virtual:bench"\nbitrate = 500_000\ndatabase = {files}\n'
 CHECK = '[[bus.check]]\nmessage = "{name}"\ntimeout_ms = {timeout}\nlost = "{lost}"\ninvalid = "{invalid}"\n'

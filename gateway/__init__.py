@@ -1,6 +1,6 @@
 """CAN-bus ECU diagnostic gateway: model-based fault detection with a real fault memory.
 
-Its Python interface is :mod:`gateway.api`.
+Its Python interface is :mod:`gateway_api`.
 """
 
 __version__ = "0.2.0"

@@ -184,7 +184,7 @@ class EventPrinter:
         return "  ".join([against(event["evidence"], tested), *others(event["evidence"], tested)])
 
     def _on_step(self, event: dict[str, Any]) -> None:
-        from gateway.cli.trace import text_of  # noqa: PLC0415 - few want it
+        from gateway.cli.step_lines import text_of  # noqa: PLC0415 - few want it
 
         print("\n".join(text_of(event, self.start_ns, self._lines.width)))
 

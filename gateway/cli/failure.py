@@ -49,7 +49,7 @@ _WAYS = {
     errno.EIO: "the disk or device does not answer: copy the file to another one",
 }
 
-_OURS = str(Path(__file__).parent.parent)
+_ROOT = Path(__file__).parents[2]
 
 
 def debugging() -> bool:
@@ -167,12 +167,19 @@ def stopped() -> int:
 def _place(trace: TracebackType | None) -> str:
     """Return the innermost place in the gateway's code."""
     frames = traceback.extract_tb(trace)
-    ours = [frame for frame in frames if frame.filename.startswith(_OURS)] or list(frames)
-    if not ours:
+    found = [(_ours(frame.filename), frame) for frame in frames]
+    found = [(name, frame) for name, frame in found if name] or [(Path(f.filename).name, f) for f in frames]
+    return f" ({found[-1][0]}:{found[-1][1].lineno})" if found else ""
+
+
+def _ours(filename: str) -> str:
+    """Return the place of a file of our packages, from their folder on; "": it is none."""
+    path = Path(filename)
+    if not path.is_relative_to(_ROOT):
         return ""
-    path = Path(ours[-1].filename)
-    name = path.relative_to(Path(_OURS).parent) if str(path).startswith(_OURS) else path.name
-    return f" ({name}:{ours[-1].lineno})"
+    name = path.relative_to(_ROOT)
+    package = name.parts[1] if name.parts[0] == "packages" else name.parts[0]
+    return str(name) if package == "gateway" or package.startswith("gateway_") else ""
 
 
 def bug(error: BaseException) -> None:
@@ -202,7 +209,7 @@ def install_hooks() -> None:
         places = [frame.filename for frame in traceback.extract_tb(failed.exc_traceback)]
         if debugging():
             shown(failed)
-        elif failed.exc_value is not None and any(place.startswith(_OURS) for place in places):
+        elif failed.exc_value is not None and any(map(_ours, places)):
             bug(failed.exc_value)
 
     threading.excepthook = in_thread

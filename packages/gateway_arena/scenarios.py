@@ -7,11 +7,11 @@ from typing import Any
 
 from rich.table import Table
 
-from gateway.cli.study import tabulate
 from gateway_arena.contract import Method
 from gateway_arena.indexes import INDEXES, decided, middle
 from gateway_arena.plants.valve import SCENARIOS, Scenario, ValvePlant
 from gateway_arena.score import NAMED, diagnoses, number
+from gateway_bench.cli.study import tabulate
 
 #: Seeds from the first on, further than those of records; explanations of a scenario, if a method gives them in turn.
 SEEDS, EXPLAINED = 50_000, 100

@@ -12,7 +12,6 @@ import numpy as np
 from rich.table import Table
 
 from gateway.cli.present import say
-from gateway.cli.study import show, tabulate
 from gateway_arena.contract import Plant
 from gateway_arena.methods import METHODS, method
 from gateway_arena.plants import NAMES, plant
@@ -23,6 +22,7 @@ from gateway_arena.plants.valve import ValvePlant
 from gateway_arena.scenarios import judged_scenarios, narrow, table
 from gateway_arena.score import Row, number, plain, threshold
 from gateway_arena.trial import records, trial
+from gateway_bench.cli.study import show, tabulate
 from gateway_fdi.errors import InputError
 
 

@@ -72,3 +72,15 @@ def control(
     from gateway_bench.cli.control import ask, request_of
 
     print_json(ask(socket, request_of(words or ())))
+
+
+@does("gateway_bench.cli.bus:bus")
+def bus(
+    address: Annotated[str, typer.Argument(help="Loopback address and port to listen on.")] = "127.0.0.1:29536",
+    duration: Annotated[float | None, typer.Option(min=0, help="Stop after this time [s].")] = None,
+    json: JsonEvents = False,
+) -> None:
+    """Run a CAN bus between processes, without kernel support.
+
+    It speaks the socketcand protocol, on this machine only. Every local user can read and write frames.
+    """

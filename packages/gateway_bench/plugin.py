@@ -4,7 +4,7 @@ from gateway.plugin import Plugin
 
 PLUGIN = Plugin(
     ecus={name: f"gateway_bench.vecu.{name}:ECU" for name in ("fmu", "responder", "restbus", "table")},
-    commands={name: f"gateway_bench.commands:{name}" for name in ("demo", "simulate", "control")},
+    commands={name: f"gateway_bench.commands:{name}" for name in ("demo", "simulate", "control", "bus")},
     calls={
         "simulate": "gateway_bench.simulation:simulate",
         "scenario_schema": "gateway_bench.vecu.scenario_schema:schema",

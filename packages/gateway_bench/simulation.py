@@ -1,4 +1,4 @@
-"""The function behind :func:`gateway.api.simulate`: a scenario and a gateway, of which all is kept that it tells."""
+"""The function behind :func:`gateway_api.simulate`: a scenario and a gateway, of which all is kept that it tells."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
-from gateway.api.event_collector import EventCollector
-from gateway.api.progress import Progress, shown
-from gateway.api.run import Run
-from gateway.api.table import Table
 from gateway.bus.frames import Frames
 from gateway.bus.logs import open_writer
+from gateway_api.event_collector import EventCollector
+from gateway_api.progress import Progress, shown
+from gateway_api.run import Run
+from gateway_api.table import Table
 from gateway_bench.drive import drive
 from gateway_bench.scenario_session import opened
 from gateway_bench.vecu.expectations import Judge
@@ -22,7 +22,7 @@ from gateway_bench.vecu.words import injected
 def simulate(
     scenario: Path, *, seed: int | None, series: bool, signals: Sequence[str], record: Path | None, progress: Progress
 ) -> Run:
-    """Play a scenario to a gateway; see :func:`gateway.api.simulate`."""
+    """Play a scenario to a gateway; see :func:`gateway_api.simulate`."""
     found, config, player = opened(scenario, seed)
     observed = EventCollector(config, found.config, series=series, signals=signals)
     judge, count = Judge(found), 0

@@ -8,9 +8,9 @@ from math import isnan
 from pathlib import Path
 from typing import Any
 
-from gateway.api.thresholds import Targets
 from gateway.config.model import Config
 from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
+from gateway_api.thresholds import Targets
 from gateway_calibration import cusum, plants, sensors, stopping
 from gateway_calibration.earlier import load_afresh
 from gateway_calibration.file import write

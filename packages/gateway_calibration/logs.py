@@ -12,7 +12,6 @@ import numpy as np
 
 from gateway.answers.pages import AnswerBus
 from gateway.bus.frames import Frames
-from gateway.bus.log_contents import contents
 from gateway.bus.logs import LogReader
 from gateway.bus.timeline import LogTime
 from gateway.config.channels import channels_of
@@ -23,6 +22,7 @@ from gateway.runtime.answers import Answers
 from gateway.runtime.app import Gateway
 from gateway.signals.tables import DecodePlan
 from gateway_fdi.errors import InputError, InputErrors
+from gateway_replay.log_contents import contents
 
 Progress = Callable[[int], None]
 Kind = TypeVar("Kind", Calibration, CusumCalibration, Refinement, SensorCalibration)
@@ -93,7 +93,7 @@ class NothingToLearnError(InputErrors):
 
     Args:
         errors: of the log.
-        state: of its contents (:class:`gateway.bus.log_contents.Contents`).
+        state: of its contents (:class:`gateway_replay.log_contents.Contents`).
     """
 
     def __init__(self, errors: list[InputError], state: str) -> None:

@@ -1,4 +1,4 @@
-"""Thresholds of one configuration as :mod:`gateway.api` gives them."""
+"""Thresholds of one configuration as :mod:`gateway_api` gives them."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from gateway.api.thresholds import Targets
+from gateway_api.thresholds import Targets
 from gateway_calibration.configuration import Found, as_dict, calibrate, keep
 
 
 class Thresholds:
-    """Thresholds that healthy logs ask for: as :class:`gateway.api.thresholds.Findings`."""
+    """Thresholds that healthy logs ask for: as :class:`gateway_api.thresholds.Findings`."""
 
     def __init__(self, file: Path, targets: Targets, found: Found) -> None:
         self._file, self._targets, self._found = file, targets, found

@@ -7,7 +7,7 @@
     residual = Residual(load_model("models/tanks.toml"), "1:e3")
     r = residual.run(t_s, {"u": u, "y1": y1, "y2": y2, "y3": y3})
 
-All names in ``__all__`` are stable, as those of :mod:`gateway.api` are. Each name is imported when it is first used: a
+All names in ``__all__`` are stable, as those of :mod:`gateway_api` are. Each name is imported when it is first used: a
 daemon that wants one of them loads no other.
 """
 

@@ -103,3 +103,28 @@ def mqtt(
 
     DTCs and the state (online or offline) are retained messages; chosen signals are sent at a limited rate.
     """
+
+
+@does("gateway_serve.cli.reporter:report")
+def report(
+    fault: Annotated[str | None, typer.Argument(help="Id of the fault, e.g. battery.hot.")] = None,
+    result: Annotated[
+        str | None,
+        typer.Argument(help="passed or failed; prepassed or prefailed, which are debounced; not_tested."),
+    ] = None,
+    data: Annotated[
+        list[str] | None, typer.Option("--data", metavar="NAME=NUMBER", help="A number of it; may be repeated.")
+    ] = None,
+    socket: Annotated[
+        Path | None, typer.Option("--socket", help="Report socket of the gateway; default: as configured in [report].")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("-c", "--config", help="Configuration file; default: gateway.toml in this folder.")
+    ] = None,
+    header: Annotated[bool, typer.Option("--header", help="Print the path of the header for C, and exit.")] = False,
+    json: Json = False,
+) -> None:
+    """Report a test result of your own to a running gateway.
+
+    Exit code 1: it is refused at present, and may be taken later.
+    """

@@ -3,6 +3,6 @@
 from gateway.plugin import Plugin
 
 PLUGIN = Plugin(
-    commands={name: f"gateway_serve.commands:{name}" for name in ("serve", "watch", "request", "mqtt")},
+    commands={name: f"gateway_serve.commands:{name}" for name in ("serve", "watch", "request", "report", "mqtt")},
     calls={"run_report": "gateway_serve.cli.run_report:RunReport"},
 )

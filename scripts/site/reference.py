@@ -13,11 +13,11 @@ import typer
 from mkdocs.structure.files import File, Files
 
 from gateway.cli import app
-from gateway.config.schema import schema
+from gateway_commands.configuration_schema import schema
 
 DOCS = Path(__file__).parents[2] / "docs"
 #: The modules whose names are public (docs/api.md).
-MODULES = ("gateway.api", "gateway_fdi", *(f"gateway_plants.{plant}.arrays" for plant in ("crank", "pedal", "linear")))
+MODULES = ("gateway_api", "gateway_fdi", *(f"gateway_plants.{plant}.arrays" for plant in ("crank", "pedal", "linear")))
 #: The unit in a key's description, and a docstring's name of what it refers to.
 UNIT, ROLE = re.compile(r" ?\[([^][]+)\](?=$|[;,])"), re.compile(r":(?:class|func|meth|mod):<code>~?(.*?)</code>")
 #: A case of the conformance suite: whether it intervenes, its name, its docstring.

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from types import GenericAlias
 
 MODULES = (
-    "gateway.api",
+    "gateway_api",
     "gateway_fdi",
     "gateway_plants.crank.arrays",
     "gateway_plants.pedal.arrays",

@@ -7,7 +7,7 @@ import pytest
 from residual_runner import Runner
 from scipy.signal import dlsim
 
-from gateway import api
+import gateway_api as api
 from gateway_fdi import (
     FAILED,
     Component,

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pytest
 from command import command
 
-from gateway import api
+import gateway_api as api
 from gateway.bus.frames import empty, put_message, to_message
 from gateway.bus.logs import LogReader, open_writer
 from gateway.servers.dtc_frame import read_dtc_frame
@@ -117,7 +117,7 @@ def state():
         threading.enumerate(), sys.excepthook, dict(os.environ), numpy.geterr(), gc.get_threshold(), list(sys.path))
 before = state()
 import gateway, gateway_fdi
-from gateway import api
+import gateway_api as api
 api.open("gateway.toml").session().close()
 assert state() == before, [pair for pair in zip(state(), before) if pair[0] != pair[1]]
 """

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from surface import MODULES, surface
 
+import gateway_api
 import gateway_fdi
 
 LISTED = Path(__file__).parents[2] / "docs/api.txt"
@@ -31,3 +32,9 @@ def test_each_public_name_says_what_it_is():
 def test_names_of_the_library_that_are_imported_late_are_all_listed():
     names = sorted(name for names in gateway_fdi._PLACES.values() for name in names)
     assert names == sorted(gateway_fdi.__all__)
+
+
+def test_the_old_name_has_the_same_things_and_warns():
+    with pytest.warns(DeprecationWarning, match="gateway_api"):
+        from gateway.api import open as old
+    assert old is gateway_api.open

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from gateway import api
+import gateway_api as api
 from gateway.cli import app
-from gateway.cli.new_monitor import new_monitor
 from gateway_arena.methods.machine_learning import Forest, Pca
 from gateway_arena.monitor.fit import fitted
 from gateway_arena.plants import plant
 from gateway_arena.trial import records
+from gateway_commands.new_monitor import new_monitor
 from gateway_fdi.errors import GatewayError, InputError
 
 SEED = 11

@@ -11,8 +11,8 @@ from gateway.bus import adapter
 from gateway.bus.adapter import PythonCanBus
 from gateway.bus.base import send_all
 from gateway.bus.frames import FD
-from gateway.bus.hub import Hub
 from gateway.bus.uri import open_bus
+from gateway_bench.hub import Hub
 from gateway_fdi.errors import BusError
 
 

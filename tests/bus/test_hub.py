@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from gateway.bus.frames import BRS, ERROR, EXTENDED, FD, REMOTE, empty, payload, put
-from gateway.bus.hub import QUEUE, Hub
 from gateway.bus.loopback import LoopbackBus
 from gateway.bus.uri import open_bus
+from gateway_bench.hub import QUEUE, Hub
 from gateway_fdi.errors import BusError
 
 

@@ -7,12 +7,12 @@ import pytest
 from typer.testing import CliRunner
 
 from gateway.cli import app
-from gateway.cli.check import check
-from gateway.cli.dependencies import why
+from gateway_commands.check import check
+from gateway_commands.dependencies import why
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
 
-check_module = importlib.import_module("gateway.cli.check")
+check_module = importlib.import_module("gateway_commands.check")
 
 
 def steering(folder, extra=""):

@@ -11,9 +11,10 @@ from gateway.cli import app, commands
 
 def every():
     """Our commands, those of groups, and those of other packages that are here."""
+    others = [commands.OTHERS[name] for name in commands.OTHERS]
     apps = [app, *(group.typer_instance for group in app.registered_groups)]
-    found = [each.callback for one in apps for each in one.registered_commands]
-    found += [commands.OTHERS[name] for name in commands.OTHERS]
+    apps += [each for each in others if isinstance(each, typer.Typer)]
+    found = [each.callback for one in apps for each in one.registered_commands] + others
     return [each for each in found if hasattr(each, "__wrapped__")]
 
 
@@ -44,8 +45,8 @@ def test_each_command_has_the_parameters_of_its_function(monkeypatch):
 
 def test_lists_that_are_not_given_are_empty_and_options_get_the_names_of_the_function(monkeypatch):
     given = {}
-    monkeypatch.setattr("gateway.cli.signal_plot.plot_file", lambda **options: given.update(options) or 0)
-    (plot,) = (each.callback for each in app.registered_commands if each.name == "plot")
+    monkeypatch.setattr("gateway_replay.cli.signal_plot.plot_file", lambda **options: given.update(options) or 0)
+    plot = commands.OTHERS["plot"]
     with pytest.raises(typer.Exit):
         plot(series="a", output="b", only=None)
     assert given == {"series": "a", "output": "b", "only": ()}

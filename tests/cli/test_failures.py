@@ -38,13 +38,13 @@ def broken(*_, **__):
 
 @pytest.mark.evidence("Nothing is silent: bug")
 def test_a_bug_is_one_line_that_says_where_to_report_it(gateway, monkeypatch):
-    importlib.import_module("gateway.cli.check")
-    monkeypatch.setattr(sys.modules["gateway.cli.check"], "load_config", broken)
+    importlib.import_module("gateway_commands.check")
+    monkeypatch.setattr(sys.modules["gateway_commands.check"], "load_config", broken)
     ended = gateway("check", "gateway.toml")
     assert ended.code == failure.BUG
     (line,) = ended.err.splitlines()
     assert "this is a bug of the gateway" in line
-    assert "KeyError: 'volts' (gateway/cli/check.py:" in line
+    assert "KeyError: 'volts' (packages/gateway_commands/check.py:" in line
     assert failure.report_to() in line
     assert "gateway --debug" in line
 
@@ -54,7 +54,7 @@ def test_a_bug_is_one_line_that_says_where_to_report_it(gateway, monkeypatch):
 def test_the_traceback_is_there_for_who_asks(tmp_path, how):
     code = (
         "from gateway.common.lazy_modules import postpone; postpone()\n"
-        "import gateway.cli.check as c, gateway.cli as cli\n"
+        "import gateway_commands.check as c, gateway.cli as cli\n"
         "def broken(*a, **k): raise KeyError('volts')\n"
         "c.load_config = broken\ncli.main()\n"
     )

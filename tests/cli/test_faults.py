@@ -8,9 +8,10 @@ from rig import Rig, write_config
 from typer.testing import CliRunner
 
 from gateway.bus.logs import LogReader
-from gateway.cli import app, faults, present
+from gateway.cli import app, present
 from gateway.faults.memory import FaultMemory
 from gateway.faults.resilient_store import ResilientStore
+from gateway_commands import faults
 from gateway_fdi.errors import InputError
 
 RECORDING = "[memory]\nrecording = { before_ms = 20.0, after_ms = 10.0 }\n"

@@ -6,10 +6,10 @@ from xml.etree import ElementTree
 import pytest
 from junitparser import Error, Failure, JUnitXml, Skipped
 
-from gateway.cli.junit import Case, write_junit
-from gateway.cli.replay import replay
 from gateway_bench.cli.simulate import simulate
 from gateway_fdi.errors import InputError
+from gateway_replay.cli.junit import Case, write_junit
+from gateway_replay.cli.replay import replay
 
 ROOT = Path(__file__).parents[2]
 BATTERY = (ROOT / "examples" / "battery_voltage" / "drained.toml").read_text()

@@ -12,15 +12,15 @@ import pytest
 from command import command
 from own_message import DBC
 
-from gateway import api
+import gateway_api as api
 from gateway.bus.frames import to_message
 from gateway.bus.logs import LogReader, open_writer
 from gateway.common import extras
 from gateway.faults.store import Store
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
-from gateway.runtime.log import Log
 from gateway_fdi.errors import GatewayError
+from gateway_replay.log import Log
 
 BUS = """
 [[bus]]

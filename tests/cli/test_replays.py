@@ -98,7 +98,7 @@ def test_a_log_that_kills_its_process_is_told(gateway, tmp_path, monkeypatch):
     """A monitor of the user's that ends its process at a value."""
     (tmp_path / "poison.py").write_text(
         "import os, signal\n"
-        "from gateway.cli import replays\n"
+        "from gateway_replay.cli import replays\n"
         "before = getattr(replays, 'before', replays.replay)\n"
         "replays.before = before\n"
         "def replay(log, *rest, **options):\n"

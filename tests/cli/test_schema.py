@@ -8,7 +8,7 @@ import pytest
 from command import command
 from jsonschema_rs import Draft202012Validator
 
-from gateway.cli.schema import schemas
+from gateway_commands.schema import schemas
 from gateway_fdi.common.resources import all_shipped, shipped
 
 ROOT = shipped("gateway.toml").parent

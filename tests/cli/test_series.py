@@ -10,10 +10,10 @@ import pytest
 from command import command
 
 from gateway.common import extras
-from gateway.runtime.series import files, gather
-from gateway.runtime.series.envelope import BUCKETS, Envelope
-from gateway.runtime.series.rows import RESULTS, Rows, Series
 from gateway_fdi.common.resources import shipped
+from gateway_replay.series import files, gather
+from gateway_replay.series.envelope import BUCKETS, Envelope
+from gateway_replay.series.rows import RESULTS, Rows, Series
 
 MOTOR, SIGNALS = shipped("configs/motor.toml"), shipped("configs/signals.toml")
 

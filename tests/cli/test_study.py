@@ -4,7 +4,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from gateway.cli.study import show, tabulate
+from gateway_bench.cli.study import show, tabulate
 
 
 @dataclass

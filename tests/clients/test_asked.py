@@ -17,7 +17,7 @@ from gateway.common.times import NEVER
 from gateway.config.load import load_config
 from gateway.faults.dtc import Dtc
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
+from gateway_replay.replay import replay
 
 SEED = 5
 LOW = "cell.Last.low"

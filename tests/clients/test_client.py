@@ -301,7 +301,7 @@ def test_mistakes_are_told_with_file_key_and_value(wrong, tmp_path):
 
 
 def test_check_names_the_mistakes_of_several_tables_at_once(tmp_path):
-    from gateway.runtime.validation import mistakes
+    from gateway_commands.validation import mistakes
 
     first = ONE.replace("read =", 'signals = ["none.dbc"]\nread =')
     other = ONE.replace("engine", "other").replace("0x7E", "0x7D")

@@ -7,12 +7,12 @@ from rig import Rig, Tester, dtc_text, write_config
 
 from gateway.answers.layout import j1979
 from gateway.bus.frames import EXTENDED, payload
-from gateway.cli.faults import list_faults
 from gateway.clients.dtcs import told_by
 from gateway.config.load import load_config
 from gateway.faults.vehicle import PERMANENT
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
+from gateway_commands.faults import list_faults
+from gateway_replay.replay import replay
 
 ONE = """
 [[ecu]]

@@ -12,8 +12,8 @@ from gateway.config.load import load_config
 from gateway.faults.store import Store
 from gateway.faults.vehicle import MOST, PERMANENT, Told, VehicleMemory
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
 from gateway_fdi.errors import GatewayError
+from gateway_replay.replay import replay
 
 SEED = 3
 UDS = """

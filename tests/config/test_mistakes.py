@@ -5,10 +5,10 @@ import json
 import pytest
 from car import write
 
-from gateway.cli.check import check
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.validation import mistakes
+from gateway_commands.check import check
+from gateway_commands.validation import mistakes
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
 

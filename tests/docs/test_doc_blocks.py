@@ -14,8 +14,8 @@ from jsonschema_rs import Draft202012Validator
 
 from gateway.cli import app
 from gateway.common.trust import importable
-from gateway.config.schema import schema
 from gateway_bench.vecu.scenario import Scenario
+from gateway_commands.configuration_schema import schema
 from gateway_fdi.common.resources import all_shipped, shipped
 from gateway_fdi.structure.file import load_model
 

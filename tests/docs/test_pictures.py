@@ -25,7 +25,7 @@ from typer.main import get_command
 
 from gateway.cli import app
 from gateway.cli.drawing import save
-from gateway.config.schema import schema
+from gateway_commands.configuration_schema import schema
 
 ROOT = DOCS.parent
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]

@@ -13,7 +13,6 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from journalled import Bus, Telling
 from told import of, watched_rigs
 
-from gateway.cli import faults
 from gateway.engine.events import QUALIFIED_FAILED
 from gateway.faults import service
 from gateway.faults.catalogue import Catalogue
@@ -24,6 +23,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.status import Status
 from gateway.faults.store import Store, StoreError
+from gateway_commands import faults
 from gateway_fdi.jit import bound
 
 FROZEN = {"freeze_frame": (("a.B.C",), ("a.B.C",), ("a.B.C",))}

@@ -14,10 +14,10 @@ import pytest
 from amount import amount
 from fleet_logs import tables_hash, write_config, write_fleet
 
-from gateway.common.pool import Pool, Workers
 from gateway_fleet.fleet.run import Order, run
 from gateway_fleet.fleet.verdicts import Verdicts
 from gateway_logs.corpus import find
+from gateway_replay.pool import Pool, Workers
 
 pytestmark = [pytest.mark.long, pytest.mark.system]
 

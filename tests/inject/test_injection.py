@@ -10,9 +10,9 @@ from amount import amount
 from gateway.bus.frames import empty, payload, put
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.checks.message import Params
-from gateway.runtime.injection import FRAME_KINDS, SIGNAL_KINDS, Injection, Injector, parse_injection
 from gateway.signals.database import load_database
 from gateway_fdi.errors import InputError
+from gateway_replay.injection import FRAME_KINDS, SIGNAL_KINDS, Injection, Injector, parse_injection
 
 DBC = (
     'VERSION ""\nNS_ :\nBS_:\nBU_: A\n'

@@ -83,7 +83,7 @@ MADE_READY = """
 from gateway_fdi.common import progress
 names = set()
 progress.listen(lambda name, done, total: names.add(name))
-from gateway.cli.warmup import warmup
+from gateway_commands.warmup import warmup
 warmup(json=True)
 print(sorted(names))
 """
@@ -97,7 +97,7 @@ def edit(file, old, new):
 
 @pytest.mark.long
 def test_a_comment_compiles_nothing(copy):
-    edit(copy / "gateway/cli/bus.py", '"""', '# a comment\n"""')
+    edit(copy / "packages/gateway_bench/cli/bus.py", '"""', '# a comment\n"""')
     edit(copy / "packages/gateway_plants/pedal/monitor/diagnosis.py", '"""', '# a comment\n"""')
     ended = run(MADE_READY, root=copy, GATEWAY_KERNELS="shipped")
     assert ended.returncode == 0, ended.stderr

@@ -12,10 +12,10 @@ from gateway.bus.logs import LogReader
 from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.runtime.assemble import prepare
-from gateway.runtime.injection import Injector, parse_injection
 from gateway_bench.wire.replay import through
 from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import SIGNAL
+from gateway_replay.injection import Injector, parse_injection
 
 SEED, SECONDS, PERIOD = 66, 60.0, 0.02
 #: Type -> place and scaling in DBC, kind of SIG_VALTYPE_, middle, half of the span, a value far beyond.

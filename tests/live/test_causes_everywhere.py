@@ -9,7 +9,6 @@ from shared_signal import frames as car_frames
 from shared_signal import write as write_car
 
 from gateway.bus.logs import open_writer
-from gateway.cli.replay import replay
 from gateway.config.load import load_config
 from gateway.faults import service
 from gateway_bench.vecu.player import Player
@@ -18,6 +17,7 @@ from gateway_fdi.common.resources import shipped
 from gateway_fleet.fleet.run import Order, run
 from gateway_fleet.fleet.verdicts import Verdicts
 from gateway_logs.corpus import find
+from gateway_replay.cli.replay import replay
 
 URI = "virtual:a"
 

@@ -15,7 +15,7 @@ from gateway.config.load import load_config
 from gateway.faults.store import Store
 from gateway.live.clock import Clock
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
+from gateway_replay.replay import replay
 
 STEPS = [3600.0, -3600.0, -0.5]
 MORE = """

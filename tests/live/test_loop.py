@@ -12,8 +12,8 @@ from gateway.bus.frames import ERROR, OWN, empty, put
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live, collect_and_freeze
-from gateway.live.record import Nobody
 from gateway.runtime.fast_path_conditions import FastPathConditions
+from gateway_commands.recording import Nobody
 
 
 class Queue(Bus):

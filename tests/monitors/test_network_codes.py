@@ -122,7 +122,7 @@ def configuration(folder, keys):
 def test_many_messages_one_line_each_and_gateway_check_lists_their_codes(tmp_path, capsys):
     import json
 
-    from gateway.cli.check import check
+    from gateway_commands.check import check
 
     long = "L" * 90
     path = configuration(

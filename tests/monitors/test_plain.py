@@ -18,9 +18,9 @@ from gateway.monitors.plain import Result, calls, monitor
 from gateway.monitors.plain.signature import OWN_KEYS
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
-from gateway.runtime.replay import replay
 from gateway_fdi import jit
 from gateway_fdi.errors import GatewayError, InputError
+from gateway_replay.replay import replay
 
 DBC = """VERSION ""
 NS_ :

@@ -6,7 +6,7 @@ from car import Car, write
 from rest_bus_clocks import bus
 
 from gateway.bus.frames import empty
-from gateway.runtime.validation import mistakes
+from gateway_commands.validation import mistakes
 
 COUNT, LEARN_S = 10, 20.0
 

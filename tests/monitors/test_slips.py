@@ -8,13 +8,14 @@ from slips import REFUSED, RUNNING, running_source
 from structlog.testing import capture_logs
 
 from gateway.bus.frames import empty, put
-from gateway.cli.check import check
-from gateway.cli.trace import Trace, only, text_of
+from gateway.cli.step_lines import text_of
 from gateway.config.load import load_config
 from gateway.faults import service
 from gateway.runtime.app import Gateway
+from gateway_commands.check import check
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import GatewayError
+from gateway_replay.trace import Trace, only
 
 CONFIG = """
 [[bus]]

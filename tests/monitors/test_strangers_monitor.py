@@ -9,11 +9,11 @@ import pytest
 from nested_pytest import PYTEST
 
 from gateway.bus.frames import empty, put
-from gateway.cli.check import check
-from gateway.cli.new_monitor import new_monitor
 from gateway.config.load import load_config
 from gateway.faults.hung_monitors import hung_beside
 from gateway.runtime.app import Gateway
+from gateway_commands.check import check
+from gateway_commands.new_monitor import new_monitor
 from gateway_fdi.common.resources import shipped
 
 RAISES = '    if u.volts > 20.0:\n        raise ValueError("too much")\n'

@@ -12,24 +12,27 @@ import pytest
 import structlog
 
 import gateway
+import gateway_api
 import gateway_ask
 import gateway_bench
 import gateway_calibration
 import gateway_checks
+import gateway_commands
 import gateway_fdi
 import gateway_fleet
 import gateway_logs
 import gateway_plants
+import gateway_replay
 import gateway_serve
 import gateway_testers
 from gateway.bus.logs import LogReader, open_writer
-from gateway.cli.doctor import doctor
 from gateway.common import extras
 from gateway.common.extras import EXTRAS, PURPOSES
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.memory import FaultMemory
 from gateway.faults.store import Store
 from gateway.monitors.registry import MONITORS
+from gateway_commands.doctor import doctor
 from gateway_fdi.common import log
 from gateway_fdi.errors import InputError
 from gateway_plants.structural.analysis.command import structure
@@ -305,6 +308,7 @@ def test_without_extras_all_but_their_features_is_there():
     packages = (
         *(gateway, gateway_fdi, gateway_bench, gateway_plants, gateway_fleet),
         *(gateway_serve, gateway_checks, gateway_calibration, gateway_logs, gateway_testers, gateway_ask),
+        *(gateway_api, gateway_commands, gateway_replay),
     )
     names = [
         module.name

@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from car import Car, write
 
-from gateway.cli.replay import replay
 from gateway.common.times import NEVER
 from gateway.config.load import load_config
 from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
 from gateway.runtime.causes import Causes
-from gateway.runtime.injection import Injector, parse_injection
 from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.cli.learn import learn_car
+from gateway_replay.cli.replay import replay
+from gateway_replay.injection import Injector, parse_injection
 
 
 def frames_of(name, seconds, *injected):

@@ -17,16 +17,16 @@ from gateway.bus.frames import ERROR, EXTENDED, FD, FRAME, REMOTE, empty
 from gateway.bus.logs import LogReader, open_writer
 from gateway.clients.ecu import COUNTED
 from gateway.config.load import load_config
-from gateway.config.schema import schema
 from gateway.faults import service
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
 from gateway_bench.drive import drive
 from gateway_bench.vecu.expectations import Judge
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario
+from gateway_commands.configuration_schema import schema
 from gateway_fdi.common.resources import all_shipped, shipped
 from gateway_fdi.errors import GatewayError, InputError, InputErrors
+from gateway_replay.replay import replay
 
 SCENARIOS = sorted(path.stem for path in all_shipped("scenarios", ".toml"))
 

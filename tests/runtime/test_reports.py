@@ -12,7 +12,7 @@ from gateway.config.load import load_config
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
 from gateway.runtime.reports import MOST_STRANGERS
-from gateway.runtime.validation import mistakes
+from gateway_commands.validation import mistakes
 from gateway_fdi.errors import InputErrors
 
 MS = 1_000_000

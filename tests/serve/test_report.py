@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.cli.replay import replay
 from gateway_bench.cli.simulate import INSIDE, simulate
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError
+from gateway_replay.cli.replay import replay
 from gateway_serve.report.page import OF_THE_MOMENT
 from gateway_serve.report.timeline import MOST_TICKS, Span, timeline
 

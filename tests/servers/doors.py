@@ -13,9 +13,9 @@ from rig import Rig, write_config
 from test_access import STANDS, by_j1939, by_mode_04
 from uds_tester import EXTRA, Asked
 
-from gateway.cli.faults import clear_faults
 from gateway.live.status import StatusSocket
 from gateway.servers.doip.server import DoipServer
+from gateway_commands.faults import clear_faults
 from gateway_fdi.errors import GatewayError
 from gateway_serve.app import Page
 from gateway_serve.guard import Guard, Rights

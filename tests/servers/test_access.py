@@ -7,9 +7,9 @@ from uds_tester import EXTRA, Asked, hexed
 
 from gateway.bus.conditions import LOST
 from gateway.bus.frames import ERROR
-from gateway.cli.check import _ways_around, secrets_shown
 from gateway.config.load import load_config
 from gateway.servers.uds.security import hmac_sha256
+from gateway_commands.check import _ways_around, secrets_shown
 from gateway_fdi.errors import InputErrors
 
 SECRET = "00112233"

@@ -19,11 +19,11 @@ from udsoncan.connections import BaseConnection
 from udsoncan.exceptions import NegativeResponseException
 
 from gateway.bus.frames import EXTENDED, empty, payload, put
-from gateway.cli.check import check
 from gateway.runtime.app import Gateway
 from gateway.servers.doip.server import DoipServer
 from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services.x19_read_dtc_information import REPORTS
+from gateway_commands.check import check
 from gateway_fdi.errors import InputError, InputErrors
 
 ROUTES = """

@@ -8,11 +8,11 @@ from rig import FUNCTIONAL, Rig, Tester, write_config
 from test_access import LEVEL, OPEN, SERVERS, STANDS, by_j1939, by_mode_04, unlock
 from uds_tester import EXTRA, Asked
 
-from gateway.cli.faults import interventions as shown
 from gateway.faults import service
 from gateway.faults.interventions import DONE, MOST, Intervention, Interventions
 from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.store import StoreError
+from gateway_commands.faults import interventions as shown
 
 
 def told(rig):

@@ -13,10 +13,10 @@ from rig import Rig, Tester, dtc_text, write_config
 from uds_tester import EXTRA
 
 from gateway.bus.frames import EXTENDED
-from gateway.cli.faults import list_faults
 from gateway.faults.dtc import Dtc
 from gateway.live.status import StatusSocket
 from gateway.servers.uds.extended_data import EXTENDED_DATA
+from gateway_commands.faults import list_faults
 
 FAULTS = 60
 #: Extended data records that are compared, as numbers: occurrences, cycles, counters, times.

@@ -4,9 +4,9 @@ import pytest
 from rig import Rig, write_config
 
 from gateway.config.load import load_config
-from gateway.config.schema import schema
 from gateway.engine.checks.kinds import KINDS
 from gateway.servers.types import SERVERS
+from gateway_commands.configuration_schema import schema
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors
 

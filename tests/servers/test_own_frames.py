@@ -6,10 +6,10 @@ import pytest
 from gateway.bus.frames import ANSWER, CYCLIC, OWN, URGENT, empty, put
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
+from gateway_replay.replay import replay
 
 DTC, ENGINE, UDS = 0x6F0, 0x6F1, 0x7E8
 

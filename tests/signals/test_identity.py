@@ -4,11 +4,11 @@ import pytest
 from car import HEAD, Car, write
 
 from gateway.bus.frames import EXTENDED, FD, empty, put
-from gateway.cli.check import check
 from gateway.signals.database import load_database
 from gateway.signals.payloads import decode_columns, message_rows
 from gateway.signals.signal_access import ChangedSignal, words_of
 from gateway.signals.tables import compile_plan
+from gateway_commands.check import check
 from gateway_fdi.errors import InputError
 
 J1939 = (

@@ -8,7 +8,7 @@ import pytest
 from car import Car as AnyCar
 
 from gateway.bus.frames import empty, put
-from gateway.cli.check import check
+from gateway_commands.check import check
 
 opendbc, packer = pytest.importorskip("opendbc"), pytest.importorskip("opendbc.can.packer")
 

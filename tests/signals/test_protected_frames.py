@@ -432,7 +432,7 @@ NAMED = (
 
 
 def test_auto_takes_what_attributes_say_and_check_says_so(tmp_path, capsys):
-    from gateway.cli.check import check
+    from gateway_commands.check import check
 
     path = write(tmp_path, PLAIN + ATTRIBUTES, 'message = "M"\nprotection = "auto"')
     assert check(path, schema_wanted=False, json=False) == 0

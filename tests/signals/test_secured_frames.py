@@ -11,9 +11,9 @@ from secured import KEY, secured, tag, write_key
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
-from gateway.runtime.validation import mistakes
 from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
+from gateway_commands.validation import mistakes
 
 M = 'BO_ 256 M: 8 A\n SG_ Speed : 0|16@1+ (1,0) [0|0] "" B\n'
 SYNC = 'BO_ 512 FV: 8 A\n SG_ Trip : 7|16@0+ (1,0) [0|0] "" B\n'

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from battery_bus import DBC
 
-from gateway import api
+import gateway_api as api
 from gateway.config.load import load_config
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.memory import FaultMemory

@@ -19,8 +19,8 @@ from pathlib import Path
 #: What the commands of live buses import.
 IMPORTED = (
     "gateway.cli.run",
-    "gateway.cli.check",
-    "gateway.cli.doctor",
+    "gateway_commands.check",
+    "gateway_commands.doctor",
     "gateway_checks.rule",
     "gateway_checks.signal",
     "gateway_fdi.jit.machine",

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from gateway import api
+import gateway_api as api
 from gateway.cli.present import find_config, print_json, say
 from gateway_arena.contract import SAMPLES, Array, Found, NotForThisPlantError, Record, WithoutSlopes, cut
 from gateway_arena.monitor.fitted_file import method_of, write

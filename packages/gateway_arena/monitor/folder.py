@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from gateway import api
+import gateway_api as api
 from gateway.common.trust import add_own
 from gateway_arena.methods import METHODS, method
 from gateway_arena.monitor.fit import fitted, refuse

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gateway.cli.junit import Case
 from gateway_bench.vecu.expectations import OTHERS, Finding
 from gateway_bench.vecu.scenario import Scenario
+from gateway_replay.cli.junit import Case
 
 
 def of_findings(scenario: Scenario, findings: Sequence[Finding]) -> list[Case]:

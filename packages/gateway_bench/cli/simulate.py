@@ -16,7 +16,6 @@ from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogWriter, open_writer
 from gateway.bus.uri import open_bus
 from gateway.cli.events import EventPrinter
-from gateway.cli.junit import write_junit
 from gateway.cli.lines import wrapped
 from gateway.cli.present import print_json, say
 from gateway.cli.run import Ending
@@ -36,6 +35,7 @@ from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import GatewayError, InputError
+from gateway_replay.cli.junit import write_junit
 from gateway_serve.cli.run_report import RunReport
 
 if TYPE_CHECKING:

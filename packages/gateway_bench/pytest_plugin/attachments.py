@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
-from gateway.common.attachments import attachments
 from gateway_fdi.common.log import get_logger
+from gateway_replay.attachments import attachments
 
 _log = get_logger(__name__)
 

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from gateway.monitors.conformance import accepted, checked_emission, connections
-from gateway.monitors.self_test import try_out
 from gateway_bench.pytest_plugin.bench import Bench
 from gateway_bench.pytest_plugin.can_log import CanLog
 from gateway_bench.pytest_plugin.dtcs import Dtcs
 from gateway_bench.pytest_plugin.uds import client_of
+from gateway_commands.self_test import try_out
 from gateway_fdi.common.tomlfile import validate
 from gateway_fdi.errors import GatewayError
 

@@ -10,7 +10,7 @@ from typing import Any
 from gateway.bus.frames import Frames
 from gateway.config.model import Config
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
+from gateway_replay.replay import replay
 
 
 @dataclass

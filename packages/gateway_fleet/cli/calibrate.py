@@ -14,10 +14,10 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from gateway.api.thresholds import Targets
 from gateway.cli.present import print_json, say, wide_console
-from gateway.cli.study import headed, tabulate
 from gateway.common.extras import need
+from gateway_api.thresholds import Targets
+from gateway_bench.cli.study import headed, tabulate
 from gateway_calibration import cusum, plants, sensors, stopping
 from gateway_calibration.configuration import Found, anything, as_dict, calibrate, keep
 from gateway_calibration.earlier import load_afresh
@@ -193,8 +193,8 @@ def _learn_of_fleet(
     """
     need("fleet", "fleets' logs")
     need("parquet", "tables of errors")
-    from gateway.common.pool import Workers, default_workers  # noqa: PLC0415
     from gateway_fleet.fleet import healthy  # noqa: PLC0415 - behind need()
+    from gateway_replay.pool import Workers, default_workers  # noqa: PLC0415
 
     if fleet.scheduler is not None and fleet.workers is not None:
         raise InputError("a scheduler has workers of its own", key="--workers", value=fleet.workers)

@@ -70,8 +70,8 @@ def fleet_run(
         raise InputError("the memories are fresh and carried", key="--memory", value=memory)
     if scheduler is not None and workers is not None:
         raise InputError("a scheduler has workers of its own", key="--workers", value=workers)
-    from gateway.common.pool import default_workers  # noqa: PLC0415 - behind need()
     from gateway_fleet.fleet.run import FAILED, Order, run  # noqa: PLC0415
+    from gateway_replay.pool import default_workers  # noqa: PLC0415 - behind need()
 
     order = Order(
         find(logs, device),

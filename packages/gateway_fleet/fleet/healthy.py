@@ -16,12 +16,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gateway.api.thresholds import Targets
 from gateway.bus.log_source import CutOffError
-from gateway.common.pool import Pool, Workers
 from gateway.config.model import Config
 from gateway.monitors.contract import Calibration, CusumCalibration, Refinement, SensorCalibration
 from gateway.runtime.app import Gateway
+from gateway_api.thresholds import Targets
 from gateway_calibration import cusum, plants, sensors, stopping
 from gateway_calibration.configuration import Found
 from gateway_calibration.earlier import load_afresh
@@ -31,6 +30,7 @@ from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.fleet.task import Setup, digest_of, unreadable
 from gateway_fleet.fleet.verdicts import TABLES, Done, Manifest, Row, error_rows, signature, write_table
 from gateway_logs.corpus import DIGITS, Recording
+from gateway_replay.pool import Pool, Workers
 
 #: Kinds of parts. LEVELS and SUMS and SENSORS are asked of each log alone, PEAKS with the sums of all, PLANT with what
 #: the log before has left.
@@ -149,7 +149,7 @@ def _why(error: Exception) -> tuple[str, str]:
 
 
 class _Asking:
-    """The work of a calibration (:class:`gateway.common.pool.Work`)."""
+    """The work of a calibration (:class:`gateway_replay.pool.Work`)."""
 
     def do(self, task: Ask) -> list[Answer]:
         """Find a part."""

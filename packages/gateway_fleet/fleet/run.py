@@ -1,4 +1,4 @@
-"""Many recordings judged: new ones, their workers (:mod:`gateway.common.pool`), and the finished ones."""
+"""Many recordings judged: new ones, their workers (:mod:`gateway_replay.pool`), and the finished ones."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gateway import __version__
-from gateway.common.pool import Pool, Workers
 from gateway.config.load import load_config
 from gateway_fdi.errors import InputError
 from gateway_fleet.fleet.task import Outcome, Setup, Task, digest_of, judge, log_of, refuse, unreadable
 from gateway_fleet.fleet.verdicts import Done, Manifest, Verdicts, signature
 from gateway_logs.corpus import Recording
+from gateway_replay.pool import Pool, Workers
 
 #: States of recordings that could not be judged to their end.
 FAILED = ("failed", "killed", "unreadable")
@@ -185,7 +185,7 @@ def _tasks(setup: Setup, new: Sequence[Recording], last: dict[str, str]) -> Iter
 
 
 class _Judging:
-    """The work of a run (:class:`gateway.common.pool.Work`)."""
+    """The work of a run (:class:`gateway_replay.pool.Work`)."""
 
     def __init__(self, out: Path) -> None:
         self._verdicts = Verdicts(out)

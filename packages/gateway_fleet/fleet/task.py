@@ -23,7 +23,6 @@ import numpy as np
 
 from gateway import __version__
 from gateway.bus.frames import Frames
-from gateway.bus.log_contents import Contents
 from gateway.bus.logs import LogReader
 from gateway.common.jsonlines import line
 from gateway.common.trust import file_of
@@ -36,13 +35,14 @@ from gateway.faults.records import Record
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
-from gateway.runtime.log import Log
-from gateway.runtime.replay import replay
 from gateway.signals.database import file_and_bus
 from gateway_fdi.common.tomlfile import texts_in
 from gateway_fdi.errors import GatewayError, InputError
 from gateway_fleet.fleet.verdicts import Row, Verdict, Verdicts, error_rows
 from gateway_logs.corpus import DIGITS, Recording
+from gateway_replay.log import Log
+from gateway_replay.log_contents import Contents
+from gateway_replay.replay import replay
 
 #: Changes of status that are kept of a log; more are reported.
 MOST_EVENTS = 10_000

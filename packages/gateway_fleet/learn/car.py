@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gateway.api.progress import Progress as Shown
-from gateway.api.progress import shown
 from gateway.bus.logs import LogReader
+from gateway_api.progress import Progress as Shown
+from gateway_api.progress import shown
 from gateway_fdi.errors import InputError
 from gateway_fleet.learn.answers import answers_asked
 from gateway_fleet.learn.document import BusAsked, relative
@@ -116,7 +116,7 @@ def learn(
     seed: int,
     progress: Shown,
 ) -> tuple[Path, Mapping[str, Any]]:
-    """Learn a configuration; see :func:`gateway.api.learn`. Returns its file, and what was learned."""
+    """Learn a configuration; see :func:`gateway_api.learn`. Returns its file, and what was learned."""
     how = Asking(hold_out=hold_out, maps=maps, seed=seed, update=update, force=overwrite)
     asked = asked_for(databases, logs, out, how)
     with shown(progress) as tell:

@@ -16,13 +16,13 @@ from gateway.bus.frames import ID_MASK, Frames
 from gateway.config.model import Config
 from gateway.engine.depends.parts import Network
 from gateway.runtime.assemble import Parts
-from gateway.runtime.injection import Injection, Injector
 from gateway.signals.protection.params import protection_for
 from gateway.signals.protection.protection import Protection
 from gateway.signals.signal_access import ChangedMessage, ChangedSignal
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter
 from gateway_fleet.learn.course import MOST_VALUES
+from gateway_replay.injection import Injection, Injector
 
 #: When a fault begins and ends, in shares of the drive; an ECU reboots, and a bus is away [s].
 BEGIN, END, REBOOT_S, AWAY_S = 0.3, 0.75, 2.0, 3.0

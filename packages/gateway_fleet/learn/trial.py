@@ -15,7 +15,6 @@ from cantools.database.can.signal import Signal
 
 from gateway.bus.frames import Frames
 from gateway.engine.core import Engine
-from gateway.runtime.injection import Injection, Injector
 from gateway_checks.signal.parts import no_value
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter
@@ -25,6 +24,7 @@ from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
 from gateway_fleet.learn.observe import Observation, Seen
 from gateway_fleet.learn.proof import Replayed
 from gateway_fleet.learn.ranges import representable
+from gateway_replay.injection import Injection, Injector
 
 #: Time from the cut to the begin of a fault [s]; signals that are tried at most: others are drawn by chance.
 LEAD_S, MOST = 1.0, 60

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gateway.api import Table
 from gateway.monitors.contract import FAILED
+from gateway_api import Table
 from gateway_fdi.detectors import numbers
 from gateway_fdi.errors import InputError, as_input
 from gateway_fdi.jit import kernel, zeros

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from amount import SMALL, amount
 
-from gateway import api
+import gateway_api as api
 from gateway.bus.frames import payload
 from gateway.engine.build import build_engine
 from gateway.engine.instances import MonitorInstance

@@ -9,7 +9,6 @@ from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
 from gateway.monitors.contract import FAILED
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
 from gateway_bench.vecu.contract import Run
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi import run_length
@@ -25,6 +24,7 @@ from gateway_plants.linear.monitor.pi_bank import MONITOR as BANK
 from gateway_plants.linear.monitor.pi_bank.params import Params
 from gateway_plants.linear.study import example
 from gateway_plants.linear.study.bank import FEEDBACK, drive, noise
+from gateway_replay.replay import replay
 
 compiled = pytest.mark.skipif(not COMPILED, reason="thousands of steps of a whole bank")
 

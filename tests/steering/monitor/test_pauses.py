@@ -10,12 +10,12 @@ from gateway.config.load import load_config
 from gateway.monitors import sampling
 from gateway.monitors.sampling import Sampling
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import load_scenario
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import COMPILED, zeros
 from gateway_plants.steering.monitor import kinematics
+from gateway_replay.replay import replay
 
 PERIOD = 10_000_000
 compiled = pytest.mark.skipif(not COMPILED, reason="thousands of steps of the whole monitor")

@@ -12,7 +12,7 @@ from kernel_can import can_frame, daemon, raw, wait_for
 from gateway.bus.logs import LogReader
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
+from gateway_replay.replay import replay
 
 pytestmark = pytest.mark.vcan
 

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 from gateway.cli.present import print_json, wide_console
-from gateway.cli.study import headed
+from gateway_bench.cli.study import headed
 from gateway_fleet.study.cause.cars import learned
 from gateway_fleet.study.cause.matrix import Job, Row, done, folder_of, healthy, pairs, singles
 

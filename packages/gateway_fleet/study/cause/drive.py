@@ -16,11 +16,11 @@ from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
-from gateway.runtime.injection import Injector, parse_injection
 from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import Scenario, located
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.study.cause.cases import read
+from gateway_replay.injection import Injector, parse_injection
 
 #: Keys of an ECU that are no faults of a scenario, and put something wrong in as they do.
 _WRONG = ("late_voltage",)

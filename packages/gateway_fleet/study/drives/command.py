@@ -15,10 +15,10 @@ from typing import Any, TypeVar
 from gateway.cli.present import print_json, say, table_of, wide_console
 from gateway.cli.progress import LogsDone
 from gateway.common.extras import need
-from gateway.common.pool import Pool, Work, Workers, default_workers
 from gateway_fleet.study.drives.judge import SHORTEST_S, Judged, Judging, Points, Row, Task
 from gateway_fleet.study.drives.tables import columns_of
 from gateway_fleet.study.drives.vehicles import Learned, Learning, vehicles
+from gateway_replay.pool import Pool, Work, Workers, default_workers
 
 Item = TypeVar("Item")
 Done = TypeVar("Done")

@@ -17,12 +17,12 @@ from gateway.config.model import Config
 from gateway.engine.checks.bus_health import ACTIVITIES, ASLEEP
 from gateway.faults.status import Status
 from gateway.runtime.assemble import prepare
-from gateway.runtime.log import Log
 from gateway_fdi.common.log import to_stderr
 from gateway_fdi.errors import GatewayError
 from gateway_fleet.learn.everyday import KINDS, Drive, Fault
 from gateway_fleet.study.cause.drive import events_of
 from gateway_fleet.study.drives.vehicles import Learned, drive_of, is_of_car
+from gateway_replay.log import Log
 
 #: Longest part of a drive that a fault is put into [s], and the shortest.
 LONGEST_S, SHORTEST_S = 60.0, 6.0
@@ -133,7 +133,7 @@ class Task:
 
 
 class Judging:
-    """The work of a run (:class:`gateway.common.pool.Work`)."""
+    """The work of a run (:class:`gateway_replay.pool.Work`)."""
 
     def do(self, task: Task) -> list[Judged]:
         """Judge a drive; a drive that cannot be read says why."""

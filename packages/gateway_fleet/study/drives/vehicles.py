@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from gateway.bus.frames import Frames, empty
 from gateway.bus.logs import LogReader, open_writer
 from gateway.config.model import Config
-from gateway.runtime.log import Log
 from gateway.signals.database import SUFFIXES
 from gateway_fdi.common import log
 from gateway_fdi.errors import InputError, InputErrors
@@ -22,6 +21,7 @@ from gateway_fleet.learn.learn import of_log
 from gateway_fleet.learn.tails import FALSE_PER_HOUR
 from gateway_fleet.study.drives.tables import Columns, is_table, read, written
 from gateway_logs.corpus import Recording, find
+from gateway_replay.log import Log
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def vehicles(folder: Path, columns: Columns | None = None) -> list[Vehicle]:
 
 
 class Learning:
-    """Learns of vehicles (:class:`gateway.common.pool.Work`).
+    """Learns of vehicles (:class:`gateway_replay.pool.Work`).
 
     Args:
         work: folder of the configurations.

@@ -14,9 +14,9 @@ from gateway.config.load import load_config
 from gateway.engine.core import Engine
 from gateway.engine.events import QUALIFIED_FAILED, STRANGER, Events
 from gateway.runtime.assemble import prepare
-from gateway.runtime.injection import Injection, Injector
 from gateway_fleet.learn.proof import restore
 from gateway_fleet.learn.trial import Seeing
+from gateway_replay.injection import Injection, Injector
 
 #: Kinds: of frames beside those of a message; without its frames; of its values, at its own times.
 FREQUENCY, SILENT, FORGED = ("unknown", "double", "replay", "fuzz", "forge"), "drop", "offset"

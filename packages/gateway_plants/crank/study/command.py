@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.study import headed, show
+from gateway_bench.cli.study import headed, show
 from gateway_plants.crank.study import noise
 from gateway_plants.crank.study import outside as beyond
 from gateway_plants.crank.study import pairs as wrong

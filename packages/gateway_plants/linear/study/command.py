@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.table import Table
 
 from gateway.cli.present import say
-from gateway.cli.study import headed, show, tabulate
+from gateway_bench.cli.study import headed, show, tabulate
 from gateway_plants.linear.study import example
 from gateway_plants.linear.study.bank import Quiet, quiet
 from gateway_plants.linear.study.continuous import observe, spans

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.study import headed, show, tabulate
+from gateway_bench.cli.study import headed, show, tabulate
 from gateway_plants.pedal.study.cases import STROKES
 from gateway_plants.pedal.study.follow import VOTERS
 from gateway_plants.pedal.study.outside.roads import HOURS, Named, drives, jobs, names

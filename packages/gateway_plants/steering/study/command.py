@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from gateway.cli.study import headed, show, tabulate
+from gateway_bench.cli.study import headed, show, tabulate
 from gateway_fdi.stopping import RULES
 from gateway_plants.steering.study import operations
 from gateway_plants.steering.study.estimators import Accuracy, accuracy

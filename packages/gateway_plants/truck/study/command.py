@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-from gateway.cli.study import headed, show
+from gateway_bench.cli.study import headed, show
 from gateway_plants.truck.ecu.params import TruckFault
 from gateway_plants.truck.study.conditions import CHARGE, CONDITIONS, NOISE, Compared, compare
 from gateway_plants.truck.study.table import (

@@ -6,7 +6,7 @@ import numpy as np
 from gateway.bus.frames import FRAME
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
+from gateway_replay.replay import replay
 
 COMMAND, SENSORS = 0x2A0, 0x2A1
 

@@ -7,9 +7,9 @@ from truck.plant import CHARGE, COLUMNS, INERTIAS, LOSS, PARAMETERS, RATIOS, VOL
 from gateway.bus.frames import FRAME
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
-from gateway.runtime.replay import replay
 from gateway_plants.truck.monitor import messages
 from gateway_plants.truck.monitor.monitor import MONITOR
+from gateway_replay.replay import replay
 
 #: Message: identifier, signals (name, column or other, bits, signed, resolution).
 MESSAGES = {
