@@ -38,6 +38,7 @@ class Plugin:
             ``gateway.signals.protection.rules.Frame`` that returns the checksum.
         keys: key functions of UDS security access: of seed, secret and level.
         servers: on a bus, for tables ``[[server]]`` (``gateway.servers.types.ServerType``).
+        sections: tables ``[output.NAME]`` of a configuration (``gateway.servers.section.Section``).
         observers: values that ``gateway learn`` shows of a message beside its signals
             (``gateway_fleet.learn.observers.Observer``).
     """
@@ -54,6 +55,7 @@ class Plugin:
     measures: Places = field(default_factory=dict)
     observers: Places = field(default_factory=dict)
     servers: Places = field(default_factory=dict)
+    sections: Places = field(default_factory=dict)
 
     @staticmethod
     def joined(parts: Iterable[Plugin]) -> Plugin:

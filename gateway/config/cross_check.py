@@ -12,7 +12,6 @@ from gateway.config.monitor_types import monitor_of
 from gateway.faults.settings import POWER
 from gateway.isotp.params import IsoTpParams
 from gateway.servers.access_review import wrong_rules
-from gateway.servers.doip.params import RouteParams
 from gateway.servers.identifiers import check_unique
 from gateway.servers.uds.params import BusRouteParams
 from gateway_fdi.errors import InputError, InputErrors, each_of, nearest, under
@@ -31,7 +30,7 @@ def cross_check(config: Config) -> Iterator[InputError]:
         _cycles(config),
         _access(config),
         _addresses(config),
-        _doip(config),
+        _needed_tables(config),
         _routes(config),
         _ecus(config),
         _faults_of_ecus(config),
@@ -130,9 +129,8 @@ def _shared_codes(config: Config) -> Iterator[InputError]:
 
 
 def _outputs(config: Config) -> Iterator[InputError]:
-    for name in ("dtc_frame", "uds", "obd", "j1939"):
-        output = getattr(config.output, name)
-        if output is None:
+    for name, output in config.output.tables.items():
+        if not hasattr(output, "bus"):
             continue
         try:
             with under(f"output.{name}.bus", output.bus):
@@ -140,12 +138,14 @@ def _outputs(config: Config) -> Iterator[InputError]:
         except InputError as error:
             yield error
     named = {bus.name for bus in config.bus}
-    servers = [entry for entry in (config.output.uds, config.output.obd) if entry is not None]
-    if all(entry.bus in named or (entry.bus is None and len(named) == 1) for entry in servers):
-        try:
-            config.diagnostic_address_is_shared()
-        except InputError as error:
-            yield error
+    uds = config.output.uds
+    for name, (_, other) in config.output.applications.items():
+        servers = [entry for entry in (uds, other) if entry is not None]
+        if all(entry.bus in named or (entry.bus is None and len(named) == 1) for entry in servers):
+            try:
+                config.address_is_shared(name)
+            except InputError as error:
+                yield error
 
 
 def _servers_of_others(config: Config) -> Iterator[InputError]:
@@ -155,32 +155,33 @@ def _servers_of_others(config: Config) -> Iterator[InputError]:
         yield from each_of(error)
 
 
-def _doip(config: Config) -> Iterator[InputError]:
-    """The DoIP server has the services, sessions and keys of the UDS server."""
-    if config.output.doip is not None and config.output.uds is None:
-        yield InputError(
-            "this needs the table [output.uds]: services, sessions and keys are its own", key="output.doip"
-        )
+def _needed_tables(config: Config) -> Iterator[InputError]:
+    """Tables of outputs that others need are there."""
+    for name, (one, _) in config.output.sections.items():
+        for other, why in one.needs.items():
+            if other not in config.output.tables:
+                yield InputError(f"this needs the table [output.{other}]: {why}", key=f"output.{name}")
 
 
 def _routes(config: Config) -> Iterator[InputError]:
     """Routes go to ECUs that there are, on other buses that may be asked, and have identifiers of their own."""
-    doip, named = config.output.doip, {ecu.name: ecu for ecu in config.ecu}
+    named = {ecu.name: ecu for ecu in config.ecu}
     by_bus = dict(_bus_routes(config))
-    routes: dict[str, tuple[RouteParams | BusRouteParams, str | None]] = {**by_bus}
-    routes |= {f"output.doip.route[{k}]": (each, None) for k, each in enumerate(() if doip is None else doip.route)}
-    for key, (route, from_bus) in routes.items():
-        if route.ecu not in named:
-            there = f"the ECUs are {', '.join(named) or 'none'}{nearest(route.ecu, named)}"
-            yield InputError(there, key=f"{key}.ecu", value=route.ecu)
+    routes = {key: route.ecu for key, (route, _) in by_bus.items()}
+    for name, (one, params) in config.output.sections.items():
+        routes |= {f"output.{name}.{key}": ecu for key, ecu in one.routes(params).items()}
+    for key, ecu in routes.items():
+        if ecu not in named:
+            there = f"the ECUs are {', '.join(named) or 'none'}{nearest(ecu, named)}"
+            yield InputError(there, key=f"{key}.ecu", value=ecu)
             continue
-        bus = _index(config, named[route.ecu].bus)
+        bus = _index(config, named[ecu].bus)
         if bus is not None and config.bus[bus].listen_only:
             text = "its bus is only listened to, and takes no requests"
-            yield InputError(text, key=f"{key}.ecu", value=route.ecu)
-        if bus is not None and key in by_bus and bus == _index(config, from_bus):
+            yield InputError(text, key=f"{key}.ecu", value=ecu)
+        if bus is not None and key in by_bus and bus == _index(config, by_bus[key][1]):
             text = "this ECU is on the testers' own bus, where they reach it without a route"
-            yield InputError(text, key=f"{key}.ecu", value=route.ecu)
+            yield InputError(text, key=f"{key}.ecu", value=ecu)
     yield from _identifiers_of_routes(config)
 
 
@@ -220,21 +221,22 @@ def _identifiers_of_routes(config: Config) -> Iterator[InputError]:
 
 def _servers(config: Config) -> Iterator[tuple[str, IsoTpParams]]:
     """Yield each address of our diagnostic servers by its key."""
-    uds, obd = config.output.uds, config.output.obd
-    if obd is not None:
-        yield "output.obd", obd
+    uds = config.output.uds
+    for name, (_, params) in config.output.applications.items():
+        yield f"output.{name}", params
     for k, each in enumerate(() if uds is None else uds.each_address):
         yield f"output.uds.further[{k - 1}]" if k else "output.uds", each
 
 
 def _addresses(config: Config) -> Iterator[InputError]:
     """Each address of a diagnostic server has identifiers of its own, on its bus."""
-    uds, obd = config.output.uds, config.output.obd
+    uds = config.output.uds
     if uds is None or not uds.further:
         return
+    others = [params for _, params in config.output.applications.values()]
     taken: dict[tuple[str | None, int], str] = {}
     first = config.bus[0].name if len(config.bus) == 1 else None
-    for entry in [uds] + ([] if obd is None else [obd]):
+    for entry in (uds, *others):
         for number in (entry.request, entry.response, entry.functional):
             if number is not None:
                 taken[entry.bus or first, number] = "the first address"
@@ -255,14 +257,16 @@ def _addresses(config: Config) -> Iterator[InputError]:
 
 
 def _access(config: Config) -> Iterator[InputError]:
-    uds, j1939 = config.output.uds, config.output.j1939
+    uds = config.output.uds
     for name in () if uds is None else uds.rules:
         if getattr(config.access, name) is not None:
             yield InputError(f"output.uds.{name} says this already; take one of them out", key=f"access.{name}")
-    rule = config.access.j1939_clear
-    if j1939 is not None and j1939.allow_clear is not None and rule is not None and rule.allowed is not None:
-        text = "output.j1939.allow_clear says this already; take one of them out"
-        yield InputError(text, key="access.j1939_clear.allowed")
+    for name, (one, params) in config.output.sections.items():
+        for what, (key, _) in one.allows(params).items():
+            rule = getattr(config.access, what)
+            if rule is not None and rule.allowed is not None:
+                text = f"output.{name}.{key} says this already; take one of them out"
+                yield InputError(text, key=f"access.{what}.allowed")
     for k, did in enumerate(config.did):
         if did.id == config.access.trace_did:
             text = "this identifier reads what testers did; give access.trace_did another number"
@@ -335,7 +339,7 @@ def _faults_of_ecus(config: Config) -> Iterator[InputError]:
 def _only_listened_to(config: Config) -> Iterator[InputError]:
     """Nothing of the configuration sends on a bus that is only listened to."""
     output = config.output
-    senders = [(f"output.{name}", getattr(output, name)) for name in ("dtc_frame", "uds", "obd", "j1939")]
+    senders = [(f"output.{name}", params) for name, params in output.tables.items() if hasattr(params, "bus")]
     senders += [] if output.uds is None else [(f"output.uds.further[{k}]", e) for k, e in enumerate(output.uds.further)]
     senders += [(f"monitor[{k}]", entry) for k, entry in enumerate(config.monitor) if entry.send]
     senders += [(f"server[{k}]", entry) for k, entry in enumerate(config.server)]

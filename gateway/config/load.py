@@ -204,13 +204,10 @@ def placed(config: Config, path: Path | None, folder: Path | None = None) -> Con
 
 def _with_certificates(config: Config, folder: Path) -> Config:
     """Return the configuration with its certificates relative to its folder, too."""
-    uds, doip = config.output.uds, config.output.doip
+    uds = config.output.uds
     if uds is not None and uds.authentication is not None:
         roots = tuple(folder / file for file in uds.authentication.roots)
         authentication = uds.authentication.model_copy(update={"roots": roots})
         uds = uds.model_copy(update={"authentication": authentication})
-    if doip is not None and doip.tls is not None:
-        files = {name: getattr(doip.tls, name) for name in ("certificate", "key", "client_ca")}
-        placed = {name: folder / file for name, file in files.items() if file is not None}
-        doip = doip.model_copy(update={"tls": doip.tls.model_copy(update=placed)})
-    return config.model_copy(update={"output": config.output.model_copy(update={"uds": uds, "doip": doip})})
+    others = {name: one.placed(params, folder) for name, (one, params) in config.output.sections.items()}
+    return config.model_copy(update={"output": config.output.model_copy(update={"uds": uds, **others})})

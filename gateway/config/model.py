@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    create_model,
+    field_validator,
+    model_validator,
+)
 
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of, parse_uri
@@ -18,13 +27,12 @@ from gateway.faults.fleet import FleetParams
 from gateway.faults.recorder import RecorderParams
 from gateway.faults.settings import ConditionSettings, CycleSettings, FaultOverride
 from gateway.faults.usage import UsageParams
+from gateway.isotp.params import IsoTpParams
 from gateway.servers.access import AccessParams, Needs, needs_of
 from gateway.servers.diagnostic_address import share_address
-from gateway.servers.doip.params import DoipParams
 from gateway.servers.dtc_frame import DtcFrameParams
 from gateway.servers.identifiers import DidParams
-from gateway.servers.j1939.params import J1939Params
-from gateway.servers.obd.params import ObdParams
+from gateway.servers.section import Section, usable
 from gateway.servers.types import SERVERS, Server
 from gateway.servers.uds.params import UdsParams
 from gateway_fdi.common.tomlfile import StrictModel, validate
@@ -193,14 +201,42 @@ class StatusConfig(StrictModel):
     readers: int = Field(8, ge=1, le=64, description="most readers at a time")
 
 
-class OutputConfig(StrictModel):
+#: Tables of outputs that packages bring, by name.
+_SECTIONS = dict(usable())
+
+
+class Outputs(StrictModel):
     """How faults leave the gateway."""
 
     dtc_frame: DtcFrameParams | None = Field(None, description="DTC message on a bus")
     uds: UdsParams | None = Field(None, description="UDS server (ISO 14229-1) on ISO-TP")
-    obd: ObdParams | None = Field(None, description="OBD server (SAE J1979) on ISO-TP")
-    j1939: J1939Params | None = Field(None, description="J1939 diagnostic messages (J1939-73)")
-    doip: DoipParams | None = Field(None, description="diagnostics over IP (ISO 13400-2); its services: those of uds")
+
+    @property
+    def tables(self) -> dict[str, Any]:
+        """Those that there are, by name."""
+        found = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: params for name, params in found.items() if params is not None}
+
+    @property
+    def sections(self) -> dict[str, tuple[Section[Any], Any]]:
+        """Those of packages that there are, and what each is."""
+        return {name: (_SECTIONS[name], params) for name, params in self.tables.items() if name in _SECTIONS}
+
+    @property
+    def applications(self) -> dict[str, tuple[Section[Any], IsoTpParams]]:
+        """Those of packages that are applications on ISO-TP."""
+        return {name: found for name, found in self.sections.items() if found[0].on_isotp}
+
+
+if TYPE_CHECKING:
+    OutputConfig = Outputs
+else:
+    OutputConfig = create_model(
+        "OutputConfig",
+        __base__=Outputs,
+        __doc__=Outputs.__doc__,
+        **{name: (one.params | None, Field(None, description=one.description)) for name, one in _SECTIONS.items()},
+    )
 
 
 class Config(StrictModel):
@@ -302,8 +338,8 @@ class Config(StrictModel):
     @property
     def has_doors(self) -> bool:
         """Whether testers, readers, reporters or asked ECUs are heard, so that their bytes can make handling fail."""
-        asked = (self.output.uds, self.output.obd, self.output.j1939, self.status, self.report)
-        others = bool(self.ecu or self.server)
+        asked = (self.output.uds, self.status, self.report)
+        others = bool(self.ecu or self.server or self.output.sections)
         return self.access.watched and (others or any(each is not None for each in asked))
 
     @property
@@ -325,18 +361,30 @@ class Config(StrictModel):
     @property
     def needs(self) -> Needs:
         """Conditions of each intervention."""
-        j1939 = self.output.j1939
-        clears = None if j1939 is None else j1939.allow_clear
-        return needs_of(self.access_rules, self.security_levels, clears, self.roles)
+        allowed = {
+            what: allows
+            for one, params in self.output.sections.values()
+            for what, (_, allows) in one.allows(params).items()
+        }
+        return needs_of(self.access_rules, self.security_levels, allowed, self.roles)
 
-    def diagnostic_address_is_shared(self) -> bool:
-        """Return whether the UDS and the OBD server have one address.
+    @property
+    def j1939_addresses(self) -> list[tuple[int, int]]:
+        """Addresses that outputs claim, each with the index of its bus."""
+        found = [(params, one.j1939_address(params)) for one, params in self.output.sections.values()]
+        return [(self.bus_index(params.bus), address) for params, address in found if address is not None]
+
+    def address_is_shared(self, name: str) -> bool:
+        """Return whether an application on ISO-TP has the address of the UDS server.
+
+        Args:
+            name: of its table.
 
         Raises:
             InputError: they share some of their identifiers, but not all.
         """
-        uds, obd = self.output.uds, self.output.obd
-        if uds is None or obd is None:
+        uds, (_, other) = self.output.uds, self.output.applications[name]
+        if uds is None:
             return False
-        same_bus = self.bus_index(uds.bus) == self.bus_index(obd.bus)
-        return share_address(uds, obd, same_bus=same_bus)
+        same_bus = self.bus_index(uds.bus) == self.bus_index(other.bus)
+        return share_address(uds, other, name, same_bus=same_bus)

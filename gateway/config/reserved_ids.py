@@ -26,8 +26,9 @@ def _with_flag(can_id: int) -> int:
 
 def _known(config: Config, bus: int) -> tuple[int, ...]:
     found = {_with_flag(can_id) for can_id in config.buses[bus].health.known}
-    uds, obd, frame = config.output.uds, config.output.obd, config.output.dtc_frame
-    for params in (*(() if uds is None else uds.each_address), *(() if obd is None else (obd,))):
+    uds, frame = config.output.uds, config.output.dtc_frame
+    others = [params for _, params in config.output.applications.values()]
+    for params in (*(() if uds is None else uds.each_address), *others):
         if config.bus_index(params.bus) == bus:
             ids = (params.request, params.response, params.functional)
             found |= {_with_flag(can_id) for can_id in ids if can_id is not None}
@@ -36,6 +37,9 @@ def _known(config: Config, bus: int) -> tuple[int, ...]:
     for k in config.answered.get(bus, ()):
         place = config.ecu[k].place
         found |= {place.request, place.response}
+    for one, params in config.output.sections.values():
+        if hasattr(params, "bus") and config.bus_index(params.bus) == bus:
+            found |= set(one.identifiers(params))
     for server in config.servers:
         found |= set(server.identifiers) if server.bus == bus else set()
     if frame is not None and config.bus_index(frame.bus) == bus:
@@ -44,7 +48,8 @@ def _known(config: Config, bus: int) -> tuple[int, ...]:
 
 
 def _groups(config: Config, index: int) -> tuple[int, ...]:
-    bus, own = config.buses[index], config.output.j1939
-    if bus.match != "pgn" and not bus.dm1 and (own is None or config.bus_index(own.bus) != index):
+    bus = config.buses[index]
+    own = any(one == index for one, _ in config.j1939_addresses)
+    if bus.match != "pgn" and not bus.dm1 and not own:
         return ()
     return tuple(EXTENDED | group << 8 for group in _J1939)

@@ -30,7 +30,6 @@ from gateway.monitors.contract import Monitor, MonitorParams, Parts
 from gateway.monitors.network_codes import NetworkCodes, Pair
 from gateway.servers.access import FREE, GUARDED, ROUTE, SESSIONLESS, AccessParams, Conditions
 from gateway.servers.access_review import forgeable
-from gateway.servers.doip.secure import tls_context
 from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.security import Security
 from gateway.signals.database import Database, load_database
@@ -41,8 +40,6 @@ from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import Gathered, InputError, InputErrors, each_of, named, nearest, under
 
 if TYPE_CHECKING:
-    from ssl import SSLContext
-
     from cantools.database.can import Message
     from cantools.database.can.signal import Signal
 
@@ -65,12 +62,12 @@ class Resolved:
         gates: fault id -> when its test results count.
         cycles: operation cycles by name, in the engine's order.
         freeze_frames: fault id -> names of the signals and live values that its freeze frame asks for.
-        shown: names of the signals that OBD and J1939 show of freeze frames of emission related faults.
+        shown: names of the signals that outputs such as OBD show of freeze frames of emission related faults.
         signals: each name outside of the engine that stands for a signal -> that signal.
         live: each name that stands for a live value of a monitor -> monitor, value.
         security: of the UDS server; its key functions have been found.
         authentication: of the UDS server; its roots have been read.
-        tls: of the DoIP server; its certificates have been read; None: it has none.
+        opened: table of outputs -> what its section has read of files.
         notes: what was taken where the configuration leaves it to the databases, one line each.
         forgeable: conditions of access that frames of others meet, one line each.
         codes: full name of a message, signal or relation -> the base codes of DTCs given out for it.
@@ -91,7 +88,7 @@ class Resolved:
     live: Mapping[str, tuple[str, str]]
     security: Security
     authentication: Authentication
-    tls: SSLContext | None
+    opened: Mapping[str, Any]
     notes: tuple[str, ...]
     forgeable: tuple[str, ...]
     codes: Mapping[str, tuple[str, ...]]
@@ -108,7 +105,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
     types = [monitor_of(entry) for entry in config.monitor]
     readouts = {entry.name: monitor.readout for entry, (monitor, _) in zip(config.monitor, types, strict=True)}
     names = Names(config, dict(enumerate(databases)), readouts)
-    uds, doip = config.output.uds, config.output.doip
+    uds = config.output.uds
     asked = _find_access(config, names)
     _find_usage(config, names)
     _find_asked(config, names)
@@ -144,7 +141,7 @@ def resolve(config: Config, *, extra: Collection[str] = ()) -> Resolved:
         live=names.live,
         security=Security(() if uds is None else uds.security),
         authentication=Authentication(None if uds is None else uds.authentication),
-        tls=None if doip is None or doip.tls is None else tls_context(doip.tls),
+        opened={name: one.opened(params) for name, (one, params) in config.output.sections.items()},
     )
 
 
@@ -391,18 +388,16 @@ def _freeze_frames(config: Config, names: Names) -> dict[str, tuple[str, ...]]:
 
 
 def _shown(config: Config, names: Names) -> tuple[str, ...]:
-    """Return what OBD and J1939 show of freeze frames; finds what identifiers read, too."""
+    """Return what other outputs show of freeze frames; finds what identifiers read, too."""
     _each(
         names.find_shown,
         ((did.signal, f"did[{k}].signal") for k, did in enumerate(config.did) if did.signal is not None),
     )
-    shown = {}
-    if config.output.obd is not None:
-        for k, pid in enumerate(config.output.obd.pid):
-            shown[pid.signal] = f"output.obd.pid[{k}].signal"
-    if config.output.j1939 is not None:
-        for k, entry in enumerate(config.output.j1939.freeze_frame):
-            shown[entry.signal] = f"output.j1939.freeze_frame[{k}].signal"
+    shown = {
+        signal: f"output.{name}.{key}"
+        for name, (one, params) in config.output.sections.items()
+        for signal, key in one.shown(params)
+    }
     _each(names.find, shown.items())
     return tuple(shown)
 
@@ -413,8 +408,8 @@ def _find_access(config: Config, names: Names) -> dict[str, str]:
     rules: dict[str, AccessParams | Conditions | None] = {"access": config.access}
     rules |= {f"access.{name}": getattr(config.access, name) for name in (*GUARDED, *FREE, ROUTE, *SESSIONLESS)}
     rules |= {f"output.uds.{name}": rule for name, rule in own.items()}
-    ready = () if config.output.doip is None else config.output.doip.ready
-    _each(names.find, ((one.signal, f"output.doip.ready[{k}].signal") for k, one in enumerate(ready)))
+    sections = config.output.sections.items()
+    _each(names.find, ((s, f"output.{name}.{key}") for name, (one, p) in sections for s, key in one.signals(p)))
     asked = [
         (condition.signal, f"{key}.when[{k}].signal")
         for key, rule in rules.items()

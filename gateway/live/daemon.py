@@ -12,7 +12,7 @@ from gateway.config.load import load_config
 from gateway.config.model import Config, StatusConfig
 from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.restarts import WELL_S, Restart
-from gateway.live.doip_door import DoipDoor
+from gateway.live.clock import Clock
 from gateway.live.link import Link, bus_event
 from gateway.live.listeners import Listeners, TableDoor
 from gateway.live.loop import GRACE_NS, Live, Tap
@@ -160,16 +160,13 @@ class Daemon:
 
     def _new_doors(self, config: Config, gateway: Gateway) -> dict[str, TableDoor]:
         """Return the doors that tables of a configuration ask for: those that there are, where they fit."""
-        makers: dict[str, tuple[Any, Callable[[Any], TableDoor]]] = {
-            "report": (config.report, lambda params: ReportSocket(params, gateway)),
-            "doip": (config.output.doip, lambda params: DoipDoor(params, gateway, self._clock)),
-        }
         made: dict[str, TableDoor] = {}
         try:
-            for name, (params, make) in makers.items():
+            for name, (params, make) in _makers(config).items():
                 before = self._asked.get(name)
-                if params is not None:
-                    made[name] = before if before is not None and before.fits(params) else make(params)
+                door = before if before is not None and before.fits(params) else make(params, gateway, self._clock)
+                if door is not None:
+                    made[name] = door
         except BaseException:
             self._close_new(made)
             raise
@@ -357,12 +354,22 @@ class Daemon:
         if self.status is not None:
             self.status.replace(gateway)
         self._replace_doors(doors)
-        for name, params in (("report", new.config.report), ("doip", new.config.output.doip)):
-            if params is not None:
+        for name, (params, _) in _makers(new.config).items():
+            if name in self._asked:
                 self._asked[name].replace(gateway, params)
         self._live.replace(gateway, links, self._taps())
         for link in kept.values():
             link.close()
+
+
+def _makers(config: Config) -> dict[str, tuple[Any, Callable[[Any, Gateway, Clock], TableDoor | None]]]:
+    """Return the tables that can ask for a door, each with the function that makes it."""
+    made: dict[str, tuple[Any, Callable[[Any, Gateway, Clock], TableDoor | None]]] = {
+        name: (params, one.door) for name, (one, params) in config.output.sections.items()
+    }
+    if config.report is not None:
+        made["report"] = config.report, lambda params, gateway, _: ReportSocket(params, gateway)
+    return made
 
 
 def _tolerance_ns(config: Config) -> int:

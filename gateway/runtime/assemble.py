@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from gateway.answers.pages import AnswerBus
 from gateway.clients.dm1 import Dm1Listener
@@ -35,21 +35,17 @@ from gateway.faults.settings import FaultOverride
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.params import IsoTpParams
 from gateway.runtime.answers import ecus_of
+from gateway.servers.application import Application
 from gateway.servers.authority import Authority
 from gateway.servers.bus_route import BusRoute
 from gateway.servers.bus_server import BusServer
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.diagnostic_server import DiagnosticServer
-from gateway.servers.doip.identity import GATEWAY, NODE, Identity
-from gateway.servers.doip.params import ADDRESSES
-from gateway.servers.doip.server import DoipServer
 from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.identifiers import Identifiers
-from gateway.servers.j1939.endpoint import J1939Endpoint
-from gateway.servers.j1939.server import J1939Server
 from gateway.servers.local import LONGEST_ANSWER, LocalServer
-from gateway.servers.obd.server import ObdServer
-from gateway.servers.route import Route
+from gateway.servers.section import NO_BUS as WITHOUT_BUS
+from gateway.servers.section import Surroundings
 from gateway.servers.tester_control import TesterControl
 from gateway.servers.uds.authentication import Authentication
 from gateway.servers.uds.intervention_memory import NUMBERS
@@ -60,9 +56,6 @@ from gateway.servers.uds.testers import Testers
 from gateway.signals.database import Database
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors, named
-
-if TYPE_CHECKING:
-    from ssl import SSLContext
 
 
 @dataclass(frozen=True)
@@ -80,7 +73,7 @@ class Parts:
         answers: buses of ECUs' answers.
         security: of the UDS server; its key functions have been found.
         authentication: of the UDS server; its roots have been read.
-        tls: of the DoIP server; its certificates have been read; None: it has none.
+        opened: table of outputs -> what its section has read of files.
         checks: of messages, in the engine's order.
         notes: choices where the configuration leaves it to the databases.
         forgeable: conditions of access that frames of others meet, one line each.
@@ -100,7 +93,7 @@ class Parts:
     answers: tuple[AnswerBus, ...]
     security: Security
     authentication: Authentication
-    tls: SSLContext | None
+    opened: Mapping[str, Any]
     checks: tuple[CheckInstance, ...]
     notes: tuple[str, ...]
     forgeable: tuple[str, ...]
@@ -154,7 +147,7 @@ def assemble(resolved: Resolved) -> Parts:
         resolved.answers,
         resolved.security,
         resolved.authentication,
-        resolved.tls,
+        resolved.opened,
         resolved.checks,
         resolved.notes,
         resolved.forgeable,
@@ -277,23 +270,6 @@ def _bus_name(config: Config, name: str | None) -> str:
     return config.bus[config.bus_index(name)].name
 
 
-def _doip_server(
-    config: Config, parts: Parts, testers: Testers, identifiers: Identifiers, control: TesterControl
-) -> DoipServer:
-    """Build the DoIP entity."""
-    params, uds = config.output.doip, config.output.uds
-    assert params is not None
-    assert uds is not None
-
-    def new_tester(name: str, source: int) -> UdsServer:
-        own = uds.model_copy(update={"bus": None, "request": source, "functional": source})
-        return testers.server(own, name, longest=params.most_bytes - ADDRESSES)
-
-    ready = (lambda: control.meets(params.ready)) if params.ready else None
-    node = GATEWAY if params.route else NODE
-    return DoipServer(params, new_tester, Identity(params, identifiers.read, ready, node), parts.tls)
-
-
 def _local_server(config: Config, testers: Testers) -> LocalServer:
     """Build the server of this machine's testers; without ``[output.uds]`` with its defaults: no key, no role."""
     uds = config.output.uds or UdsParams()
@@ -308,34 +284,17 @@ def _local_server(config: Config, testers: Testers) -> LocalServer:
 def connect_routes(servers: BusServers, asking: Poller) -> None:
     """Give the servers that have routes the lines to their ECUs."""
     for server in servers.all:
-        if isinstance(server, DoipServer):
-            server.routes = {
-                each.address: Route(asking.line(each.ecu, each.requests_per_s), server.counts)
-                for each in server.params.route
-            }
-        elif isinstance(server, BusRoute):
-            server.route = Route(asking.line(server.params.ecu, server.params.requests_per_s), server.counts)
-            server.wake = partial(servers.wake, server)
-    for server in servers.all:  # last: they have the rates of the routes
-        if isinstance(server, LocalServer):
-            server.routes = {name: Route(asking.line(name), server.counts) for name in asking.askable}
+        server.connect_routes(asking, partial(servers.wake, server))
 
 
-def _diagnostic_servers(
-    config: Config, testers: Testers, memory: FaultMemory, authority: Authority, identifiers: Identifiers
-) -> list[BusServer]:
-    """Build what is on ISO-TP: UDS with OBD on its first address if they share it, each further address, OBD alone."""
-    asked = config.output.obd
-    obd = None
-    if asked is not None:
-        obd = ObdServer(asked, memory, authority.control, authority, _bus_name(config, asked.bus))
-        identifiers.fall_back(obd.identifier)
+def _diagnostic_servers(config: Config, testers: Testers, others: Mapping[str, Application]) -> list[BusServer]:
+    """Build what is on ISO-TP: UDS, with those that share its first address; each further address; others alone."""
     made: list[BusServer] = []
 
-    def server(params: IsoTpParams, uds: UdsServer | None, obd: ObdServer | None) -> None:
-        made.append(DiagnosticServer(IsoTpEndpoint(params, config.bus_index(params.bus)), uds, obd))
+    def server(params: IsoTpParams, uds: UdsServer | None, others: Sequence[Application]) -> None:
+        made.append(DiagnosticServer(IsoTpEndpoint(params, config.bus_index(params.bus)), uds, others))
 
-    shared = config.diagnostic_address_is_shared()
+    sharing = [name for name in others if config.address_is_shared(name)]
     for k, params in enumerate(() if config.output.uds is None else config.output.uds.each_address):
         uds = testers.server(params, _bus_name(config, params.bus))
         for route in params.route:
@@ -343,10 +302,28 @@ def _diagnostic_servers(
             address = None if place.target is None or place.tester is None else (place.target, place.tester)
             endpoint = IsoTpEndpoint(route.transport(params), config.bus_index(params.bus), address)
             made.append(BusRoute(route, endpoint, uds))
-        server(params, uds, obd if shared and not k else None)
-    if asked is not None and not shared:
-        server(asked, None, obd)
+        server(params, uds, [] if k else [others[name] for name in sharing])
+    for name, (_, own) in config.output.applications.items():
+        if name not in sharing:
+            server(own, None, [others[name]])
     return made
+
+
+def _surroundings(
+    config: Config,
+    parts: Parts,
+    name: str,
+    memory: FaultMemory,
+    authority: Authority,
+    identifiers: Identifiers,
+    testers: Testers,
+) -> Surroundings:
+    """Return what the server of a section is made of; ``name``: of its table."""
+    _, params = config.output.sections[name]
+    bus = config.bus_index(params.bus) if hasattr(params, "bus") else WITHOUT_BUS
+    bus_name = "" if bus == WITHOUT_BUS else config.bus[bus].name
+    uds, opened = config.output.uds, parts.opened[name]
+    return Surroundings(bus, bus_name, memory, identifiers, authority, testers, uds, opened)
 
 
 def servers_of(
@@ -371,15 +348,16 @@ def servers_of(
         )
     trace = config.access.trace_did
     testers = Testers(memory, identifiers, authority, parts.security, parts.authentication, trace)
-    made += _diagnostic_servers(config, testers, memory, authority, identifiers)
-    if asked.doip is not None:
-        made.append(_doip_server(config, parts, testers, identifiers, control))
-    if asked.j1939 is not None:
-        index = config.bus_index(asked.j1939.bus)
-        endpoint = J1939Endpoint(
-            asked.j1939.name, asked.j1939.address, index, commandable=asked.j1939.commanded_address
-        )
-        made.append(J1939Server(asked.j1939, endpoint, memory, control, authority, config.bus[index].name))
+    around = {
+        name: _surroundings(config, parts, name, memory, authority, identifiers, testers)
+        for name in config.output.sections
+    }
+    applications = {
+        name: one.application(params, around[name]) for name, (one, params) in config.output.applications.items()
+    }
+    made += _diagnostic_servers(config, testers, applications)
+    others = (one.server(params, around[name]) for name, (one, params) in config.output.sections.items())
+    made += [server for server in others if server is not None]
     made += [server.made(memory, identifiers, authority) for server in config.servers]
     return [*made, _local_server(config, testers)]
 
@@ -411,6 +389,5 @@ def _dm1_of(config: Config) -> Dm1Listener | None:
         for k in ecus
         if config.ecu[k].address is not None
     }
-    own = config.output.j1939
-    ours = [] if own is None else [(config.bus_index(own.bus), own.address)]
+    ours = config.j1939_addresses
     return Dm1Listener(buses, names, {k: config.bus[k].name for k in buses}, ours) if buses else None

@@ -154,14 +154,14 @@ Needs = Mapping[str, Need]
 
 
 def needs_of(
-    params: AccessParams, levels: Sequence[int], j1939_clears: bool | None = None, roles: Sequence[str] = ()
+    params: AccessParams, levels: Sequence[int], allowed_elsewhere: Mapping[str, bool], roles: Sequence[str] = ()
 ) -> Needs:
     """Return what each intervention needs.
 
     Args:
         params: the rules that the configuration gives.
         levels: security levels that there are.
-        j1939_clears: ``allow_clear`` of J1939, if it is given.
+        allowed_elsewhere: what keys of other tables allow or not, of interventions without sessions.
         roles: that there are; without security levels what is guarded needs any of them.
     """
     found: dict[str, Need] = {}
@@ -180,9 +180,7 @@ def needs_of(
     clear = found["clear"]
     for name in SESSIONLESS:
         other: SessionlessAccess = getattr(params, name) or SessionlessAccess()
-        allowed = other.allowed
-        if allowed is None and name == "j1939_clear":
-            allowed = j1939_clears
+        allowed = allowed_elsewhere.get(name) if other.allowed is None else other.allowed
         found[name] = Need(
             when=clear.when if other.when is None else other.when,
             allowed=not clear.is_locked if allowed is None else allowed,

@@ -12,6 +12,9 @@ from gateway.faults.entries import DtcChange
 class Application(ABC):
     """Takes whole requests and gives whole responses; knows no frames, no bus and no clock."""
 
+    #: Service identifiers that are its own where it shares an address with UDS.
+    services = range(0)
+
     @abstractmethod
     def answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
         """Return the responses to a request, in order; none where it is to stay silent.

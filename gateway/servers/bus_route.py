@@ -10,6 +10,7 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.servers.isotp_server import IsotpServer
+from gateway.servers.lines import Lines
 from gateway.servers.route import Route
 from gateway.servers.uds.params import BusRouteParams
 from gateway.servers.uds.server import UdsServer
@@ -27,7 +28,6 @@ class BusRoute(IsotpServer):
         params: the same.
         counts: what it counted.
         route: to the ECU, which is given when there are clients.
-        wake: has the servers look again at when it is due, which is given, too.
     """
 
     route: Route
@@ -36,8 +36,13 @@ class BusRoute(IsotpServer):
         super().__init__(transport)
         self.params, self._server = params, server
         self.counts: Counter[str] = Counter()
-        self.wake: Callable[[], None] = lambda: None
+        self._wake: Callable[[], None] = lambda: None
         self._answers: list[bytes] = []
+
+    def connect_routes(self, lines: Lines, wake: Callable[[], None]) -> None:
+        """Take the line to its ECU."""
+        self.route = Route(lines.line(self.params.ecu, self.params.requests_per_s), self.counts)
+        self._wake = wake
 
     def go_on(self, old: IsotpServer) -> None:
         """Keep answers that wait, and what was counted."""
@@ -61,7 +66,7 @@ class BusRoute(IsotpServer):
 
         def tell(answer: bytes) -> None:
             self._answers.append(answer)
-            self.wake()
+            self._wake()
 
         by = self._transport.asked_by(functional=functional)
         self.route.pass_on(request, self._server, t_ns, tell, functional=functional, by=by)

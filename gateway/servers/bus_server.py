@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from gateway.common.fence import Fence, Wall
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.servers.application import Application
+from gateway.servers.lines import Lines
 from gateway.servers.uds.nrc import Nrc
 
 
@@ -69,6 +70,14 @@ class BusServer:
         Args:
             old: one of its servers, of any kind; not to be used any more.
             buses: index of a bus there -> its index here.
+        """
+
+    def connect_routes(self, lines: Lines, wake: Callable[[], None]) -> None:
+        """Take the lines to ECUs, if it has routes.
+
+        Args:
+            lines: to the ECUs.
+            wake: has the servers look again at when it is due.
         """
 
     def restart(self) -> None:

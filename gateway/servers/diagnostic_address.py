@@ -1,4 +1,4 @@
-"""Whether UDS and OBD have one address: then one server with both of them answers."""
+"""Whether UDS and another application have one address: then one server with both of them answers."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from gateway.isotp.params import IsoTpParams
 from gateway_fdi.errors import InputError
 
 
-def share_address(one: IsoTpParams, other: IsoTpParams, *, same_bus: bool) -> bool:
+def share_address(one: IsoTpParams, other: IsoTpParams, name: str, *, same_bus: bool) -> bool:
     """Return whether two servers have one address.
 
     Args:
         one: of the UDS server.
-        other: of the OBD server.
+        other: of the other application.
+        name: of its table.
         same_bus: whether they are on one bus.
 
     Raises:
@@ -22,8 +23,8 @@ def share_address(one: IsoTpParams, other: IsoTpParams, *, same_bus: bool) -> bo
         return True
     if same_bus and {one.request, one.response} & {other.request, other.response}:
         raise InputError(
-            "output.uds and output.obd share some identifiers, but not all: give them the same"
+            f"output.uds and output.{name} share some identifiers, but not all: give them the same"
             " request, functional and response, or different ones",
-            key="output.obd",
+            key=f"output.{name}",
         )
     return False

@@ -1,4 +1,4 @@
-"""A diagnostic server on a bus: an ISO-TP address with UDS, OBD, or both."""
+"""A diagnostic server on a bus: an ISO-TP address with UDS, other applications such as OBD, or both."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from gateway.faults.entries import DtcChange
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.servers.application import Application
 from gateway.servers.isotp_server import IsotpServer
-from gateway.servers.obd.server import MODES
 
 
 class DiagnosticServer(IsotpServer):
@@ -19,15 +18,15 @@ class DiagnosticServer(IsotpServer):
 
     Args:
         transport: the address, with requests and responses under way.
-        uds: answers what is no mode of OBD.
-        obd: answers modes 01 to 0A; everything, where there is no UDS.
+        uds: answers what no other application has for its own.
+        others: answer the requests that are their own (OBD: modes 01 to 0A); without UDS the first one answers all.
     """
 
-    def __init__(self, transport: IsoTpEndpoint, uds: Application | None, obd: Application | None) -> None:
+    def __init__(self, transport: IsoTpEndpoint, uds: Application | None, others: Sequence[Application] = ()) -> None:
         super().__init__(transport)
         self.uds = uds
-        self._obd = obd
-        self._applications = [each for each in (uds, obd) if each is not None]
+        self._others = others
+        self._applications = [*([] if uds is None else [uds]), *others]
 
     def on_frame(self, frame: np.void, t_ns: int) -> Frames:
         """Take a frame; answers the request that it completes."""
@@ -39,8 +38,7 @@ class DiagnosticServer(IsotpServer):
 
     def pending(self, request: bytes) -> list[bytes]:
         """Return 0x78 of the application that the request is for."""
-        application = self._application_for(request)
-        return [] if application is None else application.pending(request)
+        return self._application_for(request).pending(request)
 
     def _hold(self, t_ns: int) -> None:
         busy = self._transport.busy
@@ -48,13 +46,11 @@ class DiagnosticServer(IsotpServer):
             each.hold(busy, t_ns)
 
     def _answer(self, request: bytes, functional: bool, t_ns: int) -> list[bytes]:
-        application = self._application_for(request)
-        return [] if application is None else self.answered(application, request, functional, t_ns)
+        return self.answered(self._application_for(request), request, functional, t_ns)
 
-    def _application_for(self, request: bytes) -> Application | None:
-        if self._obd is not None and (request[0] in MODES or self.uds is None):
-            return self._obd
-        return self.uds
+    def _application_for(self, request: bytes) -> Application:
+        own = (each for each in self._others if request[0] in each.services)
+        return next(own, self.uds or self._others[0])
 
     def on_changes(self, changes: Sequence[DtcChange], t_ns: int) -> Frames:
         """Send the responses that were asked for on changes (0x86)."""

@@ -15,6 +15,7 @@ from gateway.common.budget import Budget
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.servers.bus_server import BusServer
+from gateway.servers.lines import Lines
 from gateway.servers.route import LONGEST_REQUEST, Route
 from gateway.servers.uds.nrc import Nrc
 from gateway.servers.uds.server import UdsServer
@@ -84,6 +85,10 @@ class LocalServer(BusServer):
         self._testers: dict[tuple[int, str], _Tester] = {}
         self._now_ns = 0
         self._budget, self._first = Budget(), 0
+
+    def connect_routes(self, lines: Lines, wake: Callable[[], None]) -> None:
+        """Take the lines to all ECUs; the last server does, as the lines have the rates of the routes then."""
+        self.routes = {name: Route(lines.line(name), self.counts) for name in lines.askable}
 
     def identifiers(self, bus: int) -> list[int]:
         """Return that it listens to nothing on a bus."""

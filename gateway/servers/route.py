@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Protocol
 
+from gateway.servers.lines import Line
 from gateway.servers.uds.nrc import SILENT_WHEN_FUNCTIONAL, Nrc
 from gateway.servers.uds.server import UdsServer
 
@@ -15,29 +15,6 @@ READING = frozenset({0x01, 0x02, 0x03, 0x06, 0x07, 0x09, 0x0A, 0x19, 0x22, 0x3E}
 _DEFAULT_SESSION = (0x10, 0x01)
 #: Longest request of a tester, to the gateway or by a route [byte].
 LONGEST_REQUEST = 4095
-
-
-class Line(Protocol):
-    """The line to an ECU."""
-
-    name: str
-
-    @property
-    def part_ms(self) -> int:
-        """How long a request may wait for it [ms]."""
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the ECU can be reached now."""
-
-    def ask(self, request: bytes, owner: object, done: Callable[[bytes | None], None]) -> bool:
-        """Have a request sent; returns whether there is room for it. ``done`` takes each answer; None: none comes."""
-
-    def forget(self, owner: object) -> None:
-        """Take out what a tester that has gone had asked."""
-
-    def is_quiet(self, request: bytes) -> bool:
-        """Return whether no good answer comes to a request."""
 
 
 def only_reads(request: bytes) -> bool:

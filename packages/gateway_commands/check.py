@@ -18,8 +18,6 @@ from gateway.runtime.app import Gateway
 from gateway.servers.access import ROUTE
 from gateway.servers.access_review import ways_around
 from gateway.servers.access_table import bus_reach, routes_around
-from gateway.servers.doip.access_table import reach
-from gateway.servers.doip.access_table import ways_around as reach_around
 from gateway_commands.configuration_schema import schema
 from gateway_commands.doctor import no_socketcan
 from gateway_commands.self_test import refuse_failing
@@ -128,13 +126,13 @@ def _counted(
 
 def _reached(config: Config) -> tuple[dict[str, list[str]], list[str]]:
     """Return who reaches what by DoIP and by routes from bus to bus, by title, and ways around the rules of both."""
-    doip, uds, need = config.output.doip, config.output.uds, config.needs[ROUTE]
-    by_doip = [] if doip is None else list(reach(doip, need))
+    uds, need, sections = config.output.uds, config.needs[ROUTE], config.output.sections
+    found = {f"by {one.title}": list(one.reach(params, need)) for name, (one, params) in sections.items()}
     addresses = [] if uds is None else uds.each_address
     by_bus = [line for each in addresses for line in bus_reach(each, config.bus[config.bus_index(each.bus)].name, need)]
-    around = [] if doip is None else list(reach_around(doip))
-    routed = by_bus or (doip is not None and doip.route)
-    found = {"by DoIP": by_doip, "by routes from bus to bus": by_bus}
+    around = [line for one, params in sections.values() for line in one.ways_around(params)]
+    routed = by_bus or any(one.routes(params) for one, params in sections.values())
+    found["by routes from bus to bus"] = by_bus
     return {title: lines for title, lines in found.items() if lines}, around + list(
         routes_around(need) if routed else ()
     )

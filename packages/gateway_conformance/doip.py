@@ -12,9 +12,9 @@ from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
-from gateway.servers.doip.codec import HEADER, VERSIONS, Activation, Kind, packed
 from gateway_conformance.target import P2_STAR_NS, PATIENCE_NS, Answer, Target
 from gateway_fdi.errors import InputError
+from gateway_testers.doip.codec import HEADER, VERSIONS, Activation, Kind, packed
 
 #: Longest wait for an answer of the entity itself (A_DoIP_Ctrl) [s].
 CONTROL_S = 2.0

@@ -6,9 +6,9 @@ import struct
 
 import pytest
 
-from gateway.servers.doip.codec import ANY_VERSION, HEADER, VERSIONS, Activation, HeaderNack, Kind, Nack, packed
 from gateway_conformance.doip import DoipTarget, Stream, Told
 from gateway_conformance.target import fails, shown
+from gateway_testers.doip.codec import ANY_VERSION, HEADER, VERSIONS, Activation, HeaderNack, Kind, Nack, packed
 
 #: Payload type, activation type, source and target that the standard reserves.
 NO_KIND, NO_ACTIVATION, NO_SOURCE, NO_TARGET = 0x0FFF, 0x40, 0x0000, 0x0001

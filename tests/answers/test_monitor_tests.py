@@ -8,10 +8,10 @@ from gateway.answers.j1979 import layouts_of_obd
 from gateway.answers.model import AnswerLayout, message_of, signal_of
 from gateway.answers.monitor_tests import results
 from gateway.answers.pages import answer_bus
-from gateway.servers.obd.test_results import encode
 from gateway.servers.tester_control import LatestResult
 from gateway.signals.payloads import decode_columns
 from gateway.signals.tables import compile_plan
+from gateway_testers.obd.test_results import encode
 
 #: Two results: 0.5 V of 0.3 to 0.7, and one whose scaling is in no public table.
 FIRST, SECOND = bytes.fromhex("80 0B 01F4 012C 02BC"), bytes.fromhex("81 7F 0001 0000 0002")

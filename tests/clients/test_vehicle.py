@@ -222,7 +222,7 @@ def test_metrics_and_the_broker_have_them():
 def test_dtcs_that_are_broadcast_are_kept_without_asking(tmp_path, listening):
     from gateway.j1939.frame import GLOBAL, Pdu
     from gateway.j1939.transport import Transport
-    from gateway.servers.j1939.messages import dtc_bytes
+    from gateway_testers.j1939.messages import dtc_bytes
 
     dtcs = [dtc_bytes(100, 3, 1), dtc_bytes(0x7FFFE, 31, 1)]
     engine = Transport(0x00)

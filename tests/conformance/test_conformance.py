@@ -6,7 +6,7 @@ from doip_wire import Wired
 from foreign_project import ROOT, run
 from junitparser import JUnitXml
 
-from gateway.servers.doip.codec import Activation, Nack
+from gateway_testers.doip.codec import Activation, Nack
 
 PATHS = " ".join(str(ROOT / "tests" / name) for name in ("conformance", "servers", "support"))
 #: Servers with defects -> defect -> the cases that find it, and no others do.

@@ -145,25 +145,25 @@ def on_the_bus(bench):
         yield from bench.wait()
 
 
-DOOR, SERVER = "gateway.live.doip_door.DoipDoor", "gateway.servers.doip.server.DoipServer"
+DOOR, SERVER = "gateway_testers.doip.door.DoipDoor", "gateway_testers.doip.server.DoipServer"
 PLACES = {
     "accept": (DOOR + "._take", by_doip, "doip"),
     "listening": ("gateway.live.listening_sockets.ListeningSockets.accept", by_doip, "doip"),
     "connect": (SERVER + ".connect", by_doip, "doip"),
     "receive": (SERVER + ".receive", by_doip, "doip"),
-    "splitter": ("gateway.servers.doip.codec.Splitter.take", by_doip, "doip"),
+    "splitter": ("gateway_testers.doip.codec.Splitter.take", by_doip, "doip"),
     "session": ("gateway.servers.uds.server.UdsServer.pass_time", by_doip, "doip"),
     "leave": ("gateway.servers.uds.server.UdsServer.leave", by_doip, "doip"),
     "disconnect": (SERVER + ".disconnect", by_doip, "doip"),
-    "flush": ("gateway.live.doip_peer.Peer.send", by_doip, "doip"),
-    "linger": ("gateway.live.doip_peer.Peer.linger", by_doip, "doip"),
+    "flush": ("gateway_testers.doip.peer.Peer.send", by_doip, "doip"),
+    "linger": ("gateway_testers.doip.peer.Peer.linger", by_doip, "doip"),
     "watch": (DOOR + "._watch", by_doip, "doip"),
     "time": (SERVER + "._due_ns", by_doip, "doip"),
-    "handshake": ("gateway.live.doip_tls.TlsStream.shake", at_tls, "doip"),
-    "wrap": ("gateway.live.doip_tls.TlsStream.__init__", at_tls, "doip"),
-    "decrypt": ("gateway.live.doip_tls.TlsStream.decrypted", by_tls, "doip"),
-    "encrypt": ("gateway.live.doip_tls.TlsStream.encrypt", by_tls, "doip"),
-    "identity": ("gateway.servers.doip.identity.Identity.answer", at_udp, "doip"),
+    "handshake": ("gateway_testers.doip.tls_stream.TlsStream.shake", at_tls, "doip"),
+    "wrap": ("gateway_testers.doip.tls_stream.TlsStream.__init__", at_tls, "doip"),
+    "decrypt": ("gateway_testers.doip.tls_stream.TlsStream.decrypted", by_tls, "doip"),
+    "encrypt": ("gateway_testers.doip.tls_stream.TlsStream.encrypt", by_tls, "doip"),
+    "identity": ("gateway_testers.doip.identity.Identity.answer", at_udp, "doip"),
     "reader": ("gateway.live.status.credentials_of", at_status, "status"),
     "greeting": ("gateway.live.status.StatusSocket._greeting", at_status, "status"),
     "line": ("gateway.live.status_commands._loaded", at_status, "status"),
@@ -255,7 +255,7 @@ def test_what_repeats_is_a_dtc_of_the_gateway_itself_that_heals(bench, monkeypat
     def script():
         yield from bench.wait(0.5)
         with monkeypatch.context() as patch:
-            patch.setattr("gateway.servers.doip.identity.Identity.answer", broken)
+            patch.setattr("gateway_testers.doip.identity.Identity.answer", broken)
             for _ in range(2):
                 yield from at_udp(bench)
             yield from bench.wait(0.2)
@@ -286,7 +286,7 @@ def test_a_door_that_fails_as_a_whole_rests_and_is_opened_again(bench, monkeypat
         one = bench.connect()
         assert (yield from bench.exchange(one, ACTIVATE))
         with monkeypatch.context() as patch:
-            patch.setattr("gateway.live.doip_door.DoipDoor.turn", broken)
+            patch.setattr("gateway_testers.doip.door.DoipDoor.turn", broken)
             yield from bench.wait(2)
             reader = bench.client()
             reader.send(b'{"id": "honest", "do": "present"}\n')

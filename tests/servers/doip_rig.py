@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from rig import Rig, write_config
 from uds_tester import DIDS
 
-from gateway.servers.doip.server import DoipServer
+from gateway_testers.doip.server import DoipServer
 
 TESTER, GATEWAY, FUNCTIONAL = 0x0E00, 0x1000, 0xE400
 DOIP = '[output.uds]\n{uds}\n[output.doip]\neid = "0123456789AB"\ngid = "BA9876543210"\n{doip}\n' + DIDS

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 from doip_rig import Net, cut
 
-from gateway.live.doip_door import DoipDoor
+from gateway_testers.doip.door import DoipDoor
 
 
 def free_port():

@@ -14,11 +14,11 @@ from test_access import LEVEL, SECRET, STANDS
 from uds_tester import Asked, hexed
 
 from gateway.config.load import load_config
-from gateway.servers.doip.connection import ENOUGH_BYTES, MOST_BYTES
-from gateway.servers.doip.server import UNACTIVATED
 from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services.x19_read_dtc_information import REPORTS
 from gateway_fdi.errors import InputErrors
+from gateway_testers.doip.connection import ENOUGH_BYTES, MOST_BYTES
+from gateway_testers.doip.server import UNACTIVATED
 
 #: Requests of which each is good somewhere, or nowhere; 27: a seed and its key.
 REQUESTS = (
@@ -180,7 +180,7 @@ certificate = "workshop"
 
 @pytest.mark.evidence("ISO 13400-2: 0006 04", "ISO 13400-2: 0006 07")
 def test_tls_and_certificates_that_activation_needs(tmp_path, monkeypatch):
-    monkeypatch.setattr("gateway.config.resolve.tls_context", lambda params: None)
+    monkeypatch.setattr("gateway_testers.doip.section.tls_context", lambda params: None)
     with net(tmp_path, more=TLS.format(required="true")) as made:
         one = made.peer()
         assert one.activate() == 0x07

@@ -13,11 +13,11 @@ from rig import Rig, dtc_text, write_config
 from test_access import SECRET
 
 from gateway.runtime.app import Gateway
-from gateway.servers.doip.server import DoipServer
 from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services.x19_read_dtc_information import REPORTS
 from gateway_commands.check import check
 from gateway_fdi.errors import InputError, InputErrors
+from gateway_testers.doip.server import DoipServer
 
 ROUTES = """
 [[ecu]]

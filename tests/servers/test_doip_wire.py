@@ -28,12 +28,12 @@ from test_doip import VIN
 from udsoncan.client import Client
 from udsoncan_settings import PATIENT
 
-from gateway.live.doip_door import DoipDoor
-from gateway.servers.doip.codec import Activation, HeaderNack, Kind
-from gateway.servers.doip.params import DoipParams, TlsParams
-from gateway.servers.doip.secure import tls_context
 from gateway.servers.uds.security import hmac_sha256
 from gateway_fdi.errors import InputError
+from gateway_testers.doip.codec import Activation, HeaderNack, Kind
+from gateway_testers.doip.door import DoipDoor
+from gateway_testers.doip.params import DoipParams, TlsParams
+from gateway_testers.doip.secure import tls_context
 
 ACTIVATE = message(5, struct.pack(">HBI", TESTER, 0, 0))
 PRESENT = message(0x8001, struct.pack(">HH", TESTER, GATEWAY) + b"\x3e\x00")
@@ -148,7 +148,7 @@ def test_ipv6_and_a_machine_without_it(tmp_path, monkeypatch):
             assert kinds(made.exchange(one, ACTIVATE, until=bool)) == [6]
             assert made.server.active[0].name == "doip ::1"
         made.door.close()
-        monkeypatch.setattr("gateway.live.doip_door.socket.socket", NoIpv6)
+        monkeypatch.setattr("gateway_testers.doip.door.socket.socket", NoIpv6)
         made.door = DoipDoor(DoipParams(port=both["port"]), made.rig.gateway, made.door._clock)
         assert len(made.door._datagrams) == 1, "by default without it"
         made.door.close()

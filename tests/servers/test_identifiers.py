@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gateway.servers.identifiers import DidParams
-from gateway.servers.j1939.params import FreezeFrameSpn
-from gateway.servers.obd.params import STANDARD, PidParams
+from gateway_testers.j1939.params import FreezeFrameSpn
+from gateway_testers.obd.params import STANDARD, PidParams
 
 CODES = {
     "u8": "B",

@@ -8,8 +8,8 @@ import pytest
 from rig import MS, Rig, write_config
 
 from gateway.bus.frames import EXTENDED
-from gateway.servers.j1939.claim import NameParams
-from gateway.servers.j1939.server import J1939Server
+from gateway_testers.j1939.claim import NameParams
+from gateway_testers.j1939.server import J1939Server
 
 ME, TOOL, ALL = 0x00, 0xF9, 0xFF
 

@@ -5,8 +5,8 @@ import struct
 import pytest
 from rig import FUNCTIONAL, Rig, Tester, write_config
 
-from gateway.servers.obd.test_results import encode
 from gateway.servers.tester_control import LatestResult
+from gateway_testers.obd.test_results import encode
 
 EXTRA = """
 [output.obd]

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 from gateway.bus.frames import EXTENDED
-from gateway.servers.doip.params import DoipParams
 from gateway.servers.uds.params import UdsParams
+from gateway_testers.doip.params import DoipParams
 from gateway_testers.odx.xml import named, node
 
 #: Bytes of an answer's frame.

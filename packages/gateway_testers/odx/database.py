@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from xml.etree.ElementTree import Element
 
-from gateway.servers.doip.params import DoipParams
 from gateway.servers.uds.nrc import Nrc
+from gateway_testers.doip.params import DoipParams
 from gateway_testers.odx import comparams
 from gateway_testers.odx.data import Served
 from gateway_testers.odx.layer import Layer

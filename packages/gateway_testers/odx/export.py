@@ -28,4 +28,4 @@ def pdx_of(gateway: Gateway) -> bytes:
         each.id: tuple(dict.fromkeys(names[ref] for ref in gateway.engine.inputs_of(k)))
         for k, each in enumerate(gateway.catalogue)
     }
-    return pdx(gateway.config.name, Served(uds.context, units, inputs), gateway.config.output.doip)
+    return pdx(gateway.config.name, Served(uds.context, units, inputs), gateway.config.output.tables.get("doip"))

@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from gateway.servers.j1939.claim import NameParams
 from gateway_fdi.common.tomlfile import StrictModel
+from gateway_testers.j1939.claim import NameParams
 
 Lamp = Literal["malfunction", "stop", "warning", "protect"]
 

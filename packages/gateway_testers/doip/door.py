@@ -13,13 +13,13 @@ from gateway.common.budget import Budget
 from gateway.host.sockets import reuse
 from gateway.host.waiting import Selector
 from gateway.live.clock import Clock
-from gateway.live.doip_peer import Peer, State
 from gateway.live.listening_sockets import ListeningSockets
 from gateway.runtime.app import Gateway
-from gateway.servers.doip.params import DoipParams
-from gateway.servers.doip.server import DoipServer
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError
+from gateway_testers.doip.params import DoipParams
+from gateway_testers.doip.peer import Peer, State
+from gateway_testers.doip.server import DoipServer
 
 #: Connections and datagrams of each socket that are taken in one turn of the loop.
 MOST_IN_A_TURN = 8

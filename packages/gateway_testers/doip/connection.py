@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gateway.servers.doip.codec import VERSIONS, Kind, Message, Splitter, packed
 from gateway.servers.uds.server import UdsServer
+from gateway_testers.doip.codec import VERSIONS, Kind, Message, Splitter, packed
 
 #: Unsent bytes at which a connection is not heard, and at which it is sent away [byte].
 ENOUGH_BYTES, MOST_BYTES = 256 << 10, 4 << 20

@@ -7,7 +7,7 @@ from enum import Enum
 from selectors import EVENT_READ, EVENT_WRITE
 from typing import TYPE_CHECKING, Protocol
 
-from gateway.servers.doip.connection import Connection
+from gateway_testers.doip.connection import Connection
 
 if TYPE_CHECKING:
     from ssl import SSLContext
@@ -30,7 +30,7 @@ class State(Enum):
 
 
 class Tls(Protocol):
-    """TLS of a connection, without its socket (:mod:`gateway.live.doip_tls`)."""
+    """TLS of a connection, without its socket (:mod:`gateway_testers.doip.tls_stream`)."""
 
     sent: bytearray
     certificate: str
@@ -72,7 +72,7 @@ class Peer:
 
     def secure(self, context: SSLContext) -> None:
         """Have it speak TLS, which it does not wait for."""
-        from gateway.live.doip_tls import TlsStream  # noqa: PLC0415 - ssl takes long to load
+        from gateway_testers.doip.tls_stream import TlsStream  # noqa: PLC0415 - ssl takes long to load
 
         self._tls = TlsStream(context)
 

@@ -1,6 +1,6 @@
 """The DoIP entity: routing activation, alive checks and diagnostic messages (ISO 13400-2:2019, clauses 8, 9 and 12).
 
-It has no sockets: :mod:`gateway.live.doip_door` brings what comes and takes what is to be sent.
+It has no sockets: :mod:`gateway_testers.doip.door` brings what comes and takes what is to be sent.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from gateway.common.budget import Budget
 from gateway.common.times import NEVER
 from gateway.faults.entries import DtcChange
 from gateway.servers.bus_server import BusServer
-from gateway.servers.doip.codec import CLOSING, Activation, Kind, Message, Nack, Refused, Splitter
-from gateway.servers.doip.connection import MOST_BYTES, Connection
-from gateway.servers.doip.identity import Identity
-from gateway.servers.doip.params import ADDRESSES, DoipParams
+from gateway.servers.lines import Lines
 from gateway.servers.route import LONGEST_REQUEST, Route, is_told
 from gateway.servers.uds.nrc import Nrc
 from gateway.servers.uds.server import UdsServer
 from gateway_fdi.common.log import get_logger
+from gateway_testers.doip.codec import CLOSING, Activation, Kind, Message, Nack, Refused, Splitter
+from gateway_testers.doip.connection import MOST_BYTES, Connection
+from gateway_testers.doip.identity import Identity
+from gateway_testers.doip.params import ADDRESSES, DoipParams
 
 if TYPE_CHECKING:
     from ssl import SSLContext
@@ -71,6 +72,12 @@ class DoipServer(BusServer):
         self.counts: Counter[str] = Counter()
         self._now_ns = 0
         self._budget, self._first = Budget(), 0
+
+    def connect_routes(self, lines: Lines, wake: Callable[[], None]) -> None:
+        """Take the lines to the ECUs of its routes."""
+        self.routes = {
+            each.address: Route(lines.line(each.ecu, each.requests_per_s), self.counts) for each in self.params.route
+        }
 
     # Connections
 

@@ -16,13 +16,13 @@ from gateway.faults.store import StoreError
 from gateway.j1939.frame import GLOBAL
 from gateway.servers.authority import SESSIONLESS_ASKER, Authority, Refusal
 from gateway.servers.bus_server import BusServer
-from gateway.servers.j1939 import messages as dm
-from gateway.servers.j1939.answers import Answers
-from gateway.servers.j1939.dm1 import Dm1Schedule
-from gateway.servers.j1939.dtcs import CodedDtcs
-from gateway.servers.j1939.endpoint import DENIED, MASKS, NEGATIVE, POSITIVE, J1939Endpoint, PgnRequest
-from gateway.servers.j1939.params import J1939Params
 from gateway.servers.tester_control import TesterControl
+from gateway_testers.j1939 import messages as dm
+from gateway_testers.j1939.answers import Answers
+from gateway_testers.j1939.dm1 import Dm1Schedule
+from gateway_testers.j1939.dtcs import CodedDtcs
+from gateway_testers.j1939.endpoint import DENIED, MASKS, NEGATIVE, POSITIVE, J1939Endpoint, PgnRequest
+from gateway_testers.j1939.params import J1939Params
 
 
 class J1939Server(BusServer):

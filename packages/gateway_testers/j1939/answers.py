@@ -9,9 +9,9 @@ from gateway.faults.catalogue import MIL
 from gateway.faults.memory import FaultMemory
 from gateway.faults.readiness import readiness
 from gateway.faults.status import Status
-from gateway.servers.j1939 import messages as dm
-from gateway.servers.j1939.dtcs import CodedDtcs
-from gateway.servers.j1939.params import J1939Params
+from gateway_testers.j1939 import messages as dm
+from gateway_testers.j1939.dtcs import CodedDtcs
+from gateway_testers.j1939.params import J1939Params
 
 
 class Answers:

@@ -23,7 +23,7 @@ from gateway.j1939.frame import (
     to_frames,
 )
 from gateway.j1939.transport import Message, Transport
-from gateway.servers.j1939.claim import Claim, NameParams
+from gateway_testers.j1939.claim import Claim, NameParams
 
 #: Kinds of acknowledgment (J1939-21, 5.4.4).
 POSITIVE, NEGATIVE, DENIED = 0, 1, 2

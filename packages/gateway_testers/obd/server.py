@@ -18,13 +18,11 @@ from gateway.faults.status import Status
 from gateway.faults.store import StoreError
 from gateway.servers.application import Application
 from gateway.servers.authority import SESSIONLESS_ASKER, Authority
-from gateway.servers.obd.params import ObdParams
-from gateway.servers.obd.test_results import MonitorTests
-from gateway.servers.obd.usage import TRACKED, driven_pids, tracking
 from gateway.servers.tester_control import TesterControl
+from gateway_testers.obd.params import ObdParams
+from gateway_testers.obd.test_results import MonitorTests
+from gateway_testers.obd.usage import TRACKED, driven_pids, tracking
 
-#: Modes of J1979: identifiers below those of UDS.
-MODES = range(0x01, 0x0B)
 #: Negative responses to physical requests.
 _NOT_SUPPORTED, _NO_SUCH_PARAMETER, _CONDITIONS_NOT_CORRECT = 0x11, 0x12, 0x22
 #: The answer comes later (P2* of ISO 15765-4).
@@ -58,6 +56,9 @@ class ObdServer(Application):
         authority: says whether mode 04 may clear.
         bus: name of its bus.
     """
+
+    #: Modes of J1979: identifiers below those of UDS.
+    services = range(0x01, 0x0B)
 
     def __init__(
         self,

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from gateway.servers.access import Need
 from gateway.servers.access_table import passing
-from gateway.servers.doip.params import DoipParams, DoipTesterParams
+from gateway_testers.doip.params import DoipParams, DoipTesterParams
 
 
 def reach(params: DoipParams, need: Need) -> Iterator[str]:

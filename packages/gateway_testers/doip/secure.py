@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from gateway.servers.doip.params import TlsParams
 from gateway_fdi.errors import InputError
+from gateway_testers.doip.params import TlsParams
 
 if TYPE_CHECKING:
     from ssl import SSLContext

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from gateway.faults.entries import Entry
 from gateway.faults.memory import FaultMemory
 from gateway.faults.status import Status
-from gateway.servers.j1939.messages import Coded
+from gateway_testers.j1939.messages import Coded
 
 _ACTIVE = Status.CONFIRMED_DTC | Status.TEST_FAILED
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gateway.servers.doip.codec import BY_UDP, HEADER, VERSIONS, HeaderNack, Kind, Refused, packed, refusal
-from gateway.servers.doip.params import DoipParams
+from gateway_testers.doip.codec import BY_UDP, HEADER, VERSIONS, HeaderNack, Kind, Refused, packed, refusal
+from gateway_testers.doip.params import DoipParams
 
 #: Data identifier of the VIN (ISO 14229-1, C.1).
 VIN = 0xF190

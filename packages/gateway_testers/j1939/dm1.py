@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gateway.faults.entries import DtcChange
-from gateway.servers.j1939.dtcs import CodedDtcs
-from gateway.servers.j1939.messages import Coded
-from gateway.servers.j1939.params import J1939Params
+from gateway_testers.j1939.dtcs import CodedDtcs
+from gateway_testers.j1939.messages import Coded
+from gateway_testers.j1939.params import J1939Params
 
 #: Least time between two messages for changes of one DTC (J1939-73, DM1).
 _CHANGE_NS = 1_000_000_000
