@@ -405,7 +405,11 @@ def test_a_dtc_leaves_before_python_has_its_verdict(rigs, tmp_path, way):
         rig.turn()
     while not rig.gateway.stored:
         rig.turn()
-    dtcs = [event for event in rig.events if event["event"] == "dtc"]
+    for _ in range(200):  # what Python sends leaves with a turn after the write, on a busy machine not with the first
+        rig.turn()
+        dtcs = [event for event in rig.events if event["event"] == "dtc"]
+        if way == "switched off" or len(changes_of(rig.sent[0])) >= len(dtcs):
+            break
     assert [event["status"] & 1 for event in dtcs] == [1, 0, 1, 0][: len(dtcs)]
     assert len(dtcs) >= 1
     told = changes_of(rig.sent[0])
