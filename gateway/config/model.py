@@ -18,7 +18,7 @@ from pydantic import (
 
 from gateway.bus.ring import RingParams
 from gateway.bus.uri import channel_of, parse_uri
-from gateway.clients.params import AskParams, EcuParams
+from gateway.config.ecu import AskParams, EcuParams
 from gateway.engine.checks import bus_health, message
 from gateway.engine.checks.clock_health import ClockParams
 from gateway.engine.depends.params import DiagnosisParams

@@ -13,8 +13,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gateway.answers.layout import AnswerLayout, layouts_for, layouts_of_obd, read_layouts
-from gateway.answers.pages import AnswerBus, answer_bus
+from gateway.common.calls import CALLS
+from gateway.config.answer_bus import AnswerBus
 from gateway.config.codes import codes_of_messages, network_codes
 from gateway.config.model import Config, MonitorConfig
 from gateway.config.monitor_types import monitor_of
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 
 #: Databases of messages that the gateway itself sends.
 OWN_DATABASES = ("dbc/gateway.dbc", "dbc/pedal.dbc")
+#: Name of the call that returns the buses of answers.
+ANSWER_BUSES = "answer_buses"
 
 
 @dataclass(frozen=True)
@@ -183,25 +185,17 @@ def _missing_file(key: str) -> Iterator[None]:
 
 
 def answer_buses(config: Config) -> tuple[AnswerBus, ...]:
-    """Read the layouts of ECUs' answers; returns a bus of answers for each bus that has ECUs.
+    """Return a bus of answers for each bus that has ECUs, by the package that asks them.
 
     Raises:
-        InputError, InputErrors: every file that cannot be read.
+        InputError, InputErrors: no package asks ECUs; every file of layouts that cannot be read.
     """
-    made, wrong = [], Gathered()
-    for ecus in config.answered.values():
-        found: list[tuple[str, Mapping[tuple[int, int], AnswerLayout]]] = []
-        for k in ecus:
-            ecu = config.ecu[k]
-            layouts = layouts_of_obd([read.key for read in ecu.read], whole="protocol" in ecu.model_fields_set)
-            for at, path in enumerate(ecu.signals):
-                with wrong, under(f"ecu[{k}].signals[{at}]", str(path)):
-                    layouts += read_layouts(path)
-            found.append((ecu.name, layouts_for(layouts, ecu.owner)))
-        with wrong, under(f"ecu[{ecus[-1]}]" if ecus else "ecu"):
-            made.append(answer_bus(found))
-    wrong.check()
-    return tuple(made)
+    if not config.answered:
+        return ()
+    if ANSWER_BUSES not in CALLS:
+        raise InputError("no installed package asks ECUs", key="ecu" if config.ecu else "bus.dm1")
+    made: tuple[AnswerBus, ...] = CALLS[ANSWER_BUSES](config)
+    return made
 
 
 def _find_asked(config: Config, names: Names) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from gateway.answers.pages import AnswerBus
-from gateway.clients.poller import Poller
 from gateway.common.fence import Fence
+from gateway.config.answer_bus import AnswerBus
 from gateway.config.model import Config
 from gateway.engine.core import Engine
 from gateway.engine.depends.parts import Seen
@@ -15,6 +14,7 @@ from gateway.faults.catalogue import Catalogue, as_dict
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
+from gateway.runtime.asking import Asking
 from gateway.runtime.explainer import Explainer
 from gateway.runtime.persistence import Persistence
 from gateway.runtime.reports import Reports
@@ -47,7 +47,7 @@ def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
 
 def counters(
     engine: Engine,
-    speakers: tuple[BusServers, Poller, Security, Fence],
+    speakers: tuple[BusServers, Asking, Security, Fence],
     upkeep: Persistence,
     recorder: Recorder | None,
     reports: Reports,

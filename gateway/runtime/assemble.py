@@ -8,13 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gateway.answers.pages import AnswerBus
-from gateway.clients.dm1 import Dm1Listener
-from gateway.clients.poller import Poller
-from gateway.clients.protocols import schedule_of
-from gateway.clients.reassembly import woven_of
+from gateway.common.calls import call_of
 from gateway.common.fence import Fence
 from gateway.common.gc_pause import gc_paused
+from gateway.config.answer_bus import AnswerBus
 from gateway.config.model import Config
 from gateway.config.resolve import Resolved, resolve
 from gateway.engine.build import build_engine
@@ -34,7 +31,7 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.settings import FaultOverride
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.params import IsoTpParams
-from gateway.runtime.answers import ecus_of
+from gateway.runtime.asking import ASKING, Asking
 from gateway.servers.application import Application
 from gateway.servers.authority import Authority
 from gateway.servers.bus_route import BusRoute
@@ -54,6 +51,7 @@ from gateway.servers.uds.security import Security
 from gateway.servers.uds.server import UdsServer
 from gateway.servers.uds.testers import Testers
 from gateway.signals.database import Database
+from gateway.signals.reassembly import woven_of
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors, named
 
@@ -281,7 +279,7 @@ def _local_server(config: Config, testers: Testers) -> LocalServer:
     return LocalServer(new_tester)
 
 
-def connect_routes(servers: BusServers, asking: Poller) -> None:
+def connect_routes(servers: BusServers, asking: Asking) -> None:
     """Give the servers that have routes the lines to their ECUs."""
     for server in servers.all:
         server.connect_routes(asking, partial(servers.wake, server))
@@ -364,8 +362,8 @@ def servers_of(
 
 def asking_of(
     config: Config, parts: Parts, control: TesterControl, may_ask: Callable[[int], bool], fence: Fence
-) -> Poller:
-    """Build the clients of other ECUs.
+) -> Asking:
+    """Build the clients of other ECUs, by the package that has them.
 
     Args:
         config: the configuration.
@@ -374,20 +372,7 @@ def asking_of(
         may_ask: whether a bus may be asked now, by its index.
         fence: counts exceptions that answers cause.
     """
-    made = ecus_of(config, parts.answers, lambda of: schedule_of(of, control.meets))
-    rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
-    bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}
-    return Poller(made, rates, may_ask, _dm1_of(config), bus_of, fence, woven_of(parts.engine.plan))
-
-
-def _dm1_of(config: Config) -> Dm1Listener | None:
-    """Build what hears DTCs that are broadcast; None: no bus wants it. An ECU is known by its address."""
-    buses = [k for k, bus in enumerate(config.bus) if bus.dm1]
-    names = {
-        (bus, config.ecu[k].address or 0): config.ecu[k].name
-        for bus, ecus in config.answered.items()
-        for k in ecus
-        if config.ecu[k].address is not None
-    }
-    ours = config.j1939_addresses
-    return Dm1Listener(buses, names, {k: config.bus[k].name for k in buses}, ours) if buses else None
+    if not config.answered:
+        return Asking(woven_of(parts.engine.plan), fence)
+    made: Asking = call_of(ASKING)(config, parts, control, may_ask, fence)
+    return made

@@ -29,7 +29,6 @@ from gateway.runtime.security import Security
 from gateway.runtime.security_events import SecurityEvents
 from gateway.runtime.suspicions import Suspicions
 from gateway.runtime.usage_meter import UsageMeter
-from gateway.runtime.vehicle import Vehicle
 from gateway.runtime.verdicts import Verdicts
 from gateway.servers.access import signals_of
 from gateway.servers.authority import Authority
@@ -101,9 +100,9 @@ class Composition:
         self._meter = UsageMeter(config.usage, self.memory, self.controls, round(config.access.stale_ms * 1e6))
         self.identifiers = identifiers_of(config, self.parts, self.memory, self.controls)
         self.asking = asking_of(config, self.parts, self.controls, self._may_ask, self.fence)
-        self._vehicle = Vehicle(config, self.asking, self.memory, self.engine)
         servers = servers_of(config, self.parts, self.memory, self.authority, self.identifiers)
-        servers += [self._vehicle] if config.answered else []
+        told = self.asking.memory_server(config, self.memory, self.engine)
+        servers += [] if told is None else [told]
         self.servers = BusServers(servers, len(config.buses), lambda: self.controls.send, self.fence)
         self.local = next(each for each in servers if isinstance(each, LocalServer))
         self._dtc_frames = next((each for each in servers if isinstance(each, DtcFrameSender)), None)
@@ -160,7 +159,7 @@ class Composition:
             self._strangers,
         )
         self._explainer.note_changes = self._verdicts.note_changes
-        self._vehicle.connect(self._outbox.note, self._verdicts.take)
+        self.asking.connect(self._outbox.note, self._verdicts.take)
         judged = [self.parts.slots[name] for name in signals_of(self.config.needs)]
         self._reception = InputStage(self.engine, self.controls, self._meter, judged, self._verdicts.take)
         self._interventions = Interventions(

@@ -6,9 +6,9 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from gateway.answers.model import Address
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.isotp.addressing import TESTER
+from gateway_ask.answers.model import Address
 
 #: Bounds of the time between two requests [ms].
 _LEAST_MS, _MOST_MS = 10, 86_400_000

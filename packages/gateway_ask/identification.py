@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gateway.answers.answer_frames import NEGATIVE, FrameEncoder
-from gateway.answers.monitor_tests import Result, results
-from gateway.answers.obd_on_uds import as_classic
 from gateway.bus.frames import EXTENDED, ID_MASK
-from gateway.clients.ask import PROBES, Ask
-from gateway.clients.dtcs import told_by
-from gateway.clients.ecu import SILENT, EcuClient
-from gateway.clients.params import OBD, ON_UDS, UDS, EcuParams
-from gateway.clients.poller import Ecu
-from gateway.clients.protocols import DTC_REQUESTS
-from gateway.clients.refusals import UNKNOWN
 from gateway.common.times import NEVER
+from gateway.config.ecu import OBD, ON_UDS, UDS, EcuParams
+from gateway_ask.answers.answer_frames import NEGATIVE, FrameEncoder
+from gateway_ask.answers.monitor_tests import Result, results
+from gateway_ask.answers.obd_on_uds import as_classic
+from gateway_ask.clients.ask import PROBES, Ask
+from gateway_ask.clients.dtcs import told_by
+from gateway_ask.clients.ecu import SILENT, EcuClient
+from gateway_ask.clients.poller import Ecu
+from gateway_ask.clients.protocols import DTC_REQUESTS
+from gateway_ask.clients.refusals import UNKNOWN
 
 #: Identifiers of a part (ISO 14229-1, Annex C.1), by the words of people.
 PARTS = {

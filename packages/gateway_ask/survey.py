@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames, empty, joined, payload, put
-from gateway.clients.dm1 import Dm1Listener
-from gateway.clients.poller import Ecu, Poller
 from gateway.isotp.addressing import FUNCTIONAL
+from gateway_ask.clients.dm1 import Dm1Listener
+from gateway_ask.clients.poller import Ecu, Poller
 from gateway_ask.identification import Questioned, Said, questioned
 
 MS = 1_000_000

@@ -12,7 +12,6 @@ import tomlkit
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, have_data
-from gateway.clients.reassembly import woven_of
 from gateway.config.model import Config
 from gateway.config.resolve import resolve
 from gateway.engine.wiring import wire
@@ -20,6 +19,7 @@ from gateway.monitors.contract import SensorCalibration
 from gateway.monitors.sampling import Const, Numbers, Sampling, number_all, prepare
 from gateway.signals.decode import lookup
 from gateway.signals.payloads import are_last, columns
+from gateway.signals.reassembly import woven_of
 from gateway.signals.tables import SignalRef, compile_plan
 from gateway_calibration.file import put, rounded
 from gateway_calibration.logs import Chosen, Reading, Replay, of_kind

@@ -143,7 +143,7 @@ def _list_ecu_dtcs(ecu: str, config: Path | None, *, memory: Path | None, json: 
 
 def _of_snapshots(kind: str, data: str) -> list[str]:
     """Return data of another ECU's DTC: as they came, and the values of snapshots by OBD on UDS."""
-    from gateway.answers.snapshots import snapshots_in_words  # noqa: PLC0415 - most lists need no decoder
+    from gateway_ask.answers.snapshots import snapshots_in_words  # noqa: PLC0415 - most lists need no decoder
 
     return [f"{kind}: {data}", *(snapshots_in_words(bytes.fromhex(data)) if kind == "1904" else [])]
 

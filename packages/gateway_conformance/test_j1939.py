@@ -8,7 +8,6 @@ from itertools import pairwise
 import pytest
 
 from gateway.bus.frames import EXTENDED, empty, put
-from gateway.clients.pgn import TOOL
 from gateway.j1939.frame import (
     ACKNOWLEDGMENT,
     ADDRESS_CLAIMED,
@@ -21,6 +20,7 @@ from gateway.j1939.frame import (
     read_pdu,
 )
 from gateway.j1939.transport import ABORT, BAM, BAM_GAP_NS, CTS, END_OF_MESSAGE, LONGEST, RTS, Message, Transport
+from gateway_ask.clients.pgn import TOOL
 from gateway_conformance.target import MS, CanTarget, fails, shown
 from gateway_conformance.wires import Heard
 

@@ -5,9 +5,10 @@ import json
 import pytest
 from answer_files import odx, signal_set
 
-from gateway.answers.layout import Address, layouts_for, read_layouts
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
+from gateway_ask.answer_buses import address_of
+from gateway_ask.answers.layout import Address, layouts_for, read_layouts
 from gateway_ask.cli.import_layouts import import_layouts
 from gateway_fdi.errors import InputError
 
@@ -31,7 +32,7 @@ def test_a_signal_set_becomes_ecus_that_are_asked(tmp_path, capsys):
     assert [read.every_ms for read in ecus["ecu_7E4"].read] == [1000, 5000]
     assert (ecus["ecu_18DA10F1"].address, ecus["ecu_750_2A"].target) == (0x10, 0x2A)
     for ecu in config.ecu:  # each read has its layout in the files that the table names
-        own = layouts_for([each for file in ecu.signals for each in read_layouts(out.parent / file)], ecu.owner)
+        own = layouts_for([each for file in ecu.signals for each in read_layouts(out.parent / file)], address_of(ecu))
         assert {read.key for read in ecu.read} <= set(own)
     assert told["requests_per_s"] == pytest.approx(1 + 1 / 5 + 1 / 60 + 1 / 5, abs=1e-3)
     assert any("VIN" in part["where"] for part in told["left_out"])

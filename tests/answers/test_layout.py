@@ -15,10 +15,10 @@ import odxtools
 import pytest
 from answer_files import CDD, NUMBERS, odx, signal_set
 
-from gateway.answers.decode import AnswerDecoder
-from gateway.answers.layout import Address, j1979, layouts_for, read_file
-from gateway.answers.model import AnswerLayout, message_of, signal_of
 from gateway.bus.frames import EXTENDED
+from gateway_ask.answers.decode import AnswerDecoder
+from gateway_ask.answers.layout import Address, j1979, layouts_for, read_file
+from gateway_ask.answers.model import AnswerLayout, message_of, signal_of
 from gateway_fdi.errors import InputError
 
 ROOT = Path(__file__).parents[2]

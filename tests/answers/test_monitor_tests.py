@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from gateway.answers.answer_frames import FrameEncoder
-from gateway.answers.j1979 import layouts_of_obd
-from gateway.answers.model import AnswerLayout, message_of, signal_of
-from gateway.answers.monitor_tests import results
-from gateway.answers.pages import answer_bus
 from gateway.servers.tester_control import LatestResult
 from gateway.signals.payloads import decode_columns
 from gateway.signals.tables import compile_plan
+from gateway_ask.answers.answer_frames import FrameEncoder
+from gateway_ask.answers.j1979 import layouts_of_obd
+from gateway_ask.answers.model import AnswerLayout, message_of, signal_of
+from gateway_ask.answers.monitor_tests import results
+from gateway_ask.answers.pages import answer_bus
 from gateway_testers.obd.test_results import encode
 
 #: Two results: 0.5 V of 0.3 to 0.7, and one whose scaling is in no public table.

@@ -2,8 +2,8 @@
 
 import pytest
 
-from gateway.answers.names import forms_of, words_of
-from gateway.answers.snapshots import snapshots_in_words
+from gateway_ask.answers.names import forms_of, words_of
+from gateway_ask.answers.snapshots import snapshots_in_words
 
 
 @pytest.mark.parametrize(

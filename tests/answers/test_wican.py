@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from gateway.answers.decode import AnswerDecoder
-from gateway.answers.layout import Address, read_file
 from gateway.bus.frames import EXTENDED
 from gateway.config.load import load_config
+from gateway_ask.answers.decode import AnswerDecoder
+from gateway_ask.answers.layout import Address, read_file
 from gateway_ask.cli.import_layouts import import_layouts
 from gateway_fdi.errors import InputError
 

@@ -12,11 +12,11 @@ from udsoncan.services import ReadDTCInformation
 
 from gateway.bus.frames import OWN, payload
 from gateway.bus.logs import LogReader, open_writer
-from gateway.clients.ecu import Ask
 from gateway.common.times import NEVER
 from gateway.config.load import load_config
 from gateway.faults.dtc import Dtc
 from gateway.runtime.app import Gateway
+from gateway_ask.clients.ecu import Ask
 from gateway_replay.replay import replay
 
 SEED = 5

@@ -6,10 +6,10 @@ from amount import amount
 from asking_rig import BUS, MS, Car, Ecu, changed, settled, write
 
 from gateway.bus.frames import EXTENDED
-from gateway.clients.ask import Ask, allowed
-from gateway.clients.ecu import MOST_AGAIN, SILENT, EcuClient
-from gateway.clients.params import EcuParams
+from gateway.config.ecu import EcuParams
 from gateway.config.load import load_config
+from gateway_ask.clients.ask import Ask, allowed
+from gateway_ask.clients.ecu import MOST_AGAIN, SILENT, EcuClient
 from gateway_fdi.errors import GatewayError
 
 SEED = 11

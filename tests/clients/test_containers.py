@@ -8,10 +8,10 @@ import pytest
 from arxml import HEAD, package, reference, tag
 
 from gateway.bus.frames import FD, FD_LENGTHS, WOVEN, empty, put
-from gateway.clients.reassembly import woven_of
 from gateway.engine.build import build_engine
 from gateway.signals.database import Database, load_database
 from gateway.signals.payloads import decode_columns, message_rows
+from gateway.signals.reassembly import woven_of
 from gateway.signals.tables import SignalRef, compile_plan
 
 #: Number in the header, name, length, bits of its signals.

@@ -5,12 +5,12 @@ from amount import amount
 from asking_rig import BUS, Car, Ecu, Server, settled, write
 from rig import Rig, Tester, dtc_text, write_config
 
-from gateway.answers.layout import j1979
 from gateway.bus.frames import EXTENDED, payload
-from gateway.clients.dtcs import told_by
 from gateway.config.load import load_config
 from gateway.faults.vehicle import PERMANENT
 from gateway.runtime.app import Gateway
+from gateway_ask.answers.layout import j1979
+from gateway_ask.clients.dtcs import told_by
 from gateway_commands.faults import list_faults
 from gateway_replay.replay import replay
 

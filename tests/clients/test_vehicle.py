@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from asking_rig import BUS, Car, Ecu, settled, write
 
-from gateway.clients.dtcs import details_of, told_by
 from gateway.config.load import load_config
 from gateway.faults.store import Store
 from gateway.faults.vehicle import MOST, PERMANENT, Told, VehicleMemory
 from gateway.runtime.app import Gateway
+from gateway_ask.clients.dtcs import details_of, told_by
 from gateway_fdi.errors import GatewayError
 from gateway_replay.replay import replay
 

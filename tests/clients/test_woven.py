@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from long_messages import batch, fast, long_message, signal, transported
 
 from gateway.bus.frames import EXTENDED, WOVEN, empty, put
-from gateway.clients.reassembly import woven_of
 from gateway.engine.build import build_engine
 from gateway.j1939.overheard import CUTS
 from gateway.signals.database import Database
 from gateway.signals.payloads import are_last, decode_columns, message_rows
+from gateway.signals.reassembly import woven_of
 from gateway.signals.tables import SignalRef, compile_plan
 
 #: Parameter group, where it is sent to, longest, of each way that messages come.

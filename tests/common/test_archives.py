@@ -14,9 +14,9 @@ from importlib import import_module
 import pytest
 from command import command
 
-from gateway.answers.layout import read_layouts
 from gateway.common import archives
 from gateway.common.archives import BadArchive, Budget, members_of, open_archive, packed, stream_of, unpack, whole
+from gateway_ask.answers.layout import read_layouts
 from gateway_fdi.errors import InputError
 
 try:

@@ -37,6 +37,13 @@ def test_a_table_without_its_package_is_an_unknown_key(tmp_path, table):
     assert f"output.{table}: unknown key" in ended.stderr
 
 
+def test_ecus_without_the_package_that_asks_them_are_an_error_of_their_key(tmp_path):
+    path = write_config(tmp_path, extra='[[ecu]]\nname = "engine"\nrequest = 0x7E0\nresponse = 0x7E8\n')
+    code = LACKING + "from gateway.runtime.app import Gateway\nGateway(load_config(sys.argv[1]))\n"
+    ended = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=False)
+    assert "ecu: no installed package asks ECUs" in ended.stderr
+
+
 def test_a_section_that_cannot_be_used_is_left_out(monkeypatch):
     monkeypatch.setattr(SECTIONS, "described", lambda: {"obd": SECTIONS["obd"], "mine": InputError("broken")})
     assert [name for name, _ in usable()] == ["obd"]

@@ -9,7 +9,7 @@ import parsers
 import pytest
 from amount import amount
 
-from gateway.answers.databases import read_cdd
+from gateway_ask.answers.databases import read_cdd
 from gateway_fdi.errors import InputError
 
 ROOT = Path(__file__).parents[2]

@@ -15,10 +15,10 @@ from jsonschema_rs import Draft202012Validator, meta
 
 from gateway.bus.frames import ERROR, EXTENDED, FD, FRAME, REMOTE, empty
 from gateway.bus.logs import LogReader, open_writer
-from gateway.clients.ecu import COUNTED
 from gateway.config.load import load_config
 from gateway.faults import service
 from gateway.runtime.app import Gateway
+from gateway_ask.clients.ecu import COUNTED
 from gateway_bench.drive import drive
 from gateway_bench.vecu.expectations import Judge
 from gateway_bench.vecu.player import Player

@@ -18,11 +18,11 @@ from odxtools.writepdxfile import write_pdx_file
 from rig import Tester, write_config
 from uds_tester import ANYBODY, EXTRA, hexed
 
-from gateway.answers.decode import AnswerDecoder
-from gateway.answers.layout import Address, read_file
 from gateway.cli.present import find_config
 from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services import SERVICES
+from gateway_ask.answers.decode import AnswerDecoder
+from gateway_ask.answers.layout import Address, read_file
 from gateway_commands.export import export
 from gateway_fdi.errors import InputError
 from gateway_testers.odx.export import pdx_of

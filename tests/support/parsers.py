@@ -119,7 +119,7 @@ def _layouts(suffix):
             yield texts[suffix]().encode()
 
     def read(file):
-        from gateway.answers.layout import read_file
+        from gateway_ask.answers.layout import read_file
 
         read_file(file)
 
@@ -253,9 +253,9 @@ def _long(_folder, _stack):
     """Bytes as frames of messages of several frames: an identifier of the list, a length, a payload; and so on."""
     from long_messages import batch, fast, long_message, signal, transported
 
-    from gateway.clients.reassembly import woven_of
     from gateway.signals.containers import Container, unpack
     from gateway.signals.database import Database
+    from gateway.signals.reassembly import woven_of
     from gateway.signals.tables import compile_plan
 
     ids = (0x18ECFF21, 0x1CEBFF21, 0x18EC2101, 0x1CEB2101, 0x1CEC0121, 0x19F80535, 0x18FEE321)
@@ -405,9 +405,9 @@ def _campaign(_folder, _stack):
 
 def _answers_of_ecus(_folder, _stack):
     """What ECUs say of DTCs, their snapshots, and results of monitors."""
-    from gateway.answers.monitor_tests import results
-    from gateway.answers.snapshots import snapshots_in_words
-    from gateway.clients.dtcs import told_by
+    from gateway_ask.answers.monitor_tests import results
+    from gateway_ask.answers.snapshots import snapshots_in_words
+    from gateway_ask.clients.dtcs import told_by
 
     def feed(data):
         snapshots_in_words(data)

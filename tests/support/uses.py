@@ -14,8 +14,8 @@ _IMPORT = re.compile(r"^ *(?:from|import) ([\w.]+)", re.MULTILINE)
 PLANTS = ("crank", "pedal", "steering", "linear", "truck", "structural")
 _BENCH = "gateway_bench"
 #: Beside each other above the core.
-_GUESTS = tuple(f"gateway_{name}" for name in ("serve", "checks", "calibration", "logs", "testers", "ask", "commands"))
-_CORE = ("gateway_api", "gateway_replay", "gateway", "gateway_fdi")
+_GUESTS = tuple(f"gateway_{name}" for name in ("serve", "checks", "calibration", "logs", "testers", "commands"))
+_CORE = ("gateway_ask", "gateway_api", "gateway_replay", "gateway", "gateway_fdi")
 
 #: Package -> those below it. The door of pytest imports nothing, and opens the bench's plugin.
 BELOW = {
@@ -23,6 +23,7 @@ BELOW = {
     "gateway": ("gateway_fdi",),
     "gateway_replay": ("gateway", "gateway_fdi"),
     "gateway_api": ("gateway_replay", "gateway", "gateway_fdi"),
+    "gateway_ask": ("gateway_api", "gateway_replay", "gateway", "gateway_fdi"),
     **dict.fromkeys(_GUESTS, _CORE),
     _BENCH: (*_GUESTS, *_CORE, "gateway_pytest"),
     "gateway_conformance": (*_GUESTS, *_CORE, "gateway_pytest"),

@@ -9,14 +9,13 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from gateway.answers.answer_frames import READ_SERVICES
-from gateway.answers.layout import Address, AnswerLayout, LeftOut, read_file
-from gateway.answers.obdb import of_year
-from gateway.answers.pages import answer_bus
 from gateway.bus.frames import EXTENDED, ID_MASK
 from gateway.cli.lines import Lines
 from gateway.cli.present import print_json
-from gateway.clients.params import AskParams
+from gateway.config.ecu import READ_SERVICES, AskParams
+from gateway_ask.answers.layout import Address, AnswerLayout, LeftOut, read_file
+from gateway_ask.answers.obdb import of_year
+from gateway_ask.answers.pages import answer_bus
 from gateway_ask.document import Asked, Read, tables
 from gateway_fdi.errors import InputError
 

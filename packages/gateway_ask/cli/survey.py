@@ -9,13 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gateway.answers.layout import Address, j1979
-from gateway.answers.monitor_tests import Result
 from gateway.bus.base import Bus, send_all
 from gateway.bus.frames import EXTENDED, ID_MASK, empty
 from gateway.bus.uri import open_bus
 from gateway.cli.lines import Lines
 from gateway.cli.present import print_json
+from gateway_ask.answers.layout import Address, j1979
+from gateway_ask.answers.monitor_tests import Result
 from gateway_ask.document import Asked, Read, tables
 from gateway_ask.identification import Said
 from gateway_ask.survey import Found, Place, Survey

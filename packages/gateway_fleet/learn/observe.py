@@ -13,11 +13,11 @@ from cantools.database.can.signal import Signal
 from numpy.typing import NDArray
 
 from gateway.bus.frames import EXTENDED, ID_MASK, Frames, have_data
-from gateway.clients.reassembly import woven_of
 from gateway.config.model import Config
 from gateway.signals.database import Database
 from gateway.signals.decode import lookup, of_a_tester
 from gateway.signals.payloads import are_last, decode_payloads, payloads_of, valued, words_of
+from gateway.signals.reassembly import woven_of
 from gateway.signals.tables import compile_plan
 from gateway_checks.signal.parts import no_value
 from gateway_fleet.learn import observers

@@ -16,7 +16,7 @@ from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import BusConfig, Config
 from gateway.config.resolve import answer_buses, load_databases
-from gateway.runtime.answers import Answers
+from gateway_ask.log_answers import Answers
 from gateway_fdi.errors import InputError, InputErrors
 from gateway_logs.corpus import Recording, find
 from gateway_logs.decode.parquet_tables import Lake, Written

@@ -8,10 +8,10 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from gateway.answers.names import forms_of, known, words_of
 from gateway.cli.present import find_config, print_json, socket_of
 from gateway.config.load import load_config
 from gateway.servers.uds.nrc import Nrc
+from gateway_ask.answers.names import forms_of, known, words_of
 from gateway_fdi.errors import GatewayError, InputError
 
 #: How long the answer of a gateway that runs is waited for [s].

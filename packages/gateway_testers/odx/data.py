@@ -6,11 +6,11 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from gateway.answers.j1979 import j1979
 from gateway.faults.interventions import PROTOCOLS
 from gateway.servers.access import SESSIONS
 from gateway.servers.identifiers import ACTIVE_SESSION, CODES, DidParams
 from gateway.servers.uds.context import Context
+from gateway_ask.answers.j1979 import j1979
 from gateway_testers.odx.dictionary import Dictionary, Param, value
 from gateway_testers.odx.xml import short
 

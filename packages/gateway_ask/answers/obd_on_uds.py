@@ -6,8 +6,8 @@ infotypes of service 0x09. Of 0xF500, PIDs from 0x100 on, no layout is public.
 
 from __future__ import annotations
 
-#: Service of classic OBD -> first identifier of its page.
-PAGES = {0x01: 0xF400, 0x06: 0xF600, 0x09: 0xF800}
+from gateway.config.ecu import PAGES
+
 _SERVICES = {page >> 8: service for service, page in PAGES.items()}
 #: Bytes of a record of service 0x06 after its monitor: test, scaling, value, least and greatest value.
 RECORD = 8

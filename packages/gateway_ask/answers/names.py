@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from gateway.answers.decode import AnswerDecoder
-from gateway.answers.j1979 import j1979
-from gateway.answers.model import AnswerLayout
-from gateway.answers.monitor_tests import results
-from gateway.answers.obd_on_uds import as_classic, classic, on_uds
+from gateway_ask.answers.decode import AnswerDecoder
+from gateway_ask.answers.j1979 import j1979
+from gateway_ask.answers.model import AnswerLayout
+from gateway_ask.answers.monitor_tests import results
+from gateway_ask.answers.obd_on_uds import as_classic, classic, on_uds
 
 if TYPE_CHECKING:
     from cantools.database.can.signal import Signal

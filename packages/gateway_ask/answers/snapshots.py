@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from gateway.answers.j1979 import TRIMS, j1979
-from gateway.answers.names import values_in_words
-from gateway.answers.obd_on_uds import PAGES
+from gateway.config.ecu import PAGES
+from gateway_ask.answers.j1979 import TRIMS, j1979
+from gateway_ask.answers.names import values_in_words
 
 
 def snapshots_in_words(data: bytes) -> list[str]:

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.answers.answer_frames import framed
-from gateway.answers.model import AnswerLayout, Limits
-from gateway.answers.pages import BYTES, answer_bus
 from gateway.bus.frames import joined
 from gateway.signals.payloads import decode_columns, message_rows
 from gateway.signals.tables import compile_plan
+from gateway_ask.answers.answer_frames import framed
+from gateway_ask.answers.model import AnswerLayout, Limits
+from gateway_ask.answers.pages import BYTES, answer_bus
 
 
 class Values(NamedTuple):
@@ -52,7 +52,7 @@ class AnswerDecoder:
 
         Args:
             answers: data after service and identifier.
-            void: also values that the file calls none (:class:`~gateway.answers.model.Limits`).
+            void: also values that the file calls none (:class:`~gateway_ask.answers.model.Limits`).
         """
         values = np.zeros((len(self.names), len(answers)))
         there = np.zeros(values.shape, np.bool_)

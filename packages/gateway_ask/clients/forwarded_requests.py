@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from gateway.clients.refusals import BUSY
+from gateway_ask.clients.refusals import BUSY
 
 #: Services whose first parameter is a sub-function (ISO 14229-1, Table 2), its highest bit: no answer, if it is good.
 SUB_FUNCTIONS = frozenset({0x10, 0x11, 0x19, 0x27, 0x28, 0x29, 0x2C, 0x31, 0x3E, 0x83, 0x85, 0x86, 0x87})

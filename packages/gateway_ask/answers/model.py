@@ -11,12 +11,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from gateway.config.ecu import request_name
+
 if TYPE_CHECKING:
     from cantools.database.can import Message
     from cantools.database.can.signal import Signal
-
-#: Services whose identifier has two bytes; those of others have one.
-TWO_BYTES = (0x22, 0x2A, 0x2E, 0x2F, 0x31)
 
 #: Bits of a signal that the decoder reads, at most.
 LONGEST_SIGNAL = 64
@@ -80,11 +79,6 @@ class AnswerLayout:
     def name(self) -> str:
         """Return the request as hexadecimal digits, as people write it: 22F190, 010C."""
         return request_name(self.service, self.identifier)
-
-
-def request_name(service: int, identifier: int) -> str:
-    """Return a request as hexadecimal digits: 22F190, 010C."""
-    return f"{service:02X}{identifier:0{4 if service in TWO_BYTES else 2}X}"
 
 
 class LeftOut(NamedTuple):

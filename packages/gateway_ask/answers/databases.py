@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gateway.answers.model import LONGEST_SIGNAL, TWO_BYTES, AnswerLayout, Layouts, LeftOut, message_of, signal_of
+from gateway.config.ecu import TWO_BYTES
 from gateway.signals.database import load_database
+from gateway_ask.answers.model import LONGEST_SIGNAL, AnswerLayout, Layouts, LeftOut, message_of, signal_of
 from gateway_fdi.errors import InputError
 
 #: Encoding of data in a CDD -> why it has no layout.

@@ -9,8 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.bus.frames import Frames, empty
-from gateway.clients.ask import PROBES
-from gateway.clients.poller import TELLS, Ecu, Poller
 from gateway.config.model import Config
 from gateway.engine.core import Engine, Sink
 from gateway.faults.entries import DtcChange
@@ -18,6 +16,8 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.status import Status
 from gateway.faults.vehicle import TOLD, EcuDtc, Told
 from gateway.servers.bus_server import BusServer
+from gateway_ask.clients.ask import PROBES
+from gateway_ask.clients.poller import TELLS, Ecu, Poller
 
 
 class Vehicle(BusServer):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gateway.clients.ecu import EcuClient
-from gateway.clients.forwarded_requests import Done, ForwardedRequests, is_quiet
+from gateway_ask.clients.ecu import EcuClient
+from gateway_ask.clients.forwarded_requests import Done, ForwardedRequests, is_quiet
 
 
 class Line:

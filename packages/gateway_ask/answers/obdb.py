@@ -14,8 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gateway.answers.jsonfile import Place, count_at, document_of, hex_at, list_at, number_at, object_at
-from gateway.answers.model import (
+from gateway.bus.frames import EXTENDED
+from gateway.config.ecu import request_name
+from gateway.isotp.addressing import FUNCTIONAL, TESTER
+from gateway_ask.answers.jsonfile import Place, count_at, document_of, hex_at, list_at, number_at, object_at
+from gateway_ask.answers.model import (
     LONGEST_SIGNAL,
     Address,
     AnswerLayout,
@@ -23,11 +26,8 @@ from gateway.answers.model import (
     LeftOut,
     Limits,
     message_of,
-    request_name,
     signal_of,
 )
-from gateway.bus.frames import EXTENDED
-from gateway.isotp.addressing import FUNCTIONAL, TESTER
 from gateway_fdi.errors import InputError
 
 #: OBDb's words of units -> as the project writes them. Those of two words are texts (below).

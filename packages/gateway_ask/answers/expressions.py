@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any, NamedTuple
 
-from gateway.answers.model import signal_of
+from gateway_ask.answers.model import signal_of
 
 #: A byte, with a sign (S), one bit of it; a range of bytes, the first is the highest.
 _BYTE = r"([BS])(\d{1,4})"

@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from gateway.bus.frames import Frames
+from gateway.config.ecu import MARK
 from gateway.j1939.frame import ACKNOWLEDGMENT, GLOBAL, REQUEST, TP_CM, Pdu, pgn_bytes, read_pdu, to_frames
 from gateway.j1939.transport import BAM, RTS
 
-#: First byte of a request of this kind in a schedule: no service of UDS or OBD has this number.
-MARK = REQUEST >> 8
 #: Source address of a service tool off board (SAE J1939, Appendix B).
 TOOL = 0xF9
 #: Longest wait for the answer, one of several packets included (SAE J1939-21, Tr) [ms].

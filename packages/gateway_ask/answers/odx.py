@@ -11,9 +11,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gateway.answers.model import (
+from gateway.bus.frames import EXTENDED
+from gateway.common.archives import members_of, refuse_large_xml
+from gateway.common.extras import need
+from gateway.config.ecu import TWO_BYTES
+from gateway_ask.answers.model import (
     LONGEST_SIGNAL,
-    TWO_BYTES,
     Address,
     AnswerLayout,
     Layouts,
@@ -21,9 +24,6 @@ from gateway.answers.model import (
     message_of,
     signal_of,
 )
-from gateway.bus.frames import EXTENDED
-from gateway.common.archives import members_of, refuse_large_xml
-from gateway.common.extras import need
 from gateway_fdi.errors import InputError
 
 #: Services that read one identifier.

@@ -10,12 +10,12 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-from gateway.answers.obd_on_uds import on_uds
-from gateway.clients.ask import Ask, Turns
-from gateway.clients.ecu import MS
-from gateway.clients.params import AUTO, OBD, ON_UDS, UDS, EcuParams, ReadParams
 from gateway.common.times import NEVER
+from gateway.config.ecu import AUTO, OBD, ON_UDS, UDS, EcuParams, ReadParams
 from gateway.faults.settings import ConditionSettings
+from gateway_ask.answers.obd_on_uds import on_uds
+from gateway_ask.clients.ask import Ask, Turns
+from gateway_ask.clients.ecu import MS
 
 #: DTCs that fail, did in this cycle or since the clear, are pending, confirmed, or ask for a lamp; confirmed; pending.
 _ANY, _CONFIRMED, _PENDING = 0xAF, 0x08, 0x04

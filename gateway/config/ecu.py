@@ -7,16 +7,21 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from gateway.answers.answer_frames import READ_SERVICES
-from gateway.answers.model import TWO_BYTES, Address, request_name
-from gateway.answers.obd_on_uds import PAGES
-from gateway.clients import pgn
 from gateway.engine.checks.message import Params as CheckParams
 from gateway.faults.settings import ConditionSettings, DtcText
 from gateway.isotp.addressing import AddressingParams
+from gateway.j1939.frame import REQUEST, pgn_bytes
 from gateway.monitors.contract import Debounce, Fault
 from gateway_fdi.common.tomlfile import StrictModel
 
+#: Services of requests that read values; all others have no layout.
+READ_SERVICES = (0x01, 0x06, 0x09, 0x21, 0x22)
+#: Services whose identifier has two bytes; those of others have one.
+TWO_BYTES = (0x22, 0x2A, 0x2E, 0x2F, 0x31)
+#: Service of classic OBD -> first identifier of its page in OBD on UDS (SAE J1979-2; ISO 14229-1, Annex C.1).
+PAGES = {0x01: 0xF400, 0x06: 0xF600, 0x09: 0xF800}
+#: First byte of a request for a parameter group in a schedule: no service of UDS or OBD has this number.
+MARK = REQUEST >> 8
 #: Services that only read DTCs.
 DTC_SERVICES = (0x19, 0x03, 0x07, 0x0A)
 #: Protocols: UDS, classic OBD (SAE J1979), OBD on UDS (SAE J1979-2), the one of these two that an ECU answers.
@@ -29,6 +34,11 @@ _EVENT_MS = 1000.0
 _OBD_SERVICES = tuple(PAGES)
 #: DTC of another ECU, as the vehicle's memory has it; without a failure type it is any.
 _CODE = r"^([PCBU][0-3][0-9A-F]{3}(-[0-9A-F]{2})?|SPN \d+ FMI \d+)$"
+
+
+def request_name(service: int, identifier: int) -> str:
+    """Return a request as hexadecimal digits: 22F190, 010C."""
+    return f"{service:02X}{identifier:0{4 if service in TWO_BYTES else 2}X}"
 
 
 class ReadParams(StrictModel):
@@ -76,7 +86,7 @@ class ReadParams(StrictModel):
     def key(self) -> tuple[int, int]:
         """Service and identifier; of a parameter group its number."""
         if self.pgn is not None:
-            return pgn.MARK, self.pgn
+            return MARK, self.pgn
         if self.did is not None:
             return 0x22, self.did
         if self.pid is not None:
@@ -108,7 +118,7 @@ class ReadParams(StrictModel):
     def request(self) -> bytes:
         """Bytes of the request, as the schedule has it."""
         if self.pgn is not None:
-            return pgn.request_of(self.pgn)
+            return bytes([MARK]) + pgn_bytes(self.pgn)
         return bytes.fromhex(request_name(*self.key))
 
 
@@ -194,9 +204,3 @@ class EcuParams(AddressingParams):
         """Whether it is found which protocol of OBD it answers."""
         asked = any(read.is_obd for read in self.read) or (self.dtcs is not None and self.dtc_protocol == AUTO)
         return self.protocol == AUTO and asked
-
-    @property
-    def owner(self) -> Address:
-        """Its address, as files of layouts have it."""
-        place = self.place
-        return Address(place.request, place.response, place.target, place.tester)

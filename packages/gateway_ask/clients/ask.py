@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from gateway.answers.answer_frames import POSITIVE, READ_SERVICES
-from gateway.clients.params import DTC, DTC_SERVICES, OBD, ON_UDS, START, WHEN
-from gateway.clients.pgn import MARK, pgn_of
 from gateway.common.times import NEVER
+from gateway.config.ecu import DTC, DTC_SERVICES, MARK, OBD, ON_UDS, READ_SERVICES, START, WHEN
+from gateway_ask.answers.answer_frames import POSITIVE
+from gateway_ask.clients.pgn import pgn_of
 
 #: Requests instead of one that is refused for good, one turn after the other.
 Turns = tuple[tuple[bytes, ...], ...]

@@ -9,23 +9,25 @@ from typing import Any
 
 import numpy as np
 
-from gateway.answers.answer_frames import NEGATIVE, FrameEncoder
 from gateway.bus.frames import EXTENDED, Frames, empty, joined, payload, put
 from gateway.bus.id_filter import IdFilter
-from gateway.clients.ask import Ask
-from gateway.clients.dm1 import MASKS, Dm1Listener
-from gateway.clients.dtcs import READ_DTCS, details_of, told_by
-from gateway.clients.ecu import MS, EcuClient
-from gateway.clients.line import Line
-from gateway.clients.pgn import MARK, ended_by, identifiers_of
-from gateway.clients.reassembly import Woven
-from gateway.clients.refusals import PENDING
 from gateway.common.fence import Fence
 from gateway.common.times import NEVER
+from gateway.config.ecu import MARK
 from gateway.faults.vehicle import TOLD, Told
 from gateway.isotp.addressing import FUNCTIONAL
 from gateway.isotp.edges import FLOW_CONTROL, MOST_LONG, MOST_SHORT
 from gateway.isotp.passive_reassembly import Reassembler
+from gateway.runtime.asking import Asking
+from gateway.signals.reassembly import Woven
+from gateway_ask.answers.answer_frames import NEGATIVE, FrameEncoder
+from gateway_ask.clients.ask import Ask
+from gateway_ask.clients.dm1 import MASKS, Dm1Listener
+from gateway_ask.clients.dtcs import READ_DTCS, details_of, told_by
+from gateway_ask.clients.ecu import MS, EcuClient
+from gateway_ask.clients.line import Line
+from gateway_ask.clients.pgn import ended_by, identifiers_of
+from gateway_ask.clients.refusals import PENDING
 
 #: Identifier of a frame behind each answer that tells DTCs, on the bus of the answers: it is the place in time of
 #: :attr:`Poller.told`.
@@ -76,7 +78,7 @@ class Ecu:
         return self.client.params.name
 
 
-class Poller:
+class Poller(Asking):
     """The clients, and those who hear DTCs that are broadcast.
 
     Args:
@@ -104,8 +106,8 @@ class Poller:
         fence: Fence | None = None,
         woven: Woven | None = None,
     ) -> None:
-        self._dm1, self._bus_of, self._woven = dm1, bus_of or {}, woven
-        self._wall = (fence or Fence()).wall("ecu")
+        super().__init__(woven, fence)
+        self._dm1, self._bus_of = dm1, bus_of or {}
         self.ecus = tuple(ecus)
         self._may_ask = may_ask
         self._apart_ns = {bus: round(1e9 / rate) for bus, rate in rates.items()}
@@ -113,7 +115,6 @@ class Poller:
         self._said: list[Frames] = []
         self._sent: deque[tuple[int, int, int, bytes]] = deque(maxlen=MOST_SENT)
         self.told: deque[Told] = deque()
-        self.alter: Callable[[Frames], Frames] | None = None
         self._heard: dict[tuple[int, int], list[tuple[Ecu, bool]]] = {}
         self._functional: dict[tuple[int, int], list[Ecu]] = {}
         self._groups: dict[tuple[int, int], EcuClient] = {}
@@ -143,8 +144,7 @@ class Poller:
 
     def hear(self, frames: Frames) -> Frames:
         """Take frames in order of time; returns them with those of the answers and messages that they complete."""
-        if self._woven is not None:
-            frames = self._wall.keep(self._woven.hear, frames, of="messages of several frames", instead=frames)
+        frames = super().hear(frames)
         if self._listens.has_none_of(frames):
             return frames
         mine = np.isin(frames["can_id"], self._ids)
@@ -335,13 +335,16 @@ class Poller:
                 due.append(client.waiting.next_ns)
         self.next_ns = min(due)
 
-    def succeed(self, old: Poller, buses: Mapping[int, int]) -> None:
+    def succeed(self, old: Asking, buses: Mapping[int, int]) -> None:
         """Go on where those of the configuration before stop, with the ECUs that both have.
 
         Args:
             old: not to be used any more.
             buses: index of a bus there -> its index here.
         """
+        super().succeed(old, buses)
+        if not isinstance(old, Poller):
+            return
         before = {(buses.get(ecu.client.bus), ecu.client.place): ecu for ecu in old.ecus}
         for ecu in self.ecus:
             known = before.get((ecu.client.bus, ecu.client.place))
@@ -351,8 +354,6 @@ class Poller:
                 ecu.weaver.counts.update(known.weaver.counts)
         if self._dm1 is not None and old._dm1 is not None:
             self._dm1.succeed(old._dm1, buses)
-        if self._woven is not None and old._woven is not None:
-            self._woven.succeed(old._woven, buses)
         for bus, at_ns in old._next_of_bus.items():
             if buses.get(bus) in self._next_of_bus:
                 self._next_of_bus[buses[bus]] = at_ns
@@ -361,7 +362,7 @@ class Poller:
     def counters(self) -> dict[str, int]:
         """Return what they counted, of all ECUs together."""
         found: dict[str, int] = {} if self._dm1 is None else {"dm1_cut": self._dm1.errors}
-        found |= {} if self._woven is None else self._woven.counters()
+        found |= super().counters()
         for state in self.states():
             for name, count in state.items():
                 if isinstance(count, int):

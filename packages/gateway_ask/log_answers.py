@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from gateway.answers.answer_frames import FrameEncoder
-from gateway.answers.pages import AnswerBus
 from gateway.bus.frames import Frames, chosen
-from gateway.clients.ecu import EcuClient
-from gateway.clients.params import EcuParams
-from gateway.clients.poller import TELLS, Ecu, Poller
-from gateway.clients.protocols import Schedule
-from gateway.clients.reassembly import woven_of
+from gateway.config.answer_bus import AnswerBus
+from gateway.config.ecu import EcuParams
 from gateway.config.model import Config
+from gateway.signals.reassembly import woven_of
 from gateway.signals.tables import DecodePlan
+from gateway_ask.answers.answer_frames import FrameEncoder
+from gateway_ask.clients.ecu import EcuClient
+from gateway_ask.clients.poller import TELLS, Ecu, Poller
+from gateway_ask.clients.protocols import Schedule
 
 
 def ecus_of(config: Config, answers: Sequence[AnswerBus], schedule: Callable[[EcuParams], Schedule]) -> list[Ecu]:

@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from gateway.answers.model import AnswerLayout
 from gateway.bus.frames import EXTENDED
+from gateway.config.answer_bus import AnswerBus, Page
 from gateway.signals.database import Database
+from gateway_ask.answers.model import AnswerLayout
 from gateway_fdi.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,37 +32,6 @@ SLOT_BITS, SLOTS = 22, 128
 
 #: Layouts of one ECU's answers, by service and identifier of the request.
 Layouts = Mapping[tuple[int, int], AnswerLayout]
-
-
-class Page(NamedTuple):
-    """Page of an answer.
-
-    Attributes:
-        can_id: of its frames, with EXTENDED.
-        start: its first byte of the answer's data.
-        length: most bytes of the answer in it.
-    """
-
-    can_id: int
-    start: int
-    length: int
-
-
-@dataclass(frozen=True)
-class AnswerBus:
-    """The bus of the answers that come on another bus.
-
-    Attributes:
-        database: its messages, a page each.
-        pages: of each ECU: (service, identifier) of the request -> pages of the answer.
-        lengths: of each ECU: (service, identifier) of the request -> length of the layout [byte].
-        left_out: signals that are not decoded, with the reason, one line each.
-    """
-
-    database: Database
-    pages: tuple[Mapping[tuple[int, int], tuple[Page, ...]], ...]
-    lengths: tuple[Mapping[tuple[int, int], int], ...]
-    left_out: tuple[str, ...]
 
 
 def answer_bus(ecus: Sequence[tuple[str, Layouts]]) -> AnswerBus:

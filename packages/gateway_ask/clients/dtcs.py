@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from gateway.answers.answer_frames import POSITIVE
 from gateway.faults.dtc import Dtc
 from gateway.faults.vehicle import PERMANENT, SEVERITY, TOLD, Told
+from gateway_ask.answers.answer_frames import POSITIVE
 
 READ_DTCS = 0x19
 BY_MASK, SNAPSHOTS, EXTENDED_DATA, PERMANENTS = 0x02, 0x04, 0x06, 0x15

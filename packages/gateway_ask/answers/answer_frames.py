@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from gateway.answers.model import TWO_BYTES
-from gateway.answers.monitor_tests import LENGTH, laid_out
-from gateway.answers.obd_on_uds import PAGES, as_classic, classic, classic_length, on_uds
-from gateway.answers.pages import Page
 from gateway.bus.frames import FD, Frames, empty, joined, put
+from gateway.config.answer_bus import Page
+from gateway.config.ecu import PAGES, READ_SERVICES, TWO_BYTES
+from gateway_ask.answers.monitor_tests import LENGTH, laid_out
+from gateway_ask.answers.obd_on_uds import as_classic, classic, classic_length, on_uds
 
-#: Services of requests that read values; all others have no layout.
-READ_SERVICES = (0x01, 0x06, 0x09, 0x21, 0x22)
 #: Added to the service of a request in a positive answer; a negative answer.
 POSITIVE, NEGATIVE = 0x40, 0x7F
 

@@ -11,9 +11,10 @@ from fractions import Fraction
 from functools import cache
 from typing import Any
 
-from gateway.answers.model import AnswerLayout, message_of, signal_of
-from gateway.answers.monitor_tests import layout_of
-from gateway.answers.obd_on_uds import PAGES, classic
+from gateway.config.ecu import PAGES
+from gateway_ask.answers.model import AnswerLayout, message_of, signal_of
+from gateway_ask.answers.monitor_tests import layout_of
+from gateway_ask.answers.obd_on_uds import classic
 
 _SENSORS = ("11", "12", "13", "14", "21", "22", "23", "24")
 

@@ -15,12 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gateway.answers import expressions
-from gateway.answers.expressions import NotOne
-from gateway.answers.jsonfile import Place, document_of, list_at, object_at
-from gateway.answers.model import TWO_BYTES, Address, AnswerLayout, Layouts, LeftOut, Limits, message_of
 from gateway.bus.frames import EXTENDED
+from gateway.config.ecu import TWO_BYTES
 from gateway.isotp.addressing import FUNCTIONAL
+from gateway_ask.answers import expressions
+from gateway_ask.answers.expressions import NotOne
+from gateway_ask.answers.jsonfile import Place, document_of, list_at, object_at
+from gateway_ask.answers.model import Address, AnswerLayout, Layouts, LeftOut, Limits, message_of
 from gateway_fdi.errors import InputError
 
 #: Bytes of a frame; data bytes of a first, and of each further frame.

@@ -11,8 +11,8 @@ import struct
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from gateway.answers.model import AnswerLayout, message_of, signal_of
-from gateway.answers.obd_on_uds import RECORD
+from gateway_ask.answers.model import AnswerLayout, message_of, signal_of
+from gateway_ask.answers.obd_on_uds import RECORD
 
 #: Results of a monitor that its layout has room for; bytes of a result there: its test, three numbers of 32 bits.
 MOST, _BYTES = 8, 13

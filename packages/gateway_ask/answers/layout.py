@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gateway.answers import databases, obdb, odx, wican
-from gateway.answers.j1979 import j1979, layouts_of_obd
-from gateway.answers.jsonfile import document_of
-from gateway.answers.model import Address, AnswerLayout, Layouts, LeftOut, Limits, layouts_for
 from gateway.signals.database import SUFFIXES
+from gateway_ask.answers import databases, obdb, odx, wican
+from gateway_ask.answers.j1979 import j1979, layouts_of_obd
+from gateway_ask.answers.jsonfile import document_of
+from gateway_ask.answers.model import Address, AnswerLayout, Layouts, LeftOut, Limits, layouts_for
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import InputError
 
