@@ -41,8 +41,8 @@ from gateway.config.load import load_config
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
-from gateway.live.status import StatusSocket
 from gateway.runtime.app import Gateway
+from gateway_serve.status_socket import StatusSocket
 
 QUANTILES = ("p50_ms", "p99_ms", "p99.9_ms")
 

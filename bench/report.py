@@ -34,9 +34,9 @@ from gateway.config.load import load_config
 from gateway.live.clock import Clock
 from gateway.live.link import Link
 from gateway.live.loop import Live
-from gateway.live.report_socket import ReportSocket
 from gateway.report import Reporter
 from gateway.runtime.app import Gateway
+from gateway_serve.report_socket import ReportSocket
 
 REPORTERS, FAULTS = 4, 4
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gateway.bus.ring import Ring
+from gateway.common.calls import CALLS
 from gateway.common.fence import Fence
 from gateway.config.load import load_config
 from gateway.config.model import Config, StatusConfig
@@ -14,16 +15,15 @@ from gateway.faults.resilient_store import ResilientStore
 from gateway.faults.restarts import WELL_S, Restart
 from gateway.live.clock import Clock
 from gateway.live.link import Link, bus_event
-from gateway.live.listeners import Listeners, TableDoor
+from gateway.live.listeners import STATUS_SOCKET, Listeners, StatusDoor, TableDoor
 from gateway.live.loop import GRACE_NS, Live, Tap
 from gateway.live.machine import Machine
 from gateway.live.notify import Notifier
 from gateway.live.reload import Prepared, Reloader
-from gateway.live.report_socket import ReportSocket
-from gateway.live.status import StatusSocket
 from gateway.live.watchdog import Watchdog
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
+from gateway.runtime.reports import REPORT_SOCKET
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import GatewayError, InputError
 
@@ -76,7 +76,7 @@ class Daemon:
     ) -> None:
         self._path, self._bus, self._memory = path, bus, memory
         self._listener, self._given_taps = tell, list(taps)
-        self.status: StatusSocket | None = None
+        self.status: StatusDoor | None = None
         self._fence = Fence()
         self._doors = Listeners(self._fence)
         self._asked: dict[str, TableDoor] = {}
@@ -151,12 +151,15 @@ class Daemon:
 
     def _new_status(
         self, config: Config, path: Path | None, gateway: Gateway, links: Sequence[Link]
-    ) -> StatusSocket | None:
+    ) -> StatusDoor | None:
         if path is None and config.status is None:
             return None
         settings = config.status or StatusConfig(socket=path or Path())
         place = path or settings.socket
-        return StatusSocket(place, gateway, self._bus_states, readers=settings.readers)
+        made: StatusDoor = _of_package(STATUS_SOCKET, "status")(
+            place, gateway, self._bus_states, readers=settings.readers
+        )
+        return made
 
     def _new_doors(self, config: Config, gateway: Gateway) -> dict[str, TableDoor]:
         """Return the doors that tables of a configuration ask for: those that there are, where they fit."""
@@ -217,7 +220,7 @@ class Daemon:
             t_ns = gateway.engine.wall_ns(gateway.engine.now_ns)
             self._tell(bus_event(link, "closed", t_ns))
         if self.status is not None:
-            self.status.turn(self._machine.monotonic())
+            self.status.turn(self._machine.monotonic(), wanted=True)
 
     def close(self) -> None:
         """Close buses, recording, status socket and fault memory."""
@@ -368,8 +371,20 @@ def _makers(config: Config) -> dict[str, tuple[Any, Callable[[Any, Gateway, Cloc
         name: (params, one.door) for name, (one, params) in config.output.sections.items()
     }
     if config.report is not None:
-        made["report"] = config.report, lambda params, gateway, _: ReportSocket(params, gateway)
+        make = _of_package(REPORT_SOCKET, "report")
+        made["report"] = config.report, lambda params, gateway, _: make(params, gateway)
     return made
+
+
+def _of_package(name: str, table: str) -> Callable[..., Any]:
+    """Return a call of another package that a table needs.
+
+    Raises:
+        InputError: no package brings it.
+    """
+    if name not in CALLS:
+        raise InputError("no installed package has this socket", key=table)
+    return CALLS[name]
 
 
 def _tolerance_ns(config: Config) -> int:

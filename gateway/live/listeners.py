@@ -19,6 +19,9 @@ from gateway_fdi.common.log import get_logger
 #: First and longest rest of a door after a turn that failed [s]; turns in a row that fail before it is opened again.
 FIRST_REST_S, LONGEST_REST_S, MOST_FAILURES = 0.1, 10.0, 5
 
+#: Name of the call that makes the status socket: of its path, the gateway, how the buses do, and most readers.
+STATUS_SOCKET = "status_socket"
+
 log = get_logger(__name__)
 
 
@@ -39,6 +42,19 @@ class TableDoor(OpenDoor, Protocol):
 
     def replace(self, gateway: Gateway, params: Any) -> None:
         """Belong to another gateway from now on."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
+class StatusDoor(OpenDoor, Protocol):
+    """The socket on which the daemon shows what it does."""
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """Show an event of the JSON contract to all readers."""
+
+    def replace(self, gateway: Gateway) -> None:
+        """Show another gateway from now on."""
 
     def close(self) -> None:
         """Close it."""

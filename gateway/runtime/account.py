@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
-from gateway.common.fence import Fence
 from gateway.config.answer_bus import AnswerBus
 from gateway.config.model import Config
 from gateway.engine.core import Engine
@@ -14,12 +13,7 @@ from gateway.faults.catalogue import Catalogue, as_dict
 from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
-from gateway.runtime.asking import Asking
-from gateway.runtime.explainer import Explainer
 from gateway.runtime.persistence import Persistence
-from gateway.runtime.reports import Reports
-from gateway.runtime.security import Security
-from gateway.servers.bus_servers import BusServers
 from gateway.servers.identifiers import Identifiers
 from gateway.servers.uds.extended_data import EXTENDED_DATA
 
@@ -45,13 +39,18 @@ def signal_slots(config: Config, engine: Engine) -> dict[str, int]:
     }
 
 
+class Counts(Protocol):
+    """A part that counts."""
+
+    def counters(self) -> dict[str, int]:
+        """Return what it counted, by name."""
+
+
 def counters(
     engine: Engine,
-    speakers: tuple[BusServers, Asking, Security, Fence],
+    speakers: Sequence[Counts],
     upkeep: Persistence,
     recorder: Recorder | None,
-    reports: Reports,
-    explainer: Explainer,
 ) -> dict[str, int]:
     """Return what was counted, by name: of frames, requests, security, the fault memory, and others' reports."""
     found = engine.counters()
@@ -59,11 +58,9 @@ def counters(
         found[name] = found.get(name, 0) + count
     found["memory_not_stored"] = upkeep.not_stored
     found["memory_write_failures"] = upkeep.failures
-    if explainer.held:
-        found |= {"symptoms_held": explainer.held, "symptoms_released": explainer.released}
     if recorder is not None:
         found["recordings_refused"] = recorder.refused
-    return found | reports.counters()
+    return found
 
 
 def bus_errors(config: Config, engine: Engine) -> dict[str, dict[str, int]]:

@@ -61,7 +61,7 @@ class Gateway(Ingest):
         self.engine.leave_open(k for k, name in enumerate(self.parts.cycles) if self.memory.cycles.is_left_open(name))
         self._outbox.note(*self._restarted.told())
         self._keep_off()
-        self._explainer.begin(t_ns)
+        self._diagnosis.begin(t_ns)
 
     def note_restart(self, t_ns: int, boot: str = "") -> Restart | None:
         """Count this start if the last process was not stopped but died, durably; once.
@@ -123,8 +123,7 @@ class Gateway(Ingest):
         self._doubts.succeed(old._doubts)
         self.security.succeed(old.security)
         self._caught.succeed(old._caught)
-        self._causes.succeed(old._causes)
-        self._explainer.succeed(old._explainer)
+        self._diagnosis.succeed(old._diagnosis)
         self._meter.succeed(old._meter)
         indices = {bus.name: k for k, bus in enumerate(self.config.buses)}
         buses = {k: indices[bus.name] for k, bus in enumerate(old.config.buses) if bus.name in indices}
@@ -142,7 +141,7 @@ class Gateway(Ingest):
             self.controls.note(Intervention(0, "gateway", "", 0, f"{action}_ended", role=holder))
         self.memory.note_descriptions()
         self._keep_off()
-        self._explainer.begin(self.engine.now_ns)
+        self._diagnosis.begin(self.engine.now_ns)
         if self._upkeep.beside:
             self._begin_journal()
 
@@ -180,9 +179,7 @@ class Gateway(Ingest):
         self._meter.stop()
         self._suspicions.look()
         self._proofs.look(final=True)
-        if self._causes.pending:
-            self._causes.look(t_ns)
-        self._explainer.finish(t_ns)
+        self._diagnosis.finish(t_ns)
         self._strangers.finish(self.engine.wall_ns(t_ns))
         self._caught.look()
         self.security.pass_time(self.engine.wall_ns(t_ns), final=True)
@@ -266,11 +263,9 @@ class Gateway(Ingest):
             self._verdicts.count,
             counters(
                 self.engine,
-                (self.servers, self.asking, self.security, self.fence),
+                (self.servers, self.asking, self.security, self.fence, self._diagnosis, self.reports),
                 self._upkeep,
                 self._recorder,
-                self.reports,
-                self._explainer,
             ),
             buses=bus_errors(self.config, self.engine),
             monitors=self.engine.readout(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gateway.common.calls import CALLS
 from gateway.common.fence import Fence
 from gateway.common.gc_pause import gc_paused
 from gateway.config.model import Config
@@ -12,18 +13,17 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.resilient_store import ResilientStore
 from gateway.runtime.assemble import Parts, asking_of, connect_routes, identifiers_of, prepare, servers_of
-from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
+from gateway.runtime.diagnosis import DIAGNOSIS, Diagnosis
 from gateway.runtime.disabled_monitors import DisabledMonitors
 from gateway.runtime.exception_events import ExceptionEvents
-from gateway.runtime.explainer import Explainer
 from gateway.runtime.failing_rules import FailingRules
 from gateway.runtime.input_stage import InputStage
 from gateway.runtime.interventions import Interventions
 from gateway.runtime.monitoring_off_dtc import MonitoringOffDtc
 from gateway.runtime.outbox import Outbox
 from gateway.runtime.proofs import Proofs
-from gateway.runtime.reports import Reports
+from gateway.runtime.reports import REPORTS, Reports
 from gateway.runtime.restart_dtc import RestartDtc
 from gateway.runtime.security import Security
 from gateway.runtime.security_events import SecurityEvents
@@ -35,6 +35,7 @@ from gateway.servers.authority import Authority
 from gateway.servers.bus_servers import BusServers
 from gateway.servers.dtc_frame import DtcFrameSender
 from gateway.servers.local import LocalServer
+from gateway_fdi.errors import InputError
 
 
 class Composition:
@@ -136,15 +137,7 @@ class Composition:
         self._suspicions = Suspicions(self.engine, self.security.note)
         parts = self.parts
         known = Dependences(dict(parts.depends), dict(parts.residuals), parts.behind)
-        self._causes = Causes(self.engine, known, parts.checks)
-        self._explainer = Explainer(
-            self.engine,
-            self.memory,
-            parts.depends,
-            self._causes,
-            hold=self.config.memory.symptoms == "hold",
-            note=self._outbox.note,
-        )
+        self._diagnosis = self._new_diagnosis(known)
         self._verdicts = Verdicts(
             self.config,
             self.parts,
@@ -154,11 +147,10 @@ class Composition:
             self._outbox,
             self._off,
             self._doubts,
-            self._causes,
-            self._explainer.failed,
+            self._diagnosis,
             self._strangers,
         )
-        self._explainer.note_changes = self._verdicts.note_changes
+        self._diagnosis.connect(self._verdicts.note_changes)
         self.asking.connect(self._outbox.note, self._verdicts.take)
         judged = [self.parts.slots[name] for name in signals_of(self.config.needs)]
         self._reception = InputStage(self.engine, self.controls, self._meter, judged, self._verdicts.take)
@@ -174,4 +166,34 @@ class Composition:
         )
         self.controls.connect(self._interventions)
         self._caught = ExceptionEvents(self.fence, self.engine, self.security, self._verdicts.take, self.memory.status)
-        self.reports = Reports(self.config.report, self.engine, self.controls, self._verdicts.take, self._outbox.tell)
+        self.reports = self._new_reports()
+
+    def _new_diagnosis(self, known: Dependences) -> Diagnosis:
+        """Return what finds causes, by the package that does.
+
+        Raises:
+            InputError: symptoms are to be held, and no package finds causes.
+        """
+        hold = self.config.memory.symptoms == "hold"
+        if DIAGNOSIS in CALLS:
+            made: Diagnosis = CALLS[DIAGNOSIS](
+                self.engine, self.memory, known, self.parts.checks, hold=hold, note=self._outbox.note
+            )
+            return made
+        if hold:
+            raise InputError("no installed package finds causes", key="memory.symptoms", value="hold")
+        return Diagnosis()
+
+    def _new_reports(self) -> Reports:
+        """Return what takes test results of other processes, by the package that does.
+
+        Raises:
+            InputError: no package does, and there are reporters.
+        """
+        params = self.config.report
+        if params is None:
+            return Reports()
+        if REPORTS not in CALLS:
+            raise InputError("no installed package takes reports", key="report")
+        made: Reports = CALLS[REPORTS](params, self.engine, self.controls, self._verdicts.take, self._outbox.tell)
+        return made

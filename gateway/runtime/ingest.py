@@ -202,7 +202,7 @@ class Ingest(Composition):
             self.memory.ledger.add_recordings(self._recorder.on_time(now))
         if self.memory.room:
             self._verdicts.note_changes(self.memory.admit_refused(self.engine.wall_ns(now)))
-            self._explainer.look_soon()
+            self._diagnosis.look_at_entries()
         frames = [*self._outbox.take_early(), sent if self.controls.send else _NO_FRAMES]
         frames += self._outbox.release(now, self._verdicts.take, asked=asked)
         frames += self.servers.on_time(now)

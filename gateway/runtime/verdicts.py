@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -34,8 +34,8 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.recorder import Recorder
 from gateway.faults.status import Status
 from gateway.runtime.assemble import Parts
-from gateway.runtime.causes import Causes
 from gateway.runtime.controls import Controls
+from gateway.runtime.diagnosis import Diagnosis
 from gateway.runtime.disabled_monitors import DisabledMonitors
 from gateway.runtime.event_json import (
     activity_event,
@@ -85,8 +85,7 @@ class Verdicts:
         outbox: Outbox,
         off: DisabledMonitors,
         doubts: FailingRules,
-        causes: Causes,
-        on_failure: Callable[[str, int], None],
+        diagnosis: Diagnosis,
         strangers: SecurityEvents,
     ) -> None:
         self._parts, self._engine, self._catalogue = parts, parts.engine, parts.catalogue
@@ -94,7 +93,7 @@ class Verdicts:
         self._supply = {name: cycle.supplies for name, cycle in config.cycle.items()}
         self._memory, self._controls, self._recorder = memory, controls, recorder
         self._outbox, self._off, self._doubts = outbox, off, doubts
-        self._causes, self._on_failure, self._strangers = causes, on_failure, strangers
+        self._diagnosis, self._strangers = diagnosis, strangers
         self._index = {definition.id: k for k, definition in enumerate(parts.catalogue)}
         self.count = 0
 
@@ -115,7 +114,7 @@ class Verdicts:
             for event in each(events[at : end + 1]):
                 self._take_one(event)
             at = end + 1
-        self._causes.take(events)
+        self._diagnosis.take(events)
 
     def _tell(self, events: Sequence[Event]) -> None:
         self._outbox.note(*monitor_events(events, self._catalogue, self._buses))
@@ -154,7 +153,7 @@ class Verdicts:
         if kind == QUALIFIED_FAILED:
             self._strangers.on_failure(event)
             self._doubts.seek(event.fault, event.t_ns)
-            self._on_failure(self._catalogue[event.fault].id, event.t_ns - self._engine.offset_ns)
+            self._diagnosis.failed(self._catalogue[event.fault].id, event.t_ns - self._engine.offset_ns)
         changes = self._memory.apply(event, self._observe)
         told = self.note_changes(changes)
         if kind not in (QUALIFIED_FAILED, QUALIFIED_PASSED) or not told:
@@ -162,7 +161,7 @@ class Verdicts:
 
     def look_again(self) -> None:
         """Have it looked at what explains the faults: verdicts have been taken back, of which no event tells."""
-        self._causes.look_soon()
+        self._diagnosis.look_soon()
 
     def note_changes(self, changes: Sequence[DtcChange]) -> bool:
         """Keep changes to be told when they are stored; returns whether there are any worth it."""

@@ -7,12 +7,12 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
 from gateway.bus.frames import Frames, joined, to_message
-from gateway.config.channels import channels_of
 from gateway_api.event_collector import EventCollector
 from gateway_api.messages import Messages, batch_of
 from gateway_api.run import Event, Run
 from gateway_api.words import spoken
 from gateway_fdi.errors import GatewayError
+from gateway_replay.channels import channels_of
 from gateway_replay.injector import FaultInjector
 from gateway_replay.replay import Cycle, FrameConsumer
 

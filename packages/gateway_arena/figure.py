@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.lines import Line2D
 
-from gateway.cli.drawing import save
 from gateway_arena.score import Row
+from gateway_replay.drawing import save
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:

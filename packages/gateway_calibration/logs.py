@@ -14,7 +14,6 @@ from gateway.bus.frames import Frames
 from gateway.bus.logs import LogReader
 from gateway.bus.timeline import LogTime
 from gateway.config.answer_bus import AnswerBus
-from gateway.config.channels import channels_of
 from gateway.config.model import Config
 from gateway.config.monitor_types import monitor_of
 from gateway.monitors.contract import Calibration, CusumCalibration, MonitorParams, Refinement, SensorCalibration
@@ -22,6 +21,7 @@ from gateway.runtime.app import Gateway
 from gateway.signals.tables import DecodePlan
 from gateway_ask.log_answers import Answers
 from gateway_fdi.errors import InputError, InputErrors
+from gateway_replay.channels import channels_of
 from gateway_replay.log_contents import contents
 
 Progress = Callable[[int], None]

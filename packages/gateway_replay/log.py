@@ -11,13 +11,13 @@ import numpy as np
 from gateway.bus.frames import WOVEN, Frames
 from gateway.bus.logs import LogReader
 from gateway.common.times import zone_of
-from gateway.config.channels import channels_of
 from gateway.config.model import Config
 from gateway.config.reserved_ids import bus_instances
 from gateway.engine.checks.unknown_ids import known_table
 from gateway.signals.database import Database
 from gateway.signals.payloads import looked_up
 from gateway_fdi.errors import InputError
+from gateway_replay.channels import channels_of
 from gateway_replay.log_contents import Contents, contents
 
 #: One in HEARD identifiers of a log may be known by chance, and one in KNOWN of those that are known may be in it.

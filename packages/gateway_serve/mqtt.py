@@ -28,12 +28,12 @@ from typing import Any
 from paho.mqtt.client import MQTTMessageInfo
 
 from gateway.common.jsonlines import line
-from gateway.common.works import work_until
 from gateway.faults.status import Status
 from gateway_fdi.common.log import get_logger
 from gateway_serve.broker import Broker, client_of
 from gateway_serve.hub import Hub
 from gateway_serve.link import Refused
+from gateway_serve.works import work_until
 
 #: Pace of looking for changes, and rest after an exception [s].
 LOOK_S, REST_S = 0.1, 1.0

@@ -14,9 +14,9 @@ from debian import program
 from reporting import served, write_config
 
 from gateway.cli.events import EventPrinter
-from gateway.live.report_socket import ReportSocket
 from gateway.report import UNANSWERED, UNDELIVERED, Reporter, header
 from gateway.report.words import REFUSALS, RESULTS
+from gateway_serve.report_socket import ReportSocket
 
 ROOT = Path(__file__).parents[2]
 HOT, SLOW, BLIND = "battery.hot", "battery.slow", "camera.blind"
@@ -171,8 +171,8 @@ class Late(Reporter):
 
 @pytest.mark.parametrize("kind", [Reporter, Late])
 def test_one_that_is_turned_away_is_told_why(tmp_path, monkeypatch, kind):
-    monkeypatch.setattr("gateway.live.report_socket.credentials_of", lambda connection: (1, 54321, 54321))
-    monkeypatch.setattr("gateway.live.report_socket.groups_of", lambda connection: set())
+    monkeypatch.setattr("gateway_serve.report_socket.credentials_of", lambda connection: (1, 54321, 54321))
+    monkeypatch.setattr("gateway_serve.report_socket.groups_of", lambda connection: set())
     with served(tmp_path):
         reporter = kind(tmp_path / "report.sock", patience_s=5.0)
         answer = reporter.failed(HOT)

@@ -7,12 +7,12 @@ import pytest
 from amount import amount
 from asking_rig import DBC
 
-from gateway.isotp.passive_reassembly import N_CR_NS, Reassembler
 from gateway.signals.tables import compile_plan
 from gateway_ask.answers.answer_frames import FrameEncoder, records
 from gateway_ask.answers.layout import j1979, read_layouts
 from gateway_ask.answers.model import AnswerLayout, message_of
 from gateway_ask.answers.pages import MOST, SLOTS, STRIDE, answer_bus
+from gateway_ask.clients.passive_reassembly import N_CR_NS, Reassembler
 from gateway_fdi.errors import InputError
 
 SEED = 7

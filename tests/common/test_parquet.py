@@ -64,7 +64,7 @@ def test_a_long_word_of_a_dictionary_is_not_copied_for_each_row(tmp_path):
 
 
 def test_many_values_of_few_bytes_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("gateway.common.parquet.VALUES", 100_000)
+    monkeypatch.setattr("gateway_replay.parquet.VALUES", 100_000)
     zeros = pa.ListArray.from_arrays(pa.array([0, 200_000]), pa.array(np.zeros(200_000, np.uint8)))
     path = log(tmp_path / "values.parquet", zeros, rows=1)
     with pytest.raises(InputError, match="more than 100000 values in a group of rows"):

@@ -24,8 +24,8 @@ from typer import Context
 from typer.main import get_command
 
 from gateway.cli import app
-from gateway.cli.drawing import save
 from gateway_commands.configuration_schema import schema
+from gateway_replay.drawing import save
 
 ROOT = DOCS.parent
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]

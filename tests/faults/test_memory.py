@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from gateway.engine.events import FDC_REACHED
 from gateway.faults import service
-from gateway.faults.readiness import readiness
 from gateway.faults.recorder import Recorder, RecorderParams
 from gateway.faults.records import Recording
 from gateway.faults.schema import APPLICATION_ID, MIGRATIONS
 from gateway.faults.status import Status
 from gateway.faults.store import Store
+from gateway_testers.readiness import readiness
 
 
 def fail(memory, fault, t_ns=0, seen=nothing):

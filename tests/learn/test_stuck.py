@@ -6,11 +6,11 @@ import pytest
 from learning import asked, drive, quiet
 
 from gateway.bus.logs import LogReader
-from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway_bench.wire.replay import through
 from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import SIGNAL
+from gateway_replay.channels import channels_of
 
 DBC = (
     'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 Pedal: 8 A\n SG_ Travel : 0|16@1+ (0.1,0) [0|6553.5] "mm" A\n'

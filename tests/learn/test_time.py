@@ -10,7 +10,6 @@ from learning import asked, drive, quiet
 
 from gateway.bus.frames import empty, put
 from gateway.bus.logs import LogReader, open_writer
-from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway_bench.wire.replay import through
 from gateway_fleet.cli.learn import learn_car
@@ -18,6 +17,7 @@ from gateway_fleet.learn.gaps import CYCLIC, Gaps, lost_share, most, sending, ti
 from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.limits import _ended
 from gateway_fleet.learn.lines import CHECK
+from gateway_replay.channels import channels_of
 
 MS = 1_000_000
 IDS = (256, 512, 768, 1024)

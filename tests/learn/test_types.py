@@ -9,12 +9,12 @@ import pytest
 from learning import asked, drive, quiet
 
 from gateway.bus.logs import LogReader
-from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.runtime.assemble import prepare
 from gateway_bench.wire.replay import through
 from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import SIGNAL
+from gateway_replay.channels import channels_of
 from gateway_replay.injection import Injector, parse_injection
 
 SEED, SECONDS, PERIOD = 66, 60.0, 0.02

@@ -8,10 +8,10 @@ from learning import asked, quiet
 
 from gateway.bus.frames import empty
 from gateway.bus.logs import LogReader, open_writer
-from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway_bench.wire.replay import through
 from gateway_fleet.learn.learn import learn, write
+from gateway_replay.channels import channels_of
 
 SECONDS = 90.0
 DBC = """VERSION ""

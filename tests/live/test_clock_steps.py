@@ -10,11 +10,11 @@ from daemon_rig import World
 
 from gateway.bus.conditions import are_steps, step_ns_of
 from gateway.bus.logs import LogReader
-from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.faults.store import Store
 from gateway.live.clock import Clock
 from gateway.runtime.app import Gateway
+from gateway_replay.channels import channels_of
 from gateway_replay.replay import replay
 
 STEPS = [3600.0, -3600.0, -0.5]

@@ -164,24 +164,24 @@ PLACES = {
     "decrypt": ("gateway_testers.doip.tls_stream.TlsStream.decrypted", by_tls, "doip"),
     "encrypt": ("gateway_testers.doip.tls_stream.TlsStream.encrypt", by_tls, "doip"),
     "identity": ("gateway_testers.doip.identity.Identity.answer", at_udp, "doip"),
-    "reader": ("gateway.live.status.credentials_of", at_status, "status"),
-    "greeting": ("gateway.live.status.StatusSocket._greeting", at_status, "status"),
-    "line": ("gateway.live.status_commands._loaded", at_status, "status"),
-    "command": ("gateway.live.status_commands.Commands._cycle", at_status, "status"),
+    "reader": ("gateway_serve.status_socket.credentials_of", at_status, "status"),
+    "greeting": ("gateway_serve.status_socket.StatusSocket._greeting", at_status, "status"),
+    "line": ("gateway_serve.status_commands._loaded", at_status, "status"),
+    "command": ("gateway_serve.status_commands.Commands._cycle", at_status, "status"),
     "request": ("gateway.servers.local.LocalServer.ask", at_status, "status"),
     "answer": ("gateway.servers.local.LocalServer._answer", at_status, "status"),
-    "sessions": ("gateway.live.status_commands.Commands.pass_time", at_status, "status"),
-    "tick": ("gateway.live.status.StatusSocket._tick", at_status, "status"),
-    "show": ("gateway.live.status.StatusSocket._send", at_status, "status"),
-    "say": ("gateway.live.status.StatusSocket._flush", at_status, "status"),
-    "gone": ("gateway.live.status_commands.Commands.leave", at_status, "status"),
-    "reporter": ("gateway.live.report_socket.credentials_of", at_report, "report"),
-    "enter": ("gateway.runtime.reports.Reports.enter", at_report, "report"),
-    "report": ("gateway.runtime.reports._parsed", at_report, "report"),
-    "apply": ("gateway.runtime.reports.Reports._apply", at_report, "report"),
-    "overdue": ("gateway.runtime.reports.Reports.pass_time", at_report, "report"),
-    "send": ("gateway.live.report_socket.ReportSocket._send", at_report, "report"),
-    "lost": ("gateway.runtime.reports.Reports.leave", at_report, "report"),
+    "sessions": ("gateway_serve.status_commands.Commands.pass_time", at_status, "status"),
+    "tick": ("gateway_serve.status_socket.StatusSocket._tick", at_status, "status"),
+    "show": ("gateway_serve.status_socket.StatusSocket._send", at_status, "status"),
+    "say": ("gateway_serve.status_socket.StatusSocket._flush", at_status, "status"),
+    "gone": ("gateway_serve.status_commands.Commands.leave", at_status, "status"),
+    "reporter": ("gateway_serve.report_socket.credentials_of", at_report, "report"),
+    "enter": ("gateway_serve.external_reports.ExternalReports.enter", at_report, "report"),
+    "report": ("gateway_serve.external_reports._parsed", at_report, "report"),
+    "apply": ("gateway_serve.external_reports.ExternalReports._apply", at_report, "report"),
+    "overdue": ("gateway_serve.external_reports.ExternalReports.pass_time", at_report, "report"),
+    "send": ("gateway_serve.report_socket.ReportSocket._send", at_report, "report"),
+    "lost": ("gateway_serve.external_reports.ExternalReports.leave", at_report, "report"),
     "frame": ("gateway.isotp.endpoint.IsoTpEndpoint.receive", on_the_bus, "uds"),
     "service": ("gateway.servers.uds.server.UdsServer._serve", on_the_bus, "uds"),
     "hold": ("gateway.servers.uds.server.UdsServer.hold", on_the_bus, "uds"),
@@ -226,8 +226,8 @@ def test_an_exception_deep_inside_a_door_ends_its_peer_and_stays_at_the_first_wa
 
 def test_an_internal_error_is_an_answer_where_the_protocol_has_one(bench, monkeypatch, caught):
     monkeypatch.setattr(UdsServer, "_serve", broken)
-    monkeypatch.setattr("gateway.live.status_commands.Commands._cycle", broken)
-    monkeypatch.setattr("gateway.runtime.reports.Reports._apply", broken)
+    monkeypatch.setattr("gateway_serve.status_commands.Commands._cycle", broken)
+    monkeypatch.setattr("gateway_serve.external_reports.ExternalReports._apply", broken)
 
     def script():
         yield from bench.wait()
@@ -309,7 +309,7 @@ def test_a_door_that_fails_as_a_whole_rests_and_is_opened_again(bench, monkeypat
 def test_a_door_that_cannot_be_opened_again_is_tried_again(bench, monkeypatch, caught):
     def script():
         yield from bench.wait()
-        for place in (DOOR, "gateway.live.status.StatusSocket", "gateway.live.report_socket.ReportSocket"):
+        for place in (DOOR, "gateway_serve.status_socket.StatusSocket", "gateway_serve.report_socket.ReportSocket"):
             with monkeypatch.context() as patch:
                 patch.setattr(f"{place}.turn", broken)
                 yield from bench.wait(4)

@@ -11,8 +11,8 @@ from reporting import write_config
 
 from gateway.common.fence import Fence
 from gateway.host.sockets import groups_of, listen_at
-from gateway.live import report_socket as module
 from gateway_fdi.errors import InputError
+from gateway_serve import report_socket as module
 from gateway_serve.metrics import Metrics
 
 HOT, SLOW, BLIND = "battery.hot", "battery.slow", "camera.blind"

@@ -10,9 +10,9 @@ from daemon_rig import World
 from talkative import CONFIG, DBC
 
 from gateway.engine.buckets import TickRow
-from gateway.live import status as module
-from gateway.live.status import StatusSocket
 from gateway_fdi.errors import InputError
+from gateway_serve import status_socket as module
+from gateway_serve.status_socket import StatusSocket
 
 
 class Client:

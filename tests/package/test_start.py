@@ -16,6 +16,7 @@ import gateway_api
 import gateway_ask
 import gateway_bench
 import gateway_calibration
+import gateway_causes
 import gateway_checks
 import gateway_commands
 import gateway_fdi
@@ -308,7 +309,7 @@ def test_without_extras_all_but_their_features_is_there():
     packages = (
         *(gateway, gateway_fdi, gateway_bench, gateway_plants, gateway_fleet),
         *(gateway_serve, gateway_checks, gateway_calibration, gateway_logs, gateway_testers, gateway_ask),
-        *(gateway_api, gateway_commands, gateway_replay),
+        *(gateway_api, gateway_causes, gateway_commands, gateway_replay),
     )
     names = [
         module.name

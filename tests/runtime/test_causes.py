@@ -13,9 +13,9 @@ from gateway.config.load import load_config
 from gateway.engine.events import EVENT, QUALIFIED_FAILED, QUALIFIED_PASSED
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
-from gateway.runtime.causes import Causes
 from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import load_scenario
+from gateway_causes.causes import Causes
 from gateway_fdi.common.resources import shipped
 from gateway_fleet.cli.learn import learn_car
 from gateway_replay.cli.replay import replay

@@ -11,9 +11,9 @@ from gateway.bus.frames import empty, put
 from gateway.config.load import load_config
 from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
-from gateway.runtime.reports import MOST_STRANGERS
 from gateway_commands.validation import mistakes
 from gateway_fdi.errors import InputErrors
+from gateway_serve.external_reports import MOST_STRANGERS
 
 MS = 1_000_000
 LOST = "gateway.reporter_lost"

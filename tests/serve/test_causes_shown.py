@@ -11,11 +11,11 @@ from typer.testing import CliRunner
 from gateway.cli import app
 from gateway.faults import service
 from gateway.faults.fault_groups import cases_of
-from gateway.live.hello import described
 from gateway.runtime.app import Gateway
 from gateway_serve.broker import Broker
 from gateway_serve.cli.run_report import RunReport
 from gateway_serve.cli.watch import drawn, told
+from gateway_serve.hello import described
 from gateway_serve.hub import Hub
 from gateway_serve.memory import MemoryFile
 from gateway_serve.metrics import Metrics

@@ -12,10 +12,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from gateway.config.load import load_config
 from gateway.engine.buckets import TickRow
-from gateway.live.hello import described
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.resources import shipped
 from gateway_serve.broker import Broker
+from gateway_serve.hello import described
 from gateway_serve.hub import Hub
 from gateway_serve.metrics import Metrics
 from gateway_serve.mqtt import Published, Publisher

@@ -11,10 +11,10 @@ from rig import dtc_text, write_config
 from test_access import LEVEL, SECRET
 from test_local import ROUTED
 
-from gateway.live.status import StatusSocket
 from gateway.servers.uds.security import hmac_sha256
 from gateway_serve.memory import BITS
 from gateway_serve.sovd.faults import instant
+from gateway_serve.status_socket import StatusSocket
 
 OWN = "/sovd/v1/components/gateway"
 

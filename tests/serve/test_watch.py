@@ -8,11 +8,11 @@ from rich.console import Console
 
 from gateway.config.load import load_config
 from gateway.engine.buckets import TickRow
-from gateway.live.hello import described
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import GatewayError
 from gateway_serve.cli.watch import drawn, told, watch
+from gateway_serve.hello import described
 from gateway_serve.hub import Hub
 
 

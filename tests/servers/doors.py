@@ -13,12 +13,12 @@ from rig import Rig, write_config
 from test_access import STANDS, by_j1939, by_mode_04
 from uds_tester import EXTRA, Asked
 
-from gateway.live.status import StatusSocket
 from gateway_commands.faults import clear_faults
 from gateway_fdi.errors import GatewayError
 from gateway_serve.app import Page
 from gateway_serve.guard import Guard, Rights
 from gateway_serve.hub import Hub
+from gateway_serve.status_socket import StatusSocket
 from gateway_serve.wire import Splitter
 from gateway_testers.doip.server import DoipServer
 

@@ -9,10 +9,10 @@ from doors import Doors, Reader
 from rig import Tester, write_config
 from test_access import LEVEL, SECRET
 
-from gateway.live.status import StatusSocket
 from gateway.runtime.app import Gateway
 from gateway.servers.local import MOST_TESTERS
 from gateway.servers.uds.security import hmac_sha256
+from gateway_serve.status_socket import StatusSocket
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from uds_tester import EXTRA
 
 from gateway.bus.frames import EXTENDED
 from gateway.faults.dtc import Dtc
-from gateway.live.status import StatusSocket
 from gateway.servers.uds.extended_data import EXTENDED_DATA
 from gateway_commands.faults import list_faults
+from gateway_serve.status_socket import StatusSocket
 
 FAULTS = 60
 #: Extended data records that are compared, as numbers: occurrences, cycles, counters, times.

@@ -2,8 +2,8 @@
 
     python tests/support/pictures.py [PICTURE ...]      make them again, all or these
 
-Pictures of figures hold what is drawn (:func:`gateway.cli.drawing.contents`). So a test makes them again and compares
-words and numbers: the code has not changed since. Drawings are by hand; their words are held against the code.
+Pictures of figures hold what is drawn (:func:`gateway_replay.drawing.contents`). So a test makes them again and
+compares words and numbers: the code has not changed since. Drawings are by hand; their words are held against the code.
 """
 
 import json

@@ -5,8 +5,8 @@ import time
 from contextlib import contextmanager
 
 from gateway.config.load import load_config
-from gateway.live.report_socket import ReportSocket
 from gateway.runtime.app import Gateway
+from gateway_serve.report_socket import ReportSocket
 
 CONFIG = """
 name = "reported"

@@ -16,8 +16,8 @@ import numpy as np
 
 from gateway.bus.frames import empty
 from gateway.config.load import load_config
-from gateway.live.status import ENOUGH_BYTES, StatusSocket
 from gateway.runtime.app import Gateway
+from gateway_serve.status_socket import ENOUGH_BYTES, StatusSocket
 
 #: A gateway of one message and one monitor; tests/live/test_status.py has it too.
 CONFIG = """

@@ -15,15 +15,16 @@ PLANTS = ("crank", "pedal", "steering", "linear", "truck", "structural")
 _BENCH = "gateway_bench"
 #: Beside each other above the core.
 _GUESTS = tuple(f"gateway_{name}" for name in ("serve", "checks", "calibration", "logs", "testers", "commands"))
-_CORE = ("gateway_ask", "gateway_api", "gateway_replay", "gateway", "gateway_fdi")
+_CORE = ("gateway_ask", "gateway_api", "gateway_replay", "gateway_causes", "gateway", "gateway_fdi")
 
 #: Package -> those below it. The door of pytest imports nothing, and opens the bench's plugin.
 BELOW = {
     "gateway_fdi": (),
     "gateway": ("gateway_fdi",),
-    "gateway_replay": ("gateway", "gateway_fdi"),
-    "gateway_api": ("gateway_replay", "gateway", "gateway_fdi"),
-    "gateway_ask": ("gateway_api", "gateway_replay", "gateway", "gateway_fdi"),
+    "gateway_causes": _CORE[4:],
+    "gateway_replay": _CORE[3:],
+    "gateway_api": _CORE[2:],
+    "gateway_ask": _CORE[1:],
     **dict.fromkeys(_GUESTS, _CORE),
     _BENCH: (*_GUESTS, *_CORE, "gateway_pytest"),
     "gateway_conformance": (*_GUESTS, *_CORE, "gateway_pytest"),

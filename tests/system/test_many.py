@@ -18,8 +18,8 @@ from processes import process
 from selenium.webdriver.common.by import By
 
 from gateway.bus.frames import empty, put
-from gateway.live.status import StatusSocket
 from gateway.runtime.app import Gateway
+from gateway_serve.status_socket import StatusSocket
 
 pytestmark = pytest.mark.system
 

@@ -14,10 +14,10 @@ from gateway.config.ecu import DTC, DTC_SERVICES, MARK, OBD, ON_UDS, EcuParams
 from gateway.isotp.addressing import FUNCTIONAL, EcuAddress
 from gateway.isotp.endpoint import IsoTpEndpoint
 from gateway.isotp.params import IsoTpParams
-from gateway.isotp.passive_reassembly import N_CR_NS
 from gateway_ask.answers.answer_frames import NEGATIVE, POSITIVE
 from gateway_ask.clients.ask import PROBES, Ask, allowed, probe_forms, spoken_in
 from gateway_ask.clients.forwarded_requests import ForwardedRequests, Waiting
+from gateway_ask.clients.passive_reassembly import N_CR_NS
 from gateway_ask.clients.pgn import WAIT_MS, Ended, frame_of
 from gateway_ask.clients.refusals import BUSY, FINAL, PENDING, TOO_LONG, UNKNOWN
 from gateway_fdi.common.log import get_logger

@@ -17,7 +17,6 @@ from gateway.config.ecu import MARK
 from gateway.faults.vehicle import TOLD, Told
 from gateway.isotp.addressing import FUNCTIONAL
 from gateway.isotp.edges import FLOW_CONTROL, MOST_LONG, MOST_SHORT
-from gateway.isotp.passive_reassembly import Reassembler
 from gateway.runtime.asking import Asking
 from gateway.signals.reassembly import Woven
 from gateway_ask.answers.answer_frames import NEGATIVE, FrameEncoder
@@ -26,6 +25,7 @@ from gateway_ask.clients.dm1 import MASKS, Dm1Listener
 from gateway_ask.clients.dtcs import READ_DTCS, details_of, told_by
 from gateway_ask.clients.ecu import MS, EcuClient
 from gateway_ask.clients.line import Line
+from gateway_ask.clients.passive_reassembly import Reassembler
 from gateway_ask.clients.pgn import ended_by, identifiers_of
 from gateway_ask.clients.refusals import PENDING
 

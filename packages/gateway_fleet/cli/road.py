@@ -11,11 +11,11 @@ from typing import Any
 
 from gateway.cli.present import find_config, print_json, say, socket_of
 from gateway.common.extras import need
-from gateway.common.works import work_until
 from gateway.config.load import load_config
 from gateway.host.process import call_at_end
 from gateway_fdi.errors import InputError
 from gateway_serve.cli.broker import address_of, broker_of
+from gateway_serve.works import work_until
 
 
 def fleet_join(

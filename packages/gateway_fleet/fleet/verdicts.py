@@ -28,9 +28,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gateway.common.parquet import batches, opened
 from gateway_fdi.errors import InputError
 from gateway_logs.corpus import DIGITS, Recording
+from gateway_replay.parquet import batches, opened
 
 if TYPE_CHECKING:
     import pyarrow as pa

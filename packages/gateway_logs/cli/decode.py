@@ -12,7 +12,6 @@ from gateway.bus.logs import LogReader
 from gateway.cli.present import find_config, print_json, say
 from gateway.common.extras import need
 from gateway.common.times import zone_of
-from gateway.config.channels import channels_of
 from gateway.config.load import load_config
 from gateway.config.model import BusConfig, Config
 from gateway.config.resolve import answer_buses, load_databases
@@ -20,6 +19,7 @@ from gateway_ask.log_answers import Answers
 from gateway_fdi.errors import InputError, InputErrors
 from gateway_logs.corpus import Recording, find
 from gateway_logs.decode.parquet_tables import Lake, Written
+from gateway_replay.channels import channels_of
 
 #: Stamps before this are no wall time: 1980-01-01 [ns].
 _WALL_NS = 315_532_800 * 10**9

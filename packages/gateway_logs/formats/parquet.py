@@ -29,8 +29,8 @@ from gateway.bus.log_source import CutOffError, compression_of
 from gateway.bus.readers.batch import FormatReader, Names, Read, bytes_of, flags_of
 from gateway.bus.readers.scan import scatter
 from gateway.common.archives import whole
-from gateway.common.parquet import longest_of, opened
 from gateway_fdi.errors import InputError, nearest
+from gateway_replay.parquet import longest_of, opened
 
 #: Columns that must be there, and those that may be.
 NEEDED = ("t", "id", "data")

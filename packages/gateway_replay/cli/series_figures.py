@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from gateway.cli.drawing import save
+from gateway_replay.drawing import save
 from gateway_replay.series.envelope import Envelope, Mark, Trace
 from gateway_replay.series.rows import FAULT, QUANTITY, SIGNAL
 

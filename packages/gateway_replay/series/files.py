@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from gateway.common.extras import need
-from gateway.common.parquet import batches, opened
 from gateway_fdi.errors import InputError
+from gateway_replay.parquet import batches, opened
 from gateway_replay.series.rows import GROUP, RESULTS, Rows, Series, Sink
 
 COLUMNS = ("t_ns", "monitor", "kind", "name", "value", "limit", "result", "unit")

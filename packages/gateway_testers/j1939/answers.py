@@ -7,11 +7,11 @@ from collections.abc import Callable
 from gateway import __version__
 from gateway.faults.catalogue import MIL
 from gateway.faults.memory import FaultMemory
-from gateway.faults.readiness import readiness
 from gateway.faults.status import Status
 from gateway_testers.j1939 import messages as dm
 from gateway_testers.j1939.dtcs import CodedDtcs
 from gateway_testers.j1939.params import J1939Params
+from gateway_testers.readiness import readiness
 
 
 class Answers:

@@ -7,9 +7,9 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from gateway.faults.catalogue import FaultDefinition
 from gateway.faults.entries import Entry
 from gateway.faults.performance import Ratio
-from gateway.faults.readiness import Readiness
 from gateway.faults.usage import Driven
 from gateway_testers.j1939.params import FreezeFrameSpn
+from gateway_testers.readiness import Readiness
 
 DM1, DM2, DM3, DM5, DM6 = 0xFECA, 0xFECB, 0xFECC, 0xFECE, 0xFECF
 DM11, DM12 = 0xFED3, 0xFED4

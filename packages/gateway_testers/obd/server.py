@@ -12,7 +12,6 @@ from gateway.faults.dtc import EMISSION_DTCS
 from gateway.faults.entries import Entry
 from gateway.faults.interventions import DONE, Intervention
 from gateway.faults.memory import FaultMemory
-from gateway.faults.readiness import readiness
 from gateway.faults.records import FreezeFrame
 from gateway.faults.status import Status
 from gateway.faults.store import StoreError
@@ -22,6 +21,7 @@ from gateway.servers.tester_control import TesterControl
 from gateway_testers.obd.params import ObdParams
 from gateway_testers.obd.test_results import MonitorTests
 from gateway_testers.obd.usage import TRACKED, driven_pids, tracking
+from gateway_testers.readiness import readiness
 
 #: Negative responses to physical requests.
 _NOT_SUPPORTED, _NO_SUCH_PARAMETER, _CONDITIONS_NOT_CORRECT = 0x11, 0x12, 0x22

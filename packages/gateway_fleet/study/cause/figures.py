@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import matplotlib.pyplot as plt
 
 from gateway.bus.frames import Frames
-from gateway.cli.drawing import save
 from gateway.config.model import Config
 from gateway.engine.depends.params import DiagnosisParams, SupplyParams
 from gateway_fleet.study.cause.cars import learned
 from gateway_fleet.study.cause.cases import read
 from gateway_fleet.study.cause.drive import events_of, injected_into, played, recorded
+from gateway_replay.drawing import save
 
 #: Causes that are drawn, of those that were the first or the second at some time.
 _MOST = 4

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.cli.drawing import save
+from gateway_replay.drawing import save
 
 #: Section 4 of the paper: a 30-2 wheel, D = 0.6, gamma = 0.16; alpha and beta are not printed and are chosen so that
 #: the threshold 1 gives the durations it states.

@@ -8,11 +8,11 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from gateway.cli.drawing import save
 from gateway_plants.linear.study import example
 from gateway_plants.linear.study.bank import run
 from gateway_plants.linear.study.continuous import observe
 from gateway_plants.linear.study.holdout import KINDS, Row
+from gateway_replay.drawing import save
 
 #: The paper draws its flags this high.
 _ACTUATOR, _SENSOR = 0.08, 0.3

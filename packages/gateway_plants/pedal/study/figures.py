@@ -8,10 +8,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from gateway.cli.drawing import save
 from gateway_plants.pedal.study.cases import IDEAL, NOISY, Case, Environment, Run, make
 from gateway_plants.pedal.study.follow import VOTERS, follow
 from gateway_plants.pedal.study.table import RATES, SWEEP, VALUES, Score
+from gateway_replay.drawing import save
 
 #: What the text quotes: (fault rate or value [%], IAE).
 PAPER_RATE = {"average": (15, 33.897), "median": (15, 8.524), "KHR": (15, 1.898)}

@@ -9,7 +9,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.cli.drawing import save
 from gateway_plants.steering.study.estimators import (
     ANCHORED,
     EKF3,
@@ -23,6 +22,7 @@ from gateway_plants.steering.study.estimators import (
     nominal,
 )
 from gateway_plants.steering.study.table import CASES, KNOWN, UNKNOWN, Score
+from gateway_replay.drawing import save
 
 Array = NDArray[np.float64]
 

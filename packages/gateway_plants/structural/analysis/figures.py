@@ -14,8 +14,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Patch, Rectangle
 
-from gateway.cli.drawing import save
 from gateway_fdi.structure.analysis import Analysis
+from gateway_replay.drawing import save
 
 _PANELS = (
     ("a", "SDI", "mixed causality"),

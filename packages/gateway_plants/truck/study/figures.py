@@ -9,7 +9,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.cli.drawing import save
 from gateway_plants.truck.ecu.params import TruckFault
 from gateway_plants.truck.monitor.observer import ENGINE, GENERATOR, MASS, MOTOR, SLOPE
 from gateway_plants.truck.monitor.params import Params
@@ -18,6 +17,7 @@ from gateway_plants.truck.study.conditions import CHARGE, CONDITIONS, NOISE, Com
 from gateway_plants.truck.study.follow import Trace, follow, inputs
 from gateway_plants.truck.study.paper import RESIDUALS, T4_ABSOLUTE, T4_MIXED, T4_SIGNED, Paper
 from gateway_plants.truck.study.table import TRUCK
+from gateway_replay.drawing import save
 
 #: Parts of the cycle that the figures show [s].
 _TWO_WINDOWS, _LONG_WINDOW = (440.0, 620.0), (1560.0, 1700.0)

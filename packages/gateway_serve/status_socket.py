@@ -6,7 +6,7 @@ rights before it, in another process. All of it is done in the daemon's loop, be
 - Out, a line of JSON each, of some with ``size`` bytes after it: ``hello`` (what there is to see), ``event`` (the JSON
   contract), ``tick`` (20 times a second, buckets as rows of :class:`gateway.engine.buckets.TickRow`), ``buses`` (twice
   a second), ``messages`` (once a second), ``answer``. ``protocol`` in the first line is 1.
-- In, a line of JSON each: see :mod:`gateway.live.status_commands`.
+- In, a line of JSON each: see :mod:`gateway_serve.status_commands`.
 
 A reader that does not keep up misses ticks and the like, which are counted and told to it, and no event; one that
 leaves events lying beyond :data:`MOST_BYTES` is sent away. Without a reader nothing is counted and nothing encoded.
@@ -30,11 +30,11 @@ from gateway.common.jsonlines import line
 from gateway.engine.buckets import TickRow
 from gateway.host.sockets import credentials_of, listen_at, remove
 from gateway.host.waiting import Selector
-from gateway.live.hello import described
 from gateway.live.listening_sockets import ListeningSockets
-from gateway.live.status_commands import Commands, monitoring_of
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger
+from gateway_serve.hello import described
+from gateway_serve.status_commands import Commands, monitoring_of
 
 #: Readers at a time.
 READERS = 8

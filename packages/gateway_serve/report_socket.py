@@ -1,8 +1,8 @@
 """The socket on which other processes report test results: packets of JSON, each answered (docs/report.md).
 
-The kernel names the process that connects (SO_PEERCRED), :mod:`gateway.runtime.reports` what it may report. All of it
-is done in the daemon's loop, without waiting, and only a little each turn, so that frames hardly wait: further reports
-wait in the kernel's queue, and then their sender waits.
+The kernel names the process that connects (SO_PEERCRED), :mod:`gateway_serve.external_reports` what it may report. All
+of it is done in the daemon's loop, without waiting, and only a little each turn, so that frames hardly wait: further
+reports wait in the kernel's queue, and then their sender waits.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from gateway.report.words import MOST_BYTES, REFUSALS
 from gateway.runtime.app import Gateway
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.errors import UnsupportedError
+from gateway_serve.external_reports import ExternalReports
 
 #: Reports of all connections in one turn of the loop.
 MOST_IN_A_TURN = 32
@@ -77,6 +78,12 @@ class ReportSocket:
         self._open()
         self._say_strangers()
 
+    @property
+    def _reports(self) -> ExternalReports:
+        found = self._gateway.reports
+        assert isinstance(found, ExternalReports), "made for a gateway to come: replace() comes first"
+        return found
+
     def _open(self) -> None:
         mode = self.params.mode_of_socket
         self._selector, self._budget = Selector(), Budget()
@@ -118,7 +125,7 @@ class ReportSocket:
             now_s: of a clock that is never set [s].
             wanted: whether the descriptor was readable.
         """
-        reports = self._gateway.reports
+        reports = self._reports
         if not reports.begun:
             return  # no time to stamp a report with
         if reports.is_due:
@@ -150,7 +157,7 @@ class ReportSocket:
     def close(self) -> None:
         """End all connections."""
         for connection in self._connections:
-            self._wall.keep(self._gateway.reports.let_go, connection.number, of=connection)
+            self._wall.keep(self._reports.let_go, connection.number, of=connection)
             connection.socket.close()
         self._connections.clear()
         self._paused.clear()
@@ -173,7 +180,7 @@ class ReportSocket:
 
     def _take(self, made: socket.socket) -> None:
         pid, uid, gid = credentials_of(made)
-        number = self._gateway.reports.enter(uid, {gid, *groups_of(made)}, pid)
+        number = self._reports.enter(uid, {gid, *groups_of(made)}, pid)
         if number is None:
             self._send(made, _TURNED_AWAY)
             made.close()
@@ -199,7 +206,7 @@ class ReportSocket:
             if not packet:
                 self._drop(connection)
                 return
-            take, number = self._gateway.reports.take, connection.number
+            take, number = self._reports.take, connection.number
             answer = self._wall.keep(take, number, packet, now_s, of=connection, instead=_FAILED)
             data = line(answer).encode()
             if not self._send(connection.socket, data):
@@ -228,7 +235,7 @@ class ReportSocket:
         self._connections.remove(connection)
         if self._paused.pop(connection, None) is None:
             self._wall.keep(self._selector.unregister, connection.socket, of=connection)
-        self._wall.keep(self._gateway.reports.leave, connection.number, of=connection)
+        self._wall.keep(self._reports.leave, connection.number, of=connection)
         connection.socket.close()
 
 

@@ -21,8 +21,8 @@ from gateway.faults.explanation import CAUSE, HELD, MOST_RANKED, OPEN, SYMPTOM, 
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Record
 from gateway.faults.status import Status
-from gateway.runtime.causes import PACE_NS, Causes
 from gateway.runtime.event_json import symptoms_event
+from gateway_causes.causes import PACE_NS, Causes
 
 #: Longest time that a confirmation waits for the diagnosis [ns].
 LONGEST_NS = 30_000_000_000

@@ -1,0 +1,1 @@
+"""Causes of the faults that are there: which components explain them, and what that makes of their entries."""
