@@ -15,6 +15,7 @@ from typing import Self
 from gateway.bus.logs import open_writer
 from gateway.cli.events import EventPrinter
 from gateway.cli.present import find_config, say, say_unless_stored, socket_of
+from gateway.common.calls import call_of
 from gateway.common.extras import need
 from gateway.config.load import load_config
 from gateway.faults.catalogue import FaultDefinition
@@ -108,7 +109,6 @@ def run(
         taps = []
         if serve:
             need("serve", "pages", key="--serve")
-            from gateway.cli.page_process import PageProcess  # noqa: PLC0415 - few want it
 
             status = socket_of(load_config(path), memory, status)
         if record is not None:
@@ -138,7 +138,7 @@ def run(
             return end()
 
         if serve and status is not None:
-            stack.callback(PageProcess(status, port).close)
+            stack.callback(call_of("page_process")(status, port).close)
         if hasattr(signal, "SIGHUP"):
             signal.signal(signal.SIGHUP, daemon.reloader.request)
         say(daemon.describe())

@@ -14,13 +14,14 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
+from gateway.common.calls import CALLS
 from gateway.common.gc_pause import gc_paused
 from gateway.common.trust import beside
 from gateway.config.cross_check import cross_check
-from gateway.config.limits import with_limits
 from gateway.config.model import Config
 from gateway.faults.settings import FaultOverride
 from gateway.servers.identifiers import DidParams
+from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.resources import beside_or_shipped
 from gateway_fdi.common.tomlfile import StrictModel, input_errors, load, read_toml
 from gateway_fdi.errors import InputError, InputErrors, nearest
@@ -36,6 +37,10 @@ class CatalogueFile(StrictModel):
 #: Prefix of the variables of the environment that override the file, and the separator of their levels.
 _PREFIX, _BETWEEN = "GATEWAY_", "__"
 _ENVIRONMENT = "the environment"
+#: Name of the call that puts the limits of a campaign into a configuration's tables.
+LIMITS = "campaign_limits"
+
+log = get_logger(__name__)
 
 
 def _with_catalogues(config: Config, folder: Path) -> Config:
@@ -133,6 +138,18 @@ def _overridden(data: dict[str, Any], path: Path | None) -> Config:
         raise InputError(text, file=_ENVIRONMENT) from error
 
 
+def _with_limits(data: dict[str, Any]) -> dict[str, Any]:
+    """Return a configuration's tables with the limits of a campaign, where it names their file."""
+    fleet = data.get("fleet")
+    if not isinstance(fleet, dict) or "limits" not in fleet:
+        return data
+    if LIMITS not in CALLS:  # a car must not be without diagnosis because of a campaign
+        log.error("no installed package reads limits of a campaign; those of the configuration judge")
+        return data
+    made: dict[str, Any] = CALLS[LIMITS](data)
+    return made
+
+
 @gc_paused()
 def load_config(path: str | Path, without: Collection[tuple[int, str]] = ()) -> Config:
     """Read a configuration; databases are those beside it, else shipped ones.
@@ -146,7 +163,7 @@ def load_config(path: str | Path, without: Collection[tuple[int, str]] = ()) -> 
         InputErrors: every key that is wrong.
     """
     path = Path(path)
-    data: dict[str, Any] = with_limits(read_toml(path))
+    data: dict[str, Any] = _with_limits(read_toml(path))
     for place, key in without:
         data["monitor"][place].pop(key, None)
     return config_of(data, path)

@@ -3,7 +3,10 @@
 from gateway.plugin import Plugin
 
 PLUGIN = Plugin(
-    calls={"learn": "gateway_fleet.learn.car:learn"},
+    calls={
+        "learn": "gateway_fleet.learn.car:learn",
+        "campaign_limits": "gateway_fleet.live.limits:with_limits",
+    },
     commands={
         "learn": "gateway_fleet.commands:learn",
         "calibrate": "gateway_fleet.commands:calibrate",

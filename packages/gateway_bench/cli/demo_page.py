@@ -11,13 +11,13 @@ from types import TracebackType
 from typing import Self
 
 from gateway.bus.frames import Frames
-from gateway.cli.page_process import PageProcess
 from gateway.cli.present import say
 from gateway.common.extras import need
 from gateway.runtime.app import Gateway
 from gateway_bench.vecu.player import Player, TruthReader
 from gateway_bench.vecu.words import injected
 from gateway_fdi.errors import GatewayError
+from gateway_serve.cli.page_process import PageProcess
 from gateway_serve.status_socket import StatusSocket
 
 #: How long the page is waited for before the scenario begins, and how long it has to draw then [s].

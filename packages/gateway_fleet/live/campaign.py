@@ -14,10 +14,10 @@ from fnmatch import fnmatchcase
 
 from pydantic import AwareDatetime, Field
 
-from gateway.config.limits import Limit
 from gateway.faults.fleet import NAME, FleetParams
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.errors import InputError
+from gateway_fleet.live.limits import Limit
 from gateway_fleet.live.signed_documents import CAMPAIGN, Keyring, is_over, opened
 
 #: Shares of the fleet, one after the other.

@@ -20,13 +20,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
-from gateway.config.limits import LimitsFile, applied
 from gateway.config.load import config_of
 from gateway.faults.fleet import FleetParams
 from gateway_fdi.common.log import get_logger
 from gateway_fdi.common.tomlfile import parse_toml, read_toml, validate
 from gateway_fdi.errors import GatewayError
 from gateway_fleet.live.campaign import BY_CHANCE, Campaign, above_rate, accepted, is_in, more_often
+from gateway_fleet.live.limits import LimitsFile, applied
 from gateway_fleet.live.signed_documents import KEYS, Keyring, content_of, next_keyring, opened, told
 
 SHADOW, WAITS, ACTIVE, BACK = "shadow", "waits", "active", "back"
