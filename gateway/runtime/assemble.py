@@ -307,21 +307,12 @@ def _diagnostic_servers(config: Config, testers: Testers, others: Mapping[str, A
     return made
 
 
-def _surroundings(
-    config: Config,
-    parts: Parts,
-    name: str,
-    memory: FaultMemory,
-    authority: Authority,
-    identifiers: Identifiers,
-    testers: Testers,
-) -> Surroundings:
-    """Return what the server of a section is made of; ``name``: of its table."""
-    _, params = config.output.sections[name]
-    bus = config.bus_index(params.bus) if hasattr(params, "bus") else WITHOUT_BUS
-    bus_name = "" if bus == WITHOUT_BUS else config.bus[bus].name
-    uds, opened = config.output.uds, parts.opened[name]
-    return Surroundings(bus, bus_name, memory, identifiers, authority, testers, uds, opened)
+def _place_of(config: Config, params: Any) -> tuple[int, str]:
+    """Return index and name of the bus of a section."""
+    if not hasattr(params, "bus"):
+        return WITHOUT_BUS, ""
+    bus = config.bus_index(params.bus)
+    return bus, config.bus[bus].name
 
 
 def servers_of(
@@ -346,15 +337,16 @@ def servers_of(
         )
     trace = config.access.trace_did
     testers = Testers(memory, identifiers, authority, parts.security, parts.authentication, trace)
+    uds, found = config.output.uds, config.output.sections
     around = {
-        name: _surroundings(config, parts, name, memory, authority, identifiers, testers)
-        for name in config.output.sections
+        name: Surroundings(*_place_of(config, own), memory, identifiers, authority, testers, uds, parts.opened[name])
+        for name, (_, own) in found.items()
     }
     applications = {
         name: one.application(params, around[name]) for name, (one, params) in config.output.applications.items()
     }
     made += _diagnostic_servers(config, testers, applications)
-    others = (one.server(params, around[name]) for name, (one, params) in config.output.sections.items())
+    others = (one.server(params, around[name]) for name, (one, params) in found.items())
     made += [server for server in others if server is not None]
     made += [server.made(memory, identifiers, authority) for server in config.servers]
     return [*made, _local_server(config, testers)]
