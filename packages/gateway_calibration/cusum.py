@@ -17,11 +17,8 @@ from gateway.config.model import Config
 from gateway.monitors.contract import CusumCalibration
 from gateway_calibration.logs import Chosen, Reading, Replay, of_kind, refuse
 from gateway_calibration.part import Part, Parts, failed_in
-from gateway_fdi.cusum import FLOOR, MARGIN, nus, threshold
+from gateway_fdi.cusum import FLOOR, MARGIN, NEVER, nus, threshold
 from gateway_fdi.errors import InputError
-
-#: A threshold that nothing reaches, in units of nu: T grows on, and its largest value is seen.
-_NEVER = 1e9
 
 
 @dataclass(frozen=True)
@@ -185,7 +182,7 @@ def _opened(config: Config, typical: Typical) -> Config:
     """Return the configuration with nu found and thresholds that nothing reaches."""
     entries = list(config.monitor)
     for each in of_kind(config, CusumCalibration):
-        never = {quantity: _NEVER for quantity, _ in each.calibration.quantities}
+        never = {quantity: NEVER for quantity, _ in each.calibration.quantities}
         changes = {"nu": dict(typical[each.name]), "thresholds": never}
         entries[each.place] = entries[each.place].model_copy(update=changes)
     return config.model_copy(update={"monitor": tuple(entries)})
@@ -224,7 +221,7 @@ def _rows(
     rows = []
     calibration, now = chosen.calibration, cast(Any, chosen.params)
     digests = {} if calibration.digests is None else calibration.digests(chosen.params)
-    peaks = np.max([each[1] for each in peaks_of], axis=0) * _NEVER
+    peaks = np.max([each[1] for each in peaks_of], axis=0) * NEVER
     samples = np.sum([each[0] for each in peaks_of], axis=0)
     for place, (quantity, residual) in enumerate(calibration.quantities):
         largest = float(peaks[place])

@@ -39,6 +39,8 @@ class State(Record):
 MOST = 5.0
 #: Margin Phi of (46), and the least largest T in units of nu.
 MARGIN, FLOOR = 0.5, 25.0
+#: J that nothing reaches, in units of nu: in calibration T grows on, and its largest value is seen.
+NEVER = 1e9
 #: Healthy residuals that a nu takes.
 LEAST = 100
 

@@ -105,6 +105,24 @@ def test_two_faults_at_once_are_both_the_cause(tmp_path):
     assert [cause for cause in causes if cause][-1] == ["plant own.f_a", "signal b.M1.b"]
 
 
+@pytest.mark.parametrize("bias", [0.0, 0.2])
+def test_healthy_logs_say_from_which_likelihood_a_fault_speaks(tmp_path, bias):
+    """Square root of twice its logarithm: no less than by theory, and twice the largest of the logs."""
+    config = configuration(SPEEDS, tmp_path, 'sensors = { c = { gain = "0.1 %" } }\n')
+    calibrated(config, drive(1, bias=bias), drive(2))
+    thresholds = load_config(config).monitor[0].thresholds
+    least = pytest.approx(40.0**0.5, rel=1e-3)
+    assert [thresholds[f"likelihood_{one}"] for one in ("f_a", "f_c", "none")] == [least] * 3
+    if bias:
+        assert thresholds["likelihood_f_b"] > 9.0
+        return
+    assert thresholds["likelihood_f_b"] == least
+    frames = drive(SEED, bias=0.2)
+    assert named(config, frames) == ["f_b"]
+    config.write_text(config.read_text().replace("likelihood_f_b = 6.325", "likelihood_f_b = 200.0"))
+    assert named(config, frames) == []
+
+
 def still(seed, offset=0.0, since=20.0):
     """Readings of a speed that stands, noise apart; from a time on one sensor has an offset."""
     rng, t = np.random.default_rng(seed), np.arange(4000) * 0.01

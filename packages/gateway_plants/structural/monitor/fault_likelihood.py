@@ -12,6 +12,11 @@ fits best, so that no prior of a size is asked for. As much as the best fault le
 less. What a block says counts less with each block that follows: what a model lacks lasts as long as a manoeuvre, and
 would add up for ever; what a fault leaves comes again.
 
+It speaks above SPEAKS; where something may be off, also above what healthy logs show of it. What a model lacks looks
+like one fault more than like others (tyres that are no line), and no theory says how much. Residuals of so many times
+the amplitude have the likelihood ratio of its square, so limits are kept as roots, with the margin of the tests. In
+calibration no test comes near; the largest T so far stands for J.
+
 A fault is **likely** if it fits as well as the best one; or a little less well, and it sees all tests that have fired.
 As long as a test fires and sizes are not sure, more is **awaited**: nothing is told that the tests leave open. They are
 sure where the likelihood ratio of the best fault is large enough. Faults that are likely part as long as one of them
@@ -25,7 +30,7 @@ What was found may be no single fault of this model:
   out. One of the two is among the faults that fit best alone. Two fit if the logarithm of their likelihood
   ratio over that of the best fault is above SPEAKS + LESS: a second fault is rare. A fault of all such pairs is sure.
 - **No fault of the model.** Of what the residuals have beyond their noise the best one leaves more than a share, beside
-  what a model leaves that is off.
+  what a model leaves that is off; and enough to speak.
 - **A test** has fired for sure that none of those that fit best sees.
 
 Where nothing may be off, the tests decide alone then. Where something may, they name no fault that sizes do not: a
@@ -47,6 +52,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from gateway_fdi.cusum import FLOOR, MARGIN, NEVER
 from gateway_fdi.evidence import blocks, model
 from gateway_fdi.evidence.hypotheses import of_fault
 from gateway_fdi.evidence.model import FINER, SCALES
@@ -79,6 +85,8 @@ class Const(model.Const, lengths=model.LENGTHS):
     """Constants."""
 
     share: Annotated[f8s, "residuals"] = means("of a sample that is independent of those before")
+    limit: Annotated[f8s, "edges"] = means("from which each fault speaks; the last: what no fault explains")
+    opened: i8 = means("1: calibration, in which nothing reaches its threshold")
 
 
 class State(model.State, lengths=model.LENGTHS):
@@ -103,6 +111,7 @@ class State(model.State, lengths=model.LENGTHS):
     together: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each with the best one beside it")
     without: Annotated[f8s, "faults"] = means("likewise of the best two without it")
     excess: f8 = means("variance of what the best fault leaves, over that of the noise, 1 at least")
+    peak: Annotated[f8s, "edges"] = means("largest of each while it fits best, over its limit")
 
 
 def faults_of(plan: Plan) -> tuple[model.Fault, ...]:
@@ -139,7 +148,8 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
     near = not empty(own.fired)
     own.by_size = 1 if c.slow > 0 else 0
     for k in range(own_const.tests):
-        near = near or own.norm[k] > NEAR
+        j = max(own.cusum[k].peak, FLOOR / NEVER) / MARGIN if c.opened == 1 else 1.0
+        near = near or own.norm[k] > NEAR * j
     if near:
         s.near_ns = own.at_ns
     if s.held == 1:
@@ -301,8 +311,13 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
     own.weighed, own.awaits, known = 0, 1, False
     for k in range(own_const.tests):
         known = known or own.norm[k] > 1.0
-    if known and left > 2.0 * SPEAKS * s.excess:
-        own.awaits = 1 if left - 2.0 * best * s.excess <= (1.0 - FITS) * left + BEYOND * s.looks else 0
+    limit, rest = c.limit[max(s.first, 0)], left - 2.0 * best * s.excess
+    if rest > (1.0 - FITS) * left + BEYOND * s.looks:
+        rest /= 2.0 * s.excess * c.limit[c.faults]
+        own.awaits = 0 if known and rest > 1.0 else 1
+        s.peak[c.faults] = max(s.peak[c.faults], rest)
+    if s.first >= 0:
+        s.peak[s.first] = max(s.peak[s.first], best / limit)
     second = _second(s, c, own, left, best) if known and left > 2.0 * SPEAKS * s.excess else 0.0
     most = (best + second) * s.excess
     if c.slow > 0 and second > SPEAKS + LESS and left - 2.0 * most <= (1.0 - FITS) * left + BEYOND * s.looks:
@@ -310,7 +325,7 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         own.weighed, own.awaits, s.stands = 2, 0, 0
         return
     clear(own.likely)
-    if own.awaits == 0 or not known or best <= SPEAKS:
+    if own.awaits == 0 or not known or best <= limit:
         _lean(s, c, own, best)
         s.stands = 0
         return

@@ -30,6 +30,7 @@ from gateway.monitors.contract import (
 from gateway_checks.rule.machine import load
 from gateway_checks.rule.program import Program
 from gateway_checks.rule.text import compile_text, is_relation
+from gateway_fdi.cusum import MARGIN, NEVER
 from gateway_fdi.errors import Gathered, InputError, under
 from gateway_fdi.masks import pack
 from gateway_fdi.structure.file import find_model, load_own_model
@@ -102,10 +103,10 @@ class _Made:
                 Behind(lambda _: behind(self.model, plan), lambda _, s: levels(plan, s)),
                 Blames(lambda _: blames(self.model, plan)),
                 CusumCalibration(
-                    quantities=tuple((name, name) for name in names),
-                    floors={},
-                    sums=lambda s: {key: s["own"]["cusum"][key][:count] for key in ("samples", "total", "squares")},
-                    peaks=lambda s: s["own"]["cusum"]["peak"][:count],
+                    quantities=(*((name, name) for name in names), *((name, "") for name in self._limits)),
+                    floors=dict.fromkeys(self._limits, MARGIN * math.sqrt(2.0 * fault_likelihood.SPEAKS)),
+                    sums=self._sums,
+                    peaks=self._peaks,
                     digests=self._digests,
                 ),
                 Quantities(
@@ -122,6 +123,20 @@ class _Made:
 
     def _digests(self, p: Any) -> dict[str, str]:
         return {test.name: identity.digest(self.model, test, p) for test in self.plan.tests}
+
+    @property
+    def _limits(self) -> tuple[str, ...]:
+        """Names of the limits of what sign and size say, where something may be off."""
+        faults = (*self.plan.faults, "none") if self.slow and source.faulty(self.plan) else ()
+        return tuple(f"likelihood_{fault}" for fault in faults)
+
+    def _sums(self, s: Any) -> dict[str, Any]:
+        own, none = s["own"]["cusum"][: len(self.plan.tests)], np.zeros(len(self._limits))
+        return {key: np.append(own[key], none) for key in ("samples", "total", "squares")}
+
+    def _peaks(self, s: Any) -> Any:
+        own = s["own"]["cusum"]["peak"][: len(self.plan.tests)]
+        return np.append(own, np.sqrt(s["fit"]["peak"])) if self._limits else own
 
     def _quantities(self) -> Iterator[Quantity]:
         for test in self.plan.tests:
@@ -262,6 +277,10 @@ class _Made:
         """Fill what weighs faults, and the constants of those that run beside the tests."""
         said = fault_likelihood.model_of(self.plan, len(self.slow), p.period_ms / 1e3, p.confirm_s)
         said.fill(c.fit)
+        c.fit.limit[:] = fault_likelihood.SPEAKS
+        limits = [p.thresholds.get(name, 0.0) for name in self._limits]
+        c.fit.limit[: len(limits)] = np.maximum(0.5 * np.square(limits), fault_likelihood.SPEAKS)
+        c.fit.opened = min(limits, default=0.0) >= NEVER
         gains = {gain: column for column, gain in enumerate(said.gains)}
         for k, test in source.faulty(self.plan):
             c[f"column_{k}"] = [gains[self.plan.faults.index(fault), k] for fault in test.faults]
