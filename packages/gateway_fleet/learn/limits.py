@@ -50,12 +50,12 @@ TEXTS_SEEN, LEAST_TEXTS = 0.66, 3
 TEXTS_BY_CHANCE = 1e-3
 
 
-def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> Line:
-    """Return what is asked of a message, with its evidence; ``note``: what is told beside it."""
+def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "", *, shown: bool = True) -> Line:
+    """Return what is asked of a message, with its evidence; ``note``: is told beside it; ``shown``: of timeout_ms."""
     message, why = seen.message, [f"{seen.frames} frames", *([note] if note else [])]
     keys: dict[str, Any] = {"message": message.name}
     kind = gaps.sending(seen.gaps)
-    timeout = gaps.timeout_ms(seen.gaps)
+    timeout = gaps.timeout_ms(seen.gaps, shown=shown)
     if kind != gaps.TOO_FEW:
         why.append(f"{kind}, {_ms(seen.gaps.quantile_ns(0.5))}, longest gap {_ms(seen.gaps.largest_ns)}")
         lost = gaps.lost_share(seen.gaps)
