@@ -138,3 +138,19 @@ def test_a_wheel_that_turns_farther_than_any_has_the_wrong_sign_and_no_limit_by_
     log = drive(tmp_path / "drive.log", 60.0, frames)
     result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
     assert any(line.name.endswith("_by_grip") for line in result.learned.lines.values()) == asked_for
+
+
+@pytest.mark.parametrize(("lasts_s", "told"), [(1.8, False), (4.0, True)])
+def test_an_ecu_that_has_just_started_may_have_no_value_for_some_seconds(tmp_path, lasts_s, told):
+    """The learning drive began later: it shows no code that stands for none."""
+    (tmp_path / "car.dbc").write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 Body: 8 A\n SG_ Crash : 0|2@1+ (1,0) [0|3] "" A\n'
+        'VAL_ 256 Crash 3 "Invalid" 2 "Cut" 1 "Deploy" 0 "None" ;\n'
+    )
+    log = drive(tmp_path / "drive.log", 40.0, [(256, 0.02, lambda _: bytes(8), 0.0)])
+    result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
+    write(result.files(tmp_path / "car.toml"))
+    started = drive(
+        tmp_path / "on.log", 20.0, [(256, 0.02, lambda k: bytes([3 * (k * 0.02 < lasts_s)] + [0] * 7), 0.0)]
+    )
+    assert [fault for _, fault in alarms(tmp_path / "car.toml", started)] == ["Crash.invalid"] * told
