@@ -115,6 +115,19 @@ def test_an_unknown_identifier_is_in_no_database(drive):
     assert int(KINDS["unknown identifier"](made).about, 16) % 2 == 1
 
 
+def test_a_quantity_with_a_code_or_two_is_no_enumeration(drive):
+    """What the database has texts for is a state where all of its values in the drive have one."""
+    made = drive()
+    names = {signal.name for _, signal in made.texts()}
+    _, state = next(made.texts())
+    quantity = next(signal for _, signal, _ in made.quantities())
+    quantity.choices = {(1 << quantity.length) - 1: "invalid"}
+    again = {signal.name for _, signal in made.texts()}
+    quantity.choices = None
+    assert again == names
+    assert state.name in names
+
+
 def test_two_swapped_signals_have_each_others_values(drive):
     made = drive()
     sent = next(one for one in made.sent if one.name == "Wheels")

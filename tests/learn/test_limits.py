@@ -42,6 +42,19 @@ def test_noise_on_both_sides_bends_no_slope_and_delays_are_found(seed):
         assert delay_of(v, 3.0 * np.roll(v, delay)) == delay, f"seed {seed}"
 
 
+@pytest.mark.parametrize("seed", [17, 18])
+def test_a_pedal_that_is_pressed_late_and_has_few_values_is_its_copy(seed):
+    """Coasting for half of the drive; of 14 values each is that of the copy. One that is off now and then is none."""
+    rng = np.random.default_rng(seed)
+    pedal = np.clip(np.round(np.convolve(rng.normal(0, 4.0, 700), np.ones(20) / 4.0, "same")), 0, 13)
+    pedal[:360] = 0.0
+    (copy,) = relations(np.column_stack([pedal, 2.5 * pedal]), [True] * 2)
+    assert abs(copy.slope) in (pytest.approx(2.5), pytest.approx(0.4))
+    other = 2.5 * pedal
+    other[400:700:37] += 6.0
+    assert relations(np.column_stack([pedal, other]), [True] * 2) == [], f"seed {seed}"
+
+
 @pytest.mark.parametrize("seed", [21, 22])
 def test_laws_of_three_signals(seed):
     """The yaw rate is that of the wheels' difference, and that of speed and steering angle."""

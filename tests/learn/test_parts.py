@@ -10,7 +10,7 @@ from gateway.bus.frames import empty
 from gateway_fleet.learn.course import Courses
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.figures import Everyday
-from gateway_fleet.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, sending, timeout_ms
+from gateway_fleet.learn.gaps import CYCLIC, MIXED, ON_CHANGE, TOO_FEW, Gaps, sending, shows_loss, timeout_ms
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL, Learned, Line
 from gateway_fleet.learn.merge import File, merged, read
 from gateway_fleet.learn.relations import relations
@@ -60,6 +60,15 @@ def test_few_frames_by_chance_are_no_cycle():
         "31"
     )
     assert timeout_ms(gaps_of(rng.normal(3000.0, 10.0, 12))) > 9000.0, "twelve gaps alike are"
+
+
+def test_where_few_frames_come_nobody_shows_a_loss_and_a_timeout_is_longer():
+    """At a loss of three in ten, five frames in a row are lost each minute or two, ten in a row in days."""
+    slow, fast = (gaps_of(np.full(400, cycle)) for cycle in (500.0, 20.0))
+    assert not shows_loss([slow, gaps_of(np.random.default_rng(8).exponential(20.0, 400))]), "on change: no cycle"
+    assert shows_loss([slow, fast])
+    assert timeout_ms(slow) == pytest.approx(2500.0, rel=0.05)
+    assert timeout_ms(slow, shown=False) == pytest.approx(5000.0, rel=0.05)
 
 
 def test_a_gap_between_two_logs_is_none():

@@ -15,7 +15,7 @@ from gateway.signals.database import load_database
 from gateway.signals.protection.checksum import Checksum
 from gateway.signals.protection.crc import Crc
 from gateway.signals.protection.protection import Counter, Protection, ProtectionConst, Tables, fill, protect_all
-from gateway_fleet.learn.claims import proven
+from gateway_fleet.learn.claims import called_checksum, proven
 from gateway_fleet.learn.counters import of_raw
 from gateway_fleet.learn.polynomials import divided, polynomial_of
 from gateway_fleet.learn.protection_check import Payloads, judged
@@ -248,6 +248,33 @@ def test_a_torque_that_another_byte_repeats_is_no_checksum(seed):
         keys = {"checksum": {"rule": "sum", "signal": "Moment", "plus": 241, **over}}
         assert proven(message, keys, payloads(frames)) is None, over
     assert protection_found(message, NOWHERE, [payloads(frames)]).claim is None, f"seed {seed}"
+
+
+def test_a_sum_of_a_byte_in_a_field_of_two_is_not_claimed_as_one_of_two():
+    """The sum never carried in the learning drive: a sum of 16 bits with a constant fits, and is wrong later."""
+    rng = np.random.default_rng(6)
+    rows = rng.integers(30, 60, (400, 2)).tolist()
+    message = message_of(4, Signal("Pedal", 16, 16))
+    found = protection_found(message, NOWHERE, [payloads([bytes([a, b, a + b + 100, 0]) for a, b in rows])])
+    assert found.claim is None
+    summed = [bytes([a, b, c, *(a + b + c + 65000 & 0xFFFF).to_bytes(2, "little")]) for a, b, c in
+              rng.integers(0, 256, (400, 3)).tolist()]  # fmt: skip
+    wide = protection_found(message_of(5, Signal("Pedal", 24, 16)), NOWHERE, [payloads(summed)])
+    assert wide.claim.keys["checksum"]["plus"] == 65000, "each bit of it changes"
+
+
+@pytest.mark.parametrize(
+    ("name", "called"),
+    [
+        ("CheckSum_TCS1", True),
+        ("CF_Ems_ChecksumEMS9", True),
+        ("crc_0x1ed", True),
+        ("MSG_CRC8", True),
+        ("SCRCtrl", False),
+    ],
+)
+def test_a_checksum_may_be_called_after_its_message(name, called):
+    assert called_checksum(name) == called
 
 
 def test_a_copy_of_one_byte_is_no_checksum():

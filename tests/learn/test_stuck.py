@@ -1,5 +1,6 @@
 """Logs of ten minutes and more teach how long a signal may rest; a shorter one does not."""
 
+import math
 import random
 
 import pytest
@@ -100,3 +101,56 @@ def test_a_signal_that_moves_far_less_than_its_value_has_a_place_where_it_must_m
     low, high = lines["Air.Pressure"]["stuck"]["inside"]
     assert (1013.3 < low < 1013.35, 1013.45 < high < 1013.5) == (True, True)
     assert "stuck" not in lines.get("Air.Mode", {}), "nothing lies between 0 and 1"
+
+
+@pytest.mark.parametrize(("seconds", "moves", "asked_for"), [(40, 1.0, True), (40, 0.8, False), (80, 0.8, True)])
+def test_half_a_minute_does_not_teach_how_often_a_signal_rests_where_nothing_says_when(
+    tmp_path, seconds, moves, asked_for
+):
+    """A torque idles as the pedal rests: no signal says how fast the car is, and three tenths are held out."""
+    (tmp_path / "car.dbc").write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 Engine: 8 A\n SG_ Torque : 0|16@1+ (1,0) [0|65535] "Nm" A\n'
+    )
+    rng, raw = random.Random(15), [1500]
+    for _ in range(50 * seconds + 1):
+        raw.append(raw[-1] + (rng.random() < moves) * (1 if rng.random() < (3000 - raw[-1]) / 3000 else -1))
+    frames = [(256, 0.02, lambda k: raw[k].to_bytes(2, "little") + bytes(6), 0.0)]
+    log = drive(tmp_path / "drive.log", float(seconds), frames)
+    result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
+    lines = {place[2]: line.keys for place, line in result.learned.lines.items() if place[1] == SIGNAL}
+    assert ("share" in lines.get("Engine.Torque", {}).get("stuck", {})) == asked_for
+
+
+@pytest.mark.parametrize(("signed", "asked_for"), [("-", True), ("+", False)])
+def test_a_wheel_that_turns_farther_than_any_has_the_wrong_sign_and_no_limit_by_grip(tmp_path, signed, asked_for):
+    """An angle around zero that the database calls unsigned is 6553 degrees: times the speed it is any curve."""
+    (tmp_path / "car.dbc").write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 Steer: 8 A\n'
+        f' SG_ SteeringAngle : 0|16@1{signed} (0.1,0) [0|0] "deg" A\n'
+        'BO_ 257 Move: 8 A\n SG_ Speed : 0|16@1+ (0.01,0) [0|655] "km/h" A\n'
+    )
+    angle = [round(80 * math.sin(k / 90.0)) for k in range(3001)]
+    speed = [round(4000 + 1500 * math.sin(k / 210.0)) for k in range(3001)]
+    frames = [
+        (256, 0.02, lambda k: angle[k].to_bytes(2, "little", signed=True) + bytes(6), 0.0),
+        (257, 0.02, lambda k: speed[k].to_bytes(2, "little") + bytes(6), 0.0),
+    ]
+    log = drive(tmp_path / "drive.log", 60.0, frames)
+    result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
+    assert any(line.name.endswith("_by_grip") for line in result.learned.lines.values()) == asked_for
+
+
+@pytest.mark.parametrize(("lasts_s", "told"), [(1.8, False), (4.0, True)])
+def test_an_ecu_that_has_just_started_may_have_no_value_for_some_seconds(tmp_path, lasts_s, told):
+    """The learning drive began later: it shows no code that stands for none."""
+    (tmp_path / "car.dbc").write_text(
+        'VERSION ""\nNS_ :\nBS_:\nBU_: A\nBO_ 256 Body: 8 A\n SG_ Crash : 0|2@1+ (1,0) [0|3] "" A\n'
+        'VAL_ 256 Crash 3 "Invalid" 2 "Cut" 1 "Deploy" 0 "None" ;\n'
+    )
+    log = drive(tmp_path / "drive.log", 40.0, [(256, 0.02, lambda _: bytes(8), 0.0)])
+    result = learn(asked(tmp_path / "car.toml", log, databases=(tmp_path / "car.dbc",)), quiet)
+    write(result.files(tmp_path / "car.toml"))
+    started = drive(
+        tmp_path / "on.log", 20.0, [(256, 0.02, lambda k: bytes([3 * (k * 0.02 < lasts_s)] + [0] * 7), 0.0)]
+    )
+    assert [fault for _, fault in alarms(tmp_path / "car.toml", started)] == ["Crash.invalid"] * told

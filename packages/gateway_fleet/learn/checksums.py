@@ -175,6 +175,9 @@ def _unnamed(
     message: Message, signal: Signal, counter: CounterFound | None, frames: Payloads
 ) -> Iterator[tuple[Keys, int]]:
     """Yield rules that fit the frames, and the bits that were free to be chosen for them [bit]."""
+    values = bits_of(frames.words, field_of(signal))
+    if signal.length > 8 and int(np.bitwise_or.reduce(values ^ values[0])) != (1 << signal.length) - 1:
+        return  # the checksum may be a part of the field: that of a byte never carries into the next one
     yield from ((keys, 16) for keys in _known(message, signal, frames))
     if signal.length <= 16:
         yield from ((keys, signal.length) for keys in _sums(message, signal, frames))

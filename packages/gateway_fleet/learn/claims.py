@@ -53,7 +53,8 @@ class Claim:
 
 def called_checksum(name: str) -> bool:
     """Return whether a signal is called as checksums are."""
-    return name.upper().rstrip("0123456789_").endswith(CHECKSUMS)
+    called = name.upper()
+    return called.rstrip("0123456789_").endswith(CHECKSUMS) or "CHECKSUM" in called or called.startswith("CRC_")
 
 
 def fitting(message: Message, keys: Mapping[str, Any]) -> Protection | None:

@@ -17,7 +17,7 @@ from gateway_fleet.learn.answers import NOTHING, absent_lines, answer_lines, ans
 from gateway_fleet.learn.database_match import strangers
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.findings import findings
-from gateway_fleet.learn.gaps import cycle_ns
+from gateway_fleet.learn.gaps import cycle_ns, shows_loss
 from gateway_fleet.learn.lateral_limits import grip_lines
 from gateway_fleet.learn.lines import HEALTH, Learned, Line
 from gateway_fleet.learn.observe import Observation, Seen
@@ -76,11 +76,12 @@ def derive(
         found[key] = protection_found(seen.message, file, seen.samples.runs, whole=whole, cycles=times)
     learned.findings = findings(observation, found, buses)
     makers = [_makers(found, bus) for bus in range(len(asked))]
+    show = [shows_loss(seen.gaps for (at, _), seen in observation.seen.items() if at == k) for k in range(len(asked))]
     for key, seen in observation.seen.items():
         bus, name = key
         found[key] = found[key].among(makers[bus])
         several = senders(seen)
-        line = limits.check_line(buses[bus], seen, found[key], described[key])
+        line = limits.check_line(buses[bus], seen, found[key], described[key], shown=show[bus])
         if found[key].claim is None and found[key].rules:
             learned.notes.append(f"{buses[bus]}.{name}: {limits.rivals_text(found[key])}")
         if several and "counter" not in line.keys and found[key].counter is None:

@@ -22,6 +22,7 @@ from gateway.signals.signal_access import ChangedMessage, ChangedSignal
 from gateway_fleet.learn.claims import called_checksum
 from gateway_fleet.learn.counters import called_counter
 from gateway_fleet.learn.course import MOST_VALUES
+from gateway_fleet.learn.limits import texts_of
 from gateway_replay.injection import Injection, Injector
 
 #: When a fault begins and ends, in shares of the drive; an ECU reboots, and a bus is away [s].
@@ -151,9 +152,13 @@ class Drive:
         return False
 
     def texts(self) -> Iterator[tuple[_Sent, Signal]]:
-        """Yield signals whose values have texts, and that could say one without, in an order by chance."""
+        """Yield signals whose values have texts, all of them, and that could say one without, in an order by chance.
+
+        A quantity of which the database names a code or two is none: any value may come.
+        """
         for sent, signal in self._signals():
-            if signal.choices and not signal.is_multiplexer and len(signal.choices) < 1 << signal.length:
+            some = signal.choices and not signal.is_multiplexer and len(signal.choices) < 1 << signal.length
+            if some and set(np.unique(self.values(sent, signal.name)).tolist()) <= texts_of(signal):
                 yield sent, signal
 
     def _signals(self) -> Iterator[tuple[_Sent, Signal]]:

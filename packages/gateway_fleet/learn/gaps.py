@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -155,8 +156,9 @@ FEW = 0.75
 #: A message that once stayed away for this number of cycles, and for this time [ns], does so at times: no timeout fits
 #: it.
 AWAY, AWAY_NS = 100.0, 10_000_000_000
-#: Cycles of a timeout, at least; more where that number of frames lost one after the other is not rare enough.
-CYCLES, RARE = 5.0, 1e-10
+#: Cycles of a timeout, at least; more where that number of frames lost one after the other is not rare enough. A bus
+#: with fewer cyclic frames than SHOWS [1/s], the engine's 100 in 15 s, does not show that it loses this share.
+CYCLES, RARE, SHOWS, UNSEEN = 5.0, 1e-10, 100.0 / 15.0, 0.1
 #: Longest time that a check of a message may have [ms].
 LONGEST_MS = 3.6e6
 
@@ -226,16 +228,25 @@ def lost_share(gaps: Gaps) -> float:
     return gaps.beyond(1.5 * cycle) if two - rest > 2.0 * (half - two) else 0.0
 
 
-def timeout_ms(gaps: Gaps) -> float | None:
+def shows_loss(some: Iterable[Gaps]) -> bool:
+    """Return whether messages of a bus come often enough together to show that their frames get lost."""
+    return sum(1e9 / cycle_ns(each) for each in some if sending(each) == CYCLIC) >= SHOWS
+
+
+def timeout_ms(gaps: Gaps, *, shown: bool = True) -> float | None:
     """Return a time after which a message is missing [ms], None where gaps do not say one.
 
     Of n gaps that follow one law the next exceeds the longest with probability 1/(n + 1): the fewer there are the more
     is added to it. Where frames get lost, it is longer than any row of losses that is not rare.
+
+    Args:
+        gaps: of the message.
+        shown: whether its bus shows that frames get lost (:func:`shows_loss`).
     """
     cycle = cycle_ns(gaps)
     if cycle == 0.0:
         return None
-    lost = min(lost_share(gaps), 0.5)
+    lost = min(max(lost_share(gaps), 0.0 if shown else UNSEEN), 0.5)
     cycles = max(CYCLES, np.log(RARE) / np.log(lost)) if lost > 0.0 else CYCLES
     found = _rounded(max(cycles * cycle, gaps.largest_ns * _longer(gaps.count)) * 1e-6)
     return found if found <= LONGEST_MS else None

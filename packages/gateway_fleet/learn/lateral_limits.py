@@ -25,6 +25,8 @@ _SPEEDS = {"km/h": 1 / 3.6, "kph": 1 / 3.6, "kmh": 1 / 3.6, "km/hr": 1 / 3.6, "m
 _ANGLE = re.compile(r"STEER\w*(ANGLE|POS)|LENK\w*WINKEL|(ANGLE|SWA)\w*STEER|^SAS_Angle$|^SteeringAngle$", re.IGNORECASE)
 #: Other angles, rates, and requests of an assistant.
 _OTHER = re.compile(r"RATE|SPEED|REQ|CMD|CMND|TARGET|DESIRED|ZERO|OFFSET|FRACTION|MOTOR", re.IGNORECASE)
+#: Farthest that a steering wheel turns to either side [degree]: beyond it the database has another sign or scale.
+TURNS = 1080.0
 #: Rows that it must have been driven for.
 LEAST_ROWS = 200
 
@@ -49,7 +51,9 @@ def grip_lines(observation: Observation, buses: Sequence[str], speeds: Sequence[
             turned = np.abs(matrix[:, seen.columns.start + k]) * fast**2
             turned = turned[~np.isnan(turned)]
             bound = np.degrees(GRIP * RATIO_BASE) / _SPEEDS[speed.unit] ** 2
-            if len(turned) < LEAST_ROWS or turned.max() == 0.0 or seen.courses.each[k].changes == 0:
+            course = seen.courses.each[k]
+            farthest = max(-course.lowest, course.highest)
+            if len(turned) < LEAST_ROWS or turned.max() == 0.0 or course.changes == 0 or farthest > TURNS:
                 continue
             most = float(turned.max())
             limit = short(max(bound, WIDER * most), 3)

@@ -42,20 +42,21 @@ TOLD = 0.5
 LONG_S, MOVES, LONGER, LEAST_REST_S = 600.0, 1000, 10.0, 10.0
 #: Usual times between values after which a second one has come, above what the monitor waits for it (its LATE).
 TWICE = 1.75
-#: A code that stands for no value in healthy logs for longer is no fault [s].
-HEALTHY_NONE_S = 0.25
+#: A code that stands for no value in healthy logs for longer is no fault [s]. Where nothing else is asked of a signal
+#: it is one after this time [ms]: an ECU that has just started has no value yet (1.8 s in a GT350).
+HEALTHY_NONE_S, NONE_MS = 0.25, 3000.0
 #: Share of the texts of a value table that must have come for others to be a fault, and how many there must be.
 TEXTS_SEEN, LEAST_TEXTS = 0.66, 3
 #: Or chance would put the values seen among the texts with a probability below this one.
 TEXTS_BY_CHANCE = 1e-3
 
 
-def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "") -> Line:
-    """Return what is asked of a message, with its evidence; ``note``: what is told beside it."""
+def check_line(bus: str, seen: Seen, found: ProtectionFound, note: str = "", *, shown: bool = True) -> Line:
+    """Return what is asked of a message, with its evidence; ``note``: is told beside it; ``shown``: of timeout_ms."""
     message, why = seen.message, [f"{seen.frames} frames", *([note] if note else [])]
     keys: dict[str, Any] = {"message": message.name}
     kind = gaps.sending(seen.gaps)
-    timeout = gaps.timeout_ms(seen.gaps)
+    timeout = gaps.timeout_ms(seen.gaps, shown=shown)
     if kind != gaps.TOO_FEW:
         why.append(f"{kind}, {_ms(seen.gaps.quantile_ns(0.5))}, longest gap {_ms(seen.gaps.largest_ns)}")
         lost = gaps.lost_share(seen.gaps)
@@ -194,7 +195,7 @@ def _limits(
             keys["invalid"] = []
         why.append(f"no value for {course.none_s:.3g} s in healthy logs: no fault")
     elif 0 < len(codes) <= MOST_CODES and course.count:
-        keys.setdefault("invalid", "auto")
+        keys |= {"invalid": "auto"} | ({} if keys else {"failed_ms": NONE_MS})
         why.append(f"{len(codes)} invalid code{'s' * (len(codes) > 1)} in the database, seen {course.none} times")
     more, text = _texts(signal, course)
     return keys | more, why + ([text] if text else [])

@@ -22,9 +22,9 @@ SAME, ALIKE, TOGETHER, MOVES = 0.995, 0.97, 0.985, 0.9
 #: Movements are above chance by this number of standard deviations; of equal ones, of the same unit, by this one:
 #: chance gives no equal values. Slope and offset, of the span, of what is equal.
 PROVEN, PROVEN_EQUAL, EQUAL, NO_OFFSET = 6.5, 2.5, 0.03, 0.05
-#: Largest deviation from the relation, of the signal's span; and the factor that the second half may add to the
-#: first's.
-MOST_OFF, MOST_WORSE = 0.1, 3.0
+#: Largest deviation from the relation, of the signal's span; and the factor, and share of the span, that one half of
+#: the drive may add to the other's.
+MOST_OFF, MOST_WORSE, MOST_MORE = 0.1, 3.0, 0.05
 #: A row of deviations counts for a fault if it lasts this time [s].
 LASTS_S = 1.0
 #: How the others of a relation go together.
@@ -239,24 +239,26 @@ def _checked(search: Search, of: int, by: tuple[int, ...], form: str, *, strict:
     x = others[:, 0] * others[:, 1] if form == TIMES else others[:, 0] + second * others[:, -1]
     if (
         np.ptp(x) == 0
-        or len(np.unique(x)) < LEAST_VALUES_BY
+        or len(np.unique(x)) < (LEAST_VALUES if form == ONE else LEAST_VALUES_BY)
         or (form == SUM and not _both_say(others, y, second, pace))
     ):
         return []
-    half = len(x) // 2
     slope, offset, error = fitted(x, y)
-    first = fitted(x[:half], y[:half]) if np.ptp(x[:half]) > 0 else (slope, offset, error)
     off, span = y - slope * x - offset, float(np.ptp(y))
     count = max(int(LASTS_S / step_s), 1)
-    learned = sustained(y[:half] - first[0] * x[:half] - first[1], count)
-    held = sustained(y[half:] - first[0] * x[half:] - first[1], count)
+    # The half in which the others went farther says what holds in the other one.
+    one, other = sorted((slice(None, len(x) // 2), slice(len(x) // 2, None)), key=lambda half: -np.ptp(x[half]))
+    half_slope, half_offset, _ = fitted(x[one], y[one])
+    learned, held = (sustained(y[half] - half_slope * x[half] - half_offset, count) for half in (one, other))
     step = resolution(y)
+    if len(np.unique(x)) < LEAST_VALUES_BY and np.abs(off).max() > step:
+        return []  # few values show a law only where all of them keep it
     moves, chance = movement(x, y, pace)
     units = {search.units[column] for column in (of, *by)} - {""} if search.units else set()
     equal = form == ONE and len(units) <= 1 and abs(slope - 1.0) <= EQUAL and abs(offset) <= NO_OFFSET * span
     if (
         np.quantile(np.abs(off), 0.99) > MOST_OFF * span
-        or held.max() > MOST_WORSE * learned.max() + 2 * step + 0.02 * span
+        or held.max() > MOST_WORSE * learned.max() + 2 * step + MOST_MORE * span
         or moves < MOVES
         or chance < (PROVEN_EQUAL if equal else PROVEN)
     ):

@@ -30,8 +30,9 @@ OF_LEAST = 0.65
 #: Blocks longer by these factors are tried, too, where the share that can be asked for is below this one, which shows
 #: such frames.
 LONGER, TWICE = (1, 3), 0.46
-#: Where nothing says how fast the car is: the signal's own range, if it is this far from zero, of its span.
-FROM_ZERO = 0.2
+#: Where nothing says how fast the car is: the signal's own range, if it is this far from zero, of its span. A signal
+#: that rests now and then has to be seen for this time [s]; one that moves with this share always is no quantity.
+FROM_ZERO, SEEN_S, ALWAYS = 0.2, 30.0, 0.95
 #: The car is not taken to stand above this share of its usual speed.
 DRIVES = 0.25
 #: Units and names of a car's speed, and words of other speeds.
@@ -162,6 +163,7 @@ def _asked(
     if len(shares) < 2 * LEAST_BLOCKS or len(ways) < 2:
         return None  # what only goes up stands at its end
     every, slowest = np.array(shares), np.array(lows)
+    brief = speed is None and (times[-1][-1] - times[0][0]) * 1e-9 < SEEN_S
     if speed is None:
         if min(abs(low), abs(high)) < FROM_ZERO * max(high - low, 1e-9) or low * high <= 0.0:
             return None  # at zero it may rest
@@ -176,6 +178,8 @@ def _asked(
         if len(mine) < 2 * LEAST_BLOCKS:
             break
         middle = float(mine.mean())
+        if brief and mine.min() < ALWAYS:
+            break
         scatter = max(np.sqrt(middle * (1.0 - middle) / count), 1.0 / count)
         limit = -limit_above(-mine, 1.0, 0.25 * scatter, rate)
         share = short(min(limit, OF_LEAST * float(mine.min())), 2)
