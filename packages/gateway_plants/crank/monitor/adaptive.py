@@ -13,16 +13,8 @@ from gateway_fdi.jit import f8s, kernel
 from gateway_plants.crank import wheel_estimation, wheel_pairs
 from gateway_plants.crank.monitor import anchor, defects, no_gap, noise, reversal, wrong_wheel
 from gateway_plants.crank.monitor.faults import Reports
-from gateway_plants.crank.monitor.isolation import (
-    UNSEEN_PULSES,
-    decide,
-    fall_noisy,
-    hold_to_gap,
-    lose,
-    prove,
-    unwatched,
-    wait,
-)
+from gateway_plants.crank.monitor.isolation import decide, fall_noisy, lose
+from gateway_plants.crank.monitor.place_proof import hold_to_gap, prove
 from gateway_plants.crank.monitor.silence import broken_silence, fall_silent
 from gateway_plants.crank.monitor.sync_state import (
     CONFIRMED,
@@ -38,6 +30,7 @@ from gateway_plants.crank.monitor.sync_state import (
     waver,
 )
 from gateway_plants.crank.monitor.turns import decided, turned, turned_back
+from gateway_plants.crank.monitor.unproven import UNSEEN_PULSES, unwatched, wait
 from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import restart, seek
 from gateway_plants.crank.pulse_tracking.branching import MOST_MISSED

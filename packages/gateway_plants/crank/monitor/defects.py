@@ -17,6 +17,8 @@ MOST = 16
 #: A fault comes again a turn later, give or take so many pulses: where it is decided. Two that are decided together
 #: count as the first of them.
 NEAR, MOST_LATE = 3, 6
+#: Turns that have to show the same teeth missing before two places are told: until then it may be another wheel.
+SURE = 3
 
 
 class Defects(Record):

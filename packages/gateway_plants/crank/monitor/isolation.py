@@ -4,86 +4,35 @@ from __future__ import annotations
 
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.monitor import (
-    anchor,
-    competing_hypothesis,
-    defects,
-    no_gap,
-    noise,
-    runout,
-    turns,
-    wrong_wheel,
-)
-from gateway_plants.crank.monitor.faults import (
-    ADDED,
-    DAMAGED,
-    DOUBLED,
-    MISSED,
-    NO_GAP,
-    NOISE,
-    PULSES_LOST,
-    RELOCATED,
-    SYNC_LOST,
-    TWO_PLACES,
-    UNWATCHED,
-    Reports,
-)
+from gateway_plants.crank.monitor import anchor, defects, noise, runout, turns, wrong_wheel
+from gateway_plants.crank.monitor.faults import ADDED, DAMAGED, MISSED, NOISE, PULSES_LOST, SYNC_LOST, Reports
 from gateway_plants.crank.monitor.sync_state import (
-    BY_CAM,
     CONFIRMED,
-    NEVER,
+    MARKED,
     NOT_TOLD,
     TENTATIVE,
     Const,
     State,
-    decides,
     doubt,
     search,
     shape,
     speed,
-    tell_held,
     tooth_of,
     uncover,
 )
-from gateway_plants.crank.pulse_tracking import profile
 from gateway_plants.crank.pulse_tracking.acquisition import begin_later
 from gateway_plants.crank.pulse_tracking.hypotheses import HOPELESS
-from gateway_plants.crank.pulse_tracking.tracker import (
-    COARSE,
-    agreed,
-    best,
-    expect,
-    keep_best,
-    marginalise_decided,
-    shift,
-    unanimous,
-)
+from gateway_plants.crank.pulse_tracking.tracker import best, expect, keep_best, marginalise_decided, unanimous
 
 #: Pulses missed in a row from which on it is loss of signal.
 LOSS = wrong_wheel.LOSS
 #: Pulses within which missed (or added) ones are one disturbance, its count their sum.
 TOGETHER = 8
-#: Revolutions, and pulses beyond, without synchronisation after which the reason is named.
-PATIENCE, PATIENCE_PULSES, LONG_PATIENCE = 4, 100, 10
 #: A decision that took more pulses than this, or than half a turn, is held until the next gap has proven it.
 LATE = 8
 #: Parts of a turn: by one more the search begins later for each place that was refused. What follows in each turn may
 #: be like the gap.
 PARTS = 8
-#: Pulses of a turn below which one too many in each turn makes the edges look as if they were noisy.
-MARKED = 24
-#: Turns that have to show the same teeth missing before two places are told: until then it may be another wheel.
-SURE = 3
-#: Turns of a wheel of equal pitches that have to show the same teeth missing again before it is followed all the same.
-EVEN_TURNS = 2
-#: Turns in a row that have to show the same place of a wheel of few pulses whose edges look noisy.
-SHOWN = 2
-#: Two places were told: which one is right, no later turn says.
-TOLD = 2
-#: Pairs of turns that have to show a whole wheel behind one that fitted twice, and what its teeth may be off [pitch].
-WHOLE_PAIRS, WHOLE_OFF = 2, 0.1
-#: Share of pulses without a frame, over about so many pulses, from which on nothing can be told.
-MOST_UNSEEN, UNSEEN_PULSES = 0.4, 3000.0
 
 
 @kernel
@@ -288,312 +237,6 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
         s.recent_missed = 0
         s.recent_added = 0
     defects.learn(s.defects, c.pulses, tooth, net, s.teeth)
-    if own and net > 0 and s.placed > NOT_TOLD and c.turns == 1 and s.defects.turns >= SURE:
+    if own and net > 0 and s.placed > NOT_TOLD and c.turns == 1 and s.defects.turns >= defects.SURE:
         d = report(out, DAMAGED, True, net, turns.BENT).damaged
         d.tooth, d.off, d.speed = tooth_of(s, c, tooth), net, speed(s, c)
-
-
-@kernel
-def prove(s: State, c: Const, out: Reports) -> None:
-    """Take a place for proven that a turn of pulses has fitted, and that by the whole turn is no other.
-
-    Where the gap was not seen for what it is, or may be a turning point, one turn can fit by chance: a second one has
-    to. Where single pulses cannot be told from noise the index may slip; if a defect of each turn alone can look like
-    such noise, more turns have to show the gap where the turn before did than elsewhere, at first. None proves it while
-    it is filled by a pulse each turn. A wheel of equal pitches has no place: its speed is followed then, with the teeth
-    that are missing of it in each turn.
-    """
-    if c.even == 1:
-        if s.since >= c.pulses or s.defects.turns >= EVEN_TURNS:
-            confirm(s, out)
-        return
-    shown = s.sure == 1 and s.reversal.stood == 0
-    proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or _held_back(s, c):
-        return
-    if _noisy(s, c):
-        return
-    if s.held_fault >= 0 and not _alone(s, c, out):
-        return
-    if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
-        doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
-        confirm(s, out)
-        s.anchor.unchecked = 1 if doubtful else 0
-
-
-@kernel
-def _noisy(s: State, c: Const) -> bool:
-    """Tell whether the edges of a wheel of few pulses are so noisy that more turns have to show its place."""
-    return bool(
-        c.pulses < MARKED and c.anchor.ratio > 0.0 and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN
-    )
-
-
-@kernel
-def _two_fit(s: State) -> bool:
-    """Tell whether another place that was seen may be the right one: its gap may be filled now, by a pulse that is off.
-
-    The wheel then seems to have a bent tooth. Where it has none, what came before was none of its turns.
-    """
-    whole = s.profile.turns >= WHOLE_PAIRS and abs(s.profile.off) <= WHOLE_OFF
-    return bool(s.twice == TOLD or (s.twice == 1 and not whole))
-
-
-@kernel
-def _held_back(s: State, c: Const) -> bool:
-    """Return whether a fault is held until it is known that the wheel is the configured one."""
-    return bool((s.held_fault >= 0 or s.recurring == 1) and wrong_wheel.unsure(s, c))
-
-
-@kernel
-def confirm(s: State, out: Reports) -> None:
-    """Take the place on the wheel for proven, and report what was held until then."""
-    s.phase = CONFIRMED
-    s.anchor.unchecked = 0
-    s.refused = 0
-    no_gap.clear(s.waiting)
-    s.suspects = 0
-    s.hole = 0
-    s.reversal.stood = 0
-    if s.held_fault >= 0:
-        tell_held(s, s.held_fault, out)
-        if s.held_fault == ADDED:
-            s.added += int(s.held.count)
-        else:
-            s.missed += int(s.held.count)
-        s.held_fault = -1
-
-
-@kernel
-def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
-    """Hold the place on the wheel to the gap: behind it when it comes where it is expected, else once a turn.
-
-    What frames that were lost had hidden is proven by the gap that comes where it is expected, all hypotheses agreeing.
-    The intervals of a turn in which pulses were missed or added are not those of the wheel, and say nothing of another
-    place. A wheel of equal pitches has none.
-    """
-    an = s.anchor
-    if s.index == 1:
-        pitches = s.tracker.pitches
-        odd = anchor.odd(c.anchor, pitches, c.pulses, s.y2, s.y1, y, s.tracker.variance <= COARSE)
-        an.short = 1 if s.defects.turns == 0 and odd else 0
-    if c.even == 1:
-        if an.age >= c.pulses:
-            an.age = c.pulses + anchor.EDGES - c.anchor.length
-        an.verified = 1
-    elif s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
-        _witness(s, c, c.anchor.alone == 1 and anchor.level(s.tracker.pitches, c.pulses, s.y2, y), out)
-    elif an.age >= c.pulses + anchor.EDGES and not decides(s, c):
-        an.age = c.pulses + anchor.EDGES - c.anchor.length
-        an.verified = 1
-    elif an.age >= c.pulses + anchor.EDGES:
-        an.age = c.pulses + anchor.EDGES - c.anchor.length
-        an.verified = 0
-        found = anchor.ask(an, c.anchor, c.pulses, c.repeats, s.index)
-        if found == anchor.HERE:
-            anchor.hold(an)
-            if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
-                _witness(s, c, True, out)
-        elif s.teeth - s.uneven <= c.anchor.length:
-            if found == anchor.ABSENT and s.known == 0:
-                doubt(s)
-        elif found <= 0:
-            # One turn alone never decides: it may be a burst.
-            an.against += min(anchor.against(an, c.anchor, c.pulses, c.repeats, s.index), anchor.ODDS)
-            if found == anchor.ABSENT or an.against > anchor.ODDS:
-                an.against = 0.0
-                doubt(s)
-        else:
-            an.wins = an.wins + 1 if found == an.shift else 1
-            an.shift = found
-            if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0 and s.hole == 0):
-                relocate(s, c, out, found)
-
-
-@kernel
-def _told_apart(s: State, c: Const) -> bool:
-    """Tell whether faults of each turn are no noise, and their pulses none that the wheel itself may have there.
-
-    A pulse too many halfway between two teeth is what marks 12+1.
-    """
-    added = defects.missing(s.defects) == 0
-    return bool(s.tracker.variance <= COARSE and not (added and c.anchor.ratio == 0.0))
-
-
-@kernel
-def _laid(s: State, c: Const) -> bool:
-    """Tell whether it is the whole turn, laid onto the wheel, that proves a place with defects in each turn.
-
-    Not on a wheel whose gap is no mark of its own (12+1).
-    """
-    return bool(s.phase == TENTATIVE and s.recurring == 1 and c.anchor.ratio > 0.0)
-
-
-@kernel
-def _alone(s: State, c: Const, out: Reports) -> bool:
-    """Tell whether no other place explains the last turn as well; reports one, if teeth are missing in each turn."""
-    period = best(s.tracker).period
-    number, missing = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period)
-    if s.recurring == 1 and (number > competing_hypothesis.MOST or missing != defects.missing(s.defects)):
-        return False
-    if s.rival.other == competing_hypothesis.NONE:
-        return True
-    if missing == 0 or s.recurring == 0 or s.defects.turns < SURE:
-        return False
-    no_gap.clear(s.waiting)
-    s.twice = TOLD
-    e = report(out, TWO_PLACES, True, s.defects.turns, SURE).two_places
-    e.tooth, e.other, e.speed = s.rival.tooth, s.rival.other, speed(s, c)
-    e.here, e.there = s.rival.here, s.rival.there
-    return False
-
-
-@kernel
-def _move(s: State, c: Const, number: int) -> None:
-    """Put the index on by so many teeth; what was learned at the wrong place is forgotten."""
-    shift(s.tracker, c.pulses, number)
-    s.index = best(s.tracker).index
-    profile.forget(s.profile, c.wheel, s.tracker.pitches)
-    runout.forget(s.law)
-    turns.trust(s, c)
-    anchor.restart(s.anchor)
-
-
-@kernel
-def settle(s: State, c: Const, out: Reports, other: bool) -> None:
-    """Take one of two places for the right one, as the cam says; the other one goes.
-
-    Args:
-        s: record of State.
-        c: record of Const.
-        out: record of Out.
-        other: whether it is the rival.
-    """
-    if other:
-        _move(s, c, competing_hypothesis.place_of(s.rival, c.wheel, s.index) - s.index)
-        s.held.tooth = s.rival.other
-    competing_hypothesis.clear(s.rival)
-    s.twice = 0
-    s.recurring = 0
-    confirm(s, out)
-
-
-@kernel
-def place_by_cam(s: State, c: Const, number: int) -> None:
-    """Put the index of a wheel of equal pitches on by so many teeth: it is told by the cam then."""
-    s.placed = BY_CAM
-    s.uneven = NEVER
-    if number != 0:
-        _move(s, c, number)
-        defects.clear(s.defects)
-
-
-@kernel
-def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
-    """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given.
-
-    Args:
-        s: record of State.
-        c: record of Const.
-        sure: whether it can be no other gap, nor a piece of one.
-        out: record of Out.
-    """
-    h = best(s.tracker)
-    told = agreed(s.tracker) and h.missed == 0 and h.added == 0
-    if told:
-        s.sure = 1
-    if s.phase != TENTATIVE or not told or not decides(s, c) or _held_back(s, c) or _noisy(s, c):
-        return
-    if s.recurring == 1 and not _told_apart(s, c):
-        return
-    if s.recurring == 1 and not _alone(s, c, out):
-        return
-    if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
-        return  # never proven: in what no frame brought may be another gap
-    if s.hole == 1 and s.recurring == 0:
-        if s.defects.turns == 0 and s.doubted < s.uneven > s.teeth - 2 * c.pulses:
-            return  # a pulse too many in each turn may be in the gap
-        if not sure and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
-            return
-    if s.hole == 1 or s.recurring == 1:
-        confirm(s, out)
-
-
-@kernel
-def unwatched(s: State, c: Const, number: int, out: Reports) -> None:
-    """Count pulses that no frame brought; when they are too many to tell anything about the sensor, say so."""
-    s.unseen += number * (1.0 - s.unseen / UNSEEN_PULSES)
-    share = s.unseen / UNSEEN_PULSES
-    if share > MOST_UNSEEN:
-        e = report(out, UNWATCHED, True, share, MOST_UNSEEN).unwatched
-        e.share, e.teeth = share, s.teeth
-
-
-@kernel
-def relocate(s: State, c: Const, out: Reports, found: int) -> None:
-    """Put the index right by a shift that the whole turn proves."""
-    _move(s, c, found)
-    if s.phase == CONFIRMED and not wrong_wheel.unsure(s, c):
-        off = found if 2 * found <= c.pulses else found - c.pulses
-        e = report(out, RELOCATED, True, off, 0.0).relocated
-        e.shift, e.tooth, e.speed = off, s.index, speed(s, c)
-        s.corrections += off
-    doubt(s)
-    s.doubted = NEVER
-    uncover(s, c)
-    s.held_fault = -1
-
-
-@kernel
-def _open(s: State, c: Const) -> bool:
-    """Return whether something else than a missing gap is about to be told: another wheel, defects of each turn."""
-    defect = s.phase == TENTATIVE and s.recurring == 1
-    return bool(defect or wrong_wheel.expected(s) or wrong_wheel.unsure(s, c))
-
-
-@kernel
-def wait(s: State, c: Const, y: float, out: Reports) -> None:
-    """Count pulses without a proven place on the wheel, and name the reason in the end.
-
-    There may be none: an engine whose ripple hides the gap is no defect, so that only what speaks against the wheel
-    counts, for :data:`LONG_PATIENCE` times as long, and for ever while the starter turns it.
-    """
-    wa = s.waiting
-    if _held_back(s, c):
-        no_gap.clear(wa)  # the place may be known: it waits for the wheel, which is no reason to miss the gap
-        return
-    no_gap.note(wa, s.y2, s.y1, y)
-    if c.even == 0:
-        no_gap.look(wa, s.anchor, c.anchor, c.turned, c.polar == 1, c.pulses, c.repeats)
-    patience = PATIENCE * c.pulses + PATIENCE_PULSES
-    if wa.pulses < patience or (wa.pulses > patience and wa.pulses % c.pulses != 0):
-        return
-    share = wa.short / wa.pulses - c.short
-    fires = no_gap.turn_us(s.anchor, c.anchor.length, c.pulses) < 60e6 / runout.FIRING_RPM * c.turns
-    if share > turns.DOUBLE_SHARE:
-        d = report(out, DOUBLED, True, share, turns.DOUBLE_SHARE).doubled
-        d.share, d.teeth = share, s.teeth
-    elif c.even == 1:
-        pass  # it has no gap that could be missing
-    elif fires and c.polar == 1 and no_gap.polarity(wa):
-        _tell_gap(s, c, out, 1.0)
-    elif fires and s.phase == TENTATIVE and s.recurring == 1 and s.defects.turns >= SURE and s.twice != TOLD:
-        number = defects.missing(s.defects)
-        shape(s, c, number if number > 0 else s.defects.count, 0, s.held)
-        s.held.tooth = -1  # every place that is left has it, each at another tooth
-        tell_held(s, MISSED if number > 0 else ADDED, out)
-    elif _open(s, c) and wa.pulses < LONG_PATIENCE * patience:
-        return
-    elif no_gap.contradicts(wa, fires, c.teeth) or (fires and wa.pulses >= LONG_PATIENCE * patience):
-        _tell_gap(s, c, out, 0.0)
-        s.twice = max(s.twice, 1)
-    else:
-        return
-    no_gap.clear(wa)
-
-
-@kernel
-def _tell_gap(s: State, c: Const, out: Reports, polarity: float) -> None:
-    """Report that the gap never comes; 1: as reversed polarity makes it."""
-    g = report(out, NO_GAP, True, s.waiting.widest, c.gap).no_gap
-    g.teeth, g.widest, g.polarity = s.teeth, s.waiting.widest, polarity

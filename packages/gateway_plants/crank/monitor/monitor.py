@@ -26,7 +26,7 @@ from gateway.monitors.contract import (
     Signal,
 )
 from gateway_fdi.jit import kernel
-from gateway_plants.crank.monitor import cam, competing_hypothesis, frames, isolation, phase, sync_state, wrong_wheel
+from gateway_plants.crank.monitor import cam, competing_hypothesis, frames, phase, place_proof, sync_state, wrong_wheel
 from gateway_plants.crank.monitor.faults import BLAMES, FAULTS, Evidence
 from gateway_plants.crank.monitor.records import (
     CLASSIC_INTERVALS,
@@ -244,7 +244,7 @@ def _place(s: State, c: Const, u: Inputs, since: int, out: Out[Evidence, Outputs
     at = sync_state.revolutions(f, c.fast) % 2 * teeth + f.index % teeth + since
     number = phase.take(s.phase, c.cam, teeth, at + part, int(u.cam_level), _slack(c, f, u.cam_delay))
     if number != phase.NONE:
-        isolation.place_by_cam(f, c.fast, number)
+        place_proof.place_by_cam(f, c.fast, number)
         cam.forget(s.cam)
 
 
@@ -278,7 +278,7 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
         there = cam.fits(c.cam, _degrees(c, f, other, u.cam_delay), int(u.cam_level))
         decided = competing_hypothesis.take_edge(f.rival, here, there)
         if decided > 0:
-            isolation.settle(f, c.fast, out, decided == 2)
+            place_proof.settle(f, c.fast, out, decided == 2)
         return
     if f.placed == sync_state.BY_CAM and u.cam_delay > OVERDUE * sync_state.period(f):
         return  # the pulse before it may be one that was missed

@@ -52,6 +52,8 @@ MOST_RIPPLE, CONTRASTS = 0.4, 5.0
 NOT_TOLD, BY_CAM, BY_GAP = range(3)
 #: What goes out for a place that is not told: the speed is followed, and no place is known.
 SPEED_ONLY = 3
+#: Pulses of a turn below which one too many in each turn makes the edges look as if they were noisy.
+MARKED = 24
 #: An engine that turns back, in a compression that it does not come over, has up to so many times ``acceleration``.
 KICK = 2.0
 
