@@ -145,7 +145,7 @@ def test_a_fault_that_has_passed_again_at_once_is_looked_at_where_its_confirmati
     config = load_config(shipped("gateway.toml"))
     memory = config.memory.model_copy(update={"symptoms": symptoms})
     gateway = Gateway(config.model_copy(update={"memory": memory}))
-    causes = gateway._causes
+    causes = gateway._diagnosis._causes
     slot = next(k for k, slot in enumerate(gateway.engine.faults) if slot.id in causes.tested)
     for kind, after_ms in ((QUALIFIED_FAILED, 0), (QUALIFIED_PASSED, 20), (QUALIFIED_FAILED, 90)):
         event = np.zeros(1, EVENT)
