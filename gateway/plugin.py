@@ -30,7 +30,7 @@ class Plugin:
         ecus: types of virtual ECU (``gateway_bench.vecu.contract.VirtualEcu``, or a class with ``step``).
         commands: of the command line, each a function or a ``typer.Typer``; two words for one of a group, as
             ``"convert teeth"``.
-        calls: functions behind those of ``gateway_api`` whose work lies above the core (``gateway.common.calls``).
+        calls: functions that the core or ``gateway_api`` calls, whose work lies above them (``gateway.common.calls``).
         measures: measurements of ``gateway doctor --bench`` (``gateway_commands.doctor.Measure``).
         readers: of log formats, by suffix, as ``".xyz"`` (``gateway.bus.readers.batch.Reader``).
         formats: of logs that are read and written, by suffix (``gateway.bus.log_format.LogFormat``).
