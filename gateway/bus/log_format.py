@@ -12,8 +12,7 @@ from gateway.bus.frames import Frames
 from gateway.bus.readers.batch import Reader
 from gateway.bus.readers.candump import Candump
 from gateway.common.extras import need
-from gateway.common.plugins import Registry
-from gateway_fdi.errors import InputError
+from gateway.common.plugins import Registry, accept_instance
 
 
 class Sink(Protocol):
@@ -54,14 +53,8 @@ class LogFormat:
             need(*self.extra, file=path)
 
 
-def _accepted(found: object, place: str) -> LogFormat:
-    if not isinstance(found, LogFormat):
-        raise InputError(f"no LogFormat, but {type(found).__name__}", value=place)
-    return found
-
-
 #: Suffix -> format, of packages above the core.
-OTHERS: Registry[LogFormat] = Registry("gateway.formats", _accepted)
+OTHERS: Registry[LogFormat] = Registry("gateway.formats", accept_instance(LogFormat))
 CANDUMP = LogFormat("candump", Candump, lambda path, names: CandumpWriter(path.open("wb"), names), rank=100)
 
 

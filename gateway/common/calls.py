@@ -5,18 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from gateway.common.plugins import Registry
+from gateway.common.plugins import Registry, accept_callable
 from gateway_fdi.errors import GatewayError
 
-
-def _callable(found: object, place: str) -> Callable[..., Any]:
-    if not callable(found):
-        raise GatewayError(f"{place} is no function")
-    return found
-
-
 #: By name.
-CALLS: Registry[Callable[..., Any]] = Registry("gateway.calls", _callable)
+CALLS: Registry[Callable[..., Any]] = Registry("gateway.calls", accept_callable)
 
 
 def call_of(name: str) -> Callable[..., Any]:

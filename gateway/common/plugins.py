@@ -137,6 +137,21 @@ def accept_callable(found: object, name: str) -> Any:
     return found
 
 
+def accept_instance(kind: type, api: int | None = None) -> Callable[[object, str], Any]:
+    """Return a check for a :class:`Registry` of objects: of this class, and written for this version of it."""
+
+    def accept(found: object, name: str) -> Any:
+        if not isinstance(found, kind):
+            raise InputError(f"no {kind.__name__}, but {type(found).__name__}", value=name)
+        version = api if api is None else getattr(found, "api", None)
+        if version != api:
+            text = f"written for version {version} of {kind.__name__}; this gateway has {api}"
+            raise InputError(text, value=name)
+        return found
+
+    return accept
+
+
 class Registry(Mapping[str, T], Generic[T]):
     """Names that a configuration can use, by type.
 

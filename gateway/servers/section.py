@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from gateway.common.plugins import Registry
+from gateway.common.plugins import Registry, accept_instance
 from gateway.faults.memory import FaultMemory
 from gateway.servers.access import Need
 from gateway.servers.application import Application
@@ -20,7 +20,6 @@ from gateway.servers.identifiers import Identifiers
 from gateway.servers.uds.params import UdsParams
 from gateway.servers.uds.testers import Testers
 from gateway_fdi.common.tomlfile import StrictModel
-from gateway_fdi.errors import InputError
 
 P = TypeVar("P", bound=StrictModel)
 #: Version of this contract.
@@ -134,16 +133,8 @@ class Section(Generic[P]):
         return ()
 
 
-def _accepted(found: object, name: str) -> Section[Any]:
-    if not isinstance(found, Section):
-        raise InputError(f"no Section, but {type(found).__name__}", value=name)
-    if found.api != API:
-        raise InputError(f"written for version {found.api} of Section; this gateway has {API}", value=name)
-    return found
-
-
 #: All sections, by the names of their tables.
-SECTIONS: Registry[Section[Any]] = Registry("gateway.sections", _accepted)
+SECTIONS: Registry[Section[Any]] = Registry("gateway.sections", accept_instance(Section, API))
 
 
 def usable() -> Iterator[tuple[str, Section[Any]]]:

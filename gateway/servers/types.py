@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
-from gateway.common.plugins import Registry
+from gateway.common.plugins import Registry, accept_instance
 from gateway.faults.memory import FaultMemory
 from gateway.servers.authority import Authority
 from gateway.servers.bus_server import BusServer
 from gateway.servers.identifiers import Identifiers
 from gateway_fdi.common.tomlfile import StrictModel
-from gateway_fdi.errors import InputError
 
 P = TypeVar("P", bound=StrictModel)
 #: Version of this contract.
@@ -54,16 +53,8 @@ class ServerType(Generic[P]):
     api: int = API
 
 
-def _accepted(found: object, name: str) -> ServerType[StrictModel]:
-    if not isinstance(found, ServerType):
-        raise InputError(f"no ServerType, but {type(found).__name__}", value=name)
-    if found.api != API:
-        raise InputError(f"written for version {found.api} of ServerType; this gateway has {API}", value=name)
-    return found
-
-
 #: All types.
-SERVERS: Registry[ServerType[StrictModel]] = Registry("gateway.servers", _accepted)
+SERVERS: Registry[ServerType[StrictModel]] = Registry("gateway.servers", accept_instance(ServerType, API))
 
 
 class Server(NamedTuple):
