@@ -14,12 +14,27 @@ from gateway.servers.section import SECTIONS, Section, usable
 from gateway_commands.configuration_schema import schema
 from gateway_fdi.errors import InputError
 
+REPORT = """[report]
+socket = "{folder}/report.sock"
+[[report.reporter]]
+name = "battery"
+[[report.reporter.fault]]
+name = "hot"
+dtc = "P0A1F-98"
+description = "too hot"
+"""
 LACKING = """
 import sys
 from gateway.common import plugins
 plugins._our_plugins = lambda: ()
 from gateway.config.load import load_config
-load_config(sys.argv[1])
+from gateway.runtime.app import Gateway
+from gateway_fdi.errors import GatewayError
+for path in sys.argv[1:]:
+    try:
+        Gateway(load_config(path))
+    except GatewayError as error:
+        print(error)
 """
 
 
@@ -29,19 +44,23 @@ def test_the_schema_has_the_tables_of_all_packages():
     assert all(tables[name]["description"] == SECTIONS[name].description for name in SECTIONS)
 
 
-@pytest.mark.parametrize("table", ["obd", "j1939", "doip"])
-def test_a_table_without_its_package_is_an_unknown_key(tmp_path, table):
-    path = write_config(tmp_path, extra=f"[output.uds]\n[output.{table}]\n")
-    load_config(path)
-    ended = subprocess.run([sys.executable, "-c", LACKING, path], capture_output=True, text=True, check=False)
-    assert f"output.{table}: unknown key" in ended.stderr
-
-
-def test_ecus_without_the_package_that_asks_them_are_an_error_of_their_key(tmp_path):
-    path = write_config(tmp_path, extra='[[ecu]]\nname = "engine"\nrequest = 0x7E0\nresponse = 0x7E8\n')
-    code = LACKING + "from gateway.runtime.app import Gateway\nGateway(load_config(sys.argv[1]))\n"
-    ended = subprocess.run([sys.executable, "-c", code, path], capture_output=True, text=True, check=False)
-    assert "ecu: no installed package asks ECUs" in ended.stderr
+def test_what_needs_a_package_that_is_not_there_is_an_error_of_its_key(tmp_path):
+    asking = '[[ecu]]\nname = "engine"\nrequest = 0x7E0\nresponse = 0x7E8\n'
+    hold, report = '[memory]\nsymptoms = "hold"\n', REPORT.format(folder=tmp_path)
+    extras = [*(f"[output.uds]\n[output.{table}]\n" for table in ("obd", "j1939", "doip")), asking, hold, report]
+    paths = []
+    for k, extra in enumerate(extras):
+        (tmp_path / str(k)).mkdir()
+        paths.append(write_config(tmp_path / str(k), extra=extra))
+        load_config(paths[-1])
+    ended = subprocess.run([sys.executable, "-c", LACKING, *paths], capture_output=True, text=True, check=False)
+    said = ended.stdout.splitlines()
+    assert len(said) == len(extras), ended.stderr
+    wanted = [f"output.{table}: unknown key" for table in ("obd", "j1939", "doip")]
+    wanted += ["ecu: no installed package asks ECUs", "memory.symptoms = 'hold': no installed package finds causes"]
+    wanted += ["report: no installed package takes reports"]
+    for line, text in zip(said, wanted, strict=True):
+        assert text in line
 
 
 def test_a_section_that_cannot_be_used_is_left_out(monkeypatch):
@@ -84,7 +103,7 @@ SECTION = BeaconTable()
 RUN = """
 import sys
 from pathlib import Path
-sys.path[:0] = sys.argv[2:]
+sys.path[:0] = sys.argv[1:3]
 from gateway.common import plugins
 from gateway.plugin import Plugin
 plugins._foreign_plugins = lambda: ({"x": Plugin(sections={"beacon": "beacon:SECTION"})}, {})
@@ -92,41 +111,41 @@ from rig import Rig
 from gateway_fdi.errors import GatewayError
 from gateway.config.reserved_ids import bus_instances
 from gateway_commands.check import check
-try:
-    rig = Rig(sys.argv[1])
-except GatewayError as error:
-    sys.exit(str(error))
-rig.fail(1)
-print(*rig.wait(10)[-1], 0x6B0 in bus_instances(rig.gateway.config)[0].known)
-check(Path(sys.argv[1]), schema_wanted=False, json=False)
+for path in sys.argv[3:]:
+    try:
+        rig = Rig(path)
+    except GatewayError as error:
+        print("error:", error)
+        continue
+    rig.fail(1)
+    print(*rig.wait(10)[-1], 0x6B0 in bus_instances(rig.gateway.config)[0].known)
+    check(Path(path), schema_wanted=False, json=False)
 """
 
 
-def beacon(tmp_path, extra):
+def test_a_table_of_a_stranger_has_its_server_its_check_its_identifiers_and_its_errors(tmp_path):
     (tmp_path / "beacon.py").write_text(BEACON)
-    path = write_config(tmp_path, extra=extra)
-    arguments = [sys.executable, "-c", RUN, path, tmp_path, str(Path(rig.__file__).parent)]
-    return subprocess.run(arguments, capture_output=True, text=True, check=False)
-
-
-def test_a_table_of_a_stranger_has_its_server_its_check_and_its_identifiers(tmp_path):
-    ended = beacon(tmp_path, '[output.uds]\n[output.beacon]\nsignal = "M1.Value"\n')
+    tables = [
+        '[output.uds]\n[output.beacon]\nsignal = "M1.Value"\n',
+        '[output.uds]\n[output.beacon]\nsignal = "M1.Valu"\n',
+        '[output.uds]\n[output.beacon]\nsignal = "M1.Value"\nbus = "z"\n',
+        '[output.beacon]\nsignal = "M1.Value"\n',
+    ]
+    paths = []
+    for k, extra in enumerate(tables):
+        (tmp_path / str(k)).mkdir()
+        paths.append(write_config(tmp_path / str(k), extra=extra))
+    arguments = [sys.executable, "-c", RUN, tmp_path, str(Path(rig.__file__).parent), *paths]
+    ended = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert ended.stderr == ""
-    assert "1712 b'\\x01fileb' True" in ended.stdout.splitlines()
-    assert "by beacon:" in ended.stdout
-    assert "output.beacon: everybody" in ended.stdout
-
-
-@pytest.mark.parametrize(
-    ("extra", "said"),
-    [
-        ('[output.uds]\n[output.beacon]\nsignal = "M1.Valu"\n', "output.beacon.signal"),
-        ('[output.uds]\n[output.beacon]\nsignal = "M1.Value"\nbus = "z"\n', "output.beacon.bus"),
-        ('[output.beacon]\nsignal = "M1.Value"\n', "output.beacon: this needs the table [output.uds]: why not"),
-    ],
-)
-def test_errors_of_a_strangers_table_have_its_keys(tmp_path, extra, said):
-    assert said in beacon(tmp_path, extra).stderr
+    said = ended.stdout.splitlines()
+    assert "1712 b'\\x01fileb' True" in said
+    assert "by beacon:" in said
+    assert any("output.beacon: everybody" in line for line in said)
+    errors = [line for line in said if line.startswith("error:")]
+    keys = ("output.beacon.signal", "output.beacon.bus", "output.beacon: this needs the table [output.uds]: why not")
+    for line, key in zip(errors, keys, strict=True):
+        assert key in line
 
 
 @pytest.mark.parametrize(("found", "said"), [(3, "no Section, but int"), (type("Old", (Section,), {"api": 0})(), "0")])
