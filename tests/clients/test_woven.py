@@ -13,6 +13,7 @@ from long_messages import batch, fast, long_message, signal, transported
 from gateway.bus.frames import EXTENDED, WOVEN, empty, put
 from gateway.engine.build import build_engine
 from gateway.j1939.overheard import CUTS
+from gateway.runtime.asking import Asking
 from gateway.signals.database import Database
 from gateway.signals.payloads import are_last, decode_columns, message_rows
 from gateway.signals.reassembly import woven_of
@@ -278,10 +279,14 @@ def test_a_bus_without_such_messages_has_nothing_that_listens():
     assert woven_of(compile_plan([(0, Database([(plain, None)]))])) is None
 
 
-def test_a_message_that_is_under_way_outlives_a_reload():
-    """The bus has another index then; what was counted stays."""
+@pytest.mark.parametrize("of_gateway", [False, True])
+def test_a_message_that_is_under_way_outlives_a_reload(of_gateway):
+    """The bus has another index then; what was counted stays; also in a gateway that asks nobody."""
     database = Database([(of(way), None) for way in (BAM,)])
     old, new = (woven_of(compile_plan([(bus, database)])) for bus in (0, 1))
+    if of_gateway:
+        old, new = Asking(old), Asking(new)
+        Asking().succeed(old, {0: 1})
     frames = batch(sent(BAM, 1, DATA, 0, 1.0)[:3], sent(BAM, 2, DATA, 0, 1.0))
     assert len(old.hear(frames[:6])) == 6
     new.succeed(old, {0: 1})
