@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 from surface import MODULES, surface
 
-import gateway_api
 import gateway_fdi
 
 LISTED = Path(__file__).parents[2] / "docs/api.txt"
@@ -34,7 +33,11 @@ def test_names_of_the_library_that_are_imported_late_are_all_listed():
     assert names == sorted(gateway_fdi.__all__)
 
 
-def test_the_old_name_has_the_same_things_and_warns():
-    with pytest.warns(DeprecationWarning, match="gateway_api"):
-        from gateway.api import open as old
-    assert old is gateway_api.open
+@pytest.mark.parametrize(
+    ("old", "new", "name"),
+    [("gateway.api", "gateway_api", "open"), ("gateway.cli.doctor", "gateway_commands.doctor", "Measure")],
+)
+def test_an_old_name_has_the_same_things_and_warns(old, new, name):
+    with pytest.warns(DeprecationWarning, match=f"{old} is {new} now"):
+        found = getattr(importlib.import_module(old), name)
+    assert found is getattr(importlib.import_module(new), name)
