@@ -32,7 +32,7 @@ from gateway.servers.access import AccessParams, Needs, needs_of
 from gateway.servers.diagnostic_address import share_address
 from gateway.servers.dtc_frame import DtcFrameParams
 from gateway.servers.identifiers import DidParams
-from gateway.servers.section import Section, usable
+from gateway.servers.section import IsotpSection, Section, usable
 from gateway.servers.types import SERVERS, Server
 from gateway.servers.uds.params import UdsParams
 from gateway_fdi.common.tomlfile import StrictModel, validate
@@ -202,7 +202,7 @@ class StatusConfig(StrictModel):
 
 
 #: Tables of outputs that packages bring, by name.
-_SECTIONS = dict(usable())
+_SECTIONS = usable()
 
 
 class Outputs(StrictModel):
@@ -223,9 +223,9 @@ class Outputs(StrictModel):
         return {name: (_SECTIONS[name], params) for name, params in self.tables.items() if name in _SECTIONS}
 
     @property
-    def applications(self) -> dict[str, tuple[Section[Any], IsoTpParams]]:
+    def applications(self) -> dict[str, tuple[IsotpSection[Any], IsoTpParams]]:
         """Those of packages that are applications on ISO-TP."""
-        return {name: found for name, found in self.sections.items() if found[0].on_isotp}
+        return {name: (one, own) for name, (one, own) in self.sections.items() if isinstance(one, IsotpSection)}
 
 
 if TYPE_CHECKING:

@@ -6,7 +6,8 @@ The configuration is joined of all that are installed, so that a table without i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -66,8 +67,6 @@ class Section(Generic[P]):
     title: str
     #: Other tables of ``[output]`` that it needs -> the reason.
     needs: Mapping[str, str] = {}
-    #: Whether it is an application on ISO-TP: ``params`` is an ``IsoTpParams``, whose address may be that of UDS.
-    on_isotp = False
     #: Version of the contract that it is written for.
     api = API
 
@@ -107,12 +106,8 @@ class Section(Generic[P]):
         """Return the address that it claims on its bus; None: it does not speak J1939."""
         return None
 
-    def application(self, params: P, around: Surroundings) -> Application:
-        """Return the application, where it is one on ISO-TP."""
-        raise NotImplementedError
-
     def server(self, params: P, around: Surroundings) -> BusServer | None:
-        """Return the server, where it is no application; None: there is none."""
+        """Return the server; None: there is none."""
         return None
 
     def door(self, params: P, gateway: Any, clock: Any) -> Any:
@@ -133,12 +128,18 @@ class Section(Generic[P]):
         return ()
 
 
+class IsotpSection(Section[P], ABC):
+    """A table of an application on ISO-TP: its keys are those of ``IsoTpParams`` and more; UDS may have its address."""
+
+    @abstractmethod
+    def application(self, params: P, around: Surroundings) -> Application:
+        """Return the application."""
+
+
 #: All sections, by the names of their tables.
 SECTIONS: Registry[Section[Any]] = Registry("gateway.sections", accept_instance(Section, API))
 
 
-def usable() -> Iterator[tuple[str, Section[Any]]]:
-    """Yield the sections that can be used, by their names; ``gateway doctor`` tells of the others."""
-    for name, found in SECTIONS.described().items():
-        if isinstance(found, Section):
-            yield name, found
+def usable() -> dict[str, Section[Any]]:
+    """Return the sections that can be used, by their names; ``gateway doctor`` tells of the others."""
+    return {name: found for name, found in SECTIONS.described().items() if isinstance(found, Section)}

@@ -38,15 +38,7 @@ class Clients(Poller):
 def asking(
     config: Config, parts: Parts, control: TesterControl, may_ask: Callable[[int], bool], fence: Fence
 ) -> Clients:
-    """Build the clients of other ECUs.
-
-    Args:
-        config: the configuration.
-        parts: of it.
-        control: judges conditions.
-        may_ask: whether a bus may be asked now, by its index.
-        fence: counts exceptions that answers cause.
-    """
+    """Build the clients of other ECUs; arguments as of ``gateway.runtime.assemble.asking_of``."""
     made = ecus_of(config, parts.answers, lambda of: schedule_of(of, control.meets))
     rates = {bus: config.bus[bus].ask.requests_per_s for bus in config.answered if not config.bus[bus].listen_only}
     bus_of = {bus: len(config.bus) + at for at, bus in enumerate(config.answered)}

@@ -14,13 +14,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from gateway.common.times import NEVER
+from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.core import Engine
-from gateway.engine.depends.parts import Seen
-from gateway.faults.entries import DtcChange
+from gateway.engine.depends.derive import Dependences
+from gateway.engine.events import Events
 from gateway.faults.explanation import CAUSE, HELD, MOST_RANKED, OPEN, SYMPTOM, WAITING, Cause, Ranked
 from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Record
 from gateway.faults.status import Status
+from gateway.runtime.diagnosis import Diagnosis, NoteChanges
 from gateway.runtime.event_json import symptoms_event
 from gateway_causes.causes import PACE_NS, Causes
 
@@ -50,19 +52,18 @@ class _Standing:
     until_ns: int = NEVER
 
 
-class Explainer:
-    """Takes diagnoses into the fault memory.
+class Explainer(Diagnosis):
+    """Has causes found, and takes diagnoses into the fault memory.
 
     Args:
-        engine: its clock, and detection counters.
+        engine: has the verdicts.
         memory: has the entries.
-        depends: fault id -> what its test sees, the best first.
-        causes: makes the diagnoses.
+        known: components that each fault's test depends on.
+        checks: of messages, with their timeouts.
         hold: whether symptoms are held.
         note: takes events to be told.
 
     Attributes:
-        note_changes: takes changes of status bytes.
         held, released: how many symptoms were held, and how many of these were confirmed later.
     """
 
@@ -70,15 +71,16 @@ class Explainer:
         self,
         engine: Engine,
         memory: FaultMemory,
-        depends: Mapping[str, tuple[Seen, ...]],
-        causes: Causes,
+        known: Dependences,
+        checks: Sequence[CheckInstance],
         *,
         hold: bool,
         note: Callable[[dict[str, Any]], None],
     ) -> None:
-        self._engine, self._memory, self._depends, self._causes = engine, memory, depends, causes
+        self._engine, self._memory, self._depends = engine, memory, known.seen
+        self._causes = causes = Causes(engine, known, checks)
         self._note = note
-        self.note_changes: Callable[[Sequence[DtcChange]], object] = lambda changes: None
+        self._note_changes: NoteChanges = lambda changes: None
         self._index = {slot.id: k for k, slot in enumerate(engine.faults)}
         self._groups: dict[str, _Group] = {}
         self._standing: dict[str, _Standing] = {}
@@ -88,10 +90,17 @@ class Explainer:
         if hold:
             memory.wait_for_causes(causes.tested)
         self._hold = causes.awaited = hold
-        causes.tell, causes.after_look = self.take, self.look
+        causes.tell, causes.after_look = self._take_diagnosis, self._look
 
-    def succeed(self, old: Explainer) -> None:
+    def connect(self, note_changes: NoteChanges) -> None:
+        """Take who keeps changes of status bytes."""
+        self._note_changes = note_changes
+
+    def succeed(self, old: Diagnosis) -> None:
         """Go on where that of an earlier configuration stops."""
+        if not isinstance(old, Explainer):
+            return
+        self._causes.succeed(old._causes)
         # The next diagnosis looks at entries that were explained by faults that no longer exist.
         known = self._depends.keys()
         self._groups = {fault: group for fault, group in old._groups.items() if group.failed <= known}
@@ -112,14 +121,22 @@ class Explainer:
         ]
         self._confirm(overdue, t_ns)
 
+    def take(self, events: Events) -> None:
+        """Take events of the engine."""
+        self._causes.take(events)
+
+    def look_soon(self) -> None:
+        """Look again: verdicts have been taken back, of which no event tells."""
+        self._causes.look_soon()
+
     def failed(self, fault: str, t_ns: int) -> None:
         """Note when a fault failed, by the engine's time: waiting entries are not judged by an earlier diagnosis."""
         self._news = True
         if self._hold:
             self._since[fault] = t_ns
 
-    def take(self, event: dict[str, Any]) -> None:
-        """Take a diagnosis, and tell it; :meth:`look` follows."""
+    def _take_diagnosis(self, event: dict[str, Any]) -> None:
+        """Take a diagnosis, and tell it; :meth:`_look` follows."""
         self._news = True
         self._groups = {}
         for told in event["groups"]:
@@ -127,7 +144,7 @@ class Explainer:
             self._groups |= dict.fromkeys(group.failed, group)
         self._note(event)
 
-    def look(self, t_ns: int) -> int:
+    def _look(self, t_ns: int) -> int:
         """Bring the memory up to date; returns when to look again.
 
         Args:
@@ -138,14 +155,20 @@ class Explainer:
         return min(self._due, self._settle(t_ns)) if self._hold else self._due
 
     def finish(self, t_ns: int) -> None:
-        """Confirm what waits still: the process ends."""
+        """Look once more, and confirm what waits still: the process ends."""
+        if self._causes.pending:
+            self._causes.look(t_ns)
         self._confirm([record.id for record in self._memory.unsettled() if record.hold == WAITING], t_ns)
 
-    def look_soon(self) -> None:
+    def look_at_entries(self) -> None:
         """Have an entry looked at that was made without a failure now: there was no room for it before."""
         if self._hold or self._groups:
             self._news = True
             self._engine.pause_ns = min(self._engine.pause_ns, self._engine.now_ns + PACE_NS)
+
+    def counters(self) -> dict[str, int]:
+        """Return how many symptoms were held, and released."""
+        return {"symptoms_held": self.held, "symptoms_released": self.released} if self.held else {}
 
     # Causes
 
@@ -267,7 +290,7 @@ class Explainer:
             self._since.pop(fault, None)
             index = self._index.get(fault)
             fdc = 0 if index is None else self._engine.fault_detection_counter(index)
-            self.note_changes(self._memory.confirm(fault, fdc, wall_ns))
+            self._note_changes(self._memory.confirm(fault, fdc, wall_ns))
 
 
 def _group(told: Mapping[str, Any]) -> _Group:

@@ -2,4 +2,4 @@
 
 from gateway.plugin import Plugin
 
-PLUGIN = Plugin(calls={"diagnosis": "gateway_causes.diagnosis:CauseDiagnosis"})
+PLUGIN = Plugin(calls={"diagnosis": "gateway_causes.explainer:Explainer"})

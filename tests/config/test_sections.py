@@ -65,7 +65,7 @@ def test_what_needs_a_package_that_is_not_there_is_an_error_of_its_key(tmp_path)
 
 def test_a_section_that_cannot_be_used_is_left_out(monkeypatch):
     monkeypatch.setattr(SECTIONS, "described", lambda: {"obd": SECTIONS["obd"], "mine": InputError("broken")})
-    assert [name for name, _ in usable()] == ["obd"]
+    assert [*usable()] == ["obd"]
 
 
 BEACON = """

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from gateway.servers.application import Application
-from gateway.servers.section import Section, Surroundings
+from gateway.servers.section import IsotpSection, Surroundings
 from gateway_testers.obd.params import ObdParams
 from gateway_testers.obd.server import ObdServer
 
 
-class Obd(Section[ObdParams]):
+class Obd(IsotpSection[ObdParams]):
     """The modes of OBD (SAE J1979), and its identifiers on UDS (SAE J1979-2)."""
 
     params = ObdParams
     title = "OBD"
     description = "OBD server (SAE J1979) on ISO-TP"
-    on_isotp = True
 
     def shown(self, params: ObdParams) -> Iterable[tuple[str, str]]:
         """Return the signals of its PIDs."""
