@@ -182,7 +182,7 @@ def secrets_shown(config: Config, path: Path) -> list[str]:
 def _ways_around(config: Config) -> list[str]:
     """Return how an intervention is easier than it looks."""
     output = config.output
-    there = {name: getattr(output, name) is not None for name in ("uds", "obd", "j1939")}
+    there = {name: getattr(output, name, None) is not None for name in ("uds", "obd", "j1939")}
     said = list(ways_around(config.needs, config.security_levels, **there))
     if config.access.local_unlocked and any(need.is_locked for need in config.needs.values()):
         said.append("access.local_unlocked: every user who may open the status socket needs no key and no role")

@@ -7,8 +7,7 @@ from functools import cache
 from importlib import import_module
 
 import pytest
-from amount import FULL
-from uses import BELOW, PLANTS, ROOT, TESTS, USES, helpers, imported, lacking, uses
+from uses import BELOW, GUESTS, PLANTS, ROOT, TESTS, USES, helpers, imported, lacking, uses
 
 LINES = sorted((place, owner) for place, owners in USES.items() for owner in owners)
 
@@ -16,8 +15,8 @@ LINES = sorted((place, owner) for place, owners in USES.items() for owner in own
 #: Tests that run without plants: help, doctor, a log that is learned.
 SOME = "test_help or test_doctor or test_each_channel_of_a_log"
 
-#: What is taken away: all plants (in CI), or one of them.
-WITHOUT = [PLANTS, *([name] for name in PLANTS)]
+#: What is taken away: all plants, or a plant, or a package that the core does without.
+WITHOUT = [PLANTS, *([name] for name in (*PLANTS, *GUESTS))]
 
 #: A file that takes every shipped file, or every page, uses all plants.
 EVERY = ("all_shipped", "glob", "rglob")
@@ -31,8 +30,10 @@ def names_of(owner):
     files = [file for folder in folders for file in (ROOT / folder).rglob("*.*") if file.suffix in (".toml", ".dbc")]
     brought = vars(import_module(f"{package}.plugin").PLUGIN).values()
     words = {name.split()[-1] for door in brought if isinstance(door, dict) for name in door}
-    bench = {"gateway.toml"} if words & words_of(ROOT / "gateway.toml") else set()
-    return {owner, *words, *bench, *EVERY, *(file.stem for file in files)}
+    for file in (ROOT / "gateway.toml", *ROOT.glob("packages/**/configs/*.toml"), *ROOT.glob("scenarios/*/*.toml")):
+        if words & words_of(file):  # a configuration of ours that has it; and a scenario of this configuration
+            words.add("gateway.toml" if file.name == "gateway.toml" else file.stem)
+    return {owner, *words, *EVERY, *(file.stem for file in files)}
 
 
 def words_of(file):
@@ -62,11 +63,12 @@ def test_no_line_of_the_table_is_stale():
 
 
 @pytest.mark.long
+@pytest.mark.full("17 s each")
 @pytest.mark.skipif(any(map(lacking, (*PLANTS, *BELOW))), reason="not the whole checkout")
-@pytest.mark.parametrize("plants", WITHOUT if FULL else WITHOUT[:1], ids=" ".join)
-def test_without_plants_all_tests_are_collected_and_some_run(plants):
-    """In a copy without their folders; a test that takes something of them at its import is an error there."""
-    command = [sys.executable, "scripts/without", *plants, "--", "-n", "0", "-k", SOME]
+@pytest.mark.parametrize("gone", WITHOUT, ids=" ".join)
+def test_without_plants_or_a_package_all_tests_are_collected_and_some_run(gone):
+    """In a copy without the folders; a test that takes something of them at its import is an error there."""
+    command = [sys.executable, "scripts/without", *gone, "--", "-n", "0", "-k", SOME]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stdout[-3000:] + ended.stderr
     assert "100%]" in ended.stdout, "pytest's code is 0 only where tests ran and passed"

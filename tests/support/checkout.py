@@ -1,14 +1,16 @@
-"""Copies of the checkout, whole or without the folders of a plant."""
+"""Copies of the checkout, whole or without the folders of a plant or a package."""
 
 import shutil
 import subprocess
 
-from uses import ROOT
+from uses import PLANTS, ROOT
 
 
-def places(plant):
-    """Return the folders of a plant."""
-    return [f"packages/gateway_plants/{plant}", *(f"{top}/{plant}" for top in ("dbc", "scenarios", "tests", "docs"))]
+def places(name):
+    """Return the folders of a package, or of a plant."""
+    if name not in PLANTS:
+        return [f"packages/{name}"]
+    return [f"packages/gateway_plants/{name}", *(f"{top}/{name}" for top in ("dbc", "scenarios", "tests", "docs"))]
 
 
 def copied(tree, without=()):

@@ -11,10 +11,12 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = ROOT / "tests"
 _IMPORT = re.compile(r"^ *(?:from|import) ([\w.]+)", re.MULTILINE)
+#: What is imported as the file is.
+_AT_ONCE = re.compile(r"^(?:from|import) ([\w.]+)", re.MULTILINE)
 PLANTS = ("crank", "pedal", "steering", "linear", "truck", "structural")
 _BENCH = "gateway_bench"
 #: Beside each other above the core.
-_GUESTS = tuple(f"gateway_{name}" for name in ("serve", "checks", "calibration", "logs", "testers", "commands"))
+_BESIDE = tuple(f"gateway_{name}" for name in ("serve", "checks", "calibration", "logs", "testers", "commands"))
 _CORE = ("gateway_ask", "gateway_api", "gateway_replay", "gateway_causes", "gateway", "gateway_fdi")
 
 #: Package -> those below it. The door of pytest imports nothing, and opens the bench's plugin.
@@ -25,21 +27,23 @@ BELOW = {
     "gateway_replay": _CORE[3:],
     "gateway_api": _CORE[2:],
     "gateway_ask": _CORE[1:],
-    **dict.fromkeys(_GUESTS, _CORE),
-    _BENCH: (*_GUESTS, *_CORE, "gateway_pytest"),
-    "gateway_conformance": (*_GUESTS, *_CORE, "gateway_pytest"),
-    "gateway_plants": (_BENCH, *_GUESTS, *_CORE, "gateway_pytest"),
-    "gateway_fleet": (_BENCH, *_GUESTS, *_CORE, "gateway_pytest"),
-    "gateway_arena": ("gateway_plants", _BENCH, *_GUESTS, *_CORE, "gateway_pytest"),
+    **dict.fromkeys(_BESIDE, _CORE),
+    _BENCH: (*_BESIDE, *_CORE, "gateway_pytest"),
+    "gateway_conformance": (*_BESIDE, *_CORE, "gateway_pytest"),
+    "gateway_plants": (_BENCH, *_BESIDE, *_CORE, "gateway_pytest"),
+    "gateway_fleet": (_BENCH, *_BESIDE, *_CORE, "gateway_pytest"),
+    "gateway_arena": ("gateway_plants", _BENCH, *_BESIDE, *_CORE, "gateway_pytest"),
 }
 PACKAGES = (*BELOW, "gateway_pytest")
+#: Packages that the core does without.
+GUESTS = tuple(name for name in PACKAGES if name not in _CORE[4:])
 
 #: Files of tests, helpers, and folders of them that use a plant's shipped files, or a package's commands and types, by
 #: name only. What a file imports, itself or by its helpers, has no line here (tests/package/test_uses.py holds the
 #: lines).
 USES = {
     "fleet": ("gateway_fleet",),
-    "docs/test_doc_blocks.py": (*PLANTS, "gateway_fleet", "gateway_arena"),
+    "docs/test_doc_blocks.py": (*PLANTS, "gateway_fleet", "gateway_arena", "gateway_testers"),
     "docs/test_reader.py": (*PLANTS, _BENCH),
     "docs/test_site.py": (*PLANTS, "gateway_fleet"),
     "docs/test_tutorials.py": ("structural", _BENCH, "gateway_fleet"),
@@ -53,21 +57,21 @@ USES = {
     "arena/test_recordings.py": ("structural",),
     "api/test_docs.py": ("crank", "pedal", "linear", "structural", _BENCH, "gateway_fleet"),
     "api/test_notebooks.py": ("crank", "pedal", "linear", "structural", "gateway_fleet"),
-    "api/test_sessions.py": ("crank", "structural", _BENCH, "gateway_fleet"),
+    "api/test_sessions.py": ("crank", "structural", _BENCH, "gateway_fleet", "gateway_testers"),
     "api/test_surface.py": ("crank", "pedal", "linear"),
     "cli/test_wheel.py": ("crank", "gateway_fleet"),
-    "cli/test_measure.py": ("crank",),
-    "bus/test_bounds.py": ("crank",),
-    "calibration/test_cusum_tests.py": ("steering", "crank"),
+    "cli/test_measure.py": ("crank", "gateway_testers"),
+    "bus/test_bounds.py": ("crank", "gateway_testers"),
+    "calibration/test_cusum_tests.py": ("steering", "crank", "gateway_testers"),
     "calibration/test_of_a_fleet.py": ("steering", "gateway_fleet"),
     "calibration/test_sensors.py": ("gateway_fleet",),
     "calibration/test_stopping_rules.py": ("pedal", "steering"),
     "cli/test_bad_files.py": ("crank", "structural", _BENCH, "gateway_fleet", "gateway_arena"),
     "cli/test_check.py": ("steering", "structural"),
     "cli/test_errors.py": (*PLANTS, _BENCH),
-    "cli/test_failures.py": ("crank", "structural"),
+    "cli/test_failures.py": ("crank", "structural", "gateway_testers"),
     "cli/test_present.py": ("crank", "pedal", "steering", "linear"),
-    "cli/test_schema.py": (*PLANTS, _BENCH),
+    "cli/test_schema.py": (*PLANTS, _BENCH, "gateway_testers"),
     "cli/test_series.py": ("structural", _BENCH),
     "cli/test_simulate.py": ("pedal",),
     "cli/test_ways_on.py": ("crank", _BENCH),
@@ -84,19 +88,19 @@ USES = {
     "fdi/structure/test_toolbox.py": ("truck",),
     "fleet/test_digest.py": ("structural",),
     "inject/ecus.py": ("linear",),
-    "jit/test_shipped.py": (*PLANTS, _BENCH),
+    "jit/test_shipped.py": (*PLANTS, _BENCH, "gateway_testers"),
     "learn/test_from_answers.py": ("gateway_fleet",),
     "live/test_causes_everywhere.py": ("linear",),
-    "live/test_pump.py": ("crank",),
+    "live/test_pump.py": ("crank", "gateway_testers"),
     "live/test_several_buses.py": ("pedal",),
-    "monitors/test_invalid_values.py": ("crank", "pedal", "steering", "linear", "truck"),
+    "monitors/test_invalid_values.py": ("crank", "pedal", "steering", "linear", "truck", "gateway_testers"),
     "monitors/test_wrong_parameters.py": PLANTS,
     "serve/test_hostile.py": ("crank", _BENCH),
-    "serve/test_metrics.py": ("crank",),
+    "serve/test_metrics.py": ("crank", "gateway_testers"),
     "serve/test_processes.py": ("crank", _BENCH),
     "serve/test_prometheus.py": ("crank", _BENCH),
-    "serve/test_report.py": ("crank",),
-    "serve/test_watch.py": ("crank",),
+    "serve/test_report.py": ("crank", "gateway_testers"),
+    "serve/test_watch.py": ("crank", "gateway_testers"),
     "servers/test_odx.py": ("crank",),
     "structural/monitor/test_choice.py": ("truck",),
     "structural/test_structure.py": ("truck",),
@@ -112,19 +116,36 @@ USES = {
     "system/vcan/test_steering_scenarios.py": ("steering",),
     "system/vcan/test_truck_scenarios.py": ("truck",),
     "system/vcan/test_guest.py": PLANTS,
-    "runtime/test_causes.py": ("structural", "pedal", "crank", "truck"),
+    "runtime/test_causes.py": ("structural", "pedal", "crank", "truck", "gateway_testers"),
     "docs/test_docs.py": (*PLANTS, _BENCH, "gateway_fleet"),
-    "runtime/test_gateway.py": PLANTS,
+    "runtime/test_gateway.py": (*PLANTS, "gateway_testers"),
     "jit/test_kernels_again.py": PLANTS,
-    "config/test_mistakes.py": ("crank",),
-    "servers/test_own_frames.py": ("crank",),
-    "common/test_plugins.py": ("crank", _BENCH),
-    "runtime/test_reload.py": ("crank", "pedal", "steering", "linear", "truck"),
+    "config/test_mistakes.py": ("crank", "gateway_testers"),
+    "servers/test_own_frames.py": ("crank", "gateway_testers"),
+    "common/test_plugins.py": ("crank", _BENCH, "gateway_testers"),
+    "runtime/test_reload.py": ("crank", "pedal", "steering", "linear", "truck", "gateway_testers"),
     "package/test_start.py": tuple(name for name in PLANTS if name != "structural"),
-    "vecu/test_conditional.py": ("crank", "linear"),
+    "vecu/test_conditional.py": ("crank", "linear", "gateway_testers"),
     "vecu/test_encode.py": ("pedal", "steering"),
-    "vecu/test_every_ecu.py": ("crank",),
+    "vecu/test_every_ecu.py": ("crank", "gateway_testers"),
     "vecu/test_loop.py": ("linear",),
+    "live/test_outside.py": ("gateway_serve",),
+    "clients/test_asked.py": ("gateway_checks", "gateway_testers"),
+    "live/test_status.py": ("gateway_checks",),
+    "serve/test_causes_shown.py": ("gateway_checks",),
+    "serve/test_reading.py": ("gateway_checks",),
+    "answers/test_import.py": ("gateway_checks",),
+    "clients/test_client.py": ("gateway_checks",),
+    "clients/test_protocols.py": ("gateway_checks", "gateway_testers"),
+    "clients/test_woven_commands.py": ("gateway_checks",),
+    "monitors/test_network_codes.py": ("gateway_checks",),
+    "monitors/test_sender_clock.py": ("gateway_checks",),
+    "signals/test_identity.py": ("gateway_checks",),
+    "signals/test_opendbc_car.py": ("gateway_checks",),
+    "common/test_archives.py": ("gateway_testers",),
+    "config/test_sections.py": ("gateway_testers",),
+    "crank/monitor/test_frames.py": ("gateway_testers",),
+    "system/test_captures.py": ("gateway_testers",),
 }
 
 
@@ -141,7 +162,7 @@ def lacking(name, root=ROOT):
 def helpers(file):
     """Return the files of tests that a file imports, by their names."""
     names = {name.partition(".")[0] for name in _IMPORT.findall(file.read_text())}
-    near = [path for name in names for path in TESTS.glob(f"*/{name}.py") if not name.startswith("test_")]
+    near = [path for name in names for path in TESTS.glob(f"*/{name}.py")]
     return tuple(path for path in near if path != file)
 
 
@@ -165,11 +186,21 @@ def uses(file):
     return imported(file).union(named, own, *map(uses, helpers(file)))
 
 
+@cache
+def needs(name):
+    """Return the packages that a package or a plant imports wherever it is imported, itself or by these."""
+    folder = ROOT / "packages" / (f"gateway_plants/{name}" if name in PLANTS else name)
+    files = [path for path in folder.rglob("*.py") if not path.name.startswith("test_")]
+    found = {module.partition(".")[0] for path in files for module in _AT_ONCE.findall(path.read_text())}
+    found = found & {*PACKAGES} - {name, "gateway_plants"}
+    return frozenset(found.union(*map(needs, found)))
+
+
 def missing(file):
-    """Return which packages and plants a file of tests uses that are not in this checkout."""
+    """Return which packages and plants that are not in this checkout a file of tests uses, or what it uses needs."""
     if file.suffix != ".py" or not any(map(lacking, (*PLANTS, *PACKAGES))):
         return ()
-    return tuple(sorted(filter(lacking, uses(file))))
+    return tuple(sorted(filter(lacking, uses(file).union(*map(needs, uses(file))))))
 
 
 def own_tests(package, used_by=uses):
