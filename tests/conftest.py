@@ -5,7 +5,7 @@ import os
 import sys
 
 import pytest
-from amount import SMALL, examples
+from amount import FULL, SMALL, examples
 from outcomes import Outcomes, note_ids
 from uses import missing
 
@@ -43,16 +43,20 @@ def pytest_ignore_collect(collection_path):
 
 
 def pytest_collection_modifyitems(config, items):
-    """With GATEWAY_TESTS=small leave out what is long and what needs several processes, but for one chain of each.
+    """Leave out what only the full size has, with GATEWAY_TESTS=small what is long and what needs several processes.
 
-    What runs other tests again comes first: at the end it would keep one processor busy alone.
+    Of these, one chain of each is run. What runs other tests again comes first: at the end it would keep one processor
+    busy alone.
     """
     note_ids(items)
     items.sort(key=lambda item: "test_kernels_again" not in item.nodeid)
-    if not SMALL:
-        return
     chain, left_out, seen = [], [], set()
     for item in items:
+        if item.get_closest_marker("full") and not FULL:
+            left_out.append(item)
+            continue
+        if not SMALL:
+            continue
         name = (item.path, getattr(item, "originalname", item.name))
         if (BOUNDSCHECK or not COMPILED) and name in seen:  # one case of each test is run again
             left_out.append(item)
@@ -64,6 +68,8 @@ def pytest_collection_modifyitems(config, items):
             chain.append(item)
         elif item.get_closest_marker("long") or item.get_closest_marker("system"):
             left_out.append(item)
+    if not left_out:
+        return
     config.hook.pytest_deselected(items=left_out)
     gone = {id(item) for item in (*chain, *left_out)}
     items[:] = chain + [item for item in items if id(item) not in gone]

@@ -54,7 +54,7 @@ def test_each_runs_after_those_before(folder):
     assert "(('valve',), 0.8" in said  # 10
 
 
-@pytest.mark.long
+@pytest.mark.full("9 s")
 def test_mypy_takes_them_strictly(folder, tmp_path):
     mypy = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", str(tmp_path / "cache")]
     files = [f"use_{number}.py" for number, _ in USES]

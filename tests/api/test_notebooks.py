@@ -25,7 +25,7 @@ def test_they_are_kept_without_outputs_and_listed():
             assert "_" not in {name[:1] for line in cell["source"] for name in line.split(".")[1:]}
 
 
-@pytest.mark.long
+@pytest.mark.full("7 s")
 def test_they_run_on_the_wheel(tmp_path):
     build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path / "made")]
     subprocess.run(build, cwd=ROOT, capture_output=True, check=True)

@@ -60,8 +60,8 @@ def test_methods_that_know_the_plant_see_its_faults(name, motor):
         assert row.wrong == 0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["quad", *(["buck", "spring", "wind", "motor", "cooling"] if FULL else [])])
+@pytest.mark.full("8 s")
 def test_the_faults_of_a_plant_are_solved_within_the_budget_of_algebra(name):
     made = plant(name)
     found = trial(

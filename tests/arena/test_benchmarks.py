@@ -202,6 +202,7 @@ def driven_apart(fault, samples=160, onset=80):
 
 
 @pytest.mark.long
+@pytest.mark.full("9 s: of the published plant, not of ours")
 def test_the_turbo_engines_sensors_react_to_six_faults_as_published():
     apart = np.array([driven_apart(fault) for fault in turbo.FAULTS]).T
     print(apart.round(2))

@@ -122,6 +122,7 @@ def test_what_is_known_is_not_read_again(trucks):
 
 
 @pytest.mark.system
+@pytest.mark.full("13 s: fleet/test_workers.py kills those of a run")
 def test_by_workers_of_which_one_is_killed(trucks):
     folder, config = trucks
     (folder / "kill.py").write_text(

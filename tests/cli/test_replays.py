@@ -94,6 +94,7 @@ def test_each_log_has_a_memory_of_its_own(gateway, tmp_path):
 
 @pytest.mark.long
 @pytest.mark.system
+@pytest.mark.full("12 s: fleet/test_workers.py has the same workers")
 def test_a_log_that_kills_its_process_is_told(gateway, tmp_path, monkeypatch):
     """A monitor of the user's that ends its process at a value."""
     (tmp_path / "poison.py").write_text(

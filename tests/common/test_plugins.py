@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from amount import FULL
+import warm
 from nested_pytest import PYTEST
 
 from gateway_fdi.common.resources import shipped
@@ -19,10 +19,10 @@ from gateway_fdi.common.resources import shipped
 EXAMPLES = sorted(
     path.parent for path in shipped("examples").glob("*/gateway.toml") if len(list(path.parent.glob("*.toml"))) == 2
 )
-#: Those with tests of their own; of one it is half a minute.
+#: Those with tests of their own.
 TESTED = [
-    pytest.param(path.parent.name, marks=pytest.mark.skipif(not FULL, reason="half a minute: GATEWAY_TESTS=full"))
-    if path.parent.name == "steering_gear"
+    pytest.param(path.parent.name, marks=pytest.mark.full("half a minute, and 6 s"))
+    if path.parent.name in ("steering_gear", "pedal_khr")
     else path.parent.name
     for path in sorted(shipped("examples").glob("*/test_*.py"))
 ]
@@ -35,7 +35,7 @@ def run(*arguments, cwd, path=None, **environment):
     kept = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "COVERAGE_PROCESS_START")}
     if path is not None:
         kept["PYTHONPATH"] = str(path)
-    return subprocess.run(
+    return warm.run(
         [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=600, check=False,
         env={**kept, "COLUMNS": "200", **environment},
     )  # fmt: skip
@@ -182,7 +182,7 @@ def test_a_type_of_ours_cannot_be_taken_and_of_two_strangers_none_wins(tmp_path)
     assert "several installed packages have this type: battery_of_mine:MONITOR, other:MONITOR" in made.stderr
 
 
-@pytest.mark.long
+@pytest.mark.full("3 s")
 def test_a_misspelt_field_is_named_compiled_or_not(tmp_path):
     """The compiler refuses it before the start; in plain Python the first step fails: the monitor is switched off."""
     folder = copy("battery_voltage", tmp_path)
@@ -200,6 +200,7 @@ def test_a_misspelt_field_is_named_compiled_or_not(tmp_path):
         assert "Traceback" not in ended.stderr
 
 
+@pytest.mark.full("3 s")
 def test_each_step_can_be_traced(tmp_path):
     folder = copy("battery_voltage", tmp_path)
     log = tmp_path / "a.log"
@@ -269,7 +270,7 @@ def test_a_package_brings_a_command_a_log_format_a_checksum_and_a_key_function(t
     assert made.stdout == f"{0x01 + 0xA0} {bytes([97 ^ 107 ^ 1, 98 ^ 107 ^ 1]).hex()}\n", made.stderr
 
 
-@pytest.mark.long
+@pytest.mark.full("4 s")
 def test_a_plant_that_is_installed_is_named_in_any_folder(tmp_path):
     site, place = installed("motor_load", tmp_path), tmp_path / "car"
     place.mkdir()

@@ -103,7 +103,7 @@ def test_marks_of_functions_classes_modules_and_cases_are_found(evidence, tmp_pa
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("workers", ["0", "2"])
+@pytest.mark.parametrize("workers", [pytest.param("0", marks=pytest.mark.full("1 s")), "2"])
 def test_outcomes_are_those_of_the_run_also_of_several_processes(evidence, tmp_path, workers):
     (tmp_path / "test_suite.py").write_text(SUITE)
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = evidence\n")

@@ -7,11 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from surface import MODULES
 
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.full("8 s")
 def test_the_site_is_built_without_a_warning(tmp_path):
     build = [
         sys.executable,

@@ -13,7 +13,7 @@ from walks import Walk, environment, stop
 
 TUTORIALS = sorted((Path(__file__).parents[2] / "docs" / "tutorials").glob("*.md"))
 #: Those of the car, the bench and the fleet run what other tests of CI run, too.
-PAGES = [page for page in TUTORIALS if FULL or page.stem in ("monitor", "plant", "road")]
+PAGES = [page for page in TUTORIALS if FULL or page.stem in ("monitor", "road")]
 
 
 @pytest.fixture

@@ -10,10 +10,9 @@ import socket
 
 import pytest
 import vans
-from amount import FULL
 from walks import ROOT, Walk, blocks, environment, stop
 
-pytestmark = [pytest.mark.long, pytest.mark.skipif(not FULL, reason="of the full size")]
+pytestmark = [pytest.mark.long, pytest.mark.full("of the full size")]
 
 
 @pytest.fixture

@@ -119,6 +119,7 @@ def inverse_park_all(d, q, theta):
     return d * c - q * s, d * s + q * c
 
 
+@pytest.mark.full("5 s")
 def test_the_filter_follows_a_motor_of_other_make():
     rms = {
         (per, noise): np.degrees(np.sqrt(np.mean(follow(per, noise, np.random.default_rng(1)) ** 2)))

@@ -185,6 +185,7 @@ def test_a_scheduler_and_workers_of_their_own(fleet, own):
     assert tables_hash(fleet / "out") == tables_hash(fleet / "serial")
 
 
+@pytest.mark.full("13 s")
 def test_memory_of_a_worker_does_not_grow_with_the_length_of_a_log(tmp_path, own):
     """A worker of its own judges a log; bytes a frame that stayed would show: 8 of them are 19 MB here, 800 MB in full.
 

@@ -4,6 +4,7 @@ import os
 
 import pytest
 import run as run_module
+from amount import amount
 from checks import Broken
 from machine import Wire
 from run import QUIET_S, Run, schedule_for
@@ -14,7 +15,7 @@ from gateway.engine.core import Engine
 from gateway.faults.store import Store
 from gateway.runtime.app import Gateway
 
-SEEDS = [int(os.environ["GATEWAY_SEED"])] if "GATEWAY_SEED" in os.environ else range(1, 5)
+SEEDS = [int(os.environ["GATEWAY_SEED"])] if "GATEWAY_SEED" in os.environ else range(1, 1 + amount(4, 2))
 SECONDS = 30.0
 
 

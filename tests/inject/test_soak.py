@@ -13,7 +13,7 @@ from amount import amount
 from run import QUIET_S, TURN_NS, Run, schedule_for
 from schedule import BUSES
 
-FRAMES = int(float(os.environ.get("GATEWAY_SOAK", amount(10**8, 10**6, 0))))
+FRAMES = int(float(os.environ.get("GATEWAY_SOAK", amount(10**8, 4 * 10**5, 0))))
 PER_TURN = 160
 SEED = int(os.environ.get("GATEWAY_SEED", "1"))
 #: More than this [bytes] is a leak: of 10^8 frames 0.1 byte a frame, a fifth of an event; of 10^6 seven bytes a frame.

@@ -177,7 +177,7 @@ def test_a_comment_compiles_nothing_and_an_edit_compiles(tmp_path, monkeypatch):
     assert run(tmp_path) == "1 []"
 
 
-@pytest.mark.long
+@pytest.mark.full("4 s")
 def test_many_processes_at_once_compile_the_same(tmp_path):
     (tmp_path / "mine.py").write_text(MINE)
     environment = {
@@ -202,7 +202,7 @@ def test_many_processes_at_once_compile_the_same(tmp_path):
     assert run(tmp_path) == "0 []"
 
 
-@pytest.mark.long
+@pytest.mark.full("2 s")
 def test_code_of_other_libraries_is_not_loaded(tmp_path):
     assert run(tmp_path) == "1 []"
     newer = "import importlib.metadata as m\nold = m.version\n"
@@ -210,7 +210,7 @@ def test_code_of_other_libraries_is_not_loaded(tmp_path):
     assert run(tmp_path, newer + PROGRAM) == "1 []"
 
 
-@pytest.mark.long
+@pytest.mark.full("2 s")
 def test_with_bounds_checks_an_index_outside_is_an_error_and_without_what_is_kept_is_another(
     tmp_path,
 ):

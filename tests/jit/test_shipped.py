@@ -50,8 +50,8 @@ LOADED = COMMAND.replace("sys.exit(main())", "\ntry: main()\nfinally: print('num
         "crank_missed_tooth",
         "pedal_emergency",
         "steering_healthy",
-        "linear_aircraft_both",
-        "truck_mass",
+        pytest.param("linear_aircraft_both", marks=pytest.mark.full("2 s")),
+        pytest.param("truck_mass", marks=pytest.mark.full("2 s")),
     ],
 )
 def test_the_demos_compile_nothing_and_need_no_cache(scenario):
@@ -95,7 +95,7 @@ def edit(file, old, new):
     file.write_text(text.replace(old, new, 1))
 
 
-@pytest.mark.long
+@pytest.mark.full("3 s")
 def test_a_comment_compiles_nothing(copy):
     edit(copy / "packages/gateway_bench/cli/bus.py", '"""', '# a comment\n"""')
     edit(copy / "packages/gateway_plants/pedal/monitor/diagnosis.py", '"""', '# a comment\n"""')
@@ -122,6 +122,7 @@ def test_damaged_shipped_code_is_not_loaded(copy, tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.full("20 s")
 def test_where_no_object_fits_bitcode_is_translated_once(copy, tmp_path):
     for level in ("x86_64", "x86_64_v3", "aarch64"):
         for folder in copy.glob(f"**/precompiled/{level}"):

@@ -373,6 +373,7 @@ def test_a_cluster_without_what_its_certificate_needs_is_one_line(monkeypatch):
         extras.need("fleet", "several logs at once")
 
 
+@pytest.mark.full("4 s")
 def test_variables_that_are_no_keys_of_the_configuration_load_nothing():
     code = "import sys; from gateway.config.load import load_config; from pathlib import Path\n"
     code += "c = load_config(Path('gateway.toml')); print(c.name, 'pydantic_settings' in sys.modules)"

@@ -110,7 +110,7 @@ def test_locks_and_sockets_without_linux(tmp_path):
     assert python(tmp_path, "-c", f"import sys; sys.path.insert(0, {str(WINDOWS.parent)!r}){ROOM}") == "done\n"
 
 
-@pytest.mark.long
+@pytest.mark.full("7 s")
 def test_a_gateway_without_linux(tmp_path):
     (tmp_path / "gateway.toml").write_text(CONFIG)
     (tmp_path / "drained.toml").write_text(SCENARIO)

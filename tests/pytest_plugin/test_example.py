@@ -40,7 +40,7 @@ def test_it_passes(project):
     assert not (project / "left").exists()
 
 
-@pytest.mark.long
+@pytest.mark.full("4 s")
 def test_its_broken_scenario_fails_and_says_what_was_seen(project):
     code, said = run(project, "broken", "-o", "gateway_scenarios=broken", "--junitxml=out.xml")
     assert (code, "1 failed" in said) == (1, True), said

@@ -136,7 +136,7 @@ def test_scenarios_and_fixtures(project):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("workers", ["0", "2"])
+@pytest.mark.parametrize("workers", [pytest.param("0", marks=pytest.mark.full("6 s")), "2"])
 def test_a_broken_scenario_fails(project, workers):
     (project / "scenarios" / "broken.toml").write_text(BROKEN)
     (project / "scenarios" / "misspelt.toml").write_text(DRAINED.replace("battery_ecu:ECU", "battery_ec:ECU"))
@@ -170,7 +170,7 @@ def test_each_test_leaves_its_files_in_a_folder_of_its_own(nodeid, folder):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("artifacts", [False, True])
+@pytest.mark.parametrize("artifacts", [pytest.param(False, marks=pytest.mark.full("3 s")), True])
 def test_what_fails_says_what_was_seen(project, artifacts):
     (project / "tests" / "test_battery.py").write_text(FAILING)
     folder = ("-o", "gateway_artifacts=left") if artifacts else ()

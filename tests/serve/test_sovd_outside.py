@@ -244,7 +244,7 @@ def test_a_server_that_is_killed_leaves_no_lock_no_session_and_no_setting(site):
         assert ask(site, "POST", f"{OWN}/locks", {"lock_expiration": 5}, who="anna")[0] == 201
 
 
-@pytest.mark.skipif(not FULL, reason="a client is generated in half a minute: GATEWAY_TESTS=full")
+@pytest.mark.full("a client is generated in half a minute")
 def test_a_generated_client_lists_reads_locks_and_clears(site):
     """By openapi-python-client, of the document alone."""
     with serving(site):

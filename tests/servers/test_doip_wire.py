@@ -375,7 +375,7 @@ def test_gallia_finds_the_entity_its_addresses_services_and_identifiers(wire, tm
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not FULL, reason="each scan takes seconds; the others have the same way")
+@pytest.mark.full("each scan takes seconds; the others have the same way")
 def test_gallia_scans_an_ecu_behind_the_gateway(tmp_path):
     """Reading passes as the ECU has it; all else is refused by the gateway, and never seen by the ECU."""
     made = Routed(tmp_path)

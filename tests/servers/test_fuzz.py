@@ -95,7 +95,7 @@ REQUESTS = [
         "0a",
     ]
 ]
-TOTAL = amount(1_000_000, 30_000, 2_000)
+TOTAL = amount(1_000_000, 15_000, 2_000)
 
 
 def mutated(rng, seeds):

@@ -16,7 +16,7 @@ from grammar import CONFIG, MESSAGES, Grammar, Traffic, is_single
 from held import held
 from rig import REQUEST, Rig, write_config
 
-TOTAL = int(float(os.environ.get("GATEWAY_GRAMMAR", "0"))) or amount(200_000, 4_000, 400)
+TOTAL = int(float(os.environ.get("GATEWAY_GRAMMAR", "0"))) or amount(200_000, 2_000, 400)
 P2_S = 0.050
 
 

@@ -2,7 +2,8 @@
 
 A start imports a thousand modules: a second of processor time, four in the test kernel. A copy is a process all the
 same: it has a number, files and signals of its own, and nobody's work in it, for what is copied has only imported.
-``python -c`` with the environment of these tests is copied; what asks for more is started anew.
+``python -c`` with the environment of these tests is copied, also with a width of the terminal; what asks for more is
+started anew.
 """
 
 import atexit
@@ -34,6 +35,8 @@ def _told(environment):
 
 #: Of these tests, before one of them has changed it for itself.
 ENVIRONMENT = _told(os.environ)
+#: Variables that a copy can still be given.
+LATE = {"COLUMNS"} - {*ENVIRONMENT}
 
 
 class _Nest:
@@ -79,7 +82,8 @@ class Popen(subprocess.Popen):
         _, _, _, _, _, apart, *_ = more[9:]
         code = list(args[1:3])[:1] == ["-c"] and args[0] == sys.executable and sys.platform == "linux"
         environment = _told(os.environ if env is None else env)
-        if not code or before or passed or shell or apart or environment != ENVIRONMENT:
+        differs = {k: v for k, v in environment.items() if k not in LATE} != ENVIRONMENT
+        if not code or before or passed or shell or apart or differs:
             super()._execute_child(args, executable, before, closed, passed, cwd, env, *more)
             return
         order = {

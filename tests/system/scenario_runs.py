@@ -1,8 +1,7 @@
 """The shipped scenarios, each played by this process to a daemon of its own configuration.
 
 What is found in which of them is tested in one process (tests/runtime/test_gateway.py), where time is the frames'. Here
-they go over a bus in real time: one of a configuration, two where a daemon is to see another drive; with
-GATEWAY_TESTS=full all of them."""
+they go over a bus in real time: one of a configuration; with GATEWAY_TESTS=full all of them."""
 
 import re
 import time

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from amount import amount
 from typer.testing import CliRunner
 
 from gateway.cli import app
@@ -216,16 +217,17 @@ def test_civic_with_the_one_doubled_edge_that_it_has(wheel, edge):
     ],
 )
 def test_faults_injected_into_real_engines(name, wheel, kind, count):
-    """400 of each kind, anywhere once synchronisation is proven: named, and right within 4 pulses."""
+    """400 of each kind (80 in CI), anywhere once synchronisation is proven: named, and right within 4 pulses."""
     clean, times = tracked(name, wheel)
     w = Wheel.parse(wheel)
     follow = follower("adaptive", w)
     rng = np.random.default_rng(21)
     print("seed 21")
+    runs = amount(400, 80)
     first = int(np.argmax(clean.proven)) + 1
     teeth = np.concatenate([[-1], clean.teeth])
     good = 0
-    for at in rng.integers(first, len(times) - 3 * w.pulses, 400):
+    for at in rng.integers(first, len(times) - 3 * w.pulses, runs):
         if kind == "missed":
             keep = np.ones(len(times), bool)
             keep[at : at + count] = False
@@ -235,5 +237,5 @@ def test_faults_injected_into_real_engines(name, wheel, kind, count):
             train = Train(np.insert(times, at + 1, extra), np.insert(teeth, at + 1, [-1] * count), at + 1)
         facts = judge(train, follow(train.times_us), kind, count, w.pulses)
         good += bool(facts["named"]) and bool(facts["labelled"])
-    print(f"{good} of 400")
-    assert good >= 396
+    print(f"{good} of {runs}")
+    assert good >= 0.99 * runs

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from amount import FULL
 from typer.testing import CliRunner
 
 from gateway.cli import app
@@ -92,6 +93,7 @@ def test_the_judge_can_fail():
     assert ratio["wrong"] + ratio["unsynced"] > 0.9
 
 
+@pytest.mark.full("6 s")
 def test_the_same_seed_gives_the_same_table():
     assert [s.labelled for s in monte_carlo(1, 6)] == [s.labelled for s in monte_carlo(1, 6)]
 
@@ -117,6 +119,8 @@ def test_the_command(tmp_path):
     assert len(facts["healthy"]) == 15 * 4
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(f.rsplit("/", 1)[1] for f in facts["files"])
     assert len(facts["files"]) == 4
+    if not FULL:
+        return  # tables of the same rows
     text = CliRunner().invoke(app, ["evaluate", "crank", "--seeds", "1", "--pulses", "3000"])
     assert text.exit_code == 0
     assert "within 2 teeth of the gap" in text.stdout

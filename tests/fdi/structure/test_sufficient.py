@@ -44,7 +44,7 @@ def test_what_cannot_be_computed_is_searched_for_again(load):
     assert (told.confused == wanted.confused).all()
 
 
-@pytest.mark.parametrize("cells", [4, 8, 16, pytest.param(64, marks=pytest.mark.long)])
+@pytest.mark.parametrize("cells", [4, 8, 16, pytest.param(64, marks=pytest.mark.full("5 s"))])
 def test_the_pack_s_sets_end(tmp_path, cells):
     """64 cells have about 2^64 sets; the search must come to the limit, and to enough of them."""
     path = tmp_path / "pack.toml"

@@ -240,7 +240,7 @@ def test_a_sender_that_stands_still_causes_no_fault(ms):
 
 @pytest.mark.long
 @compiled
-@pytest.mark.parametrize("rule", ["direct", "cusum"])
+@pytest.mark.parametrize("rule", [pytest.param("direct", marks=pytest.mark.full("6 s")), "cusum"])
 def test_one_observer_detects_at_the_rate_it_promises(rule):
     """100 000 healthy samples and three sensors, a false alarm in 1000 s asked for: 30 expected."""
     monitor = linear_observer.MONITOR

@@ -168,6 +168,7 @@ def test_random_cases_are_clean():
 
 
 @compiled
+@pytest.mark.full("2 s")
 def test_random_cases_with_noise():
     rows = {row.case: row for row in holdout(amount(600, 75), FIRST_SEED, ("jumps, with noise",))}
     assert rows["actuator"].clean >= 0.95
@@ -176,6 +177,7 @@ def test_random_cases_with_noise():
 
 
 @compiled
+@pytest.mark.full("2 s")
 def test_the_products_are_as_weak_as_the_note_says():
     """81, 100 and 24 % of its 600 cases; 71, 36, 21 % as printed."""
     rows = {(r.method, r.case): r for r in holdout(amount(600, 150), FIRST_SEED, ("products, as printed", "products"))}
@@ -217,6 +219,7 @@ def test_the_controller_keeps_the_plant_stable():
 
 
 @compiled
+@pytest.mark.full("3 s")
 def test_figures(tmp_path):
     files = draw(tmp_path / "figures", holdout(12, 0, ("products", "jumps")))
     assert [file.name for file in files] == ["fig3_to_7.png", "fig8_to_11.png", "holdout.png"]

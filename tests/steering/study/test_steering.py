@@ -38,6 +38,7 @@ def estimators(tmp_path_factory):
 
 
 @pytest.mark.parametrize("seed", [100_001, 100_020, 100_021, 910_019])
+@pytest.mark.full("4 s")
 def test_a_current_s_offset_is_never_another_part_s(seed):
     """A voltage was named (its step stood hardly out, or began between the two), and the motor's angle (910019)."""
     print("seed", seed)
@@ -138,6 +139,7 @@ def test_a_counting_scalar_folds_what_is_known():
         float(x)
 
 
+@pytest.mark.full("6 s")
 def test_single_rules_are_compared():
     rows = structure(1, 1, FIRST_SEED)
     assert len(rows) == len(SYMPTOMS) * len(RULES) * 7
@@ -162,6 +164,7 @@ def test_plans_cover_every_case():
     assert sum(job[4] for job in jobs if job[:3] == ("stuck", UNKNOWN, 1e-3)) == 20
 
 
+@pytest.mark.full("3 s")
 def test_figures(tmp_path):
     scores, _ = monte_carlo([("stuck", UNKNOWN, 1e-3, 0, 1)])
     files = draw(tmp_path / "figures", scores, 1)

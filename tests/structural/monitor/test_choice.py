@@ -25,7 +25,9 @@ def chosen(name, **keys):
 
 
 @pytest.mark.parametrize("causality", ["integral", "mixed"])
-@pytest.mark.parametrize("name", ["motor", "three_tanks", "truck", "machine"])
+@pytest.mark.parametrize(
+    "name", ["motor", "three_tanks", "truck", pytest.param("machine", marks=pytest.mark.full("10 s"))]
+)
 def test_they_tell_as_much_as_all_and_are_as_few_as_can_be(name, causality):
     model, plan = chosen(name, causality=causality)
     analysis = analyse(model)

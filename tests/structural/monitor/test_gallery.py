@@ -44,7 +44,7 @@ def test_the_pack_s_model_is_the_generator_s(tmp_path):
     assert (len(model.equations), len(model.residuals), len(model.faults)) == (51, 33, 34)
 
 
-@pytest.mark.skipif(not FULL, reason="the same plants and faults, one after the other")
+@pytest.mark.full("the same plants and faults, one after the other")
 @pytest.mark.parametrize("plant", gallery.PLANTS)
 def test_the_shipped_scenarios(plant):
     ended = subprocess.run(

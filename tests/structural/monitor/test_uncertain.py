@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from amount import FULL
 from structural_config import named, notes
 
 from gateway.config.load import load_config
@@ -24,7 +23,7 @@ compiled = pytest.mark.skipif(not COMPILED, reason="tens of thousands of samples
     [
         (MOTOR, 0.05),
         (MOTOR, 0.1),
-        pytest.param(BUCK, 0.05, marks=pytest.mark.skipif(not FULL, reason="another kernel")),
+        pytest.param(BUCK, 0.05, marks=pytest.mark.full("another kernel")),
     ],
     ids=["motor", "motor far off", "buck"],
 )

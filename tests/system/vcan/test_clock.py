@@ -16,7 +16,6 @@ from gateway_replay.replay import replay
 
 pytestmark = pytest.mark.vcan
 
-STEPS = [3600.0, -3600.0, -0.5]
 GW_DTC = 0x6F0
 MORE = """
 [output.uds]
@@ -98,8 +97,15 @@ def cyclic_frames(tester, seconds, wanted):
         count += frame[:2] == b"\xf0\x06" and (frame[13] == 1 or frame[8:11] == bytes(3))
 
 
-@pytest.mark.parametrize("place", ["traffic", "silence"])
-@pytest.mark.parametrize("step_s", STEPS)
+@pytest.mark.parametrize(
+    ("step_s", "place"),
+    [
+        (3600.0, "traffic"), (-3600.0, "silence"), (-0.5, "traffic"),
+        *(pytest.param(*case, marks=pytest.mark.full("like the others")) for case in (
+            (3600.0, "silence"), (-3600.0, "traffic"), (-0.5, "silence"),
+        )),
+    ],
+)  # fmt: skip
 def test_time_goes_on_where_the_kernels_clock_is_set(step_s, place, tmp_path):
     config = write_config(tmp_path, more=MORE.format(folder=tmp_path), timeout_ms=3000.0)
     with (

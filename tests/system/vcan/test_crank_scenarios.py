@@ -15,4 +15,4 @@ SOME = [config for config in sorted(CONFIGS) if FULL or config.endswith(("gatewa
 
 @pytest.mark.parametrize("config", SOME)
 def test_scenarios_pass_over_vcan(config, tmp_path):
-    run_all(config, some(CONFIGS[config], part=2), tmp_path)
+    run_all(config, some(CONFIGS[config]), tmp_path)

@@ -1,7 +1,7 @@
 """A shipped scenario of a linear plant over the kernel's CAN."""
 
 import pytest
-from scenario_runs import by_config, run_all
+from scenario_runs import by_config, run_all, some
 
 pytestmark = pytest.mark.vcan
 
@@ -11,4 +11,4 @@ BELT = {config: paths for config, paths in by_config("linear").items() if "belt"
 
 @pytest.mark.parametrize("config", sorted(BELT))
 def test_scenarios_pass_over_vcan(config, tmp_path):
-    run_all(config, BELT[config], tmp_path)
+    run_all(config, some(BELT[config]), tmp_path)

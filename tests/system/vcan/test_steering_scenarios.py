@@ -1,7 +1,6 @@
 """Shipped scenarios of the steering over the kernel's CAN, each with a daemon of its own."""
 
 import pytest
-from amount import FULL
 from scenario_runs import by_config, play, run_all
 
 pytestmark = pytest.mark.vcan
@@ -10,7 +9,7 @@ pytestmark = pytest.mark.vcan
 HEALTHY, PARTS = (next(p for p in SCENARIOS if p.stem == f"steering_{x}") for x in ("healthy", "parts"))
 
 
-@pytest.mark.skipif(not FULL, reason="of the healthy ones one is enough: GATEWAY_TESTS=full")
+@pytest.mark.full("of the healthy ones one is enough")
 def test_a_healthy_steering_over_vcan(tmp_path):
     run_all(CONFIG, [HEALTHY], tmp_path)
 

@@ -28,9 +28,9 @@ def right(events, dtc, onset, others=()):
 
 
 ONSETS = (0.0, 400.0, 840.0, 1200.0)
-#: Each fault with each onset; in CI each with two of them, so that each onset comes.
+#: Each fault with each onset; in CI each with one of them, and each onset comes.
 CASES = [
-    (*row, onset) for k, row in enumerate(TABLE) for j, onset in enumerate(ONSETS) if FULL or (j - k) % len(ONSETS) < 2
+    (*row, onset) for k, row in enumerate(TABLE) for j, onset in enumerate(ONSETS) if FULL or (j - k) % len(ONSETS) < 1
 ]
 
 
