@@ -29,7 +29,7 @@ def names_of(owner):
     folders = [f"packages/{package.replace('.', '/')}", f"dbc/{owner}", f"scenarios/{owner}"]
     files = [file for folder in folders for file in (ROOT / folder).rglob("*.*") if file.suffix in (".toml", ".dbc")]
     brought = vars(import_module(f"{package}.plugin").PLUGIN).values()
-    words = {name.split()[-1] for door in brought if isinstance(door, dict) for name in door}
+    words = {name.split()[-1].strip(".") for door in brought if isinstance(door, dict) for name in door}
     for file in (ROOT / "gateway.toml", *ROOT.glob("packages/**/configs/*.toml"), *ROOT.glob("scenarios/*/*.toml")):
         if words & words_of(file):  # a configuration of ours that has it; and a scenario of this configuration
             words.add("gateway.toml" if file.name == "gateway.toml" else file.stem)
