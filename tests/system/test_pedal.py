@@ -70,6 +70,7 @@ def driven(folder):
     return drive, qualities, daemon.code, events_in(folder)
 
 
+@pytest.mark.full("15 s: runtime/test_gateway.py has its scenarios, test_processes.py the processes")
 def test_each_fault_has_its_dtc_with_evidence_and_heals(tmp_path):
     """Driven again, at most twice, where the machine was so busy that the scenario stood still.
 
