@@ -47,7 +47,6 @@ def prepare(c: Const, motor: Motor, period: float, *, held: float = 0.3, printed
     """Fill a record of Const.
 
     Args:
-        c: record of Const.
         motor: the motor.
         period: of a step [s].
         held: below this EMF the angle is held [V].
@@ -71,8 +70,6 @@ def emf(
     """Return the EMF's mean over the step that ends now [V]; keeps the currents.
 
     Args:
-        s: record of State.
-        c: record of Const.
         u_alpha: mean voltage over the step [V].
         u_beta: of beta.
         i_alpha: current at its end [A].

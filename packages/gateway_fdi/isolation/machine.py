@@ -74,7 +74,6 @@ def stand(s: State, c: Const, past_ns: int, use_ns: int) -> bool:
 
     Args:
         s: state; its ``up`` is of this sample.
-        c: constants.
         past_ns: since the sample before [ns].
         use_ns: of that, in which tests could have fired [ns].
     """
@@ -142,7 +141,6 @@ def decide(s: State, c: Const, level: f8s, said: int, contradicts: bool) -> None
 
     Args:
         s: state, after :func:`stand`.
-        c: constants.
         level: T over J of each test, shape (tests,).
         said: answer of the table: a group, or OPEN (:func:`gateway_fdi.isolation.table.answer`).
         contradicts: a name that stands is contradicted (:func:`contradicted`).

@@ -203,8 +203,6 @@ def update(s: State, c: Const, b: Block, coloured: float, mode: int) -> None:
     """Take a block, and forget it.
 
     Args:
-        s: record of State.
-        c: record of Const.
         b: the block.
         coloured: sets after which its noise is independent.
         mode: LEARNS, FOLLOWING or HELD.

@@ -63,7 +63,6 @@ def prepare(c: Const, plant: LinearPlant, lags: NDArray[np.float64], *, counted:
     """Fill a record of Const.
 
     Args:
-        c: record of Const.
         plant: the plant.
         lags: by how many periods each output may be late or early, shape (p,).
         counted: commands have counters.
@@ -100,8 +99,6 @@ def doubt(s: State, c: Const, j: int, lag: float, variance: float) -> None:
     """Find an output's slope, and what the line and the tangent may leave.
 
     Args:
-        s: record of State.
-        c: record of Const.
         j: the output.
         lag: of it, as it is known [periods].
         variance: of that.

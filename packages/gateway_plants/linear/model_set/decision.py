@@ -134,8 +134,6 @@ def prepare(
     """Fill records of State and Const.
 
     Args:
-        s: record of State.
-        c: record of Const.
         told: what the user tells of the plant.
         mtfa_s: mean time between false alarms that is asked for [s].
         start_s: time in which nothing is judged [s].

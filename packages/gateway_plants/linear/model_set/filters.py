@@ -311,8 +311,6 @@ def correct(s: State, c: Const, h: int, y: f8s, known: bool, restless: bool) -> 
     """Take a sample of the outputs with one filter; sets ``e``, ``left`` and ``told``.
 
     Args:
-        s: record of State.
-        c: record of Const.
         h: the filter.
         y: outputs.
         known: x is known; otherwise what is slow is considered only, and nothing jumps.
@@ -369,8 +367,6 @@ def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> Non
     """Take one filter to the next sample, the commands ``u`` held till then.
 
     Args:
-        s: record of State.
-        c: record of Const.
         h: the filter.
         u: commands.
         unsure: of each command, 1: its frame did not come, it may be another.

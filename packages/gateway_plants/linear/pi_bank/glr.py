@@ -85,8 +85,6 @@ def prepare(c: Const, s: State, plant: LinearPlant, bank: tuple[Observer, ...], 
     """Fill records of CONST and STATE.
 
     Args:
-        c: record of Const.
-        s: record of State.
         plant: the plant.
         bank: its observers.
         largest: standard deviation of each actuator's faults, beforehand; shape (m,).

@@ -131,8 +131,6 @@ def prepare(
     """Fill records of CONST and STATE.
 
     Args:
-        c: record of Const.
-        s: record of State.
         plant: the plant.
         noise: of it.
         observers: of :func:`gateway_plants.linear.pi_bank.design.design`.
@@ -357,8 +355,6 @@ def _agree(s: State, c: Const, starts: bool) -> bool:
     """Tell whether all observers find the same faults of the actuators, as far as they know them.
 
     Args:
-        s: record of State.
-        c: record of Const.
         starts: the start is just over: what it has found it knows less well than observers do in the long run.
     """
     o = c.bank

@@ -44,7 +44,6 @@ def prepare(c: Const, plant: LinearPlant, noise: Noise, samples: int, unknown: n
     """Fill a record of Const.
 
     Args:
-        c: record of Const.
         plant: the plant.
         noise: of it.
         samples: how long the start takes.

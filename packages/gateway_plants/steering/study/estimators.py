@@ -108,8 +108,6 @@ def _step_in_stator_frame(
     """Step the estimators with the angle as a state.
 
     Args:
-        c: constants.
-        s: states.
         u_1: voltage, d in the frame [V].
         u_2: voltage, q in the frame [V].
         frame: electrical angle of the voltages' frame at the step's beginning [rad].
@@ -150,8 +148,6 @@ def _estimate(c: Constants, s: States, x: Any, z: float, mean_dq: bool, out: f8s
     """Run all estimators over samples.
 
     Args:
-        c: constants.
-        s: states.
         x: samples, shape (n,) of SAMPLE.
         z: pole pairs.
         mean_dq: whether voltages are means in the controller's frame, else in the stator's.

@@ -90,8 +90,6 @@ def moves(s: State, c: Const, own: Any, own_const: Any, begins: bool) -> bool:
     """Let the time since the last sample pass; returns whether the model is to be moved to x.
 
     Args:
-        s: record of State.
-        c: record of Const.
         own: State of the monitor.
         own_const: Const of the monitor.
         begins: it is the very first sample.
@@ -117,8 +115,6 @@ def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: floa
     """Return a test's residual as the decision takes it; its sensitivities are in ``s.h``.
 
     Args:
-        s: record of State.
-        c: record of Const.
         own: State of the monitor.
         own_const: Const of the monitor.
         k: number of the test.
@@ -180,8 +176,6 @@ def prepare(s: State, c: Const, bounds: Sequence[float], seconds: float) -> None
     """Fill what is told of all that may be off.
 
     Args:
-        s: record of State.
-        c: record of Const.
         bounds: of each.
         seconds: within which it may change by its whole bound.
     """
@@ -195,7 +189,6 @@ def prepare_test(c: Const, k: int, nu: float, apart_s: float, turn: float) -> No
     """Fill the constants of a test.
 
     Args:
-        c: record of Const.
         k: number of the test.
         nu: of its residual; infinite: not known.
         apart_s: after which its noise is independent [s].

@@ -33,7 +33,6 @@ def put(s: State, wait: int, gear: int, counts: bool, first: float, second: floa
     """Take a set's residuals; returns the place of those that have waited and count, or -1.
 
     Args:
-        s: state.
         wait: sets before and behind a gear change.
         gear: of this set.
         counts: whether they may count: the clutch holds, and a gear is in.

@@ -51,8 +51,6 @@ def decide(s: State, c: Const, dt: float, out: Out[Evidence, Outputs]) -> None:
     """Report which fault is isolated, or that one is not.
 
     Args:
-        s: state.
-        c: constants.
         dt: since the set before [s].
         out: results.
     """

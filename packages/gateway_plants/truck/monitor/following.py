@@ -186,8 +186,6 @@ def step(s: State, c: Const, u: Inputs, used: bool, counts: bool, dt: float) -> 
     """Take a set; what is found goes into the constants of T2, T5 and T6 and into the readings.
 
     Args:
-        s: state.
-        c: constants.
         u: inputs; ``corrected`` are those with what is found of the sensors' errors taken off.
         used: the machine is.
         counts: the clutch holds, too.

@@ -149,10 +149,7 @@ def update(s: State, c: Const, g: t7.State, q: t7.Const, innovation: float, brak
     """Take a sample.
 
     Args:
-        s: state.
-        c: constants.
         g: state of the residual generator T7; its speed and acceleration are corrected.
-        q: its constants.
         innovation: its residual [rad/s].
         brake: torque asked for [Nm].
         dt: since the sample before [s]; 0 is the first of a window.
