@@ -21,7 +21,7 @@ from typing import Annotated, Any
 from gateway_fdi.isolation import table
 from gateway_fdi.isolation.table import NOTHING, OPEN
 from gateway_fdi.jit import f8, f8s, i8, i8s, kernel, means
-from gateway_fdi.masks import copy, empty, exclude, has, include, within
+from gateway_fdi.masks import clear, copy, empty, exclude, has, include, within
 
 #: A time that does not pass [ns].
 NEVER = 1 << 62
@@ -98,8 +98,7 @@ def stand(s: State, c: Const, past_ns: int, use_ns: int) -> bool:
             if c.together == 0 and s.down_ns[k] >= hold_ns:
                 exclude(s.fired, k)
     if c.together == 1 and rest_ns >= hold_ns:
-        for w in range(len(s.fired)):
-            s.fired[w] = 0
+        clear(s.fired)
     return joins
 
 

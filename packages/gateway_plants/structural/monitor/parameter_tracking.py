@@ -43,6 +43,7 @@ from math import exp, isfinite, sqrt
 from typing import Annotated, Any
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import plus
 from gateway_fdi.slow import filter as slow
 from gateway_fdi.slow.filter import Block
 from gateway_plants.structural.monitor.decision import NU_OF_NOISE, sees
@@ -123,9 +124,8 @@ def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: floa
     s.corrected = residual
     if not isfinite(residual):
         return residual
-    rest = corrected = residual
+    rest, corrected = plus(residual, s.h, s.point, c.slow.count), residual
     for i in range(c.slow.count):
-        rest += s.h[i] * s.point[i]
         corrected += s.h[i] * (s.point[i] - s.slow.taken[i])
     s.corrected = corrected
     settled = own.at_ns - own.since_ns >= own_const.settle_ns and own.at_ns - own.from_ns[k] >= own_const.settle_ns

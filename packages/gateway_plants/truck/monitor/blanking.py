@@ -24,8 +24,7 @@ class State(Record):
 def forget(s: State, wait: int) -> None:
     """Drop what waits, and count nothing for a while."""
     s.quiet = wait
-    for k in range(MOST):
-        s.due[k] = 0
+    s.due[:] = 0
 
 
 @kernel

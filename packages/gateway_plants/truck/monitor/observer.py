@@ -75,12 +75,10 @@ def curve(slope: float, way: float, curve_way: float) -> float:
 @kernel
 def restart(s: State, c: Const) -> None:
     """Begin a window: the speed is new, the errors are what they were."""
-    for k in range(_STATES):
-        s.P[0, k] = 0.0
-        s.P[k, 0] = 0.0
+    s.P[0, :] = 0.0
+    s.P[:, 0] = 0.0
     s.P[0, 0] = c.start
-    for k in range(ERRORS):
-        s.does[k] = 0.0
+    s.does[:] = 0.0
 
 
 @kernel
