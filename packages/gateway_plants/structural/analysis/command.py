@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from rich.console import Console
@@ -175,20 +176,7 @@ def _residual(console: Console, analysis: Analysis, name: str, *, json: bool) ->
     except NotSolvableError as error:
         refused = str(error)
     if json:
-        print_json(
-            {
-                "residual": name,
-                "equations": test.equations,
-                "consistency": test.consistency,
-                "causality": test.causality,
-                "status": test.status,
-                "faults": test.faults,
-                "sequence": test.sequence,
-                "minimal": test.minimal,
-                "source": source,
-                "refused": refused or None,
-            }
-        )
+        print_json({"residual": name, **asdict(test), "source": source, "refused": refused or None})
         return
     console.print(
         f"[bold]{name}[/]: {test.consistency} checked, {len(test.equations)} equations, {test.causality},"
