@@ -73,7 +73,6 @@ def prepare(
     """Fill a record of Const.
 
     Args:
-        m: the motor.
         period: of a step [s].
         load: with the load torque as fifth state.
         steps: Euler sub-steps.
