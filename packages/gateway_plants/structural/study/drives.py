@@ -58,7 +58,6 @@ def run(
     """Return what the signals are at each sample, shape (samples, knowns).
 
     Args:
-        plant: the plant.
         seconds: length [s].
         seed: of commands and noise.
         fault: that is there from ``onset`` on [s]; empty: none.
@@ -103,7 +102,6 @@ def frames_of(plant: Plant, rows: Array, late_s: Mapping[str, float] | None = No
     """Return the frames of samples, one float signal each, in order of time.
 
     Args:
-        plant: the plant.
         rows: what is read, shape (samples, knowns).
         late_s: by how much the frames of some known variables come later than they were read [s].
         waits_s: mean of an exponential waiting of each frame, which overtakes none of its own message [s].
