@@ -57,7 +57,7 @@ Written = Callable[[Algebra], str]
 #: Binding of names and calls, just below which nothing needs parentheses.
 _ATOM = PRECEDENCE["Atom"] - 1
 
-#: What generated code takes from math, and from :mod:`.runtime`.
+#: Names that generated code imports from math, and from :mod:`.runtime`.
 _MATH = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "isfinite", "pi", "nan")
 _RUNTIME = ("advance", "incline", "interpolate", "root", "sign")
 #: Names that generated code uses itself.
