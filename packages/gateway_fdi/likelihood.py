@@ -12,6 +12,7 @@ residual in standard deviations, of which the mean jumps, S = 1 and J = d.
 from __future__ import annotations
 
 from gateway_fdi.jit import f8s, kernel
+from gateway_fdi.linear_algebra import plus
 
 
 @kernel
@@ -29,21 +30,15 @@ def largest(begun: f8s, weighted: f8s, inverse: f8s, newest: f8s, at: int, kept:
         p: number of observed values.
     """
     mask = begun.shape[0] - 1
-    for i in range(m):
-        begun[at, i] = 0.0
+    begun[at, :] = 0.0
     best = 0.0
     for d in range(1, kept):
         place = (at - d) & mask
         square = 0.0
         for i in range(m):
-            value = begun[place, i]
-            for j in range(p):
-                value += weighted[d, i, j] * newest[j]
-            begun[place, i] = value
+            begun[place, i] = plus(begun[place, i], weighted[d, i], newest, p)
         for i in range(m):
-            half = 0.5 * inverse[d, i, i] * begun[place, i]
-            for j in range(i):
-                half += inverse[d, i, j] * begun[place, j]
+            half = plus(0.5 * inverse[d, i, i] * begun[place, i], inverse[d, i], begun[place], i)
             square += half * begun[place, i]
         best = max(best, 2.0 * square)
     return best

@@ -64,6 +64,13 @@ def copy(mask: Masks, source: Masks) -> None:
 
 
 @kernel
+def unite(mask: Masks, other: Masks) -> None:
+    """Add all members of another set of as many words to the set that a mask is."""
+    for w in range(len(mask)):
+        mask[w] |= other[w]
+
+
+@kernel
 def has(mask: Masks, k: int) -> bool:
     """Return whether number ``k`` is in the set that a mask is."""
     return bool(mask[k // BITS] >> (k % BITS) & 1 == 1)

@@ -71,7 +71,6 @@ def prepare(
     """Fill a record of Const.
 
     Args:
-        c: record of Const.
         rule: which.
         threshold: of the level.
         forget: lambda of the moving average.
@@ -107,8 +106,6 @@ def update(s: State, c: Const, x: float) -> bool:
     """Take one value of a symptom; returns whether the level has reached the threshold.
 
     Args:
-        s: record of State.
-        c: record of Const.
         x: the symptom.
     """
     if c.rule == _DIRECT:

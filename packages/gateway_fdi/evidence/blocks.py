@@ -16,6 +16,7 @@ from typing import Any
 
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import f8s, kernel
+from gateway_fdi.linear_algebra import copy
 
 
 @kernel
@@ -40,10 +41,9 @@ def add(s: Any, c: Any, r: f8s, h: f8s, g: f8s) -> bool:
 def _weigh(s: Any, c: Any, r: f8s) -> None:
     """Find W of the residuals that are there, 0 for others, and W r."""
     m = c.residuals
+    s.left[:] = 0.0
     for i in range(m):
-        s.left[i] = 0.0
-        for j in range(m):
-            s.rows[i, j] = c.weight[i, j]
+        copy(s.rows[i], c.weight[i], m)
     for i in range(m):
         if not isfinite(r[i]):
             blur(s.rows, s.left, m, i, 0.0)
@@ -58,8 +58,7 @@ def _add_slow(s: Any, c: Any, h: f8s) -> None:
     """Take the columns of the slow errors; leaves H' W."""
     m = c.residuals
     for k in range(c.slow):
-        for i in range(m):
-            s.weighted[k, i] = 0.0
+        s.weighted[k, :] = 0.0
         for j in range(m):
             if s.rows[j, j] != 0.0 and h[j, k] != 0.0:
                 s.b[k] += h[j, k] * s.left[j]
@@ -104,8 +103,6 @@ def close(s: Any, c: Any) -> float:
 @kernel
 def drop(s: Any) -> None:
     """Forget the samples of a block."""
-    for i in range(len(s.b)):
-        s.b[i] = 0.0
-        for j in range(len(s.b)):
-            s.a[i, j] = 0.0
+    s.b[:] = 0.0
+    s.a[:, :] = 0.0
     s.taken = 0

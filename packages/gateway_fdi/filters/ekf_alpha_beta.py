@@ -73,8 +73,6 @@ def prepare(
     """Fill a record of Const.
 
     Args:
-        c: record of Const.
-        m: the motor.
         period: of a step [s].
         load: with the load torque as fifth state.
         steps: Euler sub-steps.
@@ -164,8 +162,6 @@ def predict(s: State, c: Const, u_d: float, u_q: float, frame: float, turned: fl
     """Predict over a step, (41), (45).
 
     Args:
-        s: record of State.
-        c: record of Const.
         u_d: mean voltage over the step, in the controller's frame [V].
         u_q: likewise.
         frame: electrical angle of that frame at the begin of the step [rad].
@@ -190,8 +186,6 @@ def hold(s: State, c: Const, theta: float, doubt: float) -> None:
     """Anchor the angle at the sensor's while the motor is slow.
 
     Args:
-        s: record of State.
-        c: record of Const.
         theta: the sensor's angle [rad, mechanical].
         doubt: factor of the sensor's standard deviation, 1 if nothing is known against it.
     """

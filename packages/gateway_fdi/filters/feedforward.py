@@ -32,12 +32,10 @@ class Const(Record):
 
 
 class State(Record):
-    """EMF and angles at the middle of the step."""
+    """Currents, and angles at the middle of the step."""
 
     alpha: f8 = means("I_alpha at its end", "A")
     beta: f8 = means("I_beta at its end", "A")
-    e_alpha: f8 = means("E_alpha", "V")
-    e_beta: f8 = means("E_beta", "V")
     theta_e: f8 = means("electrical angle, counted over the half turns", "rad")
     theta: f8 = means("mechanical angle, likewise", "rad")
     started: i8 = means("1: there is a step before")
@@ -47,8 +45,6 @@ def prepare(c: Const, motor: Motor, period: float, *, held: float = 0.3, printed
     """Fill a record of Const.
 
     Args:
-        c: record of Const.
-        motor: the motor.
         period: of a step [s].
         held: below this EMF the angle is held [V].
         printed: the sign of (46) as printed.
@@ -71,8 +67,6 @@ def emf(
     """Return the EMF's mean over the step that ends now [V]; keeps the currents.
 
     Args:
-        s: record of State.
-        c: record of Const.
         u_alpha: mean voltage over the step [V].
         u_beta: of beta.
         i_alpha: current at its end [A].
@@ -93,7 +87,6 @@ def step(s: State, c: Const, u_alpha: float, u_beta: float, i_alpha: float, i_be
     if s.started == 0:
         s.started = 1
         return
-    s.e_alpha, s.e_beta = e_alpha, e_beta
     if hypot(e_alpha, e_beta) < c.held:
         return
     moved = wrap(atan2(-e_alpha, e_beta) - s.theta_e, pi)

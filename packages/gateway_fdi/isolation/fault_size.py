@@ -31,7 +31,6 @@ def follow(s: State, counts: bool, small: bool, patience: int, hold: int) -> int
     """Take the size of one sample; returns STANDS, DOUBTED or GONE.
 
     Args:
-        s: state.
         counts: the size is what counts.
         small: it is so small that the fault may be gone.
         patience: samples in which a suspect has to be confirmed.

@@ -21,7 +21,7 @@ from typing import Annotated, Any
 from gateway_fdi.isolation import table
 from gateway_fdi.isolation.table import NOTHING, OPEN
 from gateway_fdi.jit import f8, f8s, i8, i8s, kernel, means
-from gateway_fdi.masks import copy, empty, exclude, has, include, within
+from gateway_fdi.masks import clear, copy, empty, exclude, has, include, within
 
 #: A time that does not pass [ns].
 NEVER = 1 << 62
@@ -74,7 +74,6 @@ def stand(s: State, c: Const, past_ns: int, use_ns: int) -> bool:
 
     Args:
         s: state; its ``up`` is of this sample.
-        c: constants.
         past_ns: since the sample before [ns].
         use_ns: of that, in which tests could have fired [ns].
     """
@@ -99,8 +98,7 @@ def stand(s: State, c: Const, past_ns: int, use_ns: int) -> bool:
             if c.together == 0 and s.down_ns[k] >= hold_ns:
                 exclude(s.fired, k)
     if c.together == 1 and rest_ns >= hold_ns:
-        for w in range(len(s.fired)):
-            s.fired[w] = 0
+        clear(s.fired)
     return joins
 
 
@@ -142,7 +140,6 @@ def decide(s: State, c: Const, level: f8s, said: int, contradicts: bool) -> None
 
     Args:
         s: state, after :func:`stand`.
-        c: constants.
         level: T over J of each test, shape (tests,).
         said: answer of the table: a group, or OPEN (:func:`gateway_fdi.isolation.table.answer`).
         contradicts: a name that stands is contradicted (:func:`contradicted`).

@@ -124,7 +124,6 @@ def support(c: Const, fault: int, level: f8s) -> float:
     """Return how near a fault's tests are to firing, 1 when all have: mean of T over J, each at most 1.
 
     Args:
-        c: constants.
         fault: its number.
         level: T over J of each test, shape (tests,).
     """
@@ -142,7 +141,6 @@ def ranked(s: State, c: Const, level: f8s, base: float, most: int) -> float:
 
     Args:
         s: state, after :func:`explain` or :func:`answer`.
-        c: constants.
         level: T over J of each test, shape (tests,).
         base: 10, 100 or 1000: room for a fault's number, from 1.
         most: faults that are ranked.

@@ -34,7 +34,6 @@ def put(s: State, value: f8s, periods: int) -> None:
     """Take a sample.
 
     Args:
-        s: record of State.
         value: of each signal.
         periods: since the sample before; those between are on a line. Not above 0: all begins again.
     """

@@ -39,6 +39,7 @@ from math import sqrt
 from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import dot, minus, plus
 
 #: Most errors of a filter.
 MOST = 24
@@ -111,7 +112,6 @@ def add(b: Block, h: f8s, rest: float, variance: float, size: int = BLOCK) -> bo
     """Add a set to a block; returns whether it is whole.
 
     Args:
-        b: record of Block.
         h: sensitivities, shape (MOST,).
         rest: what the equation leaves.
         variance: of its noise.
@@ -203,9 +203,6 @@ def update(s: State, c: Const, b: Block, coloured: float, mode: int) -> None:
     """Take a block, and forget it.
 
     Args:
-        s: record of State.
-        c: record of Const.
-        b: the block.
         coloured: sets after which its noise is independent.
         mode: LEARNS, FOLLOWING or HELD.
     """
@@ -219,17 +216,13 @@ def update(s: State, c: Const, b: Block, coloured: float, mode: int) -> None:
 @kernel
 def _measure(s: State, c: Const, h: f8s, rest: float, variance: float, mode: int) -> None:
     """Take an equation's rest, of sensitivities h, shape (MOST,)."""
-    n, left, size = c.count, rest, variance
+    n = c.count
     for k in range(n):
         s.passed[k] = _walk(s, c, k, mode == HELD) if h[k] != 0.0 else 0.0
         s.before[k] = sqrt(max(s.p[k, k], 0.0))
     for j in range(n):
-        total = 0.0
-        for k in range(n):
-            total += s.p[j, k] * h[k]
-        s.gain[j] = total
-        left -= h[j] * s.error[j]
-        size += h[j] * total
+        s.gain[j] = dot(s.p[j], h, n)
+    left, size = minus(rest, h, s.error, n), plus(variance, h, s.gain, n)
     if not size > 0.0:
         return
     for j in range(n):

@@ -106,7 +106,6 @@ def update(s: State, x: float, y: float, most: float, noise: float) -> None:
     """Take a set.
 
     Args:
-        s: record of State.
         x: known.
         y: measured.
         most: largest lag that is none [sets], at most MOST.

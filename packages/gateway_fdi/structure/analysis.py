@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
 
@@ -178,7 +178,6 @@ def analyse(
     """Analyse a model.
 
     Args:
-        model: the model.
         limit: greatest number of MSO sets that are all looked at; where there are more, as many as are enough.
         progress: called with what is done and the share of it, 0 to 1.
     """
@@ -209,10 +208,10 @@ def _unique(candidates: Candidates) -> NDArray[np.bool_]:
     return candidates.sets(candidates.chosen("SDI", "unique"))
 
 
-def as_dict(analysis: Analysis, *, sets: bool = True) -> dict[str, Any]:
-    """Return an analysis as data; ``sets``: with every MSO set."""
+def as_dict(analysis: Analysis) -> dict[str, Any]:
+    """Return an analysis as data."""
     model, parts = analysis.model, analysis.parts
-    found: dict[str, Any] = {
+    return {
         "model": model.name,
         "equations": len(model.equations),
         "unknowns": len(model.variables),
@@ -234,11 +233,9 @@ def as_dict(analysis: Analysis, *, sets: bool = True) -> dict[str, Any]:
             "over": _block(parts.over),
             "classes": [_block(block) for block in parts.classes],
         },
-        "tests": {name: _test(test) for name, test in analysis.tests.items()},
+        "tests": {name: asdict(test) for name, test in analysis.tests.items()},
+        "sets": _sets(analysis),
     }
-    if sets:
-        found["sets"] = _sets(analysis)
-    return found
 
 
 def _table(candidates: Candidates) -> dict[str, Any]:
@@ -255,18 +252,6 @@ def _isolability(found: Isolability) -> dict[str, Any]:
     return {
         "detectable": found.detectable.astype(int).tolist(),
         "isolability": found.confused.astype(int).tolist(),
-    }
-
-
-def _test(test: Test) -> dict[str, Any]:
-    return {
-        "equations": list(test.equations),
-        "consistency": test.consistency,
-        "causality": test.causality,
-        "status": test.status,
-        "faults": list(test.faults),
-        "sequence": test.sequence,
-        "minimal": test.minimal,
     }
 
 

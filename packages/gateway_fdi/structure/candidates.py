@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from gateway_fdi.jit import i8s, kernel
 from gateway_fdi.masks import Masks, Sets, clear, include, pack
-from gateway_fdi.structure.matching import Matching, copy_pairs, make_free, match_set
+from gateway_fdi.structure.matching import Matching, copy_pairs, make_free, match_set, new_matching
 from gateway_fdi.structure.model import Model, Solvable
 from gateway_fdi.structure.sequence import Structure
 from gateway_fdi.structure.steps import (
@@ -283,13 +283,12 @@ def classify(model: Model, msos: Sets, *, progress: Callable[[int], None] | None
     """Classify every candidate of some MSO sets.
 
     Args:
-        model: the model.
         msos: sets of its equations, shape (sets, equations), as :func:`gateway_fdi.structure.mso.find_msos` gives.
         progress: called now and then with the number of sets done.
     """
     s = Structure(model)
     solve = _solvability(model, s)
-    matching, changed = s.new_matching(), s.new_matching()
+    matching, changed = new_matching(*s.size), new_matching(*s.size)
     mso, equation = np.nonzero(msos)
     results = np.zeros((len(mso), 3), np.int64)
     done = 0

@@ -18,9 +18,9 @@ from gateway_fdi.structure.incidence import Incidence
 from gateway_fdi.structure.matching import (
     ABSENT,
     FREE,
-    Matching,
     augment,
     make_free,
+    new_matching,
     reach_from_free,
 )
 
@@ -63,25 +63,17 @@ class Matched:
     """A maximum matching of a subset of a structure's equations.
 
     Args:
-        structure: the structure.
         subset: the equations that take part, shape (equations,); None: all.
     """
 
     def __init__(self, structure: Incidence, subset: Bools | None = None) -> None:
         m, n = len(structure.equations), len(structure.variables)
         self.rows = structure.rows
-        self.mate: Ints = np.full(m, FREE, np.int64)
+        self._matching = new_matching(m, n)
+        self.mate: Ints = self._matching.mate
+        self.owner: Ints = self._matching.owner
         if subset is not None:
             self.mate[~subset] = ABSENT
-        self.owner: Ints = np.full(n, -1, np.int64)
-        self._matching = Matching(
-            self.mate,
-            self.owner,
-            came=np.zeros(n, np.int64),
-            queue=np.zeros(m, np.int64),
-            reached=np.zeros(m, np.bool_),
-            seen=np.zeros(words(n), np.int64),
-        )
         everything = np.full(words(n), (1 << BITS) - 1, np.int64)
         for i in np.flatnonzero(self.mate == FREE):
             augment(self.rows, self._matching, int(i), everything)

@@ -67,7 +67,6 @@ def isolability_of_model(model: Model, subset: Bools | None = None) -> Isolabili
     """Return what the structure of a model tells at best, however it is used.
 
     Args:
-        model: the model.
         subset: the equations that are there, shape (equations,); None: all. Faults of others are not detectable.
     """
     structure = counted(model)

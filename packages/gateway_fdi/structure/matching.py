@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from gateway_fdi.jit import i8s, kernel, lowest_bit
-from gateway_fdi.masks import BITS, Masks
+from gateway_fdi.masks import BITS, Masks, words
 from gateway_fdi.structure.incidence import Flags
 
 #: ``mate`` of an equation that is not matched, and of one that takes no part.
@@ -35,11 +37,22 @@ class Matching(NamedTuple):
     seen: Masks
 
 
+def new_matching(equations: int, variables: int) -> Matching:
+    """Return a matching in which no equation has a variable."""
+    return Matching(
+        np.full(equations, FREE, np.int64), np.full(variables, -1, np.int64), np.zeros(variables, np.int64),
+        np.zeros(equations, np.int64), np.zeros(equations, np.bool_), np.zeros(words(variables), np.int64),
+    )  # fmt: skip
+
+
 @kernel
-def _visit(rows: Masks, matching: Matching, tail: int) -> int:
-    """Follow alternating paths from the equations in the queue; returns how many are in it at the end.
+def _visit(rows: Masks, matching: Matching, tail: int, until_free: bool) -> tuple[int, int]:
+    """Follow alternating paths from the equations in the queue, up to a variable without an equation if that is asked.
 
     A path goes from an equation to any of its variables, and from that to the equation that it is matched to.
+
+    Returns:
+        how many equations are in the queue at the end, and that variable, -1: there is none.
     """
     queue, reached, seen = matching.queue, matching.reached, matching.seen
     head = 0
@@ -54,11 +67,13 @@ def _visit(rows: Masks, matching: Matching, tail: int) -> int:
                 new &= new - 1
                 matching.came[v] = i
                 j = matching.owner[v]
+                if until_free and j < 0:
+                    return tail, v
                 if j >= 0 and not reached[j]:
                     reached[j] = True
                     queue[tail] = j
                     tail += 1
-    return tail
+    return tail, -1
 
 
 @kernel
@@ -83,9 +98,8 @@ def reach_from_free(rows: Masks, size: int, matching: Matching, skip: int) -> in
         if reached[i]:
             matching.queue[tail] = i
             tail += 1
-    for w in range(rows.shape[1]):
-        matching.seen[w] = 0
-    return _visit(rows, matching, tail)
+    matching.seen[:] = 0
+    return _visit(rows, matching, tail, False)[0]
 
 
 @kernel
@@ -116,33 +130,14 @@ def make_free(rows: Masks, size: int, matching: Matching, i: int) -> bool:
 @kernel
 def augment(rows: Masks, matching: Matching, i: int, allowed: Masks) -> bool:
     """Match a free equation ``i``, moving others if need be, within the mask ``allowed``; False: impossible."""
-    queue, reached, seen = matching.queue, matching.reached, matching.seen
-    for k in range(len(reached)):
-        reached[k] = False
-    reached[i] = True
-    queue[0] = i
+    matching.reached[:] = False
+    matching.reached[i] = True
+    matching.queue[0] = i
     for w in range(rows.shape[1]):
-        seen[w] = ~allowed[w]
-    head, tail = 0, 1
-    while head < tail:
-        e = queue[head]
-        head += 1
-        for w in range(rows.shape[1]):
-            new = rows[e, w] & ~seen[w]
-            seen[w] |= new
-            while new != 0:
-                v = w * BITS + lowest_bit(new)
-                new &= new - 1
-                matching.came[v] = e
-                j = matching.owner[v]
-                if j < 0:
-                    _flip_path(matching, v)
-                    return True
-                if not reached[j]:
-                    reached[j] = True
-                    queue[tail] = j
-                    tail += 1
-    return False
+        matching.seen[w] = ~allowed[w]
+    _, v = _visit(rows, matching, 1, True)
+    _flip_path(matching, v)
+    return v >= 0
 
 
 @kernel
@@ -159,10 +154,8 @@ def match_set(rows: Masks, members: i8s, count: int, matching: Matching, allowed
     Returns:
         how many equations stay free.
     """
-    for i in range(len(matching.mate)):
-        matching.mate[i] = ABSENT
-    for v in range(len(matching.owner)):
-        matching.owner[v] = -1
+    matching.mate[:] = ABSENT
+    matching.owner[:] = -1
     free = 0
     for k in range(count):
         matching.mate[members[k]] = FREE

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from gateway_fdi.jit import i8s, kernel
-from gateway_fdi.masks import Masks, Sets, pack, unpack, words
+from gateway_fdi.masks import Masks, Sets, clear, copy, pack, unite, unpack, words
 from gateway_fdi.structure.decomposition import Matched
 from gateway_fdi.structure.incidence import Flags, Incidence
 from gateway_fdi.structure.matching import ABSENT, FREE, Matching, augment, make_free, reach_from_free
@@ -63,8 +63,7 @@ def _lump(
     ``state`` of each equation: 1 it may be left out, 0 it may not.
     """
     mate, owner = matching.mate, matching.owner
-    for i in range(size):
-        done[i] = False
+    done[:] = False
     for i in range(size):
         if mate[i] == ABSENT or state[i] == 0 or done[i]:
             continue
@@ -75,10 +74,8 @@ def _lump(
             if j == i or matching.reached[j] or mate[j] == ABSENT:
                 continue
             # Equation i is free, so the others of its class are matched to variables that only the class contains.
-            for w in range(rows.shape[1]):
-                rows[i, w] |= rows[j, w]
-            for w in range(ids.shape[1]):
-                ids[i, w] |= ids[j, w]
+            unite(rows[i], rows[j])
+            unite(ids[i], ids[j])
             state[i] &= state[j]
             owner[mate[j]] = -1
             mate[j] = ABSENT
@@ -89,10 +86,8 @@ def _lump(
         if mate[i] == ABSENT:
             continue
         if left != i:
-            for w in range(rows.shape[1]):
-                rows[left, w] = rows[i, w]
-            for w in range(ids.shape[1]):
-                ids[left, w] = ids[i, w]
+            copy(rows[left], rows[i])
+            copy(ids[left], ids[i])
             state[left] = state[i]
             mate[left] = mate[i]
             if mate[i] >= 0:
@@ -104,10 +99,8 @@ def _lump(
 @kernel
 def _begin_kept(rows: Masks, state: i8s, size: int, kept: Matching, everything: Masks) -> bool:
     """Match the equations that stay, from nothing; returns whether they have redundancy."""
-    for i in range(len(kept.mate)):
-        kept.mate[i] = ABSENT
-    for v in range(len(kept.owner)):
-        kept.owner[v] = -1
+    kept.mate[:] = ABSENT
+    kept.owner[:] = -1
     redundant = False
     for i in range(size):
         if state[i] == 0 and not redundant:
@@ -126,24 +119,21 @@ def _only_kept(rows: Masks, ids: Masks, state: i8s, size: int, tried: int, kept:
         if (state[i] == 0 or i < tried) and kept.mate[i] == ABSENT:
             return False  # there are more of them after the one that made them redundant
     reach_from_free(rows, size, kept, -1)
-    for w in range(len(found)):
-        found[w] = 0
+    clear(found)
     for i in range(size):
         if kept.mate[i] != ABSENT:
             if not kept.reached[i]:
                 return False
-            for w in range(len(found)):
-                found[w] |= ids[i, w]
+            unite(found, ids[i])
     return True
 
 
 @kernel
 def _write_all(ids: Masks, size: int, found: Masks) -> None:
     """Write all equations of a level."""
-    found[:] = 0
+    clear(found)
     for i in range(size):
-        for w in range(len(found)):
-            found[w] |= ids[i, w]
+        unite(found, ids[i])
 
 
 @kernel
@@ -190,10 +180,8 @@ def _search(
         for j in range(size[level]):
             if j == i:
                 continue
-            for w in range(rows.shape[2]):
-                rows[below, left, w] = rows[level, j, w]
-            for w in range(ids.shape[2]):
-                ids[below, left, w] = ids[level, j, w]
+            copy(rows[below, left], rows[level, j])
+            copy(ids[below, left], ids[level, j])
             state[below, left] = state[level, j] if j > i else 0
             mate[below, left] = mate[level, j]
             left += 1

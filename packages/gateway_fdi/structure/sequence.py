@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from gateway_fdi.masks import BITS, words
 from gateway_fdi.structure.incidence import full
-from gateway_fdi.structure.matching import Matching, match_set
+from gateway_fdi.structure.matching import match_set, new_matching
 from gateway_fdi.structure.model import Equation, Model, state_of
 from gateway_fdi.structure.steps import (
     DIFFERENTIATE,
@@ -69,32 +69,20 @@ class Structure:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.incidence = full(model)
-        m, w = len(self.incidence.equations), words(len(self.incidence.variables))
+        self.size = m, n = len(self.incidence.equations), len(self.incidence.variables)
         self.place = {name: k for k, name in enumerate(self.incidence.equations)}
         self.column = {name: k for k, name in enumerate(self.incidence.variables)}
         state: NDArray[np.int64] = np.array(
             [self.column[e.differential] if e.differential else -1 for e in model.full_equations],
             np.int64,
         )
-        everything: NDArray[np.int64] = np.full(w, (1 << BITS) - 1, np.int64)
+        everything: NDArray[np.int64] = np.full(words(n), (1 << BITS) - 1, np.int64)
         self.explicit = Explicit(self.incidence.rows, state, everything)
         #: For each equation, the tacit relations that come with it in the explicit form.
         self.tacit = tuple(self._tacit(model, e) for e in model.full_equations)
-        self.matching = self.new_matching()
+        self.matching = new_matching(*self.size)
         self.order = Steps(np.zeros(m, np.int64), np.zeros(m, np.int64), np.zeros(m + 1, np.int64))
-        self.work = workspace(m, w)
-
-    def new_matching(self) -> Matching:
-        """Return a matching of the model's equations, to be filled by a kernel."""
-        m, n = len(self.incidence.equations), len(self.incidence.variables)
-        return Matching(
-            mate=np.zeros(m, np.int64),
-            owner=np.zeros(n, np.int64),
-            came=np.zeros(n, np.int64),
-            queue=np.zeros(m, np.int64),
-            reached=np.zeros(m, np.bool_),
-            seen=np.zeros(words(n), np.int64),
-        )
+        self.work = workspace(m, words(n))
 
     def _tacit(self, model: Model, equation: Equation) -> tuple[int, ...]:
         return tuple(self.place[f"d/dt {x}"] for x in equation.derivatives if x in model.lumped_states)

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi.jit import i8s, kernel
-from gateway_fdi.masks import Masks, Sets, pack, words
+from gateway_fdi.masks import Masks, Sets, pack
 from gateway_fdi.structure.decomposition import overdetermined
 from gateway_fdi.structure.incidence import Flags, Incidence, counted
 from gateway_fdi.structure.isolability import incidence_of_faults, isolability_of_model, signatures
-from gateway_fdi.structure.matching import ABSENT, Matching, make_free, match_set, reach_from_free
+from gateway_fdi.structure.matching import ABSENT, Matching, make_free, match_set, new_matching, reach_from_free
 from gateway_fdi.structure.model import Model
 from gateway_fdi.structure.mso import in_order
 
@@ -83,10 +83,7 @@ class _Search:
         self.faulty: Flags = np.any(self.where, axis=1)
         self.everything = pack([range(n)], n)[0]
         self.over = overdetermined(structure)
-        self.matching = Matching(
-            np.zeros(m, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64),
-            np.zeros(m, np.int64), np.zeros(m, np.bool_), np.zeros(words(n), np.int64),
-        )  # fmt: skip
+        self.matching = new_matching(m, n)
 
     def order(self, number: int, fault: int) -> Ints:
         """Return an order of all equations."""
@@ -120,7 +117,6 @@ def sufficient_msos(
     """Return MSO sets that tell as much as all of them would, shape (sets, equations), in order of size.
 
     Args:
-        model: the model.
         usable: sets -> which of them can be computed; for what has none, more are searched.
         structure: of the model, as it is counted.
         progress: called with the number of sets, and the share of the orders that are done, 0 to 1.

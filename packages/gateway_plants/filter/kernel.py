@@ -27,6 +27,7 @@ from gateway.monitors import contract
 from gateway.monitors.contract import Out, report
 from gateway_fdi import stopping
 from gateway_fdi.jit import Record, call_entry, f8, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import add, copy, dot, minus, plus
 
 #: Room for states, measurements, inputs and modes; longest window.
 MOST, WINDOW = 8, 64
@@ -114,10 +115,9 @@ class Evidence(Record):
 @kernel
 def begin(s: State, c: Const) -> None:
     """Begin again; all that was counted stays."""
+    copy(s.x, c.x, c.states)
     for i in range(c.states):
-        s.x[i] = c.x[i]
-        for j in range(c.states):
-            s.p[i, j] = c.p[i, j]
+        copy(s.p[i], c.p[i], c.states)
     s.samples, s.total, s.degrees, s.count = 0, 0.0, 0, 0
     s.fade.up = c.measured
     for j in range(c.measured):
@@ -129,9 +129,7 @@ def predict(s: State, c: Const) -> None:
     """Step x and P to the next sample, with s.u."""
     n = c.states
     for i in range(n):
-        value = 0.0
-        for j in range(c.inputs):
-            value += c.b[i, j] * s.u[j]
+        value = dot(c.b[i], s.u, c.inputs)
         for j in range(n):
             s.w[j, i] = 0.0
         for k in range(n):
@@ -141,15 +139,13 @@ def predict(s: State, c: Const) -> None:
                 for j in range(n):
                     s.w[j, i] += f * s.p[k, j]
         s.e[i] = value
+    copy(s.x, s.e, n)
     for i in range(n):
-        s.x[i] = s.e[i]
-        for j in range(i + 1):
-            s.p[i, j] = c.q[i, j]
+        copy(s.p[i], c.q[i], i + 1)
         for k in range(n):
             f = c.alpha * c.f[i, k]
             if f != 0.0:
-                for j in range(i + 1):
-                    s.p[i, j] += f * s.w[k, j]
+                add(s.p[i], f, s.w[k], i + 1)
         for j in range(i):
             s.p[j, i] = s.p[i, j]
 
@@ -159,9 +155,7 @@ def _factor(s: State, m: int) -> None:
     """Make s.factor Cholesky's factor of what its lower half holds, with one over its diagonal."""
     for a in range(m):
         for b in range(a + 1):
-            value = s.factor[a, b]
-            for k in range(b):
-                value -= s.factor[a, k] * s.factor[b, k]
+            value = minus(s.factor[a, b], s.factor[a], s.factor[b], b)
             if a > b:
                 s.factor[a, b] = value * s.factor[b, b]
             elif value > 0.0:
@@ -176,18 +170,13 @@ def _project(s: State, c: Const, m: int) -> None:
     n = c.states
     for a in range(m):
         row = s.at[a]
-        for i in range(n):
-            s.hp[a, i] = 0.0
+        s.hp[a, :] = 0.0
         for j in range(n):
             h = c.h[row, j]
             if h != 0.0:
-                for i in range(n):
-                    s.hp[a, i] += h * s.p[j, i]
+                add(s.hp[a], h, s.p[j], n)
         for b in range(a + 1):
-            total = c.r[row, s.at[b]]
-            for i in range(n):
-                total += c.h[row, i] * s.hp[b, i]
-            s.factor[a, b] = total
+            s.factor[a, b] = plus(c.r[row, s.at[b]], c.h[row], s.hp[b], n)
         s.variance[row] = s.factor[a, a]
 
 
@@ -195,19 +184,16 @@ def _project(s: State, c: Const, m: int) -> None:
 def _gain(s: State, n: int, m: int) -> None:
     """Make s.k, which is K', of s.hp and s.factor."""
     for a in range(m):
-        for i in range(n):
-            s.k[a, i] = s.hp[a, i]
+        copy(s.k[a], s.hp[a], n)
         for b in range(a):
-            for i in range(n):
-                s.k[a, i] -= s.factor[a, b] * s.k[b, i]
+            add(s.k[a], -s.factor[a, b], s.k[b], n)
         inverse = s.factor[a, a]
         for i in range(n):
             s.k[a, i] *= inverse
     for d in range(m):
         a = m - 1 - d
         for b in range(a + 1, m):
-            for i in range(n):
-                s.k[a, i] -= s.factor[b, a] * s.k[b, i]
+            add(s.k[a], -s.factor[b, a], s.k[b], n)
         inverse = s.factor[a, a]
         for i in range(n):
             s.k[a, i] *= inverse
@@ -221,10 +207,7 @@ def update(s: State, c: Const) -> None:
     for j in range(c.measured):
         s.y[j] = nan
         if isfinite(s.z[j]):
-            total = s.z[j]
-            for i in range(n):
-                total -= c.h[j, i] * s.x[i]
-            s.y[j] = total
+            s.y[j] = minus(s.z[j], c.h[j], s.x, n)
             s.at[m] = j
             m += 1
     s.seen = m
@@ -236,19 +219,13 @@ def update(s: State, c: Const) -> None:
     s.nis = 0.0
     for a in range(m):
         y = s.y[s.at[a]]
-        for i in range(n):
-            s.x[i] += s.k[a, i] * y
-        for b in range(a):
-            y -= s.factor[a, b] * s.e[b]
-        s.e[a] = y * s.factor[a, a]
+        add(s.x, y, s.k[a], n)
+        s.e[a] = minus(y, s.factor[a], s.e, a) * s.factor[a, a]
         s.nis += s.e[a] * s.e[a]
     for i in range(n):
-        for j in range(n):
-            s.w[i, j] = s.p[i, j]
+        copy(s.w[i], s.p[i], n)
         for a in range(m):
-            k = s.k[a, i]
-            for j in range(n):
-                s.w[i, j] -= k * s.hp[a, j]
+            add(s.w[i], -s.k[a, i], s.hp[a], n)
     _joseph(s, c, m)
 
 
@@ -258,13 +235,11 @@ def _joseph(s: State, c: Const, m: int) -> None:
     n = c.states
     for a in range(m):
         row = s.at[a]
-        for i in range(n):
-            s.v[a, i] = 0.0
+        s.v[a, :] = 0.0
         for b in range(m):
             r = c.r[row, s.at[b]]
             if r != 0.0:
-                for i in range(n):
-                    s.v[a, i] += r * s.k[b, i]
+                add(s.v[a], r, s.k[b], n)
         for j in range(n):
             h = c.h[row, j]
             if h != 0.0:
@@ -281,10 +256,8 @@ def _joseph(s: State, c: Const, m: int) -> None:
 @kernel
 def _show(s: State, e: Evidence) -> None:
     e.nis = s.nis
-    for k in range(_INNOVATIONS):
-        e.innovation[k] = s.y[k]
-    for k in range(_STATES):
-        e.state[k] = s.x[k]
+    copy(e.innovation, s.y, _INNOVATIONS)
+    copy(e.state, s.x, _STATES)
 
 
 @kernel

@@ -41,7 +41,6 @@ def increment(s: Increment, measured: float, speed: float, dt: float, turn: floa
     """Difference of a measured angle's step and the one that the estimated speed makes [rad].
 
     Args:
-        s: record of INCREMENT.
         measured: angle now, known modulo ``turn`` [rad].
         speed: estimated mean speed since the last call [rad/s].
         dt: time since then [s].
@@ -60,7 +59,6 @@ def leaky(s: Leaky, x: float, share: float) -> float:
     """Sum that forgets: time constant of 1/share samples.
 
     Args:
-        s: record of LEAKY.
         x: what is added.
         share: of the sum that is forgotten with each sample.
     """

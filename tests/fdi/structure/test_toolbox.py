@@ -4,7 +4,6 @@ import warnings
 
 import numpy as np
 import pytest
-from amount import amount
 from random_models import random_model
 
 from gateway_fdi.jit import COMPILED
@@ -117,22 +116,18 @@ def test_fewer_tests_than_theirs(truck):
 
 @pytest.mark.long
 @pytest.mark.skipif(not COMPILED, reason="thousands of decompositions")
-@pytest.mark.parametrize("fallible", [False, True][: amount(2, 1)])
-def test_sensor_placement(truck, fallible):
+def test_sensor_placement(truck):
     bare = truck.without(["e33", "e34", "e35", "e36", "e37"])
     assert bare.faults == ("f_b_sc", "f_pe", "f_em_eta", "f_em_R")
     places = ["I_b", "U_em", "I_em", "omega_e", "omega_gb", "U_b", "omega_w"]
     other = toolbox(bare)
     other.PossibleSensorLocations(places)
-    if fallible:
-        other.SensorLocationsWithFaults(places)
-    breaking = places if fallible else ()
     for isolate, answer in (
         (False, other.SensorPlacementDetectability()[0]),
         (True, other.SensorPlacementIsolability()[0]),
     ):
         wanted = {tuple(sorted(str(x) for x in one)) for one in answer}
-        found = set(place_sensors(bare, places, isolate=isolate, fallible=breaking))
+        found = set(place_sensors(bare, places, isolate=isolate))
         assert found == wanted, isolate
 
 

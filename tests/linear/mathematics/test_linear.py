@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from gateway_plants.linear.mathematics.gains import GONE, from_noise, from_poles, settling, with_noise
 from gateway_plants.linear.mathematics.plant import discretised, unobservable
-from gateway_plants.linear.mathematics.solve import decompose, solve
 
 
 def random_plant(rng, n=4, m=2, p=3):
@@ -125,23 +122,6 @@ def test_one_output_leaves_nothing_free():
     gain = from_poles(plant.phi, plant.c, (0.5, 0.6, 0.7), np.eye(3), np.eye(1))
     got = np.sort(np.linalg.eigvals(plant.phi - gain.gain @ plant.c).real)
     np.testing.assert_allclose(got, (0.5, 0.6, 0.7), atol=1e-8)
-
-
-@given(st.integers(0, 10_000), st.integers(1, 4))
-def test_small_systems_are_solved(seed, m):
-    rng = np.random.default_rng(seed)
-    root = rng.normal(size=(m, m))
-    j, b = np.zeros((4, 4)), np.zeros(4)
-    j[:m, :m], b[:m] = root @ root.T + np.eye(m), rng.normal(size=m)
-    factor, x = np.zeros((4, 4)), np.zeros(4)
-    decompose(j, factor, m)
-    square = solve(factor, b, x, m)
-    expected = np.linalg.solve(j[:m, :m], b[:m])
-    np.testing.assert_allclose(x[:m], expected, rtol=1e-9, atol=1e-12)
-    assert square == pytest.approx(b[:m] @ expected)
-    again = b.copy()
-    solve(factor, again, again, m)  # in place
-    np.testing.assert_array_equal(again[:m], x[:m])
 
 
 def test_an_observer_has_settled_when_an_error_is_small_beside_its_noise():

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import asdict
 
 import pytest
 from amount import amount
@@ -14,7 +15,7 @@ from gateway.config.monitor_types import monitor_of
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import cache, cache_directory
 from gateway_plants.structural.monitor import plan_cache
-from gateway_plants.structural.monitor.plan import as_dict, from_dict
+from gateway_plants.structural.monitor.plan import from_dict
 
 MOTOR = shipped("models/motor.toml").read_bytes()
 
@@ -85,7 +86,7 @@ def test_the_key_is_all_that_it_is_made_of(monkeypatch):
 def test_a_plan_is_the_same_after_json(tmp_path, folder):
     configuration(tmp_path)
     kept_plan = _plan(tmp_path)
-    assert from_dict(json.loads(json.dumps(as_dict(kept_plan)))) == kept_plan
+    assert from_dict(json.loads(json.dumps(asdict(kept_plan)))) == kept_plan
     assert plan_cache.read("nothing") is None
     plan_cache.write("some", kept_plan)
     assert plan_cache.read("some") == kept_plan

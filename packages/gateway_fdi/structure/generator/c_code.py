@@ -29,8 +29,8 @@ from gateway_fdi.structure.sequence import shown
 SAMPLES, TOLERANCE = 50, 1e-12
 #: Sets of inputs that are tried: the one with the most numbers among its residuals is taken.
 SEEDS = 10
-#: Bandwidths of the filters, unless others are given [rad/s].
-FILTER, DERIVATIVE = 0.5, 10.0
+#: Between two samples of the test [s].
+PERIOD_S = 0.01
 
 #: Words of C and names that this file uses itself: a name of the model that is one of them gets a "_".
 _WORDS = """
@@ -343,9 +343,7 @@ def _constants(name: str, c: np.void) -> list[str]:
     return [*lines, "};", ""]
 
 
-def _samples(
-    loaded: Loaded, c: np.void, fields: list[str], seed: int, period_s: float
-) -> tuple[np.ndarray[Any, Any], list[float]]:
+def _samples(loaded: Loaded, c: np.void, fields: list[str], seed: int) -> tuple[np.ndarray[Any, Any], list[float]]:
     """Return inputs that move around what they are drawn at, shape (SAMPLES, inputs), and the kernel's residuals."""
     s, u = zeros(1, loaded.state), zeros(1, loaded.inputs)
     rng = np.random.default_rng(seed)
@@ -359,14 +357,14 @@ def _samples(
             if k == 0:
                 loaded.reset(s[0], c)
                 loaded.start(s[0], c, u[0])
-            found.append(float(loaded.step(s[0], c, u[0], period_s if k else 0.0)))
+            found.append(float(loaded.step(s[0], c, u[0], PERIOD_S if k else 0.0)))
     return rows, found
 
 
-def _test(name: str, loaded: Loaded, c: np.void, period_s: float) -> list[str]:
+def _test(name: str, loaded: Loaded, c: np.void) -> list[str]:
     """Return the program that tests it, with inputs that move around what they are drawn at."""
     fields = list(loaded.inputs.names or ())
-    tried = [_samples(loaded, c, fields, seed, period_s) for seed in range(SEEDS)]
+    tried = [_samples(loaded, c, fields, seed) for seed in range(SEEDS)]
     rows, expected = max(tried, key=lambda one: np.isfinite(one[1]).sum())
     inputs = ",\n    ".join("{" + ", ".join(map(_number, row)) + "}" for row in rows.tolist())
     wanted = ",\n    ".join(map(_number, expected))
@@ -396,7 +394,7 @@ def _test(name: str, loaded: Loaded, c: np.void, period_s: float) -> list[str]:
         f"            {name}_reset(&s, &{name}_default);",
         f"            {name}_start(&s, &{name}_default, &u);",
         "        }",
-        f"        r = {name}_step(&s, &{name}_default, &u, k ? {_number(period_s)} : 0.0);",
+        f"        r = {name}_step(&s, &{name}_default, &u, k ? {PERIOD_S} : 0.0);",
         "        if (isnan(expected[k]) || isnan(r)) {",
         "            wrong += isnan(expected[k]) != isnan(r);",
         "            continue;",
@@ -414,22 +412,12 @@ def _test(name: str, loaded: Loaded, c: np.void, period_s: float) -> list[str]:
     ]
 
 
-def c_source(
-    loaded: Loaded,
-    name: str,
-    *,
-    period_s: float = 0.01,
-    filter_bandwidth: float = FILTER,
-    derivative_bandwidth: float = DERIVATIVE,
-) -> str:
+def c_source(loaded: Loaded, name: str) -> str:
     """Return a residual generator as a C file.
 
     Args:
         loaded: the generator.
         name: prefix of its functions and types; made an identifier.
-        period_s: between two samples of its test [s].
-        filter_bandwidth: alpha of (20) [rad/s].
-        derivative_bandwidth: of the filters that differentiate [rad/s].
 
     Raises:
         ValueError: a parameter has no value.
@@ -438,7 +426,7 @@ def c_source(
     prefix = re.sub(r"\W", "_", name).strip("_").lower() or "residual"
     prefix = prefix if prefix[0].isalpha() else f"r_{prefix}"
     constants = zeros(1, loaded.const)
-    loaded.prepare(constants[0], filter_bandwidth=filter_bandwidth, derivative_bandwidth=derivative_bandwidth)
+    loaded.prepare(constants[0])
     tables = {f: d[f].shape[-1] for d in (loaded.state, loaded.const) for f in d.names or () if d[f].shape}
     translator = _Translator(prefix, tables)
     lines = generated.source.splitlines()
@@ -465,7 +453,7 @@ def c_source(
         *_record(f"{prefix}_state", loaded.state), *_record(f"{prefix}_const", loaded.const),
         *_record(f"{prefix}_input", loaded.inputs), *_declared(prefix), *used, *_constants(prefix, constants[0]),
     ]  # fmt: skip
-    return "\n".join([*head, *body, text, *_test(prefix, loaded, constants[0], period_s)])
+    return "\n".join([*head, *body, text, *_test(prefix, loaded, constants[0])])
 
 
 def _declared(name: str) -> list[str]:

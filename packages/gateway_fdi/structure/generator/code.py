@@ -57,30 +57,16 @@ Written = Callable[[Algebra], str]
 #: Binding of names and calls, just below which nothing needs parentheses.
 _ATOM = PRECEDENCE["Atom"] - 1
 
+#: Names that generated code imports from math, and from :mod:`.runtime`.
+_MATH = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "isfinite", "pi", "nan")
+_RUNTIME = ("advance", "incline", "interpolate", "root", "sign")
 #: Names that generated code uses itself.
 _LOCALS = {
     *("s", "c", "u", "dt", "j", "r", "b", "ahead", "best", "keep", "abs", "float", "range", "min", "max"),
-    *(
-        "Any",
-        "Annotated",
-        "Record",
-        "State",
-        "Const",
-        "f8",
-        "f8s",
-        "kernel",
-        "means",
-        "interpolate",
-        "incline",
-        "advance",
-        "root",
-        "sign",
-        "isfinite",
-        "nan",
-        "pi",
-    ),
-    *("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "reset", "start", "step"),
-    *("STATE", "CONST", "KNOWNS"),
+    *("Any", "Annotated", "Record", "State", "Const", "f8", "f8s", "kernel", "means", "STATE", "CONST"),
+    *("reset", "start", "step"),
+    *_MATH,
+    *_RUNTIME,
 }
 
 
@@ -588,7 +574,7 @@ class _Writer:
         records = self.records()
         arrays = any("f8s" in line for line in records)
         functions = [f for f in _MATH if f"{f}(" in text or (f in ("pi", "nan") and f in text)]
-        runtime = [f for f in ("advance", "incline", "interpolate", "root", "sign") if f"{f}(" in text]
+        runtime = [f for f in _RUNTIME if f"{f}(" in text]
         imports = [f"from math import {', '.join(functions)}"] if functions else []
         ours = [f"from gateway_fdi.structure.generator.runtime import {', '.join(runtime)}"] if runtime else []
         lines = [
@@ -604,9 +590,7 @@ class _Writer:
             *ours,
             f"from gateway_fdi.jit import Record, f8, {'f8s, ' * arrays}kernel, means",
             "",
-            *records,
-            "",
-            f"KNOWNS = {self.knowns()!r}",
+            *records[:-1],
         ]
         for name, body in (
             ("reset", self.reset()),
@@ -637,7 +621,6 @@ _KERNELS = {
         "Take a sample, dt [s] behind the one before; returns the residual.",
     ),
 }
-_MATH = ("sin", "cos", "tan", "asin", "acos", "atan", "tanh", "exp", "log", "isfinite", "pi", "nan")
 
 
 def correctable(realisation: Realisation) -> bool:

@@ -46,7 +46,6 @@ def fill(
 
     Args:
         c: record of its Const.
-        model: the model.
         values: values of parameters instead of the model's.
         start: start values of states instead of the model's.
         filter_bandwidth: alpha of (20) [rad/s].

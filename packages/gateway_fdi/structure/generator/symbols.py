@@ -10,7 +10,7 @@ from typing import Any
 import sympy
 
 from gateway_fdi.structure.model import Model
-from gateway_fdi.structure.relation import Expression, Relation
+from gateway_fdi.structure.relation import FUNCTIONS, Expression, Relation
 
 _BINARY = {
     ast.Add: operator.add,
@@ -20,22 +20,9 @@ _BINARY = {
     ast.Pow: operator.pow,
 }
 _COMPARE = {ast.Lt: sympy.Lt, ast.LtE: sympy.Le, ast.Gt: sympy.Gt, ast.GtE: sympy.Ge}
-_FUNCTIONS = {
-    "sqrt": sympy.sqrt,
-    "sin": sympy.sin,
-    "cos": sympy.cos,
-    "tan": sympy.tan,
-    "asin": sympy.asin,
-    "acos": sympy.acos,
-    "atan": sympy.atan,
-    "tanh": sympy.tanh,
-    "exp": sympy.exp,
-    "log": sympy.log,
-    "abs": sympy.Abs,
-    "sign": sympy.sign,
-    "min": sympy.Min,
-    "max": sympy.Max,
-}
+#: Functions that SymPy calls otherwise.
+_RENAMED = {"abs": "Abs", "min": "Min", "max": "Max"}
+_FUNCTIONS = {name: getattr(sympy, _RENAMED.get(name, name)) for name in FUNCTIONS}
 
 Algebra = Any
 
@@ -44,7 +31,6 @@ class Symbols:
     """Symbols of a model: one for each name, all real.
 
     Args:
-        model: the model.
         faulty: leave faults in expressions, instead of taking them as zero.
     """
 

@@ -83,7 +83,6 @@ class Plant:
     """A model that can be run.
 
     Args:
-        model: the model.
         inputs: a course for each variable that is given: commands, loads; the others are computed.
         parameters: values instead of the model's.
         start: where states begin; those that it does not name begin at the model's start value.

@@ -229,7 +229,6 @@ def reduce(
     """Return a model as equations that give all derivatives from the states.
 
     Args:
-        model: the model.
         symbols: with its faults.
         inputs: given variables.
         values: of parameters, inputs and states, where the choice of states is made.

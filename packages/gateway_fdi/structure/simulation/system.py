@@ -21,7 +21,7 @@ from gateway_fdi.masks import pack, words
 from gateway_fdi.structure.blocks import block_search, find_blocks
 from gateway_fdi.structure.generator.solver import linear
 from gateway_fdi.structure.generator.symbols import Algebra, Symbols
-from gateway_fdi.structure.matching import Matching, match_set
+from gateway_fdi.structure.matching import match_set, new_matching
 from gateway_fdi.structure.model import Model, Solvable
 from gateway_fdi.structure.simulation.reduction import NotSimulatedError, Reduced
 
@@ -57,17 +57,13 @@ def _blocks(reduced: Reduced) -> list[list[tuple[int, Algebra]]]:
     place = {x: k for k, x in enumerate(reduced.computed)}
     m, n = len(reduced.zero), len(reduced.computed)
     rows = pack([[place[x] for x in zero.free_symbols if x in place] for zero in reduced.zero], n)
-    size = words(n)
-    matching = Matching(
-        np.zeros(m, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(m, np.int64),
-        np.zeros(m, np.bool_), np.zeros(size, np.int64),
-    )  # fmt: skip
+    matching = new_matching(m, n)
     members = np.arange(m, dtype=np.int64)
     everything = pack([range(n)], n)[0]
     if match_set(rows, members, m, matching, everything):
         raise NotSimulatedError("index reduction leaves equations that have no variable of their own")
     block = np.zeros(m, np.int64)
-    count = find_blocks(rows, members, m, matching.owner, everything, 0, block, block_search(m, size))
+    count = find_blocks(rows, members, m, matching.owner, everything, 0, block, block_search(m, words(n)))
     found: list[list[tuple[int, Algebra]]] = [[] for _ in range(count)]
     for k in range(m):
         found[block[k]].append((k, reduced.computed[int(matching.mate[k])]))

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import copy
 from gateway_fdi.slow import delay
 from gateway_plants.linear.mathematics.plant import LinearPlant
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS
@@ -63,8 +64,6 @@ def prepare(c: Const, plant: LinearPlant, lags: NDArray[np.float64], *, counted:
     """Fill a record of Const.
 
     Args:
-        c: record of Const.
-        plant: the plant.
         lags: by how many periods each output may be late or early, shape (p,).
         counted: commands have counters.
     """
@@ -77,8 +76,7 @@ def align(s: State, c: Const, y: f8s, u: f8s, unsure: i8s) -> bool:
     """Take a sample, NaN where it did not come; tells whether the one that is taken now did."""
     for i in range(c.m):
         s.now[MOST_OUTPUTS + i], s.now[MOST_OUTPUTS + MOST_INPUTS + i] = u[i], float(unsure[i])
-    for j in range(c.p):
-        s.now[j] = y[j]
+    copy(s.now, y, c.p)
     if c.back > 0.0:
         delay.put(s.ring, s.now, s.begun)
         s.begun = 1
@@ -100,8 +98,6 @@ def doubt(s: State, c: Const, j: int, lag: float, variance: float) -> None:
     """Find an output's slope, and what the line and the tangent may leave.
 
     Args:
-        s: record of State.
-        c: record of Const.
         j: the output.
         lag: of it, as it is known [periods].
         variance: of that.

@@ -26,6 +26,7 @@ from typing import Annotated
 
 from gateway_fdi.isolation import fault_size
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import copy
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.model_set import alignment, design, filters
 from gateway_plants.linear.model_set.filters import (
@@ -134,8 +135,6 @@ def prepare(
     """Fill records of State and Const.
 
     Args:
-        s: record of State.
-        c: record of Const.
         told: what the user tells of the plant.
         mtfa_s: mean time between false alarms that is asked for [s].
         start_s: time in which nothing is judged [s].
@@ -173,10 +172,9 @@ def restart(s: State, c: Const) -> None:
     slow = f.total - f.n
     if s.keeps >= 2:
         old = s.keeps % 2
+        copy(s.filters.z[0, f.n :], s.kept[old], slow)
         for k in range(slow):
-            s.filters.z[0, f.n + k] = s.kept[old, k]
-            for i in range(slow):
-                s.filters.cov[0, f.n + k, f.n + i] = s.kept_cov[old, k, i]
+            copy(s.filters.cov[0, f.n + k, f.n :], s.kept_cov[old, k], slow)
         filters.derive(s.filters, f, 0)
     else:
         filters.ignorant(s.filters, f, 0)
@@ -201,10 +199,9 @@ def _keep(s: State, c: Const) -> None:
         return
     s.calm = 0
     new = s.keeps % 2
+    copy(s.kept[new], s.filters.z[0, f.n :], f.total - f.n)
     for k in range(f.total - f.n):
-        s.kept[new, k] = s.filters.z[0, f.n + k]
-        for i in range(f.total - f.n):
-            s.kept_cov[new, k, i] = s.filters.cov[0, f.n + k, f.n + i]
+        copy(s.kept_cov[new, k], s.filters.cov[0, f.n + k, f.n :], f.total - f.n)
     s.keeps = s.keeps + 1 if s.keeps < 1000 else 2 + (s.keeps + 1) % 2
 
 
@@ -249,10 +246,7 @@ def _adopt(s: State, c: Const, source: int, healed: bool) -> None:
     filters.copy(x, f, source, 0)
     k = slot(f, source)
     if k >= 0 and (healed or f.prior[k] == 0.0):
-        for i in range(f.total):
-            x.cov[0, f.n + k, i] = x.cov[0, i, f.n + k] = 0.0
-        x.cov[0, f.n + k, f.n + k] = f.prior[k]
-        x.z[0, f.n + k] = 0.0
+        filters.forget(x, f, 0, f.n + k, f.prior[k])
     filters.separate(x, f)
     s.active = s.undecided = s.ahead = s.misfit = s.calm = 0
     fault_size.begin(s.suspect)
@@ -289,9 +283,7 @@ def _follower(s: State, c: Const, best: int) -> int:
             filters.copy(x, f, best, h)
             k = f.n + slot(f, best)
             own = f.n + slot(f, h)
-            for i in range(f.total):
-                x.cov[h, k, i] = x.cov[h, i, k] = 0.0
-            x.z[h, k], x.cov[h, k, k] = 0.0, f.prior[k - f.n]
+            filters.forget(x, f, h, k, f.prior[k - f.n])
             if wanted == OFFSET:
                 x.z[h, own], x.cov[h, own, own] = x.z[best, k] * x.past[0, f.place[best]], f.free[own - f.n]
             s.misfits[h] = f.p - 1 if wanted == SILENT else f.p

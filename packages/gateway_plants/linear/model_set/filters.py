@@ -35,10 +35,12 @@ extended Kalman filter as a parameter estimator" (1979); Blom and Bar-Shalom (19
 
 from __future__ import annotations
 
-from math import log, pi, sqrt
+from math import log, pi
 from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import copy as copy_row
+from gateway_fdi.linear_algebra import decompose, dot, plus, solve
 from gateway_plants.linear.model_set import alignment, matrices
 from gateway_plants.linear.model_set.matrices import MOST_ENTRIES, MOST_HYPOTHESES
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
@@ -134,24 +136,27 @@ def derive(s: State, c: Const, h: int) -> None:
     matrices.derive(s.plant, c.plant, h, s.z[h, c.n :])
 
 
+@kernel
+def forget(s: State, c: Const, h: int, i: int, variance: float) -> None:
+    """Forget one state of a filter: it is 0 with a variance, without ties to the others."""
+    s.z[h, i] = 0.0
+    for j in range(c.total):
+        s.cov[h, i, j] = s.cov[h, j, i] = 0.0
+    s.cov[h, i, i] = variance
+
+
 @kernel(inlined=False)
 def unknown(s: State, c: Const, h: int) -> None:
     """Forget a filter's x; what is slow stays, without its ties to x."""
     for i in range(c.n):
-        s.z[h, i] = 0.0
-        for j in range(c.total):
-            s.cov[h, i, j] = s.cov[h, j, i] = 0.0
-        s.cov[h, i, i] = c.unknown[i]
+        forget(s, c, h, i, c.unknown[i])
 
 
 @kernel(inlined=False)
 def ignorant(s: State, c: Const, h: int) -> None:
     """Set what is slow to its prior."""
     for i in range(c.n, c.total):
-        s.z[h, i] = 0.0
-        for j in range(c.total):
-            s.cov[h, i, j] = s.cov[h, j, i] = 0.0
-        s.cov[h, i, i] = c.prior[i - c.n]
+        forget(s, c, h, i, c.prior[i - c.n])
     derive(s, c, h)
 
 
@@ -160,10 +165,9 @@ def copy(s: State, c: Const, source: int, target: int) -> None:
     """Let a filter go on from another one's estimate."""
     if source == target:
         return
+    copy_row(s.z[target], s.z[source], c.total)
     for i in range(c.total):
-        s.z[target, i] = s.z[source, i]
-        for j in range(c.total):
-            s.cov[target, i, j] = s.cov[source, i, j]
+        copy_row(s.cov[target, i], s.cov[source, i], c.total)
     matrices.copy(s.plant, c.plant, source, target)
 
 
@@ -184,26 +188,19 @@ def _add_jump(s: State, c: Const, h: int) -> None:
     i = c.place[h]
     for r in range(c.n):
         s.gain[r] = 0.0  # what the fault has done to x by now
-        s.work[r, 0] = s.plant.now[h, r, c.n + i]  # what one sample of it has done so many samples later
+        s.work[0, r] = s.plant.now[h, r, c.n + i]  # what one sample of it has done so many samples later
     seen = 0.0  # energy of what one unit of it has shown in the samples before this one
     for back in range(BACK + 1):
         if back > 0:
             by = 1.0 if c.kind[h] == OFFSET else s.past[back - 1, i]
             for r in range(c.n):
-                s.gain[r] += s.work[r, 0] * by
-            for r in range(c.n):
-                total = 0.0
-                for j in range(c.n):
-                    total += s.plant.now[h, r, j] * s.work[j, 0]
-                s.work[r, 1] = total
-            for r in range(c.n):
-                s.work[r, 0] = s.work[r, 1]
+                s.gain[r] += s.work[0, r] * by
+                s.work[1, r] = dot(s.plant.now[h, r], s.work[0], c.n)
+            copy_row(s.work[0], s.work[1], c.n)
         # A fault that began then would have been seen since, if it were larger than this.
         share = min(c.free[k] / len(BEGINNINGS), c.gate / max(seen, 1e-300))
         for j in range(c.p):
-            shows = 0.0
-            for r in range(c.n):
-                shows += c.c[j, r] * s.gain[r]
+            shows = dot(c.c[j], s.gain, c.n)
             seen += shows * shows / (4.0 * c.r[j])
         if back not in BEGINNINGS:
             continue
@@ -230,19 +227,14 @@ def _expected(s: State, c: Const, h: int, j: int) -> float:
 @kernel
 def _shown(s: State, c: Const, h: int, j: int) -> float:
     """Return what a sensor would show if it were exact, C x."""
-    value = 0.0
-    for i in range(c.n):
-        value += c.c[j, i] * s.z[h, i]
-    return float(value)
+    return float(dot(c.c[j], s.z[h], c.n))
 
 
 @kernel
 def _seen(s: State, c: Const, h: int, j: int) -> float:
     """Return H of a sensor times the vector in ``gain``."""
     place = c.n + c.q + 2 * c.m + j
-    by_state = 0.0
-    for i in range(c.n):
-        by_state += c.c[j, i] * s.gain[i]
+    by_state = dot(c.c[j], s.gain, c.n)
     if c.gains == 1:
         by_state = by_state * (1.0 + s.z[h, place + c.p]) + s.gain[place + c.p] * _shown(s, c, h, j)
     if c.lag > 0:
@@ -258,10 +250,7 @@ def _show(s: State, c: Const, h: int, j: int) -> float:
     if c.gains == 1:
         scale, shown = 1.0 + s.z[h, place + c.p], _shown(s, c, h, j)
     for r in range(c.total):
-        value = 0.0
-        for i in range(c.n):
-            value += s.cov[h, r, i] * c.c[j, i]
-        value = value * scale + s.cov[h, r, place]
+        value = dot(s.cov[h, r], c.c[j], c.n) * scale + s.cov[h, r, place]
         if c.gains == 1:
             value += s.cov[h, r, place + c.p] * shown
         if c.lag > 0:
@@ -279,23 +268,8 @@ def _squared(s: State, c: Const, h: int) -> float:
         for i in range(j + 1):
             s.spread[j, i] = _seen(s, c, h, i)
         s.spread[j, j] = s.own[j] = size
-    # Cholesky, and L w = e on the way.
-    total = 0.0
-    for j in range(p):
-        rest = s.e[h, j]
-        for i in range(j + 1):
-            value = s.spread[j, i]
-            for k in range(i):
-                value -= s.spread[j, k] * s.spread[i, k]
-            if i == j:
-                s.spread[j, j] = sqrt(max(value, 1e-300))
-            else:
-                s.spread[j, i] = value / s.spread[i, i]
-        for i in range(j):
-            rest -= s.spread[j, i] * s.rest[i]
-        s.rest[j] = rest / s.spread[j, j]
-        total += s.rest[j] * s.rest[j]
-    return float(total)
+    decompose(s.spread, s.spread, p)
+    return float(solve(s.spread, s.e[h], s.rest, p))
 
 
 @kernel
@@ -311,8 +285,6 @@ def correct(s: State, c: Const, h: int, y: f8s, known: bool, restless: bool) -> 
     """Take a sample of the outputs with one filter; sets ``e``, ``left`` and ``told``.
 
     Args:
-        s: record of State.
-        c: record of Const.
         h: the filter.
         y: outputs.
         known: x is known; otherwise what is slow is considered only, and nothing jumps.
@@ -353,12 +325,8 @@ def _columns_of_slow(s: State, c: Const, h: int, u: f8s) -> None:
     n, m, q = c.n, c.m, c.q
     for r in range(n):
         for k in range(q):
-            value = 0.0
-            for i in range(n):
-                value += s.plant.by_entry[h, k, r, i] * s.z[h, i]
-            for i in range(m):
-                value += s.plant.by_entry[h, k, r, n + i] * u[i]
-            s.by_slow[r, k] = value
+            value = dot(s.plant.by_entry[h, k, r], s.z[h], n)
+            s.by_slow[r, k] = plus(value, s.plant.by_entry[h, k, r, n:], u, m)
         for i in range(m):
             s.by_slow[r, q + i] = s.plant.now[h, r, n + i]
             s.by_slow[r, q + m + i] = s.plant.now[h, r, n + i] * u[i]
@@ -369,8 +337,6 @@ def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> Non
     """Take one filter to the next sample, the commands ``u`` held till then.
 
     Args:
-        s: record of State.
-        c: record of Const.
         h: the filter.
         u: commands.
         unsure: of each command, 1: its frame did not come, it may be another.
@@ -392,9 +358,7 @@ def predict(s: State, c: Const, h: int, u: f8s, unsure: i8s, loose: bool) -> Non
     _columns_of_slow(s, c, h, u)
     slow = q + 2 * m
     for r in range(n):
-        value = 0.0
-        for i in range(n):
-            value += s.plant.now[h, r, i] * s.z[h, i]
+        value = dot(s.plant.now[h, r], s.z[h], n)
         for i in range(m):
             acts = u[i] * (1.0 + s.z[h, n + q + m + i]) + s.z[h, n + q + i]
             value += s.plant.now[h, r, n + i] * acts
@@ -432,14 +396,11 @@ def _spread(s: State, c: Const, h: int, unsure: i8s, loose: bool, relative: floa
     """Take covariance and slow states to the next sample, from what :func:`predict` has left in the scratch."""
     n, m, size = c.n, c.m, c.total
     slow, free = c.q + 2 * m, slot(c, h)
+    copy_row(s.z[h], s.gain, n)
     for r in range(n):
-        s.z[h, r] = s.gain[r]
         for k in range(r, n):
-            total = 0.0
-            for i in range(n):
-                total += s.work[r, i] * s.plant.now[h, k, i]
-            for i in range(slow):
-                total += s.work[r, n + i] * s.by_slow[k, i]
+            total = dot(s.work[r], s.plant.now[h, k], n)
+            total = plus(total, s.work[r, n:], s.by_slow[k], slow)
             for i in range(m):
                 if unsure[i] == 1:
                     total += s.plant.now[h, r, n + i] * s.plant.now[h, k, n + i] * c.command[i]
@@ -463,10 +424,8 @@ def _spread(s: State, c: Const, h: int, unsure: i8s, loose: bool, relative: floa
 def remember(s: State, c: Const, u: f8s) -> None:
     """Keep the commands of a sample."""
     for back in range(BACK - 1, 0, -1):
-        for i in range(c.m):
-            s.past[back, i] = s.past[back - 1, i]
-    for i in range(c.m):
-        s.past[0, i] = u[i]
+        copy_row(s.past[back], s.past[back - 1], c.m)
+    copy_row(s.past[0], u, c.m)
 
 
 @kernel

@@ -15,6 +15,7 @@ from math import sqrt
 from typing import Annotated
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import copy as copy_row
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
 
 #: Uncertain entries of A and B.
@@ -97,8 +98,7 @@ def _exponential(s: State, c: Const, errors: f8s, entry: int, step: float) -> No
         s.block[c.row[k], c.column[k]] += c.scale * (errors[k] + (step if k == entry else 0.0))
     if c.discrete == 1:
         for i in range(size):
-            for j in range(size):
-                s.term[i, j] = s.block[i, j]
+            copy_row(s.term[i], s.block[i], size)
         return
     halvings = _halvings(s, c.n, size)
     share = 0.5**halvings
@@ -115,8 +115,7 @@ def _exponential(s: State, c: Const, errors: f8s, entry: int, step: float) -> No
     for _ in range(halvings):
         _multiply(s.term, s.term, s.next, size)
         for i in range(size):
-            for j in range(size):
-                s.term[i, j] = s.next[i, j]
+            copy_row(s.term[i], s.next[i], size)
 
 
 @kernel(inlined=False)
@@ -124,10 +123,8 @@ def refresh(s: State, c: Const, h: int, errors: f8s) -> None:
     """Compute [Phi, Gamma] of filter ``h`` from its estimate of the entries' errors."""
     _exponential(s, c, errors, 0, 0.0)
     for i in range(c.n):
-        for j in range(c.n + c.m):
-            s.now[h, i, j] = s.term[i, j]
-    for k in range(c.q):
-        s.at[h, k] = errors[k]
+        copy_row(s.now[h, i], s.term[i], c.n + c.m)
+    copy_row(s.at[h], errors, c.q)
 
 
 @kernel(inlined=False)
@@ -147,11 +144,8 @@ def derive(s: State, c: Const, h: int, errors: f8s) -> None:
 def copy(s: State, c: Const, source: int, target: int) -> None:
     """Let a filter go on with another one's matrices."""
     for i in range(c.n):
-        for j in range(c.n + c.m):
-            s.now[target, i, j] = s.now[source, i, j]
-    for k in range(c.q):
-        s.at[target, k] = s.at[source, k]
-        s.derived[target, k] = s.derived[source, k]
-        for i in range(c.n):
-            for j in range(c.n + c.m):
-                s.by_entry[target, k, i, j] = s.by_entry[source, k, i, j]
+        copy_row(s.now[target, i], s.now[source, i], c.n + c.m)
+        for k in range(c.q):
+            copy_row(s.by_entry[target, k, i], s.by_entry[source, k, i], c.n + c.m)
+    copy_row(s.at[target], s.at[source], c.q)
+    copy_row(s.derived[target], s.derived[source], c.q)

@@ -43,6 +43,7 @@ from gateway.monitors.contract import (
 from gateway.monitors.evidence import words_of
 from gateway_fdi import run_length, stopping
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, labels, means
+from gateway_fdi.linear_algebra import copy, square
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.gains import Gain, from_noise, from_poles, settling
 from gateway_plants.linear.model_set import decision
@@ -51,7 +52,9 @@ from gateway_plants.linear.monitor import plant as linear_plant
 from gateway_plants.linear.monitor.plant import COMMAND, FINDING, MOST_MISSING, SETTLING, Inputs
 from gateway_plants.linear.monitor.refine import found, wanted
 from gateway_plants.linear.monitor.uncertain import UncertainPlantParams
-from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS, MOST_STATES
+from gateway_plants.linear.pi_bank import bank
+from gateway_plants.linear.pi_bank.bank import MOST_OUTPUTS
+from gateway_plants.linear.pi_bank.design import Observer
 
 
 class Const(Record):
@@ -62,13 +65,7 @@ class Const(Record):
     models: decision.Const = means("with model_error: the healthy hypothesis")
     blind: Annotated[i8s, MOST_MISSING + 1] = means("samples that are not judged behind so many missing ones in a row")
     blind_command: i8 = means("samples that are not judged behind a lost command")
-    n: i8 = means("states")
-    m: i8 = means("inputs")
-    p: i8 = means("outputs")
-    phi: Annotated[f8s, MOST_STATES, MOST_STATES] = means("Phi")
-    gamma: Annotated[f8s, MOST_STATES, MOST_INPUTS] = means("Gamma")
-    c: Annotated[f8s, MOST_OUTPUTS, MOST_STATES] = means("C")
-    gain: Annotated[f8s, MOST_STATES, MOST_OUTPUTS] = means("L")
+    bank: bank.Const = means("the observer, of all sensors, without faults of actuators")
     weight: Annotated[f8s, MOST_OUTPUTS, MOST_OUTPUTS] = means("V^-1")
     spread: Annotated[f8s, MOST_OUTPUTS] = means("standard deviation of each innovation")
     rule: stopping.Const = means("stopping rule of each innovation")
@@ -81,8 +78,8 @@ class State(Record):
 
     sampling: linear_plant.State = means("samples off the bus")
     models: decision.State = means("with model_error: the healthy hypothesis")
-    x: Annotated[f8s, MOST_STATES] = means("the observer's estimate")
-    next: Annotated[f8s, MOST_STATES] = means("scratch: x of the next sample")
+    x: Annotated[f8s, bank.MOST] = means("the observer's estimate, and faults of actuators, which are 0")
+    work: Annotated[f8s, bank.MOST] = means("scratch")
     e: Annotated[f8s, MOST_OUTPUTS] = means("what it leaves of each sensor")
     rules: Annotated[list[stopping.State], MOST_OUTPUTS] = means("stopping rule of each innovation")
     nis: f8 = means("normalised innovation squared")
@@ -194,9 +191,9 @@ def _blames(p: Params) -> dict[str, list[Blame]]:
 
 def _prepare(p: Params, s: State, c: Const) -> None:
     plant = p.plant
-    n, m, q = plant.states, plant.inputs, plant.outputs
+    n, q = plant.states, plant.outputs
     linear_plant.prepare(c.sampling, p)
-    c.n, c.m, c.p = n, m, q
+    bank.prepare(c.bank, plant, () if p.uncertain else (Observer(None, p.observer),))
     level = p.threshold
     stopping.prepare(c.rule, p.rule, level, drift=0.5 * SHIFT, most=4.0 * level)
     c.total = chi2_above(min(p.sample_ms * 1e-3 / p.mtfa_s, 0.4), q)
@@ -207,8 +204,6 @@ def _prepare(p: Params, s: State, c: Const) -> None:
         decision.prepare(s.models, c.models, p.told, mtfa_s=p.mtfa_s, start_s=p.start_s, hold_s=p.start_s, task=task)
         return
     observer = p.observer
-    c.phi[:n, :n], c.gamma[:n, :m], c.c[:q, :n] = plant.phi, plant.gamma, plant.c
-    c.gain[:n, :q] = observer.gain
     c.weight[:q, :q] = np.linalg.inv(observer.innovation)
     c.spread[:q] = np.sqrt(np.diag(observer.innovation))
     noise = np.diag(np.array(p.disturbance) ** 2 * plant.period)
@@ -224,17 +219,7 @@ def _prepare(p: Params, s: State, c: Const) -> None:
 @kernel(inlined=False)
 def _advance(s: State, c: Const, u: f8s) -> None:
     """Step the observer to the next sample."""
-    for i in range(c.n):
-        value = 0.0
-        for j in range(c.n):
-            value += c.phi[i, j] * s.x[j]
-        for j in range(c.m):
-            value += c.gamma[i, j] * u[j]
-        for j in range(c.p):
-            value += c.gain[i, j] * s.e[j]
-        s.next[i] = value
-    for i in range(c.n):
-        s.x[i] = s.next[i]
+    bank.onwards(s.x, s.e, c.bank.gain[0], c.bank, u, s.work)
 
 
 @kernel
@@ -258,8 +243,7 @@ def _skip(s: State, c: Const, u: Inputs, steps: int) -> None:
             s.models.filters.aligned.begun = 0
             decision.restart(s.models, c.models)
         return
-    for j in range(c.p):
-        s.e[j] = nan if c.uncertain == 1 else 0.0
+    s.e[:] = nan if c.uncertain == 1 else 0.0
     for k in range(steps - 1):
         s.missing += 1
         _lost(s, c, u, k + 1)
@@ -293,32 +277,25 @@ def _uncertain(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> Non
     if not decision.step(x, c.models, u.y, s.sampling.u, s.sampling.unsure):
         return
     s.nis = x.filters.square
-    for j in range(c.p):
-        s.e[j] = x.filters.e[0, j]
+    copy(s.e, x.filters.e[0], c.bank.p)
     if x.tested == 0:
         s.reason = FINDING
         return
     _judge_whole(s, c, out)
-    for j in range(c.p):
+    for j in range(c.bank.p):
         _judge(s, c, j, s.e[j] / sqrt(x.filters.own[j]), out)
 
 
 @kernel
 def _exact(s: State, c: Const, u: Inputs, out: Out[Evidence, Record]) -> None:
     """Take one sample with the observer."""
-    for j in range(c.p):
-        s.e[j] = u.y[j]
-        for i in range(c.n):
-            s.e[j] -= c.c[j, i] * s.x[i]
-    s.nis = 0.0
-    for j in range(c.p):
-        for i in range(c.p):
-            s.nis += s.e[j] * c.weight[j, i] * s.e[i]
+    bank.left(s.x, s.e, c.bank, 0, u.y)
+    s.nis = square(s.e, c.weight, c.bank.p)
     s.samples += 1
     if s.samples > c.start and s.blind == 0:
         s.reason = 0
         _judge_whole(s, c, out)
-        for j in range(c.p):
+        for j in range(c.bank.p):
             _judge(s, c, j, s.e[j] / c.spread[j], out)
     elif s.blind > 0:
         s.blind -= 1

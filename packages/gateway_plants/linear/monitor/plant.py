@@ -380,8 +380,7 @@ def command_lost(s: State, c: Const, u: Inputs, at: int) -> bool:
 @kernel
 def heard_all(s: State, c: Const) -> None:
     """Begin to wait for the next sample's commands."""
-    for j in range(c.inputs):
-        s.since[j] = 0
+    s.since[:] = 0
     s.gap = 0
 
 

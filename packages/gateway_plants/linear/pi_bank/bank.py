@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from gateway_fdi.jit import Record, f8s, i8, kernel, means
+from gateway_fdi.linear_algebra import copy, dot, minus, plus
 from gateway_plants.linear.mathematics.plant import LinearPlant
 from gateway_plants.linear.pi_bank.design import Observer, augmented
 
@@ -55,7 +56,7 @@ def prepare(c: Const, plant: LinearPlant, bank: tuple[Observer, ...]) -> None:
     c.c[:p, :n] = plant.c
     for k, observer in enumerate(bank):
         rows = [j for j in range(p) if j != observer.left_out]
-        c.gain[k][: n + m, rows] = observer.gain.gain
+        c.gain[k][: len(observer.gain.gain), rows] = observer.gain.gain
 
 
 @kernel
@@ -65,10 +66,7 @@ def left(z: f8s, e: f8s, c: Const, k: int, y: f8s) -> None:
         if j == k - 1:
             e[j] = 0.0
             continue
-        rest = y[j]
-        for i in range(c.n):
-            rest -= c.c[j, i] * z[i]
-        e[j] = rest
+        e[j] = minus(y[j], c.c[j], z, c.n)
 
 
 @kernel
@@ -76,19 +74,9 @@ def onwards(z: f8s, e: f8s, gain: f8s, c: Const, u: f8s, work: f8s) -> None:
     """Step an observer with this gain to the next sample, the commands ``u`` held till then."""
     size = c.n + c.m
     for i in range(size):
-        value = 0.0
-        if i < c.n:
-            for j in range(size):
-                value += c.phi[i, j] * z[j]
-            for j in range(c.m):
-                value += c.gamma[i, j] * u[j]
-        else:
-            value = z[i]
-        for j in range(c.p):
-            value += gain[i, j] * e[j]
-        work[i] = value
-    for i in range(size):
-        z[i] = work[i]
+        value = plus(dot(c.phi[i], z, size), c.gamma[i], u, c.m) if i < c.n else z[i]
+        work[i] = plus(value, gain[i], e, c.p)
+    copy(z, work, size)
 
 
 @kernel
@@ -114,6 +102,5 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
 @kernel
 def missing(s: State, c: Const, k: int, u: f8s) -> None:
     """Step observer k over a sample that did not come: nothing corrects it."""
-    for j in range(c.p):
-        s.e[k, j] = 0.0
+    s.e[k, :] = 0.0
     advance(s, c, k, u)

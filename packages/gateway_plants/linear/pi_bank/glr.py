@@ -30,9 +30,9 @@ import numpy as np
 
 from gateway_fdi import likelihood
 from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import copy, decompose, minus, plus, solve, square
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.plant import Array, LinearPlant
-from gateway_plants.linear.mathematics.solve import decompose, solve
 from gateway_plants.linear.pi_bank.bank import BANK, MOST, MOST_INPUTS, MOST_OUTPUTS
 from gateway_plants.linear.pi_bank.bank import Const as Bank
 from gateway_plants.linear.pi_bank.design import Observer, augmented
@@ -85,9 +85,6 @@ def prepare(c: Const, s: State, plant: LinearPlant, bank: tuple[Observer, ...], 
     """Fill records of CONST and STATE.
 
     Args:
-        c: record of Const.
-        s: record of State.
-        plant: the plant.
         bank: its observers.
         largest: standard deviation of each actuator's faults, beforehand; shape (m,).
     """
@@ -133,9 +130,7 @@ def _prepare_sensors(c: Const, k: int, rows: list[int], f: Array, gain: Array, s
 def forget(s: State) -> None:
     """Forget the window."""
     s.kept = 0
-    for i in range(WINDOW):
-        for j in range(MOST_INPUTS):
-            s.b[i, j] = 0.0
+    s.b[:, :] = 0.0
 
 
 @kernel
@@ -153,23 +148,17 @@ def _show(s: State, o: Bank, k: int) -> None:
 @kernel
 def keep(s: State, o: Bank, k: int, e: f8s) -> None:
     """Keep what the present estimate leaves of observer k's innovation ``e``, at place ``at``."""
-    for j in range(o.p):
-        s.r[k, s.at, j] = e[k, j]
+    copy(s.r[k, s.at], e[k], o.p)
     if s.open[k] == 1:
         _show(s, o, k)
         for j in range(o.p):
-            for i in range(o.m):
-                s.r[k, s.at, j] -= s.shown[j, i] * s.a[k, i]
+            s.r[k, s.at, j] = minus(s.r[k, s.at, j], s.shown[j], s.a[k], o.m)
 
 
 @kernel
 def energy(s: State, c: Const, o: Bank, k: int, place: int) -> float:
     """Return r^T V^-1 r of one sample of observer k."""
-    total = 0.0
-    for i in range(o.p):
-        for j in range(o.p):
-            total += s.r[k, place, i] * c.inverse_v[k, i, j] * s.r[k, place, j]
-    return total
+    return square(s.r[k, place], c.inverse_v[k], o.p)
 
 
 @kernel
@@ -191,19 +180,14 @@ def search(s: State, c: Const, o: Bank, k: int) -> bool:
     best, age, share = 0.0, 0, 0
     for back in range(1, s.kept):
         for phase in range(PHASES):
-            for i in range(o.m):
-                s.work[i] = 0.0
+            s.work[:] = 0.0
             for d in range(back + 1):
                 place = (s.at - back + d) % WINDOW
                 for i in range(o.m):
-                    for j in range(o.p):
-                        s.work[i] += c.weighted[k, phase, d, i, j] * s.r[k, place, j]
-            square = 0.0
-            for i in range(o.m):
-                for j in range(o.m):
-                    square += s.work[i] * c.inverse[k, phase, back, i, j] * s.work[j]
-            if square > best:
-                best, age, share = square, back, phase
+                    s.work[i] = plus(s.work[i], c.weighted[k, phase, d, i], s.r[k, place], o.p)
+            taken = square(s.work, c.inverse[k, phase, back], o.m)
+            if taken > best:
+                best, age, share = taken, back, phase
     s.phase[k] = share
     s.age[k], s.left[k], s.gained[k] = age, total - best, best
     return bool(total - best <= c.limit[k, s.kept])
@@ -218,8 +202,7 @@ def other_sensor(s: State, c: Const, o: Bank, k: int) -> float:
             told = 0.0
             for d in range(back + 1):
                 place = (s.at - back + d) % WINDOW
-                for j in range(o.p):
-                    told += c.sensor_weighted[k, d, sensor, j] * s.r[k, place, j]
+                told = plus(told, c.sensor_weighted[k, d, sensor], s.r[k, place], o.p)
             best = max(best, told * told * c.sensor_inverse[k, back, sensor])
     return best
 
@@ -229,8 +212,7 @@ def merge(s: State, o: Bank, k: int, z: f8s) -> None:
     """Put the estimate of observer k into its state ``z``, and close it."""
     if s.open[k] == 1:
         for q in range(o.n + o.m):
-            for i in range(o.m):
-                z[k, q] += s.g[k, q, i] * s.a[k, i]
+            z[k, q] = plus(z[k, q], s.g[k, q], s.a[k], o.m)
     s.open[k] = 0
 
 
@@ -249,8 +231,7 @@ def _onwards(s: State, o: Bank, k: int, corrected: bool) -> None:
                     value -= o.gain[k, q, j] * s.shown[j, i]
             s.next[q, i] = value
     for q in range(size):
-        for i in range(o.m):
-            s.g[k, q, i] = s.next[q, i]
+        copy(s.g[k, q], s.next[q], o.m)
 
 
 @kernel
@@ -316,15 +297,13 @@ def coast(s: State, o: Bank, k: int) -> None:
 @kernel
 def learn(s: State, c: Const, o: Bank, k: int, e: f8s) -> None:
     """Estimate observer k's open fault with its newest innovation; sets ``a`` and ``sigma``."""
-    for i in range(o.m):
-        s.sigma[k, i] = c.variance[k, i]
+    copy(s.sigma[k], c.variance[k], o.m)
     if s.open[k] == 1:
         _learn(s, c, o, k, e[k])
         decompose(s.j[k], s.factor, o.m)
         solve(s.factor, s.h[k], s.a[k], o.m)
         for i in range(o.m):
-            for q in range(o.m):
-                s.work[q] = s.g[k, o.n + i, q]
+            copy(s.work, s.g[k, o.n + i], o.m)
             s.sigma[k, i] += solve(s.factor, s.work, s.work, o.m)
     for i in range(o.m):
         s.sigma[k, i] = sqrt(s.sigma[k, i])
@@ -333,11 +312,7 @@ def learn(s: State, c: Const, o: Bank, k: int, e: f8s) -> None:
 @kernel
 def corrected(s: State, o: Bank, k: int, z: f8s, q: int) -> float:
     """Return entry q of observer k's state or fault, without the transient of the open fault."""
-    value = z[k, q]
-    if s.open[k] == 1:
-        for i in range(o.m):
-            value += s.g[k, q, i] * s.a[k, i]
-    return float(value)
+    return float(plus(z[k, q], s.g[k, q], s.a[k], o.m) if s.open[k] == 1 else z[k, q])
 
 
 @kernel

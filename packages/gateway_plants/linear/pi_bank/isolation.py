@@ -34,6 +34,7 @@ import numpy as np
 
 from gateway_fdi.isolation import fault_size
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import copy
 from gateway_fdi.quantiles import chi2_above, normal_above
 from gateway_plants.linear.mathematics.plant import LinearPlant
 from gateway_plants.linear.pi_bank import bank, glr, start, unstructured_faults
@@ -131,9 +132,6 @@ def prepare(
     """Fill records of CONST and STATE.
 
     Args:
-        c: record of Const.
-        s: record of State.
-        plant: the plant.
         noise: of it.
         observers: of :func:`gateway_plants.linear.pi_bank.design.design`.
         actuator: thresholds Th_a, shape (m,).
@@ -182,12 +180,11 @@ def restart(s: State, c: Const) -> None:
     s.started, s.active, s.latched = 0, 0, NONE
     s.undecided = s.drifting = s.unexplained = s.tested = s.agreed = s.blind = 0
     fault_size.begin(s.suspect)
-    for k in range(BANK):
-        s.jump.open[k] = 0
-        for i in range(bank.MOST):
-            s.bank.z[k, i] = 0.0
-    for i in range(MOST_INPUTS):
-        s.actuator[i] = s.count[i] = s.open_question[i] = 0
+    s.jump.open[:] = 0
+    s.bank.z[:, :] = 0.0
+    s.actuator[:] = 0
+    s.count[:] = 0
+    s.open_question[:] = 0
 
 
 @kernel
@@ -196,8 +193,7 @@ def _adopt(s: State, o: bank.Const, active: int, y: f8s) -> None:
     glr.merge(s.jump, o, active, s.bank.z)
     for k in range(o.p + 1):
         s.jump.open[k] = 0
-        for i in range(o.n + o.m):
-            s.bank.z[k, i] = s.bank.z[active, i]
+        copy(s.bank.z[k], s.bank.z[active], o.n + o.m)
         bank.innovate(s.bank, o, k, y)
     glr.forget(s.jump)
 
@@ -333,8 +329,7 @@ def _set_flags(s: State, c: Const, y: f8s) -> None:
     for i in range(o.m):
         if s.open_question[i] > LONG:
             s.unexplained = 1
-    for j in range(o.p):
-        s.offset[j] = 0.0
+    s.offset[:] = 0.0
     if s.latched == NONE:
         return
     j = s.latched
@@ -357,8 +352,6 @@ def _agree(s: State, c: Const, starts: bool) -> bool:
     """Tell whether all observers find the same faults of the actuators, as far as they know them.
 
     Args:
-        s: record of State.
-        c: record of Const.
         starts: the start is just over: what it has found it knows less well than observers do in the long run.
     """
     o = c.bank
@@ -472,8 +465,7 @@ def step(s: State, c: Const, y: f8s, u: f8s) -> None:
     x = s.jump
     _watch(s, c, y)
     if s.unexplained == 1:
-        for k in range(o.p + 1):
-            x.open[k] = 0
+        x.open[:] = 0
         s.latched, s.active, s.undecided, s.drifting, s.agreed = NONE, 0, 0, 0, 0
     for k in range(o.p + 1):
         if s.latched == NONE or k == s.active:

@@ -58,7 +58,6 @@ def masked(plant: LinearPlant, size: Array, threshold: Array) -> list[Masked]:
     """Return the intervals of sensor faults that hide actuator faults of given sizes.
 
     Args:
-        plant: the plant.
         size: of each actuator's fault, shape (m,).
         threshold: Th_a, shape (m,).
     """

@@ -15,6 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway_fdi.jit import Record, f8s, i8, kernel, means
+from gateway_fdi.linear_algebra import copy, dot, plus
 from gateway_plants.linear.mathematics.plant import LinearPlant
 from gateway_plants.linear.pi_bank.bank import BANK, MOST, MOST_OUTPUTS
 from gateway_plants.linear.pi_bank.bank import Const as Bank
@@ -44,8 +45,6 @@ def prepare(c: Const, plant: LinearPlant, noise: Noise, samples: int, unknown: n
     """Fill a record of Const.
 
     Args:
-        c: record of Const.
-        plant: the plant.
         noise: of it.
         samples: how long the start takes.
         unknown: standard deviation of states and faults before it, shape (n + m,).
@@ -60,25 +59,19 @@ def prepare(c: Const, plant: LinearPlant, noise: Noise, samples: int, unknown: n
 def anew(s: State, c: Const) -> None:
     """Start again."""
     s.done = 0
+    s.p[:, :, :] = 0.0
     for k in range(BANK):
         for i in range(MOST):
-            for j in range(MOST):
-                s.p[k, i, j] = c.unknown[i] if i == j else 0.0
+            s.p[k, i, i] = c.unknown[i]
 
 
 @kernel
 def _take(s: State, o: Bank, k: int, z: f8s, j: int, y: float, r: float) -> None:
     """Correct observer k with sensor j."""
     size = o.n + o.m
-    expected, spread = 0.0, r
     for i in range(size):
-        value = 0.0
-        for q in range(o.n):
-            value += s.p[k, i, q] * o.c[j, q]
-        s.gain[i] = value
-    for q in range(o.n):
-        expected += o.c[j, q] * z[k, q]
-        spread += o.c[j, q] * s.gain[q]
+        s.gain[i] = dot(s.p[k, i], o.c[j], o.n)
+    expected, spread = dot(o.c[j], z[k], o.n), plus(r, o.c[j], s.gain, o.n)
     for i in range(size):
         z[k, i] += s.gain[i] * (y - expected) / spread
     for i in range(size):
@@ -91,26 +84,17 @@ def _predict(s: State, c: Const, o: Bank, k: int, z: f8s, u: f8s) -> None:
     """Step observer k to the next sample."""
     size = o.n + o.m
     for i in range(size):
-        value = 0.0
-        for q in range(size):
-            value += o.phi[i, q] * z[k, q]
-        if i < o.n:
-            for q in range(o.m):
-                value += o.gamma[i, q] * u[q]
-        s.next[i] = value
+        value = dot(o.phi[i], z[k], size)
+        s.next[i] = plus(value, o.gamma[i], u, o.m) if i < o.n else value
         for q in range(size):
             value = 0.0
             for r in range(size):
                 value += o.phi[i, r] * s.p[k, r, q]
             s.work[i, q] = value
-    for i in range(size):
-        z[k, i] = s.next[i]
+    copy(z[k], s.next, size)
     for i in range(size):
         for q in range(size):
-            value = c.q[i] if i == q else 0.0
-            for r in range(size):
-                value += s.work[i, r] * o.phi[q, r]
-            s.p[k, i, q] = value
+            s.p[k, i, q] = plus(c.q[i] if i == q else 0.0, s.work[i], o.phi[q], size)
 
 
 @kernel

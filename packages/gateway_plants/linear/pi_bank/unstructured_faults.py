@@ -20,6 +20,7 @@ from typing import Annotated
 import numpy as np
 
 from gateway_fdi.jit import Record, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import copy, square
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.gains import Gain, from_noise
 from gateway_plants.linear.mathematics.plant import LinearPlant
@@ -97,8 +98,7 @@ def begin(s: State, o: bank.Const, z: f8s, at_fault: i8s) -> None:
     """
     s.kept = -SETTLE
     for f in range(FREE):
-        for i in range(MOST):
-            s.z[f, i] = z[i]
+        copy(s.z[f], z, MOST)
     for i in range(o.m):
         if at_fault[i] == 0:
             s.z[1 + i, o.n + i] = 0.0
@@ -111,11 +111,7 @@ def step(s: State, c: Const, o: bank.Const, k: int, y: f8s, u: f8s) -> None:
     s.kept = min(s.kept + 1, WINDOW)
     for f in range(c.filters):
         bank.left(s.z[f], s.e[f], o, k, y)
-        total = 0.0
-        for i in range(o.p):
-            for j in range(o.p):
-                total += s.e[f, i] * c.inverse_v[k, f, i, j] * s.e[f, j]
-        s.energy[f, s.at] = total
+        s.energy[f, s.at] = square(s.e[f], c.inverse_v[k, f], o.p)
         bank.onwards(s.z[f], s.e[f], c.gain[k, f], o, u, s.work)
 
 
@@ -124,8 +120,7 @@ def missing(s: State, c: Const, o: bank.Const, k: int, u: f8s) -> None:
     """Step over a sample that did not come."""
     s.kept = -SETTLE
     for f in range(c.filters):
-        for j in range(o.p):
-            s.e[f, j] = 0.0
+        s.e[f, :] = 0.0
         bank.onwards(s.z[f], s.e[f], c.gain[k, f], o, u, s.work)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi.jit import kernel, zeros
+from gateway_fdi.linear_algebra import copy, dot, minus, plus
 from gateway_plants.linear.arrays import Found, walk
 from gateway_plants.linear.ecu.params import LinearFault, LinearParams, Swing
 from gateway_plants.linear.ecu.plant import simulate
@@ -110,9 +111,7 @@ def _long(
         for j in range(3):
             y[j] = x[j] + noise[t, j]
         for i in range(2):
-            u[i] = 0.5 * np.sin(0.03 * (first + t) * (1.0 + 0.6 * i))
-            for j in range(4):
-                u[i] -= feedback[i, j] * x[j]
+            u[i] = minus(0.5 * np.sin(0.03 * (first + t) * (1.0 + 0.6 * i)), feedback[i], x, 4)
         before_0, before_1, confirmed, lost = (
             s.actuator[0],
             s.actuator[1],
@@ -126,13 +125,8 @@ def _long(
         seen[3] += 1 if s.unexplained > lost else 0
         seen[4] += s.tested
         for i in range(4):
-            after[i] = 0.0
-            for j in range(4):
-                after[i] += phi[i, j] * x[j]
-            for j in range(2):
-                after[i] += gamma[i, j] * u[j]
-        for i in range(4):
-            x[i] = after[i]
+            after[i] = plus(dot(phi[i], x, 4), gamma[i], u, 2)
+        copy(x, after, 4)
 
 
 @dataclass(frozen=True)

@@ -72,8 +72,6 @@ def learn(s: State, c: Const, dt: float) -> None:
     """Take the positions of one sample; leaves them aligned.
 
     Args:
-        s: record of State.
-        c: record of Const.
         dt: time since the last sample, in periods.
     """
     n, t = c.channels, s.tracking

@@ -180,8 +180,6 @@ def diagnose(s: State, c: Const, out: Out[Evidence, Outputs]) -> None:
 
     Args:
         s: the monitor's state.
-        c: its constants.
-        out: record of Out.
     """
     v, d = s.tracking, s.diagnosis
     valid = 0

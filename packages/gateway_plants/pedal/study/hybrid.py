@@ -54,7 +54,6 @@ def prepare(
     """Fill the constants.
 
     Args:
-        c: record of Const.
         channels: 2 or 3.
         beta: width of the interval, as a share of FT.
         lower: whether a reading that changes less than predicted is rejected, as printed.
@@ -101,7 +100,6 @@ def vote(s: State, c: Const, y: f8s, forecast: float) -> float:
 
     Args:
         s: record of State, started.
-        c: record of Const.
         y: readings.
         forecast: FT(k) of the predictor.
 

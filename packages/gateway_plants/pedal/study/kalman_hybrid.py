@@ -37,7 +37,6 @@ def prepare(c: Const, *, q: float = 1.0, r: float = 0.5) -> None:
     """Fill the predictor's constants; those of ``c.hybrid`` come from :func:`.hybrid.prepare`.
 
     Args:
-        c: record of Const.
         q: process noise Q.
         r: measurement noise R.
     """
@@ -64,8 +63,6 @@ def vote(s: State, c: Const, y: f8s) -> None:
     """Take the readings of one sample.
 
     Args:
-        s: record of State.
-        c: record of Const.
         y: readings.
     """
     h = s.hybrid

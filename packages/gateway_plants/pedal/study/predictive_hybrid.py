@@ -32,7 +32,6 @@ def prepare(c: Const, *, alpha: float) -> None:
     """Fill the predictor's constants; those of ``c.hybrid`` come from :func:`.hybrid.prepare`.
 
     Args:
-        c: record of Const.
         alpha: smoothing constant, 0 to 1.
     """
     c.alpha = alpha

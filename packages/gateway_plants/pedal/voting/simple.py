@@ -25,7 +25,6 @@ def prepare(c: Const, channels: int) -> None:
     """Fill the constants.
 
     Args:
-        c: record of Const.
         channels: 2 or 3.
     """
     c.channels = channels
@@ -36,8 +35,6 @@ def average(s: State, c: Const, y: f8s) -> None:
     """Vote for the mean of the readings.
 
     Args:
-        s: record of State.
-        c: record of Const.
         y: readings, one a channel.
     """
     total = 0.0

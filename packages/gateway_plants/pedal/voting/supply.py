@@ -73,8 +73,6 @@ def prepare(s: State, c: Const, rest: list[float], way: list[float], *, possible
     """Fill state and constants.
 
     Args:
-        s: record of State.
-        c: record of Const.
         rest: reading of each channel at rest.
         way: its change over the travel.
         possible: readings are in proportion to a common supply, and tell (see :func:`tells`).
@@ -158,8 +156,6 @@ def look(
     """Take the readings of one sample; tells whether the supply has just been found to be wrong.
 
     Args:
-        s: record of State.
-        c: record of Const.
         reading: of each channel [unit of the signal].
         position: of each channel, mismatch taken off [%].
         agree: largest difference of positions that agree [%].

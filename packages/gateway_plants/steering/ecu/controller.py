@@ -60,8 +60,6 @@ def _voltages(c: Const, s: State, wanted: float, i_d: float, i_q: float) -> tupl
     """Return the voltages that the current loops ask for, with decoupling, d and q [V].
 
     Args:
-        c: constants.
-        s: state.
         wanted: current that makes torque [A].
         i_d: measured [A].
         i_q: measured [A].
@@ -87,8 +85,6 @@ def control(
     """Compute the voltages of one period, d and q [V].
 
     Args:
-        c: constants.
-        s: state.
         demand: angle asked for [rad].
         asked: its rate [rad/s].
         angle: measured [rad].

@@ -193,8 +193,6 @@ def _write_frame(c: Const, s: State, i_u: float, i_v: float, noise: Any, per: in
     """Write a frame and begin the next.
 
     Args:
-        c: constants.
-        s: state.
         i_u: measured [A].
         i_v: measured [A].
         noise: of the mean voltages, shape (2,) [V].
@@ -219,7 +217,6 @@ def simulate(
     """Run the drive.
 
     Args:
-        c: constants.
         s: state, zeros.
         demand: angle asked for, shape (n,) [rad].
         load: torque that pushes against the motor, shape (n,) [N m].

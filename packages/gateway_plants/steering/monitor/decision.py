@@ -166,8 +166,6 @@ def prepare(s: State, c: Const, p: Params) -> None:
     """Fill state and constants.
 
     Args:
-        s: record of State.
-        c: record of Const.
         p: parameters of the monitor.
     """
     c.frame_ns = round(p.period_ms * 1e6)
@@ -204,8 +202,6 @@ def decide(s: State, c: Const, y: symptoms.State, on: int) -> None:
     """Take the symptoms of one pair of motor frames; sets ``s.found``.
 
     Args:
-        s: record of State.
-        c: record of Const.
         y: what the symptoms come from.
         on: symptoms that are on.
     """

@@ -106,8 +106,6 @@ def prepare(s: State, c: Const, p: Params) -> None:
     """Fill state and constants.
 
     Args:
-        s: record of State.
-        c: record of Const.
         p: parameters of the monitor.
     """
     motor, period = p.motor.motor, p.period_ms * 1e-3
@@ -244,8 +242,6 @@ def _unexplained(s: State, c: Const, before: float, dt: float) -> float:
     """Return the sensor's step less the one that the filter's mean speed makes [rad, electrical].
 
     Args:
-        s: record of State.
-        c: record of Const.
         before: the filter's speed when the step began [rad/s].
         dt: its length [s].
     """
@@ -257,8 +253,6 @@ def _blur(s: State, c: Const, u_d: float, u_q: float, jump: float, current: floa
     """Let the filter doubt its currents as far as voltages and resistance are not known.
 
     Args:
-        s: record of State.
-        c: record of Const.
         u_d: mean voltage in the controller's frame [V].
         u_q: likewise.
         jump: step of the sensor that the filter does not explain [rad, electrical].
@@ -288,8 +282,6 @@ def _filter(
     """Step the alpha-beta filter, and find the sensor's increment and speed.
 
     Args:
-        s: record of State.
-        c: record of Const.
         theta: electrical angle of the sensor [rad].
         u_d: mean voltage in the controller's frame [V].
         u_q: likewise.
@@ -327,8 +319,6 @@ def step(
     """Take a pair of motor frames.
 
     Args:
-        s: record of State.
-        c: record of Const.
         i_u: phase current at the frame's end [A].
         i_v: likewise.
         theta: electrical angle used for Park there [rad].

@@ -33,7 +33,6 @@ def begin(s: State, length: int, sudden: bool, parity: float) -> None:
     """Open a window.
 
     Args:
-        s: record of State.
         length: of the window [frames].
         sudden: the first increment is far beyond its threshold, and the innovation is not.
         parity: now [deg].
@@ -68,7 +67,6 @@ def update(s: State, length: int, increment: float, exceeds: bool, nis_alarm: in
     """Take one frame of an open window; tells whether it was the last.
 
     Args:
-        s: record of State.
         length: of the window [frames].
         increment: residual [rad].
         exceeds: it is beyond its threshold.

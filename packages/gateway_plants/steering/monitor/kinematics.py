@@ -90,7 +90,6 @@ def prepare(c: Const, p: Params) -> None:
     """Fill constants.
 
     Args:
-        c: record of Const.
         p: parameters of the monitor.
     """
     c.motor_ratio, c.wheel_ratio = p.motor_ratio, p.wheel_ratio

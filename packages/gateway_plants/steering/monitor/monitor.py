@@ -87,16 +87,12 @@ _MESSAGES = {
 _COUNTERS = {"AFS_MotCur": "MC_cur", "AFS_MotVol": "MC_vol", "AFS_Angle": "MC_ang", "SAS_Angle": "MC_sas"}
 _NEWEST = ("AFS_MotCur", "AFS_MotVol")
 #: Units of the signals that have one: a database that says another is refused.
-_UNITS = {
-    "I_U": "A", "I_V": "A", "Theta_park": "deg", "U_sd_mean": "V", "U_sq_mean": "V", "T_wdg": "degC",
-    "Delta_M": "deg", "Delta_G": "deg", "Delta_S": "deg", "Delta_S_dot": "deg/s", "v_X": "km/h",
-}  # fmt: skip
 
 
 def _connect(p: Params) -> Mapping[str, Connection]:
     def signal(message: str, name: str, triggers: bool) -> Connection:
-        text = f"{message}.{name}"
-        return Signal(text, unit=_UNITS.get(name), triggers=triggers, optional=True, may_be_nan=True)
+        unit = Inputs.meanings[name.lower()].unit or None
+        return Signal(f"{message}.{name}", unit=unit, triggers=triggers, optional=True, may_be_nan=True)
 
     found: dict[str, Connection] = {
         name.lower(): None
@@ -216,7 +212,7 @@ def _pair(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> bool:
         return False
     m, k, y, d = s.electrics, s.kinematics, s.symptoms, s.decision
     periods = s.passed
-    s.passed, s.paired_ns = 0.0, u.t_ns
+    s.passed = 0.0
     s.pairs += 1
     trusted = not decision.motor_angle_fault(d.found)
     theta = u.theta_park * pi / 180.0

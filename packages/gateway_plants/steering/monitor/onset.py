@@ -49,7 +49,6 @@ def _step(s: State, back: int) -> tuple[float, float, float]:
     """Look at the step whose first sample is ``back`` frames ago.
 
     Args:
-        s: record of State.
         back: frames, BEHIND at least.
 
     Returns:

@@ -29,7 +29,6 @@ class State(Record):
     pairs: i8 = means("pairs of motor frames taken")
     unpaired: i8 = means("motor frames without their pair")
     found: i8 = means("number of the fault found; NONE: none")
-    paired_ns: i8 = means("when the last pair was taken", "ns")
     passed: f8 = means("periods since the last pair")
     motor: f8 = means("last motor angle", "deg")
     angle_ns: i8 = means("when it came", "ns")

@@ -88,7 +88,6 @@ def prepare(c: Const, p: Params) -> None:
     """Fill constants.
 
     Args:
-        c: record of Const.
         p: parameters of the monitor.
     """
     levels = p.thresholds.at(p.period_ms)
@@ -207,8 +206,6 @@ def _count_angles(s: State, c: Const, angle: float, parity: float) -> bool:
     """Count for how long parity and EMF have alarmed; tells whether which angle is wrong may be judged.
 
     Args:
-        s: record of State.
-        c: record of Const.
         angle: error of the sensor by the EMF [rad], NaN: there is none.
         parity: the newest residual of (1) [deg].
     """
@@ -314,9 +311,7 @@ def present(
 
     Args:
         s: record of State; :func:`update_motor` comes first.
-        c: record of Const.
         m: motor's side.
-        ec: its constants.
         k: gear's side.
         i_u: current [A].
         i_v: likewise.

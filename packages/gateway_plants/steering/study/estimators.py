@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,9 @@ COLUMNS = NIS + 1
 #: What the research note has, on a set-up of which it does not give every time: angle rms, mechanical [deg].
 NOTE = (521.0, 318.0, 133.0, 6.1, 141.0, 671.0, 124.0, 1170.0, 2.2, 1.24, float("nan"))
 
+_FEEDFORWARD = "feedforward of the EMF; one that holds its angle while that is small; the sign of (46) as printed"
+_IN_STATOR_FRAME = "extended Kalman filter in stator co-ordinates; with the load; with it, anchored at standstill"
+
 
 class Constants(Record):
     """Constants of all estimators; EKF3 with its own angle has those of EKF3."""
@@ -50,12 +53,8 @@ class Constants(Record):
     reduced: reduced_luenberger.Const = means("reduced Luenberger observer")
     ekf3: ekf_dq.Const = means("extended Kalman filter in rotor co-ordinates")
     ekf4: ekf_dq.Const = means("the same with the load")
-    ff: feedforward.Const = means("feedforward of the EMF")
-    ff_held: feedforward.Const = means("the same that holds its angle while the EMF is small")
-    ff_printed: feedforward.Const = means("the same with the sign of (46) as printed")
-    ekf4_ab: ekf_alpha_beta.Const = means("extended Kalman filter in stator co-ordinates")
-    ekf5_ab: ekf_alpha_beta.Const = means("the same with the load")
-    anchored: ekf_alpha_beta.Const = means("the same, anchored at standstill")
+    ff: Annotated[list[feedforward.Const], 3] = means(_FEEDFORWARD)
+    ab: Annotated[list[ekf_alpha_beta.Const], 3] = means(_IN_STATOR_FRAME)
 
 
 class States(Record):
@@ -66,12 +65,8 @@ class States(Record):
     ekf3: ekf_dq.State = means("extended Kalman filter in rotor co-ordinates")
     ekf4: ekf_dq.State = means("the same with the load")
     ekf3_own: ekf_dq.State = means("ekf3 with Park by its own angle")
-    ff: feedforward.State = means("feedforward of the EMF")
-    ff_held: feedforward.State = means("the same that holds its angle while the EMF is small")
-    ff_printed: feedforward.State = means("the same with the sign of (46) as printed")
-    ekf4_ab: ekf_alpha_beta.State = means("extended Kalman filter in stator co-ordinates")
-    ekf5_ab: ekf_alpha_beta.State = means("the same with the load")
-    anchored: ekf_alpha_beta.State = means("the same, anchored at standstill")
+    ff: Annotated[list[feedforward.State], 3] = means(_FEEDFORWARD)
+    ab: Annotated[list[ekf_alpha_beta.State], 3] = means(_IN_STATOR_FRAME)
 
 
 @kernel
@@ -94,22 +89,12 @@ def _step_own_angle(c: Constants, s: States, z: float, u_a: float, u_b: float, i
 
 
 @kernel
-def _step_feedforward(c: Constants, s: States, u_a: float, u_b: float, i_a: float, i_b: float) -> None:
-    """Step the estimators from the EMF; voltages [V], currents [A], alpha and beta."""
-    feedforward.step(s.ff, c.ff, u_a, u_b, i_a, i_b)
-    feedforward.step(s.ff_held, c.ff_held, u_a, u_b, i_a, i_b)
-    feedforward.step(s.ff_printed, c.ff_printed, u_a, u_b, i_a, i_b)
-
-
-@kernel
 def _step_in_stator_frame(
     c: Constants, s: States, u_1: float, u_2: float, frame: float, turned: float, i_a: float, i_b: float, sensor: float
 ) -> None:  # fmt: skip
     """Step the estimators with the angle as a state.
 
     Args:
-        c: constants.
-        s: states.
         u_1: voltage, d in the frame [V].
         u_2: voltage, q in the frame [V].
         frame: electrical angle of the voltages' frame at the step's beginning [rad].
@@ -118,10 +103,9 @@ def _step_in_stator_frame(
         i_b: current, beta [A].
         sensor: measured angle, mechanical [rad], for the anchored one.
     """
-    ekf_alpha_beta.step(s.ekf4_ab, c.ekf4_ab, u_1, u_2, frame, turned, i_a, i_b)
-    ekf_alpha_beta.step(s.ekf5_ab, c.ekf5_ab, u_1, u_2, frame, turned, i_a, i_b)
-    ekf_alpha_beta.step(s.anchored, c.anchored, u_1, u_2, frame, turned, i_a, i_b)
-    ekf_alpha_beta.hold(s.anchored, c.anchored, sensor, 1.0)
+    for j in range(3):
+        ekf_alpha_beta.step(s.ab[j], c.ab[j], u_1, u_2, frame, turned, i_a, i_b)
+    ekf_alpha_beta.hold(s.ab[2], c.ab[2], sensor, 1.0)
 
 
 @kernel
@@ -134,14 +118,11 @@ def _write(c: Constants, s: States, r: f8s) -> None:
     r[EKF4_DQ], r[n + EKF4_DQ] = s.ekf4.theta, s.ekf4.x[2]
     r[EKF3_OWN], r[n + EKF3_OWN] = s.ekf3_own.theta, s.ekf3_own.x[2]
     # The EMF is that of the middle of the step.
-    omega = s.ekf5_ab.x[2]
-    half = 0.5 * omega * c.ekf5_ab.h * c.ekf5_ab.steps
-    r[FF], r[n + FF] = s.ff.theta + half, omega
-    r[FF_HELD], r[n + FF_HELD] = s.ff_held.theta + half, omega
-    r[FF_PRINTED], r[n + FF_PRINTED] = s.ff_printed.theta + half, omega
-    r[EKF4_AB], r[n + EKF4_AB] = s.ekf4_ab.x[3], s.ekf4_ab.x[2]
-    r[EKF5_AB], r[n + EKF5_AB] = s.ekf5_ab.x[3], s.ekf5_ab.x[2]
-    r[ANCHORED], r[n + ANCHORED] = s.anchored.x[3], s.anchored.x[2]
+    omega = s.ab[1].x[2]
+    half = 0.5 * omega * c.ab[1].h * c.ab[1].steps
+    for j in range(3):
+        r[FF + j], r[n + FF + j] = s.ff[j].theta + half, omega
+        r[EKF4_AB + j], r[n + EKF4_AB + j] = s.ab[j].x[3], s.ab[j].x[2]
     r[2 * n] = s.ekf4.nis
 
 
@@ -150,17 +131,14 @@ def _estimate(c: Constants, s: States, x: Any, z: float, mean_dq: bool, out: f8s
     """Run all estimators over samples.
 
     Args:
-        c: constants.
-        s: states.
         x: samples, shape (n,) of SAMPLE.
         z: pole pairs.
         mean_dq: whether voltages are means in the controller's frame, else in the stator's.
         out: angles, speeds and the NIS, shape (n, COLUMNS).
     """
     last = z * x[0].sensor
-    ekf_alpha_beta.begin(s.ekf4_ab, c.ekf4_ab, x[0].sensor)
-    ekf_alpha_beta.begin(s.ekf5_ab, c.ekf5_ab, x[0].sensor)
-    ekf_alpha_beta.begin(s.anchored, c.anchored, x[0].sensor)
+    for j in range(3):
+        ekf_alpha_beta.begin(s.ab[j], c.ab[j], x[0].sensor)
     for k in range(x.shape[0]):
         m = x[k]
         theta = z * m.sensor
@@ -175,7 +153,8 @@ def _estimate(c: Constants, s: States, x: Any, z: float, mean_dq: bool, out: f8s
             u_1, u_2, frame, turned = u_d, u_q, last, theta - last
         _step_in_rotor_frame(c, s, u_d, u_q, i_d, i_q)
         _step_own_angle(c, s, z, u_a, u_b, i_a, i_b)
-        _step_feedforward(c, s, u_a, u_b, i_a, i_b)
+        for j in range(3):
+            feedforward.step(s.ff[j], c.ff[j], u_a, u_b, i_a, i_b)
         _step_in_stator_frame(c, s, u_1, u_2, frame, turned, i_a, i_b, m.sensor)
         last = theta
         _write(c, s, out[k])
@@ -188,12 +167,12 @@ def _constants(m: Motor, period: float) -> Any:
     reduced_luenberger.prepare(c.reduced, m, period)
     ekf_dq.prepare(c.ekf3, m, period, load=False, voltage=0.02, torque=1.2, current=0.1)
     ekf_dq.prepare(c.ekf4, m, period, load=True)
-    feedforward.prepare(c.ff, m, period, held=0.0)
-    feedforward.prepare(c.ff_held, m, period)
-    feedforward.prepare(c.ff_printed, m, period, held=0.0, printed=True)
-    ekf_alpha_beta.prepare(c.ekf4_ab, m, period, load=False, voltage=0.0114, torque=1.35, current=0.44, slow=0.0)
-    ekf_alpha_beta.prepare(c.ekf5_ab, m, period, slow=0.0)
-    ekf_alpha_beta.prepare(c.anchored, m, period)
+    feedforward.prepare(c.ff[0], m, period, held=0.0)
+    feedforward.prepare(c.ff[1], m, period)
+    feedforward.prepare(c.ff[2], m, period, held=0.0, printed=True)
+    ekf_alpha_beta.prepare(c.ab[0], m, period, load=False, voltage=0.0114, torque=1.35, current=0.44, slow=0.0)
+    ekf_alpha_beta.prepare(c.ab[1], m, period, slow=0.0)
+    ekf_alpha_beta.prepare(c.ab[2], m, period)
     return c
 
 
@@ -210,8 +189,7 @@ def estimate(samples: NDArray[np.void], period: float, *, mean_dq: bool = False)
     """
     m = Motor()
     s = zeros(1, States)[0]
-    for filtered in (s.ff, s.ff_held, s.ff_printed):  # they begin at the sensor's angle
-        filtered.theta_e = m.pole_pairs * samples["sensor"][0]
+    s.ff["theta_e"] = m.pole_pairs * samples["sensor"][0]  # they begin at the sensor's angle
     x = zeros(len(samples), samples.dtype)
     x[:] = samples
     out = np.zeros((len(samples), COLUMNS))

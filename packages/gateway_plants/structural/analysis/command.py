@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from rich.console import Console
@@ -13,6 +14,7 @@ from rich.table import Table
 
 from gateway.cli.present import find_shipped, print_json, wide_console
 from gateway.common.extras import need
+from gateway_bench.cli.study import headed
 from gateway_fdi.errors import InputError
 from gateway_fdi.structure.analysis import Analysis, Test, analyse, as_dict
 from gateway_fdi.structure.candidates import ALGEBRAIC, CAUSALITIES
@@ -67,11 +69,8 @@ def _follows(before: str, name: str) -> bool:
 
 
 def _counts(analysis: Analysis) -> Table:
-    table = Table(title="MSO sets and residual generators; (in brackets: the original algorithm)")
-    table.add_column("")
-    table.add_column("causality")
-    table.add_column("MSO sets", justify="right")
-    table.add_column("generators", justify="right")
+    title = "MSO sets and residual generators; (in brackets: the original algorithm)"
+    table = headed(title, ["", "causality"], ["MSO sets", "generators"])
     counts = analysis.candidates.table
     for algebraic in ALGEBRAIC:
         for causality in CAUSALITIES:
@@ -82,33 +81,23 @@ def _counts(analysis: Analysis) -> Table:
 
 
 def _sets(analysis: Analysis) -> Table:
-    table = Table(title="MSO sets: unique/realizable generators for each class of causality")
-    for name in ("set", "size", *CAUSALITIES):
-        table.add_column(name, justify="right")
+    title = "MSO sets: unique/realizable generators for each class of causality"
+    table = headed(title, [], ["set", "size", *CAUSALITIES])
     table.add_column("faults")
     table.add_column("equations", overflow="fold")
     counts = {c: [analysis.counts(c, a) for a in ALGEBRAIC] for c in CAUSALITIES}
     for k, row in enumerate(analysis.msos[:MOST_LISTED]):
         faults = [f for f, there in zip(analysis.model.faults, analysis.signature[k], strict=True) if there]
         numbers = [f"{counts[c][0][k]}/{counts[c][1][k]}" for c in CAUSALITIES]
-        table.add_row(
-            str(k + 1),
-            str(int(row.sum())),
-            *numbers,
-            " ".join(faults),
-            " ".join(_runs(analysis.structure.names(row))),
-        )
+        equations = " ".join(_runs(analysis.structure.names(row)))
+        table.add_row(str(k + 1), str(int(row.sum())), *numbers, " ".join(faults), equations)
     if len(analysis.msos) > MOST_LISTED:
         table.caption = f"and {len(analysis.msos) - MOST_LISTED} more: --json has all"
     return table
 
 
 def _isolability(analysis: Analysis) -> Table:
-    table = Table(title="Faults: others that explain each too, with unique generators")
-    table.add_column("fault")
-    table.add_column("at best")
-    for causality in CAUSALITIES:
-        table.add_column(causality)
+    table = headed("Faults: others that explain each too, with unique generators", ["fault", "at best", *CAUSALITIES])
     columns = [analysis.best, *(analysis.isolability(c) for c in CAUSALITIES)]
     for k, fault in enumerate(analysis.model.faults):
         table.add_row(fault, *(_explained(one, k) for one in columns))
@@ -175,20 +164,7 @@ def _residual(console: Console, analysis: Analysis, name: str, *, json: bool) ->
     except NotSolvableError as error:
         refused = str(error)
     if json:
-        print_json(
-            {
-                "residual": name,
-                "equations": test.equations,
-                "consistency": test.consistency,
-                "causality": test.causality,
-                "status": test.status,
-                "faults": test.faults,
-                "sequence": test.sequence,
-                "minimal": test.minimal,
-                "source": source,
-                "refused": refused or None,
-            }
-        )
+        print_json({"residual": name, **asdict(test), "source": source, "refused": refused or None})
         return
     console.print(
         f"[bold]{name}[/]: {test.consistency} checked, {len(test.equations)} equations, {test.causality},"

@@ -277,7 +277,6 @@ def prepare(c: Const, k: int, nu: float, threshold: float, most: float) -> None:
     """Fill the constants of a test's decision.
 
     Args:
-        c: record of Const.
         k: number of the test.
         nu: of its residual.
         threshold: J.

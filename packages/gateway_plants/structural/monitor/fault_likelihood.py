@@ -58,6 +58,8 @@ from gateway_fdi.evidence.hypotheses import of_fault
 from gateway_fdi.evidence.model import FINER, SCALES
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import f8, f8s, i8, kernel, means
+from gateway_fdi.linear_algebra import add
+from gateway_fdi.linear_algebra import copy as copy_row
 from gateway_fdi.masks import clear, copy, empty, has, include, within
 from gateway_plants.structural.monitor.plan import Plan
 
@@ -168,12 +170,9 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
         own.last[w] = 0
     if not near:
         return False
-    n = c.slow + c.first[c.faults]
     blocks.drop(s)
-    for i in range(n):
-        s.since_b[i] = 0.0
-        for j in range(n):
-            s.since_a[i, j] = 0.0
+    s.since_b[:] = 0.0
+    s.since_a[:, :] = 0.0
     s.squares = s.looks = s.gone = 0.0
     s.first, s.stands = -1, 0
     return True
@@ -206,12 +205,10 @@ def know(s: Any, c: Any, slow: Any) -> None:
         for k in range(n):
             factor = a[k, i]
             if k != i and factor != 0.0:
-                for j in range(n):
-                    a[k, j] -= factor * a[i, j]
-                    inverse[k, j] -= factor * inverse[i, j]
+                add(a[k], -factor, a[i], n)
+                add(inverse[k], -factor, inverse[i], n)
     for i in range(n):
-        for j in range(n):
-            s.known_a[i, j] = inverse[i, j]
+        copy_row(s.known_a[i], inverse[i], n)
 
 
 @kernel
@@ -248,10 +245,9 @@ def take(s: Any, c: Any, own: Any, own_const: Any) -> None:
 def _left(s: Any, c: Any, a: Any, b: Any, n: int) -> float:
     """Copy a form into the scratch, and integrate out what may be off; returns what it explains."""
     explained = 0.0
+    copy_row(s.work_b, b, n)
     for i in range(n):
-        s.work_b[i] = b[i]
-        for j in range(n):
-            s.work_a[i, j] = a[i, j]
+        copy_row(s.work_a[i], a[i], n)
     for i in range(c.slow):
         explained += s.work_b[i] ** 2 / s.work_a[i, i]
         blur(s.work_a, s.work_b, n, i, 0.0)

@@ -72,7 +72,6 @@ def modes(model: Model, test: Test, p: Params) -> Modes | None:
     """Return the modes of a generator at the configured parameters; None: no state acts on one, or there is no number.
 
     Args:
-        model: the model.
         test: the generator.
         p: the parameters of the monitor.
     """
@@ -123,7 +122,6 @@ def linearised(model: Model, test: Test, p: Params) -> Linear | None:
     """Return a generator's derivatives where its states begin, by differences; None: there is no number.
 
     Args:
-        model: the model.
         test: the generator.
         p: the parameters of the monitor.
     """

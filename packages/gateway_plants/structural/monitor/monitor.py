@@ -66,7 +66,6 @@ class _Made:
     """A monitor of one model with one choice of tests.
 
     Args:
-        model: the model.
         plan: its tests.
         slow: what may be off.
     """

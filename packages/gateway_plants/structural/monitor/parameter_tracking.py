@@ -43,6 +43,7 @@ from math import exp, isfinite, sqrt
 from typing import Annotated, Any
 
 from gateway_fdi.jit import Record, f8, f8s, i8, i8s, kernel, means
+from gateway_fdi.linear_algebra import plus
 from gateway_fdi.slow import filter as slow
 from gateway_fdi.slow.filter import Block
 from gateway_plants.structural.monitor.decision import NU_OF_NOISE, sees
@@ -90,8 +91,6 @@ def moves(s: State, c: Const, own: Any, own_const: Any, begins: bool) -> bool:
     """Let the time since the last sample pass; returns whether the model is to be moved to x.
 
     Args:
-        s: record of State.
-        c: record of Const.
         own: State of the monitor.
         own_const: Const of the monitor.
         begins: it is the very first sample.
@@ -117,8 +116,6 @@ def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: floa
     """Return a test's residual as the decision takes it; its sensitivities are in ``s.h``.
 
     Args:
-        s: record of State.
-        c: record of Const.
         own: State of the monitor.
         own_const: Const of the monitor.
         k: number of the test.
@@ -127,9 +124,8 @@ def correct(s: State, c: Const, own: Any, own_const: Any, k: int, residual: floa
     s.corrected = residual
     if not isfinite(residual):
         return residual
-    rest = corrected = residual
+    rest, corrected = plus(residual, s.h, s.point, c.slow.count), residual
     for i in range(c.slow.count):
-        rest += s.h[i] * s.point[i]
         corrected += s.h[i] * (s.point[i] - s.slow.taken[i])
     s.corrected = corrected
     settled = own.at_ns - own.since_ns >= own_const.settle_ns and own.at_ns - own.from_ns[k] >= own_const.settle_ns
@@ -180,8 +176,6 @@ def prepare(s: State, c: Const, bounds: Sequence[float], seconds: float) -> None
     """Fill what is told of all that may be off.
 
     Args:
-        s: record of State.
-        c: record of Const.
         bounds: of each.
         seconds: within which it may change by its whole bound.
     """
@@ -195,7 +189,6 @@ def prepare_test(c: Const, k: int, nu: float, apart_s: float, turn: float) -> No
     """Fill the constants of a test.
 
     Args:
-        c: record of Const.
         k: number of the test.
         nu: of its residual; infinite: not known.
         apart_s: after which its noise is independent [s].

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -141,13 +141,8 @@ class Plan:
         return [k for k, test in enumerate(self.tests) if fault in test.faults]
 
 
-def as_dict(plan: Plan) -> dict[str, Any]:
-    """Return a plan as JSON has it."""
-    return asdict(plan)
-
-
 def from_dict(data: dict[str, Any]) -> Plan:
-    """Return the plan that :func:`as_dict` gave, also by way of JSON."""
+    """Return the plan that ``asdict`` gave, also by way of JSON."""
 
     def tuples(values: dict[str, Any]) -> dict[str, Any]:
         return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}

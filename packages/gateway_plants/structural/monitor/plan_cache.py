@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import gateway_fdi.structure
 from gateway_fdi.jit import cache as files
-from gateway_plants.structural.monitor.plan import Plan, as_dict, from_dict
+from gateway_plants.structural.monitor.plan import Plan, from_dict
 
 #: Plans that are kept: the newest.
 KEPT = 64
@@ -51,4 +52,4 @@ def read(key: str) -> Plan | None:
 
 def write(key: str, plan: Plan) -> None:
     """Keep a plan, if that is possible; old ones make room."""
-    files.write_body(_NAME, key, _SUFFIX, json.dumps(as_dict(plan)).encode(), KEPT)
+    files.write_body(_NAME, key, _SUFFIX, json.dumps(asdict(plan)).encode(), KEPT)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gateway_plants.structural.study.model_text import equation
+
 
 def battery_model(cells: int) -> str:
     """Return the model of a pack of so many cells as TOML."""
@@ -40,30 +42,13 @@ def battery_model(cells: int) -> str:
         "y = [3.0, 3.45, 3.6, 3.68, 3.82, 4.02, 4.2]",
     ]
     for k in numbers:
-        lines += [
-            f"[equation.charge{k}]",
-            f'relation = "der(z{k}) = -I / Q"',
-            f'unique = ["der(z{k})", "I"]',
-            f"[equation.cell{k}]",
-            f'relation = "v{k} = ocv(z{k}) - R * (1 + f_R{k}) * I"',
-            f'unique = ["v{k}", "I"]',
-            f"[equation.sensor{k}]",
-            f'relation = "y{k} = v{k} + f_y{k}"',
-            f'unique = ["v{k}"]',
-        ]
-    sums = " + ".join(f"v{k}" for k in numbers)
-    each = ", ".join(f'"v{k}"' for k in numbers)
-    lines += [
-        "[equation.pack]",
-        f'relation = "V = {sums}"',
-        f'unique = ["V", {each}]',
-        "[equation.sensor_V]",
-        'relation = "y_V = V + f_V"',
-        'unique = ["V"]',
-        "[equation.sensor_I]",
-        'relation = "y_I = I + f_I"',
-        'unique = ["I"]',
-    ]
+        lines += equation(f"charge{k}", f"der(z{k}) = -I / Q", (f"der(z{k})", "I"))
+        lines += equation(f"cell{k}", f"v{k} = ocv(z{k}) - R * (1 + f_R{k}) * I", (f"v{k}", "I"))
+        lines += equation(f"sensor{k}", f"y{k} = v{k} + f_y{k}", (f"v{k}",))
+    volts = [f"v{k}" for k in numbers]
+    lines += equation("pack", f"V = {' + '.join(volts)}", ("V", *volts))
+    lines += equation("sensor_V", "y_V = V + f_V", ("V",))
+    lines += equation("sensor_I", "y_I = I + f_I", ("I",))
     lines += _residuals(cells)
     return "\n".join(lines) + "\n"
 

@@ -58,7 +58,6 @@ def run(
     """Return what the signals are at each sample, shape (samples, knowns).
 
     Args:
-        plant: the plant.
         seconds: length [s].
         seed: of commands and noise.
         fault: that is there from ``onset`` on [s]; empty: none.
@@ -103,7 +102,6 @@ def frames_of(plant: Plant, rows: Array, late_s: Mapping[str, float] | None = No
     """Return the frames of samples, one float signal each, in order of time.
 
     Args:
-        plant: the plant.
         rows: what is read, shape (samples, knowns).
         late_s: by how much the frames of some known variables come later than they were read [s].
         waits_s: mean of an exponential waiting of each frame, which overtakes none of its own message [s].
@@ -163,17 +161,23 @@ def told_as(config: Config, file: Path, fault: str) -> str:
     return min((name for name in names if fault in name.split("_or_")), key=lambda name: name.count("_or_"))
 
 
-def codes(config: Config, file: Path, frames: Frames) -> list[tuple[float, str]]:
-    """Return the faults whose DTCs a drive sets, with their times [s]."""
-    gateway = Gateway(config, None, file=file)
-    found: list[tuple[float, str]] = []
+def heard(gateway: Gateway) -> list[Mapping[str, object]]:
+    """Return the events of the DTCs that fail from now on: a list that grows."""
+    found: list[Mapping[str, object]] = []
 
     def listen(event: Mapping[str, object]) -> None:
         if event["event"] == "dtc" and int(str(event["status"])) & Status.TEST_FAILED:
-            found.append(((int(str(event["t_ns"])) - BEGIN) * 1e-9, str(event["fault"]).partition(".")[2]))
+            found.append(event)
 
     gateway.listen(listen)
+    return found
+
+
+def codes(config: Config, file: Path, frames: Frames) -> list[tuple[float, str]]:
+    """Return the faults whose DTCs a drive sets, with their times [s]."""
+    gateway = Gateway(config, None, file=file)
+    told = heard(gateway)
     gateway.start(int(frames[0]["t_ns"]))
     gateway.feed(frames)
     gateway.close()
-    return found
+    return [((int(str(one["t_ns"])) - BEGIN) * 1e-9, str(one["fault"]).partition(".")[2]) for one in told]

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway_plants.structural.study.model_text import written
+
 Array = NDArray[np.float64]
 Numbers = Mapping[str, float]
 
@@ -77,39 +79,17 @@ def _spring(x: Any, u: Any, p: Numbers) -> Any:
 
 SPRING = Plant(
     "spring",
-    """
-[unknown]
-x = { unit = "m" }
-v = { unit = "m/s" }
-F = { unit = "N" }
-[known]
-u = {}
-y = {}
-w = {}
-[fault]
-f_F = { text = "the force" }
-f_y = { text = "the position's sensor" }
-f_w = { text = "the speed's sensor" }
-[parameter]
-m = { value = 1.0 }
-k = { value = 100.0 }
-d = { value = 0.02 }
-[equation.e1]
-relation = "F = u * (1 + f_F)"
-unique = ["F"]
-[equation.e2]
-relation = "m * der(v) = F - k * x - d * v"
-unique = ["der(v)", "F", "x"]
-[equation.e3]
-relation = "der(x) = v"
-unique = ["der(x)", "v"]
-[equation.e4]
-relation = "y = x + f_y"
-unique = ["x"]
-[equation.e5]
-relation = "w = v + f_w"
-unique = ["v"]
-""",
+    written(
+        unknown={"x": "m", "v": "m/s", "F": "N"},
+        known=("u", "y", "w"),
+        faults={"f_F": "the force", "f_y": "the position's sensor", "f_w": "the speed's sensor"},
+        parameters={"m": 1.0, "k": 100.0, "d": 0.02},
+        e1=("F = u * (1 + f_F)", "F"),
+        e2=("m * der(v) = F - k * x - d * v", "der(v) F x"),
+        e3=("der(x) = v", "der(x) v"),
+        e4=("y = x + f_y", "x"),
+        e5=("w = v + f_w", "v"),
+    ),
     0.01,
     {"m": 1.0, "k": 100.0, "d": 0.02, "gain": 1.0, "y": 0.0, "w": 0.0},
     lambda _: (0.0, 0.0),
@@ -141,48 +121,21 @@ def _buck(x: Any, u: Any, p: Numbers) -> Any:
 
 BUCK = Plant(
     "buck",
-    """
-[unknown]
-I = { unit = "A" }
-V = { unit = "V" }
-Vin = { unit = "V" }
-D = { unit = "1" }
-[known]
-d = {}
-i = {}
-v = {}
-vin = {}
-[fault]
-f_sw = { text = "the switch" }
-f_RL = { text = "the choke's resistance" }
-f_R = { text = "the load" }
-f_i = { text = "the current's sensor" }
-f_v = { text = "the voltage's sensor" }
-f_vin = { text = "the input voltage's sensor" }
-[parameter]
-L = { value = 2e-3 }
-C = { value = 2e-3 }
-R_L = { value = 0.1 }
-R = { value = 10.0 }
-[equation.e1]
-relation = "D = d * (1 - f_sw)"
-unique = ["D"]
-[equation.e2]
-relation = "L * der(I) = D * Vin - R_L * (1 + f_RL) * I - V"
-unique = ["der(I)", "V", "Vin", "D", "I"]
-[equation.e3]
-relation = "C * der(V) = I - V / R * (1 + f_R)"
-unique = ["der(V)", "I"]
-[equation.e4]
-relation = "i = I + f_i"
-unique = ["I"]
-[equation.e5]
-relation = "v = V + f_v"
-unique = ["V"]
-[equation.e6]
-relation = "vin = Vin + f_vin"
-unique = ["Vin"]
-""",
+    written(
+        unknown={"I": "A", "V": "V", "Vin": "V", "D": "1"},
+        known=("d", "i", "v", "vin"),
+        faults={
+            "f_sw": "the switch", "f_RL": "the choke's resistance", "f_R": "the load",
+            "f_i": "the current's sensor", "f_v": "the voltage's sensor", "f_vin": "the input voltage's sensor",
+        },
+        parameters={"L": 0.002, "C": 0.002, "R_L": 0.1, "R": 10.0},
+        e1=("D = d * (1 - f_sw)", "D"),
+        e2=("L * der(I) = D * Vin - R_L * (1 + f_RL) * I - V", "der(I) V Vin D I"),
+        e3=("C * der(V) = I - V / R * (1 + f_R)", "der(V) I"),
+        e4=("i = I + f_i", "I"),
+        e5=("v = V + f_v", "V"),
+        e6=("vin = Vin + f_vin", "Vin"),
+    ),
     0.001,
     {"L": 2e-3, "C": 2e-3, "R_L": 0.1, "R": 10.0, "sw": 1.0, "i": 0.0, "v": 0.0, "vin": 0.0},
     lambda _: (1.2, 12.0, 0.0, 1.0),
@@ -211,38 +164,21 @@ def _motor(x: Any, u: Any, p: Numbers) -> Any:
 
 MOTOR = Plant(
     "stiff_motor",
-    """
-[unknown]
-I = { unit = "A" }
-omega = { unit = "rad/s" }
-[known]
-u = {}
-i = {}
-w = {}
-[fault]
-f_R = { text = "the winding's resistance" }
-f_b = { text = "the bearing's friction" }
-f_i = { text = "the current's sensor" }
-f_w = { text = "the speed's sensor" }
-[parameter]
-L = { value = 2e-4 }
-R = { value = 0.5 }
-k = { value = 0.05 }
-b = { value = 1e-3 }
-J = { value = 2e-3 }
-[equation.e1]
-relation = "L * der(I) = u - R * (1 + f_R) * I - k * omega"
-unique = ["der(I)", "omega"]
-[equation.e2]
-relation = "J * der(omega) = k * I - b * (1 + f_b) * omega"
-unique = ["der(omega)", "I"]
-[equation.e3]
-relation = "i = I + f_i"
-unique = ["I"]
-[equation.e4]
-relation = "w = omega + f_w"
-unique = ["omega"]
-""",
+    written(
+        unknown={"I": "A", "omega": "rad/s"},
+        known=("u", "i", "w"),
+        faults={
+            "f_R": "the winding's resistance",
+            "f_b": "the bearing's friction",
+            "f_i": "the current's sensor",
+            "f_w": "the speed's sensor",
+        },
+        parameters={"L": 0.0002, "R": 0.5, "k": 0.05, "b": 0.001, "J": 0.002},
+        e1=("L * der(I) = u - R * (1 + f_R) * I - k * omega", "der(I) omega"),
+        e2=("J * der(omega) = k * I - b * (1 + f_b) * omega", "der(omega) I"),
+        e3=("i = I + f_i", "I"),
+        e4=("w = omega + f_w", "omega"),
+    ),
     0.01,
     {"L": 2e-4, "R": 0.5, "k": 0.05, "b": 1e-3, "J": 2e-3, "i": 0.0, "w": 0.0},
     lambda _: (0.0, 0.0),
@@ -271,22 +207,27 @@ def _tanks(h: Any, u: Any, p: Numbers) -> Any:
     ]  # fmt: skip
 
 
-def _tank_model() -> str:
-    text = "".join(f'h{k} = {{ unit = "cm" }}\nq{k} = {{}}\n' for k in (1, 2, 3, 4)) + "Q1 = {}\nQ2 = {}\n"
-    text = f"[unknown]\n{text}[known]\nu1 = {{}}\nu2 = {{}}\n" + "".join(f"y{k} = {{}}\n" for k in (1, 2, 3, 4))
-    text += "[fault]\nf_1 = {}\nf_2 = {}\nf_3 = {}\nf_4 = {}\nf_p1 = {}\nf_p2 = {}\n"
-    text += "[parameter]\n" + "".join(f"a{k} = {{ value = {0.071 if k in (1, 3) else 0.057} }}\n" for k in (1, 2, 3, 4))
-    flows = {1: "q3 - q1 + 0.7 * Q1", 2: "q4 - q2 + 0.6 * Q2", 3: "0.4 * Q2 - q3", 4: "0.3 * Q1 - q4"}
-    for k, flow in flows.items():
-        size = 28.0 if k in (1, 3) else 32.0
-        text += f'[equation.b{k}]\nrelation = "{size} * der(h{k}) = {flow}"\nunique = ["der(h{k})"]\n'
-        text += f'[equation.o{k}]\nrelation = "q{k} = a{k} * sqrt(1962 * h{k})"\nunique = ["q{k}"]\n'
-        text += f'[equation.s{k}]\nrelation = "y{k} = h{k} + f_{k}"\nunique = ["h{k}"]\n'
-    text += '[equation.p1]\nrelation = "Q1 = 3.33 * (1 - f_p1) * u1"\nunique = ["Q1"]\n'
-    return text + '[equation.p2]\nrelation = "Q2 = 3.35 * (1 - f_p2) * u2"\nunique = ["Q2"]\n'
-
-
 _HOLES = {"a1": 0.071, "a2": 0.057, "a3": 0.071, "a4": 0.057}
+
+
+def _tank_model() -> str:
+    flows = ("q3 - q1 + 0.7 * Q1", "q4 - q2 + 0.6 * Q2", "0.4 * Q2 - q3", "0.3 * Q1 - q4")
+    equations = {}
+    for k, flow in enumerate(flows, start=1):
+        size = 28.0 if k in (1, 3) else 32.0
+        equations[f"b{k}"] = (f"{size} * der(h{k}) = {flow}", f"der(h{k})")
+        equations[f"o{k}"] = (f"q{k} = a{k} * sqrt(1962 * h{k})", f"q{k}")
+        equations[f"s{k}"] = (f"y{k} = h{k} + f_{k}", f"h{k}")
+    return written(
+        unknown={name: unit for k in "1234" for name, unit in ((f"h{k}", "cm"), (f"q{k}", ""))} | {"Q1": "", "Q2": ""},
+        known=("u1", "u2", "y1", "y2", "y3", "y4"),
+        faults=dict.fromkeys(("f_1", "f_2", "f_3", "f_4", "f_p1", "f_p2"), ""),
+        parameters=_HOLES,
+        **equations,
+        p1=("Q1 = 3.33 * (1 - f_p1) * u1", "Q1"),
+        p2=("Q2 = 3.35 * (1 - f_p2) * u2", "Q2"),
+    )
+
 
 TANKS = Plant(
     "quad",
@@ -340,73 +281,23 @@ _SHAFT = {"Jr": 55e6, "Jg": 390.0, "K": 2.7e9, "B": 775.49, "Br": 7.11, "Bg": 45
 #: Odgaard, Stoustrup, Kinnaert: Fault-Tolerant Control of Wind Turbines: A Benchmark Model (2013), its drive train.
 WIND = Plant(
     "wind",
-    """[unknown]
-wr={}
-wg={}
-th={}
-Tg={}
-Tr={}
-tw={}
-[known]
-uT={}
-uR={}
-r1={}
-r2={}
-g1={}
-g2={}
-tg={}
-[fault]
-f_wr1={}
-f_wr2={}
-f_wg1={}
-f_wg2={}
-f_Tgm={}
-f_conv={}
-f_tr={}
-[parameter]
-Jr={value=55e6}
-Jg={value=390.0}
-K={value=2.7e9}
-B={value=775.49}
-Br={value=7.11}
-Bg={value=45.6}
-N={value=95.0}
-eta={value=0.97}
-a={value=50.0}
-[equation.e1]
-relation="Tr = uR * (1 + f_tr)"
-unique=["Tr"]
-[equation.e2]
-relation="tw = K * th + B * (wr - wg / N)"
-unique=["tw","th"]
-[equation.e3]
-relation="Jr * der(wr) = Tr - tw - Br * wr"
-unique=["der(wr)","Tr","tw"]
-[equation.e4]
-relation="Jg * der(wg) = eta * tw / N - Bg * wg - Tg"
-unique=["der(wg)","tw","Tg"]
-[equation.e5]
-relation="der(th) = wr - wg / N"
-unique=["der(th)","wr","wg"]
-[equation.e6]
-relation="der(Tg) = a * (uT * (1 + f_conv) - Tg)"
-unique=["der(Tg)","Tg"]
-[equation.e7]
-relation="r1 = wr + f_wr1"
-unique=["wr"]
-[equation.e8]
-relation="r2 = wr + f_wr2"
-unique=["wr"]
-[equation.e9]
-relation="g1 = wg + f_wg1"
-unique=["wg"]
-[equation.e10]
-relation="g2 = wg + f_wg2"
-unique=["wg"]
-[equation.e11]
-relation="tg = Tg + f_Tgm"
-unique=["Tg"]
-""",
+    written(
+        unknown=dict.fromkeys(("wr", "wg", "th", "Tg", "Tr", "tw"), ""),
+        known=("uT", "uR", "r1", "r2", "g1", "g2", "tg"),
+        faults=dict.fromkeys(("f_wr1", "f_wr2", "f_wg1", "f_wg2", "f_Tgm", "f_conv", "f_tr"), ""),
+        parameters=_SHAFT,
+        e1=("Tr = uR * (1 + f_tr)", "Tr"),
+        e2=("tw = K * th + B * (wr - wg / N)", "tw th"),
+        e3=("Jr * der(wr) = Tr - tw - Br * wr", "der(wr) Tr tw"),
+        e4=("Jg * der(wg) = eta * tw / N - Bg * wg - Tg", "der(wg) tw Tg"),
+        e5=("der(th) = wr - wg / N", "der(th) wr wg"),
+        e6=("der(Tg) = a * (uT * (1 + f_conv) - Tg)", "der(Tg) Tg"),
+        e7=("r1 = wr + f_wr1", "wr"),
+        e8=("r2 = wr + f_wr2", "wr"),
+        e9=("g1 = wg + f_wg1", "wg"),
+        e10=("g2 = wg + f_wg2", "wg"),
+        e11=("tg = Tg + f_Tgm", "Tg"),
+    ),
     0.01,
     _SHAFT | {"r1": 0.0, "r2": 0.0, "g1": 0.0, "g2": 0.0, "tg": 0.0, "conv": 1.0, "tr": 1.0},
     lambda p: (1.6, 152.0, (17_000 + 45.6 * 152.0) * 95 / 0.97 / p["K"], 17_000.0),

@@ -14,12 +14,12 @@ import numpy as np
 from gateway.bus.frames import Frames
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
-from gateway.faults.status import Status
 from gateway.runtime.app import Gateway
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario, load_scenario
 from gateway_fdi.common.resources import shipped
 from gateway_plants.structural.ecu.params import StructuralFault, StructuralParams
+from gateway_plants.structural.study.drives import heard
 
 #: Plants of the gallery.
 PLANTS = ("motor", "tanks", "cooling", "battery", "brake")
@@ -96,19 +96,13 @@ def dtcs(plant: str, drive: Frames) -> list[tuple[float, str]]:
     """Return the DTCs that a plant's monitor sets, with their times [s]."""
     path = scenario(plant).config
     gateway = Gateway(load_config(path), None, file=path)
-    found: list[tuple[float, str]] = []
-
-    def listen(event: Mapping[str, object]) -> None:
-        if event["event"] == "dtc" and int(str(event["status"])) & Status.TEST_FAILED:
-            found.append((int(str(event["t_ns"])) / 1e9, str(event["dtc"])))
-
-    gateway.listen(listen)
+    told = heard(gateway)
     gateway.start(int(drive[0]["t_ns"]))
     for begin in range(0, len(drive), _BATCH):
         gateway.feed(drive[begin : begin + _BATCH])
     gateway.stop(int(drive[-1]["t_ns"]))
     gateway.close()
-    return found
+    return [(int(str(one["t_ns"])) / 1e9, str(one["dtc"])) for one in told]
 
 
 def settles_s(plant: str) -> float:

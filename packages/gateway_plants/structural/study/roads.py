@@ -72,7 +72,6 @@ def evaluate(plant: Plant, share: float, hours: float, runs: int, seed: int, fol
     """Return what is said of a plant.
 
     Args:
-        plant: the plant.
         share: by which its parameters are off.
         hours: of healthy drives [h].
         runs: with each fault.

@@ -57,7 +57,6 @@ def align(s: State, u: Inputs, steps: int, most: float, noise: float) -> None:
     """Take a set; ``out`` is the one to be tested.
 
     Args:
-        s: record of State.
         u: the set.
         steps: of the counter since the set before.
         most: largest lag of either sign [sets]; 0: sets are as they are.

@@ -24,8 +24,7 @@ class State(Record):
 def forget(s: State, wait: int) -> None:
     """Drop what waits, and count nothing for a while."""
     s.quiet = wait
-    for k in range(MOST):
-        s.due[k] = 0
+    s.due[:] = 0
 
 
 @kernel
@@ -33,7 +32,6 @@ def put(s: State, wait: int, gear: int, counts: bool, first: float, second: floa
     """Take a set's residuals; returns the place of those that have waited and count, or -1.
 
     Args:
-        s: state.
         wait: sets before and behind a gear change.
         gear: of this set.
         counts: whether they may count: the clutch holds, and a gear is in.

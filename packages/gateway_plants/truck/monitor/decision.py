@@ -7,6 +7,7 @@ from typing import Annotated
 from gateway.monitors.contract import Emission, Evidence, Out, report
 from gateway_fdi.isolation import machine, table
 from gateway_fdi.jit import Record, f8, f8s, kernel, means
+from gateway_fdi.linear_algebra import copy
 from gateway_plants.truck.monitor import isolation, observer
 from gateway_plants.truck.monitor.faults import UNISOLATED
 from gateway_plants.truck.monitor.params import Params
@@ -51,8 +52,6 @@ def decide(s: State, c: Const, dt: float, out: Out[Evidence, Outputs]) -> None:
     """Report which fault is isolated, or that one is not.
 
     Args:
-        s: state.
-        c: constants.
         dt: since the set before [s].
         out: results.
     """
@@ -77,8 +76,7 @@ def decide(s: State, c: Const, dt: float, out: Out[Evidence, Outputs]) -> None:
         failed = k == x.found
         e = report(out, k, failed, largest, 1.0)
         if failed:
-            for j in range(TESTS):
-                e.value[j] = s.level[j]
+            copy(e.value, s.level, TESTS)
             e.value[TESTS] = fired
             e.value[TESTS + 1] = table.ranked(x, c.isolation, s.level, 10.0, UNISOLATED)
             e.value[TESTS + 2] = s.observer.error[observer.MOTOR]

@@ -32,7 +32,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from gateway_fdi.jit import kernel
+from gateway_fdi.jit import f8s, kernel
 from gateway_fdi.slow import filter as slow
 from gateway_fdi.structure.generator.runtime import interpolate
 from gateway_plants.truck.monitor import alignment
@@ -58,6 +58,8 @@ from gateway_plants.truck.monitor.records import (
 #: Bits of ``untested``: the machine's R and k are not known yet (T2, T5); the battery's R and U are not (T2, T6); the
 #: machine is not used (T2, T5, T6); the clutch does not hold (T3, T4, T7; T2 and T5 where it is open).
 MACHINE, BATTERY, IDLE, CLUTCH = 1, 2, 4, 8
+#: Places of machine and battery.
+OF_MACHINE, OF_BATTERY = range(2)
 #: Parameters are known when what is not known of them makes less than this share of what their bounds do, for so many
 #: blocks, or when so many have been taken.
 KNOWN, BLOCKS, AT_LATEST = 0.12, 30, 1200
@@ -69,13 +71,13 @@ DOUBTED = 0.3
 @kernel
 def machine_known(s: State, c: Const) -> bool:
     """Tell whether T2 and T5 can be tested."""
-    return bool(c.follows == 0 or s.machine_known >= BLOCKS)
+    return bool(c.follows == 0 or s.known[OF_MACHINE] >= BLOCKS)
 
 
 @kernel
 def battery_known(s: State, c: Const) -> bool:
     """Tell whether T2 and T6 can be tested."""
-    return bool(c.follows == 0 or s.battery_known >= BLOCKS)
+    return bool(c.follows == 0 or s.known[OF_BATTERY] >= BLOCKS)
 
 
 @kernel
@@ -97,6 +99,20 @@ def _mode(s: State, c: Const) -> int:
 
 
 @kernel
+def _count(s: State, c: Const, part: int, h: f8s, first: int, second: int) -> None:
+    """Count the blocks of a part, and those in which its two errors are known, by the sensitivities of its equation."""
+    if s.known[part] >= BLOCKS:
+        return
+    one = h[first] * (c.ageing.high[first] - c.ageing.low[first])
+    other = h[second] * (c.ageing.high[second] - c.ageing.low[second])
+    s.taken[part] += 1
+    if slow.doubt(s.ageing, c.ageing, h) <= KNOWN * sqrt(one * one + other * other):
+        s.known[part] += 1
+    elif s.taken[part] >= AT_LATEST:
+        s.known[part] = BLOCKS
+
+
+@kernel
 def _voltage(s: State, c: Const, u: Inputs) -> None:
     """Follow the first equation."""
     left = alignment.doubt(s.alignment)
@@ -110,37 +126,18 @@ def _machine(s: State, c: Const, u: Inputs, ratio: float) -> None:
     speed, left = c.t2.k_i * ratio * c.speed_noise, alignment.doubt(s.alignment)
     variance = c.voltage_noise * c.voltage_noise + speed * speed + left * left
     rest = u.U_em_ctrl - s.h_2[MAGNETS] - s.h_2[WINDING]
-    if not slow.add(s.blocks[1], s.h_2, rest, variance):
-        return
-    slow.update(s.ageing, c.ageing, s.blocks[1], slow.COLOURED, _mode(s, c))
-    if machine_known(s, c):
-        return
-    winding = s.h_2[WINDING] * (c.ageing.high[WINDING] - c.ageing.low[WINDING])
-    magnets = s.h_2[MAGNETS] * (c.ageing.high[MAGNETS] - c.ageing.low[MAGNETS])
-    s.machine_taken += 1
-    least = KNOWN * sqrt(winding * winding + magnets * magnets)
-    if slow.doubt(s.ageing, c.ageing, s.h_2) <= least:
-        s.machine_known += 1
-    elif s.machine_taken >= AT_LATEST:
-        s.machine_known = BLOCKS
+    if slow.add(s.blocks[1], s.h_2, rest, variance):
+        slow.update(s.ageing, c.ageing, s.blocks[1], slow.COLOURED, _mode(s, c))
+        _count(s, c, OF_MACHINE, s.h_2, WINDING, MAGNETS)
 
 
 @kernel
 def _battery(s: State, c: Const, u: Inputs) -> None:
     """Follow the third."""
     rest = u.I_em_sens * u.U_em_sens - s.h_3[OPEN] - s.h_3[CELLS]
-    if not slow.add(s.blocks[2], s.h_3, rest, c.power_noise * c.power_noise):
-        return
-    slow.update(s.ageing, c.ageing, s.blocks[2], slow.COLOURED, _mode(s, c))
-    if battery_known(s, c):
-        return
-    volts = s.h_3[OPEN] * (c.ageing.high[OPEN] - c.ageing.low[OPEN])
-    cells = s.h_3[CELLS] * (c.ageing.high[CELLS] - c.ageing.low[CELLS])
-    s.battery_taken += 1
-    if slow.doubt(s.ageing, c.ageing, s.h_3) <= KNOWN * sqrt(volts * volts + cells * cells):
-        s.battery_known += 1
-    elif s.battery_taken >= AT_LATEST:
-        s.battery_known = BLOCKS
+    if slow.add(s.blocks[2], s.h_3, rest, c.power_noise * c.power_noise):
+        slow.update(s.ageing, c.ageing, s.blocks[2], slow.COLOURED, _mode(s, c))
+        _count(s, c, OF_BATTERY, s.h_3, OPEN, CELLS)
 
 
 @kernel
@@ -186,8 +183,6 @@ def step(s: State, c: Const, u: Inputs, used: bool, counts: bool, dt: float) -> 
     """Take a set; what is found goes into the constants of T2, T5 and T6 and into the readings.
 
     Args:
-        s: state.
-        c: constants.
         u: inputs; ``corrected`` are those with what is found of the sensors' errors taken off.
         used: the machine is.
         counts: the clutch holds, too.

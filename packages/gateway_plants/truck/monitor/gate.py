@@ -88,7 +88,6 @@ def update(s: State, clutch: float, gear: int, ratio: float, engine: float, gear
     """Take a set of signals.
 
     Args:
-        s: state.
         clutch: 0 to 1.
         gear: 0 is neutral.
         ratio: of the gear.
@@ -131,7 +130,6 @@ def grips(s: State, ratio: float, goes_on: bool) -> bool:
     """Tell whether a clutch that holds does not creep.
 
     Args:
-        s: state.
         ratio: of the gear.
         goes_on: it was taken not to creep before.
     """

@@ -64,8 +64,6 @@ def prepare_table(
     """Fill state and constants so that what has fired decides: of the paper's systems no more (the study).
 
     Args:
-        s: record of State.
-        c: record of Const.
         model: the structural model: a test sees the faults that stand in the equations of its set.
         tests: that decide; residuals of the model.
         settle_s: use of the machine without a further test, before a fault is named [s].

@@ -11,38 +11,21 @@ from gateway.monitors.sampling import Sampling
 from gateway_fdi.jit import f8, means
 from gateway_plants.truck.monitor.params import Params
 
-#: Fields of the inputs by message: signal and unit.
+#: Fields of the inputs by message, and signals that are not called as their fields are.
 MESSAGES = {
-    "HEV_CTRL_PT": {
-        "U_em_ctrl": ("U_em_ctrl", "V"),
-        "ice_ctrl": ("ice_ctrl", "J"),
-        "u_c": ("u_c", ""),
-        "gear": ("gear", ""),
-    },
-    "HEV_CTRL_VEH": {
-        "T_b_ctrl": ("T_b_ctrl", "Nm"),
-        "alpha": ("alpha", "rad"),
-    },
-    "HEV_SENS_ELEC": {
-        "I_b_sens": ("I_b_sens", "A"),
-        "U_em_sens": ("U_em_sens", "V"),
-        "I_em_sens": ("I_em_sens", "A"),
-    },
-    "HEV_SENS_MECH": {
-        "omega_e_sens": ("w_e_sens", "rad/s"),
-        "omega_gb_sens": ("w_gb_sens", "rad/s"),
-        "charge": ("SoC_start", ""),
-    },
+    "HEV_CTRL_PT": ("U_em_ctrl", "ice_ctrl", "u_c", "gear"),
+    "HEV_CTRL_VEH": ("T_b_ctrl", "alpha"),
+    "HEV_SENS_ELEC": ("I_b_sens", "U_em_sens", "I_em_sens"),
+    "HEV_SENS_MECH": ("omega_e_sens", "omega_gb_sens", "charge"),
 }
-
-
+_CALLED = {"omega_e_sens": "w_e_sens", "omega_gb_sens": "w_gb_sens", "charge": "SoC_start"}
 #: Sets that are collected at once: ECUs send at their own times, and a bus lets some wait; and periods after which what
 #: was collected of a set is given up: its counter may have come round.
 DEPTH, OLD = 4, 64
 
 
 class Inputs(contract.SampledInputs):
-    """The signals above, in their order."""
+    """The fields above, in their order."""
 
     U_em_ctrl: f8 = means("voltage asked of the power electronics", "V")
     ice_ctrl: f8 = means("fuel energy of a cycle of the four strokes, all cylinders", "J")
@@ -58,12 +41,17 @@ class Inputs(contract.SampledInputs):
     charge: f8 = means("state of charge at the start")
 
 
+def signal_of(field: str) -> str:
+    """Return the signal of a field."""
+    return _CALLED.get(field, field)
+
+
 def connect(_: Params) -> Mapping[str, Connection]:
     """Return what the inputs are connected to."""
     return {
-        name: Signal(f"{message}.{signal}", unit or None, triggers=True)
+        field: Signal(f"{message}.{signal_of(field)}", Inputs.meanings[field].unit or None, triggers=True)
         for message, fields in MESSAGES.items()
-        for name, (signal, unit) in fields.items()
+        for field in fields
     }
 
 

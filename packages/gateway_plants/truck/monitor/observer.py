@@ -75,12 +75,10 @@ def curve(slope: float, way: float, curve_way: float) -> float:
 @kernel
 def restart(s: State, c: Const) -> None:
     """Begin a window: the speed is new, the errors are what they were."""
-    for k in range(_STATES):
-        s.P[0, k] = 0.0
-        s.P[k, 0] = 0.0
+    s.P[0, :] = 0.0
+    s.P[:, 0] = 0.0
     s.P[0, 0] = c.start
-    for k in range(ERRORS):
-        s.does[k] = 0.0
+    s.does[:] = 0.0
 
 
 @kernel
@@ -149,10 +147,7 @@ def update(s: State, c: Const, g: t7.State, q: t7.Const, innovation: float, brak
     """Take a sample.
 
     Args:
-        s: state.
-        c: constants.
         g: state of the residual generator T7; its speed and acceleration are corrected.
-        q: its constants.
         innovation: its residual [rad/s].
         brake: torque asked for [Nm].
         dt: since the sample before [s]; 0 is the first of a window.

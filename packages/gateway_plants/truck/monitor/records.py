@@ -9,7 +9,7 @@ import numpy as np
 from gateway_fdi import cusum
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.errors import InputError, InputErrors, nearest
-from gateway_fdi.jit import Record, f8, f8s, i8, means, u1
+from gateway_fdi.jit import Record, f8, f8s, i8, i8s, means, u1
 from gateway_fdi.slow import filter as slow
 from gateway_fdi.slow import lag
 from gateway_fdi.structure.file import load_model
@@ -88,10 +88,8 @@ class State(Record):
     h_2: Annotated[f8s, slow.MOST] = means("sensitivities of the second equation")
     h_3: Annotated[f8s, slow.MOST] = means("sensitivities of the third equation")
     h: Annotated[f8s, slow.MOST] = means("scratch")
-    machine_known: i8 = means("blocks of the machine in which its errors were known")
-    machine_taken: i8 = means("blocks of the machine")
-    battery_known: i8 = means("blocks of the battery in which its errors were known")
-    battery_taken: i8 = means("blocks of the battery")
+    known: Annotated[i8s, 2] = means("blocks of machine and battery in which their errors were known")
+    taken: Annotated[i8s, 2] = means("blocks of machine and battery")
     q2: t2.Const = means("constants of T2 with what ageing found")
     q5: t5.Const = means("constants of T5 with what ageing found")
     q6: t6.Const = means("constants of T6 with what ageing found")

@@ -14,12 +14,13 @@ from gateway.signals.frame_encoding import carried
 from gateway_bench.vecu.databases import message_of
 from gateway_fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway_fdi.jit import kernel, zeros
+from gateway_fdi.linear_algebra import copy
 from gateway_plants.truck.ecu.control import PERIOD
 from gateway_plants.truck.ecu.drive import Drive, drive
 from gateway_plants.truck.ecu.ecu import DATABASE, signals_of
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams
 from gateway_plants.truck.monitor import MONITOR, monitor, observer
-from gateway_plants.truck.monitor.messages import MESSAGES
+from gateway_plants.truck.monitor.messages import MESSAGES, signal_of
 from gateway_plants.truck.monitor.observer import ERRORS
 from gateway_plants.truck.monitor.params import QUANTITIES, Params, Thresholds
 from gateway_plants.truck.monitor.records import RESIDUALS
@@ -50,10 +51,10 @@ def inputs(truck: TruckParams, fault: TruckFault | None, seed: int) -> NDArray[n
     u["t_ns"] = np.rint(np.arange(len(u)) * PERIOD * 1e9).astype(np.int64)
     u["gap"] = 1.0
     for name, fields in MESSAGES.items():
-        mine = {signal: columns[signal] for signal, _ in fields.values()}
+        mine = {signal_of(field): columns[signal_of(field)] for field in fields}
         decoded = carried(message_of(DATABASE, name), mine)
-        for field, (signal, _) in fields.items():
-            u[field] = decoded[signal]
+        for field in fields:
+            u[field] = decoded[signal_of(field)]
     return u
 
 
@@ -106,16 +107,11 @@ def _walk(s: Any, c: Any, u: Any, out: Any, first: Any, valid: Any, rows: Any) -
         if rows.shape[0] == 0:
             continue
         valid[k] = s.valid == 1
-        at = 0
-        for j in range(len(s.residual)):
-            rows[k, at + j] = s.residual[j]
-        at += len(s.residual)
-        for j in range(len(s.norm)):
-            rows[k, at + j] = s.norm[j]
-        at += len(s.norm)
+        at = len(s.residual) + len(s.norm)
+        copy(rows[k], s.residual, len(s.residual))
+        copy(rows[k, len(s.residual) :], s.norm, len(s.norm))
         rows[k, at] = s.observer.norm
-        for j in range(ERRORS):
-            rows[k, at + 1 + j] = s.observer.error[j]
+        copy(rows[k, at + 1 :], s.observer.error, ERRORS)
 
 
 def _run(u: NDArray[np.void], params: Params, keep: bool) -> tuple[Any, Array, Any, Any]:
@@ -147,9 +143,7 @@ def follow(u: NDArray[np.void], params: Params, *, keep: bool = False) -> Follow
     return Followed(first, peak, trace)
 
 
-def calibrated(
-    params: Params, healthy: list[NDArray[np.void]], *, floor: float = FLOOR, margin: float = MARGIN
-) -> Params:
+def calibrated(params: Params, healthy: list[NDArray[np.void]]) -> Params:
     """Return parameters with nu and J from healthy drives, as ``gateway calibrate`` finds them."""
     states = [_run(u, params, keep=False)[0]["cusum"].copy() for u in healthy]
     sums = np.sum([[s[key] for key in ("samples", "total", "squares")] for s in states], axis=0)
@@ -158,7 +152,7 @@ def calibrated(
     opened = params.model_copy(update={"nu": params.nu.model_copy(update=nu), "thresholds": never})
     peaks = np.max([follow(u, opened).peak for u in healthy], axis=0) * 1e9
     found = {
-        name: threshold(peak, margin, observer.FLOOR if name == "T7" else floor)
+        name: threshold(peak, MARGIN, observer.FLOOR if name == "T7" else FLOOR)
         for name, peak in zip(names, peaks, strict=True)
     }
     return opened.model_copy(update={"thresholds": Thresholds(**found)})

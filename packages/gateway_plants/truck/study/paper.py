@@ -21,6 +21,7 @@ from gateway_fdi.common.tomlfile import StrictModel
 from gateway_fdi.cusum import FLOOR, MARGIN, nus, threshold
 from gateway_fdi.isolation import machine, table
 from gateway_fdi.jit import f8, i8, kernel, record, zeros
+from gateway_fdi.linear_algebra import copy
 from gateway_fdi.structure.file import load_model
 from gateway_fdi.structure.generator.sources import load_source
 from gateway_plants.truck.ecu.control import PERIOD
@@ -231,10 +232,8 @@ def _walk(s: Any, c: Any, u: Any, first: Any, flags: Any, rows: Any) -> None:
             continue
         flags[k, 0] = m.valid == 1
         flags[k, 1] = s.four.on == 1 and dynamic.settled(s.four)
-        for j in range(len(s.residual)):
-            rows[k, j] = s.residual[j]
-        for j in range(len(s.norm)):
-            rows[k, len(s.residual) + j] = s.norm[j]
+        copy(rows[k], s.residual, len(s.residual))
+        copy(rows[k, len(s.residual) :], s.norm, len(s.norm))
         rows[k, len(s.residual) + len(s.norm)] = s.t4.shown_I_em
 
 
@@ -301,7 +300,7 @@ def follow(u: NDArray[np.void], p: Paper, *, keep: bool = False) -> Followed:
     return Followed(dict(zip(TESTS, told, strict=True)), peak, trace)
 
 
-def calibrated(p: Paper, healthy: list[NDArray[np.void]], *, floor: float = FLOOR, margin: float = MARGIN) -> Paper:
+def calibrated(p: Paper, healthy: list[NDArray[np.void]], *, floor: float = FLOOR) -> Paper:
     """Return parameters with nu and J from healthy drives, as ``gateway calibrate`` finds them."""
     sums = []
     for u in healthy:
@@ -318,4 +317,4 @@ def calibrated(p: Paper, healthy: list[NDArray[np.void]], *, floor: float = FLOO
 
     opened = with_thresholds([1e9] * len(NAMES))
     peaks = np.max([follow(u, opened).peak for u in healthy], axis=0) * 1e9
-    return with_thresholds([threshold(peak, margin, floor) for peak in peaks])
+    return with_thresholds([threshold(peak, MARGIN, floor) for peak in peaks])

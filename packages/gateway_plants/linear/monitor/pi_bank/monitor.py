@@ -31,6 +31,7 @@ from gateway.monitors.contract import (
 )
 from gateway.monitors.evidence import words_of
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel, labels, means
+from gateway_fdi.linear_algebra import copy
 from gateway_plants.linear.model_set import alignment, decision
 from gateway_plants.linear.monitor import plant as linear_plant
 from gateway_plants.linear.monitor.pi_bank import window
@@ -184,8 +185,7 @@ def _report(
     else:
         e.observer = float(s.isolation.active)
         left = s.isolation.bank.e[s.isolation.active]
-    for j in range(bank.MOST_OUTPUTS):
-        e.innovation[j] = left[j]
+    copy(e.innovation, left, bank.MOST_OUTPUTS)
 
 
 @kernel

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi.jit import Record, f8s, i8, kernel, means
+from gateway_fdi.linear_algebra import copy
 from gateway_fdi.quantiles import chi2_above
 from gateway_plants.linear.mathematics.plant import Array, LinearPlant
 from gateway_plants.linear.pi_bank.bank import MOST_INPUTS, MOST_OUTPUTS
@@ -43,10 +44,8 @@ class State(Record):
 def keep(s: State, y: f8s, u: f8s, whole: bool) -> None:
     """Keep a sample and the commands that hold from it on; ``whole``: none is missing before it, nor a command."""
     s.held = min(s.held + 1, LENGTH) if whole else 0
-    for j in range(MOST_OUTPUTS):
-        s.y[s.at, j] = y[j]
-    for j in range(MOST_INPUTS):
-        s.u[s.at, j] = u[j]
+    copy(s.y[s.at], y, MOST_OUTPUTS)
+    copy(s.u[s.at], u, MOST_INPUTS)
     s.at = (s.at + 1) % LENGTH
 
 

@@ -124,125 +124,87 @@ def _from(begin_s: float, end_s: float | None = None) -> slice:
     return slice(round(begin_s / DT), None if end_s is None else round(end_s / DT))
 
 
-def offset(channel: int, begin_s: float, volts: float, end_s: float | None = None) -> Fault:
-    """Put it off by ``volts``."""
+def _changed(
+    channels: int | slice, begin_s: float, new: Callable[[Array, Random], Array | float], end_s: float | None = None
+) -> Fault:
+    """Return the fault that makes of a part of the readings what ``new`` does."""
 
     def put(y: Array, travel: Array, rng: Random) -> Array:
-        y[_from(begin_s, end_s), channel] += volts
+        part = y[_from(begin_s, end_s), channels]
+        part[:] = new(part, rng)
         return y
 
     return put
+
+
+def offset(channel: int, begin_s: float, volts: float, end_s: float | None = None) -> Fault:
+    """Put it off by ``volts``."""
+    return _changed(channel, begin_s, lambda y, _: y + volts, end_s)
 
 
 def gain(channel: int, begin_s: float, share: float, rest: float) -> Fault:
     """Make its slope steeper by ``share``."""
-
-    def put(y: Array, travel: Array, rng: Random) -> Array:
-        part = y[_from(begin_s), channel]
-        part[:] = rest + (1 + share) * (part - rest)
-        return y
-
-    return put
+    return _changed(channel, begin_s, lambda y, _: rest + (1 + share) * (y - rest))
 
 
 def drift(channel: int, begin_s: float, volts_per_s: float) -> Fault:
     """Let it drift."""
-
-    def put(y: Array, travel: Array, rng: Random) -> Array:
-        part = y[_from(begin_s), channel]
-        part += np.arange(len(part)) * DT * volts_per_s
-        return y
-
-    return put
+    return _changed(channel, begin_s, lambda y, _: y + np.arange(len(y)) * DT * volts_per_s)
 
 
 def level(channel: int, begin_s: float, volts: float, noise: float = 0.0, end_s: float | None = None) -> Fault:
     """Short to ground, to the battery, or an open wire that floats."""
-
-    def put(y: Array, travel: Array, rng: Random) -> Array:
-        part = y[_from(begin_s, end_s), channel]
-        part[:] = volts + rng.normal(0, noise, len(part)) if noise else volts
-        return y
-
-    return put
+    return _changed(channel, begin_s, lambda y, rng: volts + rng.normal(0, noise, len(y)) if noise else volts, end_s)
 
 
-def stuck(channel: int, begin_s: float, noise: float = 0.0, end_s: float | None = None) -> Fault:
+def stuck(channel: int, begin_s: float, noise: float = 0.0) -> Fault:
     """Hold its voltage; ``noise`` goes on behind that."""
-
-    def put(y: Array, travel: Array, rng: Random) -> Array:
-        part = y[_from(begin_s, end_s), channel]
-        part[:] = part[0] + (rng.normal(0, noise, len(part)) if noise else 0.0)
-        return y
-
-    return put
+    return _changed(channel, begin_s, lambda y, rng: y[0] + (rng.normal(0, noise, len(y)) if noise else 0.0))
 
 
 def floating(channel: int, begin_s: float) -> Fault:
     """An open input: wanders slowly between the rails."""
 
-    def put(y: Array, travel: Array, rng: Random) -> Array:
-        part = y[_from(begin_s), channel]
-        walk = np.cumsum(rng.normal(0, 0.02, len(part)))
-        part[:] = 2.5 + 2.4 * np.sin(walk) + rng.normal(0, 0.05, len(part))
-        return y
+    def wandering(y: Array, rng: Random) -> Array:
+        walk = np.cumsum(rng.normal(0, 0.02, len(y)))
+        return np.asarray(2.5 + 2.4 * np.sin(walk) + rng.normal(0, 0.05, len(y)))
 
-    return put
+    return _changed(channel, begin_s, wandering)
 
 
-def breaks(channel: int, begin_s: float, longest_ms: float = 25.0, each_s: float = 0.5) -> Fault:
-    """An intermittent contact: to ground for 1 to ``longest_ms``."""
+def breaks(channel: int, begin_s: float) -> Fault:
+    """An intermittent contact, each half a second: to ground for 1 to 25 ms."""
 
     def put(y: Array, travel: Array, rng: Random) -> Array:
         at = begin_s
         while at < len(y) * DT:
-            at += rng.exponential(each_s)
-            y[_from(at, at + rng.uniform(1e-3, longest_ms * 1e-3)), channel] = 0.0
+            at += rng.exponential(0.5)
+            y[_from(at, at + rng.uniform(1e-3, 25e-3)), channel] = 0.0
         return y
 
     return put
 
 
-def chatter(channel: int, begin_s: float, share: float = 0.2, size: float = 0.5) -> Fault:
-    """Put a share of its readings off, each by another value."""
+def chatter(channel: int, begin_s: float) -> Fault:
+    """Put a fifth of its readings off, each by another value of up to 0.5 V."""
 
-    def put(y: Array, travel: Array, rng: Random) -> Array:
-        part = y[_from(begin_s), channel]
-        part += np.where(rng.random(len(part)) < share, rng.uniform(-size, size, len(part)), 0.0)
-        return y
+    def chattering(y: Array, rng: Random) -> Array:
+        return y + np.where(rng.random(len(y)) < 0.2, rng.uniform(-0.5, 0.5, len(y)), 0.0)
 
-    return put
+    return _changed(channel, begin_s, chattering)
 
 
-def noise(channel: int, begin_s: float, volts: float = 0.05) -> Fault:
-    """Make it noisy."""
-
-    def put(y: Array, travel: Array, rng: Random) -> Array:
-        part = y[_from(begin_s), channel]
-        part += rng.normal(0, volts, len(part))
-        return y
-
-    return put
+def noise(channel: int, begin_s: float) -> Fault:
+    """Make it noisy, by 50 mV."""
+    return _changed(channel, begin_s, lambda y, rng: y + rng.normal(0, 0.05, len(y)))
 
 
 def lag(channel: int, begin_s: float, ms: float) -> Fault:
     """Put a filter of first order behind it."""
-
-    def put(y: Array, travel: Array, rng: Random) -> Array:
-        part = y[_from(begin_s), channel]
-        pole = np.exp(-DT * 1e3 / ms)
-        part[:] = lfilter([1 - pole], [1, -pole], part - part[0]) + part[0]
-        return y
-
-    return put
+    pole = np.exp(-DT * 1e3 / ms)
+    return _changed(channel, begin_s, lambda y, _: lfilter([1 - pole], [1, -pole], y - y[0]) + y[0])
 
 
 def bridged(begin_s: float) -> Fault:
     """The first two channels touch: both carry the mean of their voltages."""
-
-    def put(y: Array, travel: Array, rng: Random) -> Array:
-        part = y[_from(begin_s), :2]
-        part[:] = part.mean(axis=1)[:, None]
-        return y
-
-    return put
+    return _changed(slice(2), begin_s, lambda y, _: y.mean(axis=1)[:, None])

@@ -148,7 +148,6 @@ def prepare(c: Const, *, period_ms: float, most_ms: float) -> None:
     """Fill the constants.
 
     Args:
-        c: record of Const.
         period_ms: of the samples [ms].
         most_ms: largest lag between channels that is no fault [ms]; 0: there is none.
     """
@@ -170,7 +169,6 @@ def smooth(s: State, n: int, y: f8s, absent: int, straight: float, dt: float) ->
     """Return the bits of the channels that go on along a line, second differences up to ``straight``.
 
     Args:
-        s: record of State.
         n: channels.
         y: readings, NaN: none that is one.
         absent: bits of the channels of which nothing has come.
@@ -217,7 +215,6 @@ def align(s: State, c: Const, n: int, y: f8s, smooth: int, rate: float, out: f8s
 
     Args:
         s: record of State, which :func:`smooth` has told of the sample.
-        c: record of Const.
         n: channels.
         y: readings, NaN: none.
         smooth: bits of the channels that do not jump.
@@ -396,8 +393,6 @@ def learn(s: State, c: Const, n: int, y: f8s, fine: int, smooth: int, dt: float,
     """Take the readings of one sample as :func:`align` leaves them; puts right what is known of the lags.
 
     Args:
-        s: record of State.
-        c: record of Const.
         n: channels.
         y: readings, aligned.
         fine: bits of the channels whose reading is one.

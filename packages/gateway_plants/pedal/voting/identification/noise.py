@@ -57,7 +57,6 @@ def prepare(c: Const, *, noise: float, step: float, span: float) -> None:
     """Fill the constants.
 
     Args:
-        c: record of Const.
         noise: standard deviation of a reading, as told.
         step: resolution, as told.
         span: of the quantity.
@@ -107,8 +106,6 @@ def learn(s: State, c: Const, n: int, y: f8s, fine: int, dt: float) -> bool:
     """Take the readings of one sample; tells whether more is known of the channels than before.
 
     Args:
-        s: record of State.
-        c: record of Const.
         n: channels.
         y: readings.
         fine: bits of the channels whose reading is one.

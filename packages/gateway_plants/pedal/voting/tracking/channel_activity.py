@@ -180,7 +180,6 @@ def watch(
     """Take the readings of one sample.
 
     Args:
-        h: record of State.
         n: channels.
         y: readings; NaN: none.
         raw: as they were read.
@@ -256,7 +255,6 @@ def jumped(h: State, i: int, j: int, least: float, common: float) -> bool:
     supply moves all, one more than the other.
 
     Args:
-        h: record of State.
         i: a channel.
         j: another one.
         least: way that is one.
@@ -276,7 +274,6 @@ def outrun(h: State, n: int, i: int, y: f8s, smooth: int, far: float, rate: floa
     """Return the channel that moves, smoothly and fast, while channel ``i`` repeats itself, and by how much; -1: none.
 
     Args:
-        h: record of State.
         n: channels.
         i: the channel.
         y: readings.

@@ -132,8 +132,6 @@ def witnessed(s: State, c: Const, trusted: int, i: int) -> bool:
     wrong; if there is none, nobody can tell.
 
     Args:
-        s: record of State.
-        c: constants.
         trusted: bits of the channels that are not held for failed.
         i: the channel.
     """

@@ -36,7 +36,6 @@ def predict(m: State, dt: float, q: float, widest: float) -> None:
     """Go ``dt`` samples ahead; equation x(k) = F x(k-1), P = F P F' + Q.
 
     Args:
-        m: record of State.
         dt: samples.
         q: standard deviation of the slope's change in one sample.
         widest: largest standard deviation of the level.

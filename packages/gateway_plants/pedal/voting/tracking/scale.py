@@ -49,7 +49,6 @@ def measure(s: Scale, noise: float, step: float, span: float, bend: float) -> No
     """Fill the scale.
 
     Args:
-        s: record of Scale.
         noise: standard deviation of a reading.
         step: resolution of a reading.
         span: of the quantity.

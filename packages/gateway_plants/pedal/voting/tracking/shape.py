@@ -115,7 +115,6 @@ def prepare(
     """Fill the constants.
 
     Args:
-        c: record of Const.
         channels: 2 or 3.
         low: least value of the quantity; the unit is that of the readings.
         high: largest value.

@@ -111,8 +111,6 @@ def vote_filtered(s: State, c: Const, y: f8s, raw: f8s, dt: float) -> None:
     """Take the readings of one sample that something has filtered: whether one repeats itself is told by the raw ones.
 
     Args:
-        s: record of State.
-        c: record of Const.
         y: readings; what is not finite is none.
         raw: as they were read.
         dt: time since the last sample, in sample periods.
@@ -130,8 +128,6 @@ def vote(s: State, c: Const, y: f8s, dt: float) -> None:
     """Take the readings of one sample.
 
     Args:
-        s: record of State.
-        c: record of Const.
         y: readings; what is not finite is none.
         dt: time since the last sample, in sample periods.
     """

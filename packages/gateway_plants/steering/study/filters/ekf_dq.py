@@ -65,8 +65,6 @@ def prepare(
     """Fill a record of Const.
 
     Args:
-        c: record of Const.
-        m: the motor.
         period: of a step [s].
         load: with the load torque as fourth state.
         steps: Euler sub-steps.

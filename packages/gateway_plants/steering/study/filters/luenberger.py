@@ -63,8 +63,6 @@ def step(s: State, c: Const, u_q: float, i_q: float) -> None:
     """Take one step.
 
     Args:
-        s: record of State.
-        c: record of Const.
         u_q: mean voltage over the step that ends now [V].
         i_q: current now [A].
     """

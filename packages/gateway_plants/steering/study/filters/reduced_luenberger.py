@@ -53,8 +53,6 @@ def step(s: State, c: Const, u_q: float, i_q: float) -> None:
     """Take one step; the current in between is taken for the mean of both ends.
 
     Args:
-        s: record of State.
-        c: record of Const.
         u_q: mean voltage over the step that ends now [V].
         i_q: current now [A].
     """

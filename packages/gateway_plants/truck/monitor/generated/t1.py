@@ -17,9 +17,6 @@ class Const(Record):
     unused_: f8 = means('nothing')
 
 
-KNOWNS = ('U_em_ctrl', 'U_em_sens')
-
-
 @kernel
 def reset(s: State, c: Const) -> None:
     """Let carried states begin at their start values."""

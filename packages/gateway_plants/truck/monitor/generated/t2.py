@@ -29,9 +29,6 @@ class Const(Record):
     start_SoC: f8 = means('SoC at the start')
 
 
-KNOWNS = ('gear', 'I_b_sens', 'I_em_sens', 'omega_gb_sens')
-
-
 @kernel
 def reset(s: State, c: Const) -> None:
     """Let carried states begin at their start values."""

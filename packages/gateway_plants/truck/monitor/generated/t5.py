@@ -22,9 +22,6 @@ class Const(Record):
     f_3_y: Annotated[f8s, 12] = means('ratio of the gearbox over gear: values')
 
 
-KNOWNS = ('U_em_ctrl', 'gear', 'I_em_sens', 'omega_gb_sens')
-
-
 @kernel
 def reset(s: State, c: Const) -> None:
     """Let carried states begin at their start values."""

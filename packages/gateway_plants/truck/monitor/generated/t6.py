@@ -24,9 +24,6 @@ class Const(Record):
     start_SoC: f8 = means('SoC at the start')
 
 
-KNOWNS = ('I_b_sens', 'U_em_sens', 'I_em_sens')
-
-
 @kernel
 def reset(s: State, c: Const) -> None:
     """Let carried states begin at their start values."""

@@ -68,9 +68,6 @@ class Const(Record):
     start_m_f: f8 = means('m_f at the start', 'kg')
 
 
-KNOWNS = ('ice_ctrl', 'u_c', 'gear', 'alpha', 'T_b_ctrl', 'I_em_sens', 'omega_e_sens', 'omega_gb_sens')
-
-
 @kernel
 def reset(s: State, c: Const) -> None:
     """Let carried states begin at their start values."""
