@@ -16,6 +16,8 @@ _BENCH = "gateway_bench"
 #: Beside each other above the core.
 _GUESTS = tuple(f"gateway_{name}" for name in ("serve", "checks", "calibration", "logs", "testers", "commands"))
 _CORE = ("gateway_ask", "gateway_api", "gateway_replay", "gateway_causes", "gateway", "gateway_fdi")
+#: What was one package with the core.
+SPLIT = (*_GUESTS, *_CORE[:-1])
 
 #: Package -> those below it. The door of pytest imports nothing, and opens the bench's plugin.
 BELOW = {
