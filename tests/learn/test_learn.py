@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from cantools.database import load_file
 from command import command
+from kept import kept
 from learning import asked, drive, quiet
 
 from gateway.config.load import load_config
@@ -82,20 +83,17 @@ def test_the_configuration_is_one_line_each_and_what_gateway_check_takes(found):
     assert "counter" not in checks["ID_63B"], "a time: it goes up by five"
 
 
-def kept(name, text):
-    """Return the kept text, and the text as it is kept; GATEWAY_KEEP=1 keeps it, where a change is meant."""
-    file, text = ROOT / "tests/learn/learned" / name, text.replace(f"{ROOT}/", "")
-    if os.environ.get("GATEWAY_KEEP"):
-        file.write_text(text)
-    return file.read_text(), text
+def as_before(name, text, folder):
+    """Compare a text with what is kept of it, without its folders."""
+    text = text.replace(f"{ROOT}/", "").replace(f"{folder}/", "")
+    assert text.splitlines() == kept(ROOT / "tests/learn/learned" / name, text.encode()).decode().splitlines()
 
 
 def test_every_line_of_the_shipped_drive_is_that_of_before(found):
     """A limit, an evidence, a note, a trial that changes is seen here, and is meant or not."""
     out, result = found
-    for name, text in (("car.toml", out.read_text()), ("car.md", markdown(asked(out, DRIVE, hold_out=0.5), result))):
-        before, now = kept(name, text.replace(f"{out.parent}/", ""))
-        assert now.splitlines() == before.splitlines()
+    as_before("car.toml", out.read_text(), out.parent)
+    as_before("car.md", markdown(asked(out, DRIVE, hold_out=0.5), result), out.parent)
 
 
 @pytest.mark.evidence("Healthy parts: stranger car")
@@ -155,8 +153,7 @@ def made(tmp_path, seed=1, **more):
 def test_counters_with_a_modulus_relations_over_units_and_states(tmp_path):
     _, result = made(tmp_path)
     (text, *_) = result.files(tmp_path / "car.toml").values()
-    before, now = kept("made.toml", text.replace(f"{tmp_path}/", ""))
-    assert now.splitlines() == before.splitlines()
+    as_before("made.toml", text, tmp_path)
     lines = {place[1:]: line.keys for place, line in result.learned.lines.items()}
     assert lines[CHECK, "Alive"]["counter"] == {"signal": "Count", "modulus": 15}
     assert result.alarms == ()
