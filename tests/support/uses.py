@@ -118,6 +118,7 @@ USES = {
     "docs/test_docs.py": (*PLANTS, _BENCH, "gateway_fleet"),
     "runtime/test_gateway.py": PLANTS,
     "jit/test_kernels_again.py": PLANTS,
+    "config/test_keys.py": (*PLANTS, _BENCH, "gateway_fleet"),
     "config/test_mistakes.py": ("crank",),
     "servers/test_own_frames.py": ("crank",),
     "common/test_plugins.py": ("crank", _BENCH),
@@ -126,6 +127,7 @@ USES = {
     "vecu/test_conditional.py": ("crank", "linear"),
     "vecu/test_encode.py": ("pedal", "steering"),
     "vecu/test_every_ecu.py": ("crank",),
+    "vecu/test_keys.py": PLANTS,
     "vecu/test_loop.py": ("linear",),
 }
 
