@@ -118,7 +118,7 @@ USES = {
     "docs/test_docs.py": (*PLANTS, _BENCH, "gateway_fleet"),
     "runtime/test_gateway.py": PLANTS,
     "jit/test_kernels_again.py": PLANTS,
-    "config/test_keys.py": (*PLANTS, *_GUESTS, _BENCH, "gateway_fleet", "gateway_arena"),
+    "config/test_keys.py": (*PLANTS, "gateway_testers", "gateway_checks", _BENCH, "gateway_fleet", "gateway_arena"),
     "config/test_mistakes.py": ("crank",),
     "servers/test_own_frames.py": ("crank",),
     "common/test_plugins.py": ("crank", _BENCH),
