@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from cantools.database import load_file
 from command import command
-from kept import kept
-from learning import asked, drive, quiet
+from learning import as_before, asked, drive, quiet
 
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
@@ -81,12 +80,6 @@ def test_the_configuration_is_one_line_each_and_what_gateway_check_takes(found):
     assert "ACC_CONTROL" in notes, "never came"
     assert "GEAR_PACKET.GEAR (1 of 5)" in notes, "one gear says nothing of values without a text"
     assert "counter" not in checks["ID_63B"], "a time: it goes up by five"
-
-
-def as_before(name, text, folder):
-    """Compare a text with what is kept of it, without its folders."""
-    text = text.replace(f"{ROOT}/", "").replace(f"{folder}/", "")
-    assert text.splitlines() == kept(ROOT / "tests/learn/learned" / name, text.encode()).decode().splitlines()
 
 
 def test_every_line_of_the_shipped_drive_is_that_of_before(found):
