@@ -282,7 +282,11 @@ def test_odxtools_writes_the_same_elements_in_the_same_order(tmp_path):
 
 def test_every_element_of_the_file_is_that_of_before(tmp_path):
     """A DTC's datum, a length, a time, a bit that changes in the file is seen here, and is meant or not."""
-    extra = EXTRA.format(uds=UDS + "functional = 0x7DF\n") + MORE + "[output.doip]\n"
+    extra = (
+        EXTRA.format(uds=UDS + "functional = 0x7DF\n")
+        + MORE
+        + "[output.doip]\ntester = [{ address = 0xE00 }, { address = 0xE80 }]\n"
+    )
     path = write_config(tmp_path, 3, extra=extra, faults=FAULTS)
     gateway = Gateway(load_config(path), file=path)
     with zipfile.ZipFile(io.BytesIO(pdx_of(gateway))) as files:
