@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gateway.bus.frames import empty, payload
-from gateway_bench.vecu.expectations import Judge
 from gateway_bench.vecu.player import Player
 from gateway_bench.vecu.scenario import Scenario, load_scenario
 from gateway_bench.vecu.wire_faults import Wire
@@ -250,40 +249,6 @@ def test_every_shipped_scenario_loads():
     assert len(files) >= 10
     for file in files:
         assert load_scenario(file).config.exists()
-
-
-def judged(expect, reports, **changes):
-    judge = Judge(scenario(expect=expect, **changes))
-    for report in reports:
-        judge.report(*report)
-    return [finding.good for finding in judge.findings()]
-
-
-def test_expectations():
-    want = [{"dtc": "P0336-39", "after_s": 0.5, "by_s": 1.0, "healed_by_s": 1.5}]
-    assert judged(want, []) == [False]
-    assert judged(want, [(0.7, "P0336-39", 0x2F, 1), (1.2, "P0336-39", 0x2E, 1)]) == [True, True]
-    assert judged(want, [(0.7, "P0336-39", 0x2F, 1)]) == [True, False]
-    assert judged(want, [(1.2, "P0336-39", 0x2F, 1)]) == [False]
-    assert judged(want, [(0.2, "P0336-39", 0x2F, 1), (0.3, "P0336-39", 0x2E, 1)])[0] is False
-    # stored from an earlier drive, and not set anew
-    old = [(-1, "P0336-39", 0x2E, 3), (0.7, "P0336-39", 0x2E, 3)]
-    assert judged(want, old) == [False]
-    assert judged(want, [*old, (0.8, "P0336-39", 0x2E, 4)]) == [True, True]
-    # set again after healing, to the end
-    again = [(0.7, "P0336-39", 0x2F, 1), (1.0, "P0336-39", 0x2E, 1), (1.1, "P0336-39", 0x2F, 2)]
-    assert judged(want, again) == [True, False]
-    assert judged([], [(0.7, "U0100-87", 0x2F, 1)]) == [False]
-    assert judged([], [(0.7, "U0100-87", 0x2F, 1)], unexpected="allow") == []
-    # after the drive the ECUs are switched off
-    assert judged([], [(99.0, "U0100-87", 0x2F, 1)]) == []
-    assert judged([{"dtc": "U0100-87", "absent": True}], [(99.0, "U0100-87", 0x2F, 1)]) == [True]
-    gone = [(0.7, "P0336-39", 0x2F, 1), (1.2, "P0336-39", 0x2E, 1), (2.3, "P0336-39", 0x2F, 2)]
-    assert judged(want, gone) == [True, True]
-    # set again in the drive, and healed again
-    assert judged(want, [*again, (1.9, "P0336-39", 0x2E, 2)]) == [True, True]
-    assert judged([{"dtc": "U0100-87", "absent": True}], [(0.7, "U0100-87", 0x2F, 1)]) == [False]
-    assert judged([{"dtc": "U0100-87", "absent": True}], []) == [True]
 
 
 @pytest.mark.parametrize(

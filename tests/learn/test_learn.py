@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 from cantools.database import load_file
 from command import command
-from learning import asked, drive, quiet
+from learning import as_before, asked, drive, quiet
 
 from gateway.config.load import load_config
 from gateway.runtime.app import Gateway
 from gateway_fdi.errors import InputError, InputErrors
 from gateway_fleet.learn.learn import learn, write
 from gateway_fleet.learn.lines import CHECK, RULE, SIGNAL
+from gateway_fleet.learn.report import markdown
 
 ROOT = Path(__file__).parents[2]
 DRIVE = ROOT / "examples/car/drive.log.xz"
@@ -81,6 +82,13 @@ def test_the_configuration_is_one_line_each_and_what_gateway_check_takes(found):
     assert "counter" not in checks["ID_63B"], "a time: it goes up by five"
 
 
+def test_every_line_of_the_shipped_drive_is_that_of_before(found):
+    """A limit, an evidence, a note, a trial that changes is seen here, and is meant or not."""
+    out, result = found
+    as_before("car.toml", out.read_text(), out.parent)
+    as_before("car.md", markdown(asked(out, DRIVE, hold_out=0.5), result), out.parent)
+
+
 @pytest.mark.evidence("Healthy parts: stranger car")
 def test_a_healthy_stranger_of_the_same_car_is_not_accused(found):
     """Limits leave room for what the drive did not show: full throttle, standstill, a steering wheel at its stop."""
@@ -137,6 +145,8 @@ def made(tmp_path, seed=1, **more):
 
 def test_counters_with_a_modulus_relations_over_units_and_states(tmp_path):
     _, result = made(tmp_path)
+    (text, *_) = result.files(tmp_path / "car.toml").values()
+    as_before("made.toml", text, tmp_path)
     lines = {place[1:]: line.keys for place, line in result.learned.lines.items()}
     assert lines[CHECK, "Alive"]["counter"] == {"signal": "Count", "modulus": 15}
     assert result.alarms == ()

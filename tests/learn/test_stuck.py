@@ -4,7 +4,7 @@ import math
 import random
 
 import pytest
-from learning import asked, drive, quiet
+from learning import as_before, asked, drive, quiet
 
 from gateway.bus.logs import LogReader
 from gateway.config.load import load_config
@@ -45,6 +45,7 @@ def learned(folder, seconds, seed):
     result = learn(asked(folder / "car.toml", log, databases=(folder / "car.dbc",)), quiet)
     assert result.alarms == ()
     write(result.files(folder / "car.toml"))
+    as_before(f"stuck{seed}.toml", (folder / "car.toml").read_text(), folder)
     lines = {place[2]: line for place, line in result.learned.lines.items() if place[1] == SIGNAL}
     return folder / "car.toml", lines
 

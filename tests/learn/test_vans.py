@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from learning import asked, quiet
+from learning import as_before, asked, quiet
 
 from gateway.bus.frames import empty
 from gateway.bus.logs import LogReader, open_writer
@@ -91,6 +91,7 @@ def fleet(tmp_path_factory):
     result = learn(asked(folder / "van.toml", *logs, databases=(folder / "van.dbc",)), quiet)
     assert result.alarms == ()
     write(result.files(folder / "van.toml"))
+    as_before("van.toml", (folder / "van.toml").read_text(), folder)
     return folder
 
 

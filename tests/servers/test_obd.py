@@ -6,6 +6,9 @@ import pytest
 from rig import FUNCTIONAL, Rig, Tester, write_config
 
 from gateway.servers.tester_control import LatestResult
+from gateway_ask.answers.decode import AnswerDecoder
+from gateway_ask.answers.layout import j1979
+from gateway_testers.obd.params import STANDARD, PidParams
 from gateway_testers.obd.test_results import encode
 
 EXTRA = """
@@ -78,6 +81,17 @@ def test_mode_01_values(rig, ask):
     assert ask("010c0b") == "410c0cb2", "of several, those that are there"
     assert ask("011c") == "411c05"
     assert ask("01", functional=False) == "7f0112"
+
+
+def test_usual_pids_are_coded_as_the_clients_layouts_read_them():
+    """The layouts of the client are those that scripts/judge-j1979 compares with public readers."""
+    layouts = {layout.identifier: AnswerDecoder(layout) for layout in j1979()}
+    for pid, (length, *_) in STANDARD.items():
+        coded = [raw.to_bytes(length, "big") for raw in (0, 1, (1 << 8 * length) // 3, (1 << 8 * length) - 1)]
+        coding = PidParams(id=pid, signal="a.b")
+        (values,) = layouts[pid].decode(coded).values
+        assert [coding.encode(value) for value in values] == coded, hex(pid)
+        assert [coding.encode(values[-1] + 1e9), coding.encode(values[0] - 1e9)] == [coded[-1], coded[0]], "clipped"
 
 
 @pytest.mark.evidence("SAE J1979: 01 01")

@@ -1,5 +1,7 @@
 """The PDX file of a gateway: odxtools reads it, and makes a tester of it that knows nothing else."""
 
+import io
+import lzma
 import math
 import re
 import sys
@@ -13,12 +15,15 @@ import odxtools
 import odxtools.cli.main
 import pytest
 from doip_wire import wired
+from kept import kept
 from odxtools.message import Message
 from odxtools.writepdxfile import write_pdx_file
 from rig import Tester, write_config
 from uds_tester import ANYBODY, EXTRA, hexed
 
 from gateway.cli.present import find_config
+from gateway.config.load import load_config
+from gateway.runtime.app import Gateway
 from gateway.servers.uds.security import hmac_sha256
 from gateway.servers.uds.services import SERVICES
 from gateway_ask.answers.decode import AnswerDecoder
@@ -273,6 +278,22 @@ def test_odxtools_writes_the_same_elements_in_the_same_order(tmp_path):
             assert {info.date_time[0] for info in ours.infolist()} == {1980}, "no time of today"
             for name in set(ours.namelist()) - {"index.xml"}:
                 assert stripped(ET.fromstring(ours.read(name))) == stripped(ET.fromstring(theirs.read(name))), name
+
+
+def test_every_element_of_the_file_is_that_of_before(tmp_path):
+    """A DTC's datum, a length, a time, a bit that changes in the file is seen here, and is meant or not."""
+    extra = (
+        EXTRA.format(uds=UDS + "functional = 0x7DF\n")
+        + MORE
+        + "[output.doip]\ntester = [{ address = 0xE00 }, { address = 0xE80 }]\n"
+    )
+    path = write_config(tmp_path, 3, extra=extra, faults=FAULTS)
+    gateway = Gateway(load_config(path), file=path)
+    with zipfile.ZipFile(io.BytesIO(pdx_of(gateway))) as files:
+        now = "\n".join(f"{name}\n{files.read(name).decode()}" for name in files.namelist())
+    gateway.close()
+    before = lzma.decompress(kept(Path(__file__).with_name("gateway.pdx.txt.xz"), lzma.compress(now.encode())))
+    assert now.splitlines() == before.decode().splitlines()
 
 
 def test_the_commands_of_odxtools_take_the_file(tmp_path, monkeypatch, capsys):

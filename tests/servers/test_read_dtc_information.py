@@ -308,3 +308,12 @@ def test_the_window_of_responses_on_events(uds):
     assert any(can_id == 0x7E8 for can_id, _ in rig.fail(0))
     rig.wait(30_001, step=1000)
     assert not any(can_id == 0x7E8 for can_id, _ in rig.fail(1)), "three times 10 s are over"
+
+
+def test_the_severity_byte_is_severity_and_class(uds):
+    """ISO 14229-1, annex D.3: three bits; global technical regulation 5: the other five."""
+    both = [("none", "c"), ("maintenance", "a"), ("immediately", "b2")]
+    faults = {k: f'severity = "{one}"\ndtc_class = "{other}"\n' for k, (one, other) in enumerate(both)}
+    for asked, wanted in ((faults, "10 22 88"), ({0: 'severity = "next_halt"\ndtc_class = "b1"\n'}, "44 01 01")):
+        _, ask = uds(faults=asked)
+        assert " ".join(ask(f"1909{hexed(k)}")[6:8] for k in range(3)) == wanted

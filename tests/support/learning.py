@@ -2,16 +2,25 @@
 
 from pathlib import Path
 
+from kept import kept
+
 from gateway.bus.frames import empty, put
 from gateway.bus.logs import open_writer
 from gateway_fleet.learn.document import BusAsked
 from gateway_fleet.learn.learn import Asked
 
-DATABASE = Path(__file__).parents[2] / "examples/car/toyota_rav4.dbc"
+ROOT = Path(__file__).parents[2]
+DATABASE = ROOT / "examples/car/toyota_rav4.dbc"
 
 
 def quiet(*_):
     """Show nothing."""
+
+
+def as_before(name, text, folder):
+    """Compare a text with what is kept of it, without its folders."""
+    text = text.replace(f"{ROOT}/", "").replace(f"{folder}/", "")
+    assert text.splitlines() == kept(ROOT / "tests/learn/learned" / name, text.encode()).decode().splitlines()
 
 
 def asked(out, *logs, databases=(DATABASE,), **more):

@@ -18,6 +18,8 @@ _BENCH = "gateway_bench"
 #: Beside each other above the core.
 _BESIDE = tuple(f"gateway_{name}" for name in ("serve", "checks", "calibration", "logs", "testers", "commands"))
 _CORE = ("gateway_ask", "gateway_api", "gateway_replay", "gateway_causes", "gateway", "gateway_fdi")
+#: What was one package with the core.
+SPLIT = (*_BESIDE, *_CORE[:-1])
 
 #: Package -> those below it. The door of pytest imports nothing, and opens the bench's plugin.
 BELOW = {
@@ -124,10 +126,12 @@ USES = {
     "servers/test_own_frames.py": ("crank", "gateway_testers"),
     "common/test_plugins.py": ("crank", _BENCH, "gateway_testers"),
     "runtime/test_reload.py": ("crank", "pedal", "steering", "linear", "truck", "gateway_testers"),
+    "config/test_keys.py": (*PLANTS, "gateway_testers", "gateway_checks", _BENCH, "gateway_fleet", "gateway_arena"),
     "package/test_start.py": tuple(name for name in PLANTS if name != "structural"),
     "vecu/test_conditional.py": ("crank", "linear", "gateway_testers"),
     "vecu/test_encode.py": ("pedal", "steering"),
     "vecu/test_every_ecu.py": ("crank", "gateway_testers"),
+    "vecu/test_keys.py": (*PLANTS, "gateway_arena"),
     "vecu/test_loop.py": ("linear",),
     "live/test_outside.py": ("gateway_serve",),
     "clients/test_asked.py": ("gateway_checks", "gateway_testers"),

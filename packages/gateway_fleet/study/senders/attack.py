@@ -26,7 +26,6 @@ KINDS = (*FREQUENCY, SILENT, FORGED)
 PART_S, LEAD_S, SETTLED_S, ATTACK_S, AFTER_S = 15.0, 7.0, 5.5, 4.0, 3.5
 #: Faults that name another sender.
 SENDERS = ("early", "second_sender", "unknown")
-SECOND_NS = 1_000_000_000
 
 
 @dataclass
