@@ -13,6 +13,7 @@ from gateway_bench.vecu.databases import message_of
 from gateway_fdi.common.resources import shipped
 from gateway_plants.truck.ecu.ecu import DATABASE, MESSAGES
 from gateway_plants.truck.monitor.messages import MESSAGES as INPUTS
+from gateway_plants.truck.monitor.messages import signal_of
 from gateway_plants.truck.monitor.records import R1, R2
 
 BEGIN = 10**9
@@ -38,9 +39,9 @@ def frames_of(rows):
 
 def configuration(folder):
     knowns = {
-        known: f"{message}.{signal}"
+        known: f"{message}.{signal_of(known)}"
         for message, fields in INPUTS.items()
-        for known, (signal, _) in fields.items()
+        for known in fields
         if known != "charge"
     }
     signals = ", ".join(f'{known} = "{name}"' for known, name in knowns.items())
