@@ -61,6 +61,8 @@ ABRUPT = 4.0
 NEAR = 2
 #: Variance of the edges [pitch^2] below which intervals are those of a wheel of equal pitches.
 MOST_UNEVEN = 0.2**2 / 2.0
+#: Largest pitch from which on a whole turn tells the place: a smaller one is what defects make of other places, too.
+MARK = 1.3
 #: A pulse so much later [pitch] than the last tooth that can be counted is behind more of them.
 BEYOND = 0.45
 
@@ -348,7 +350,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         restart(s.search)
     se = s.search
     index = seek(se, c.logs, c.repeats, y)
-    if index < 0 and c.even == 0 and se.seen > c.pulses and se.seen % (c.pulses - 1) == 0 and s.seen.pitch > 0.0:
+    if index < 0 and c.gap > MARK and se.seen > c.pulses and se.seen % (c.pulses - 1) == 0 and s.seen.pitch > 0.0:
         period, variance = s.seen.pitch, s.seen.variance / 2.0
         index = competing_hypothesis.place(s.anchor, c.anchor.length, c.wheel, c.repeats, period, variance)
         se.period, se.growth, se.variance = period, 0.0, variance
