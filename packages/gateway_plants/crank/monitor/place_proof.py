@@ -134,7 +134,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             anchor.hold(an)
             if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
                 _witness(s, c, True, out)
-        elif s.teeth - s.uneven <= c.anchor.length or s.defects.turns > 0:
+        elif s.teeth - s.uneven <= c.anchor.length or (s.phase == CONFIRMED and s.defects.turns > 0):
             if found == anchor.ABSENT and s.known == 0 and not _explained(s, c):
                 doubt(s)
         elif found <= 0:
