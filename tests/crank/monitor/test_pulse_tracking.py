@@ -101,7 +101,7 @@ def test_the_place_is_found_or_not_told(wheel, start, period, slope):
     found = []
     for k in range(2 * w.pulses):
         at = (start + k) % w.pulses
-        index = seek(se, logs, w.repeats, WINDOW, pitches[at] * period * np.exp(slope * k))
+        index = seek(se, logs, w.repeats, pitches[at] * period * np.exp(slope * k))
         if index >= 0:
             found.append(index)
             assert index == (at + 1) % w.pulses

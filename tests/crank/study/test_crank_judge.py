@@ -71,6 +71,12 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
         *((225577, k) for k in (2225,)),  # twelve teeth less one, whose edges a defect made look noisy
         *((331199, k) for k in (2285, 6833)),
         *((70001, k) for k in (388, 2224)),  # pieces of a filled gap like the gap and a pitch, behind lost frames
+        *((331199, k) for k in (2438,)),  # a sender that began to count anew
+        *((440777, k) for k in (3689, 7508, 9908)),  # a guess of lost pulses that was wrong
+        *((331199, k) for k in (1893, 3994, 5555)),  # one turn in many that spoke for the place; noisy edges of 12+1
+        *((773311, k) for k in (297, 4153, 6301, 6421, 7414, 8829)),
+        *((440777, k) for k in (215, 6289, 6357, 7641)),  # a pulse believed added, before the next gap
+        *((773311, k) for k in (1353, 2001, 2037)),  # turns that spoke for another place
     ],
 )
 def test_runs_that_once_proved_a_wrong_tooth(judge, seed, number):

@@ -11,7 +11,7 @@ import numpy as np
 
 from gateway_fdi.jit import f8s, kernel
 from gateway_plants.crank import wheel_estimation, wheel_pairs
-from gateway_plants.crank.monitor import anchor, defects, no_gap, noise, reversal, wrong_wheel
+from gateway_plants.crank.monitor import anchor, competing_hypothesis, defects, no_gap, noise, reversal, wrong_wheel
 from gateway_plants.crank.monitor.faults import Reports
 from gateway_plants.crank.monitor.isolation import decide, fall_noisy, lose
 from gateway_plants.crank.monitor.place_proof import hold_to_gap, prove
@@ -61,16 +61,18 @@ ABRUPT = 4.0
 NEAR = 2
 #: Variance of the edges [pitch^2] below which intervals are those of a wheel of equal pitches.
 MOST_UNEVEN = 0.2**2 / 2.0
+#: Largest pitch from which on a whole turn tells the place: a smaller one is what defects make of other places, too.
+MARK = 1.3
 #: A pulse so much later [pitch] than the last tooth that can be counted is behind more of them.
 BEYOND = 0.45
 
 
 @kernel
-def lost(s: State, c: Const, number: int, out: Reports) -> None:
+def lost(s: State, c: Const, number: int, counted: bool, out: Reports) -> None:
     """Pass over pulses whose times were lost on the bus: they were there, unseen.
 
     A tooth missed among them would not be known: the place is not proven any more, until a gap is seen where it is
-    expected.
+    expected. If their number is not known (not ``counted``), what came before says nothing of what comes.
     """
     unwatched(s, c, number, out)
     wheel_estimation.skip(s.seen)
@@ -79,6 +81,9 @@ def lost(s: State, c: Const, number: int, out: Reports) -> None:
         noise.tell(s.burst, c.firing_us, out)
         search(s, c)
     _pass_over(s, c, defects.passed(s.defects, c.pulses, int(s.index), number, int(s.teeth)))
+    if not counted:
+        s.rival.turns = 0
+        anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
     no_gap.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
 
 
@@ -343,9 +348,13 @@ def _seek(s: State, c: Const, y: float) -> None:
     if reversal.stopping(c.turn_us * c.gap, 1.0, s.y2, s.y1, y, s.tracker.variance):
         s.reversal.stood = 1
         restart(s.search)
-    index = seek(s.search, c.logs, c.repeats, c.window, y)
-    if index >= 0 and (c.even == 0 or s.search.variance < MOST_UNEVEN):
-        se = s.search
+    se = s.search
+    index = seek(se, c.logs, c.repeats, y)
+    if index < 0 and c.gap > MARK and se.seen > c.pulses and se.seen % (c.pulses - 1) == 0 and s.seen.pitch > 0.0:
+        period, variance = s.seen.pitch, s.seen.variance / 2.0
+        index = competing_hypothesis.place(s.anchor, c.anchor.length, c.wheel, c.repeats, period, variance)
+        se.period, se.growth, se.variance = period, 0.0, variance
+    if index >= 0 and (c.even == 0 or se.variance < MOST_UNEVEN):
         begin(s.tracker, index, se.period, se.growth, se.variance)
         s.tracker.wander = unlearned(c, se.period)
         s.phase = TENTATIVE
@@ -358,7 +367,7 @@ def _seek(s: State, c: Const, y: float) -> None:
         s.profile.clean = 0
         s.profile.turn_us = 0.0
         anchor.restart(s.anchor)
-        s.sure = 1 if anchor.shows(s.anchor, c.anchor, index, c.window) else 0
+        s.sure = 1 if anchor.shows(s.anchor, c.anchor, index) else 0
 
 
 @kernel

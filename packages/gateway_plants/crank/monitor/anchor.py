@@ -42,6 +42,8 @@ RIGHT = 1.65
 LEVEL = 1.35
 #: A gap whose squared ratio to its neighbours is less than this is no mark of its own.
 DISTINCT = 2.4
+#: Pulses since the gap, at most, where a place is found by it.
+SEEN = 6
 #: Wins of a shift in a row after which it is believed.
 WINS = 2
 #: What :func:`ask` found besides a shift: the turn is even, no gap is in it; it cannot tell; the present place is the
@@ -176,7 +178,7 @@ def level(pitches: f8s, pulses: int, y2: float, y: float) -> bool:
 
 
 @kernel
-def shows(an: State, c: Const, index: int, window: int) -> bool:
+def shows(an: State, c: Const, index: int) -> bool:
     """Tell whether the largest gap is among the last intervals, and stands out from its neighbours as it should.
 
     A straight line through a few logarithms is not what an engine does that spins up over a compression: a place that
@@ -186,9 +188,8 @@ def shows(an: State, c: Const, index: int, window: int) -> bool:
         an: record of State.
         c: record of Const.
         index: of the latest tooth; the gap ended so many pulses ago.
-        window: intervals that the place was found by.
     """
-    if index > window - 2:
+    if index > SEEN:
         return False
     at, ring = an.at - 1 - index, c.length
     before, here = an.intervals[(at - 1) % ring], an.intervals[at % ring]

@@ -31,13 +31,20 @@ def _lost(s: State, c: Const, number: int, out: Reports) -> None:
     """Pass over pulses whose times were lost on the bus."""
     s.count = (s.count + number) % 65536
     phase.restart(s.phase)
-    adaptive.lost(s.fast, c.fast, number, out)
+    adaptive.lost(s.fast, c.fast, number, s.guessed == 0, out)
 
 
 @kernel
 def wrapped(number: int) -> int:
     """Return a difference of two counters modulo 65536 as -32768..32767."""
     return (number + 32768) % 65536 - 32768
+
+
+@kernel
+def _compare(s: State) -> None:
+    """Forget a count that was guessed, where the gap has told the place since: it may have put a wrong guess right."""
+    if s.guessed == 1 and s.fast.hole == 0:
+        s.counted = 0
 
 
 @kernel
@@ -52,10 +59,12 @@ def base(s: State, c: Const, u: Inputs) -> None:
         s.owed_pulses = pulses
         s.owed_teeth = teeth
         return
+    _compare(s)
     if s.counted == 1:
         adaptive.recount(s.fast, c.fast, wrapped(pulses - s.count))
     s.count = pulses
     s.counted = 1
+    s.guessed = 0
     s.owed = 0
 
 
@@ -63,11 +72,14 @@ def base(s: State, c: Const, u: Inputs) -> None:
 def _missing(s: State, frames: int, counter: int) -> int:
     """Return the pulses of lost CTW_PT4 frames: four each, or what CTW_BASE told meanwhile."""
     number = frames * CLASSIC_INTERVALS
+    _compare(s)
+    s.guessed = 1
     if s.owed == 1:
         later = (counter - 1 - s.owed_teeth) % 16
         if s.counted == 1 and later < frames:
             told = s.owed_pulses + later * CLASSIC_INTERVALS - s.count
             number = max(wrapped(told), 0)
+            s.guessed = 1 if later > 0 else 0
         s.count = (s.owed_pulses + later * CLASSIC_INTERVALS - number) % 65536
         s.counted = 1
         s.owed = 0
@@ -122,6 +134,9 @@ def classic(s: State, c: Const, u: Inputs, out: Reports) -> bool:
             return False
         if frames >= 128:
             stand(s, c, out)
+            s.counted = 0
+            s.owed = 0
+            s.base_counter = -1
         elif frames > 0:
             number = _missing(s, frames, counter)
             if number > 0:

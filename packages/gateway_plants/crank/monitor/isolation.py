@@ -130,10 +130,7 @@ def _spoil(s: State, c: Const, tooth: int, net: int) -> None:
 
 @kernel
 def _disturb(s: State, c: Const, tooth: int, missed: int, added: int, own: bool) -> None:
-    """Count missed or added pulses with those just before; the gap has to bear out that one was missed.
-
-    Not those that come again in each turn (``own``), and none beside the gap, which may be filled from now on.
-    """
+    """Count missed or added pulses with those just before; the gap has to bear them out, or that they come again."""
     if own or s.teeth - s.decided > TOGETHER:
         s.burst_missed = 0
         s.burst_added = 0
@@ -142,8 +139,7 @@ def _disturb(s: State, c: Const, tooth: int, missed: int, added: int, own: bool)
     s.burst_added += added
     if not own:
         s.decided = s.teeth
-        if missed > 0 and c.even == 0 and not _beside_gap(c, tooth):
-            s.anchor.unchecked = 1
+        s.anchor.unchecked = 0 if c.even == 1 else 1
 
 
 @kernel
@@ -232,6 +228,7 @@ def _learn(s: State, c: Const, tooth: int, net: int, own: bool, out: Reports) ->
         out: record of Out.
     """
     if own:
+        s.anchor.unchecked = 0
         expect(s.tracker, c.pulses, tooth, net)
     if own and s.teeth - s.decided > c.pulses - TOGETHER:  # nothing else is missing or added in this turn
         s.recent_missed = 0

@@ -279,7 +279,8 @@ def _cam(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
         decided = competing_hypothesis.take_edge(f.rival, here, there)
         if decided > 0:
             place_proof.settle(f, c.fast, out, decided == 2)
-        return
+        if decided > 0 or here != there or (not here and s.cam.half < 0):
+            return  # one that fits neither, when others did before, is the cam's
     if f.placed == sync_state.BY_CAM and u.cam_delay > OVERDUE * sync_state.period(f):
         return  # the pulse before it may be one that was missed
     slack = _slack(c, f, u.cam_delay)
@@ -346,7 +347,7 @@ def step(s: State, c: Const, u: Inputs, out: Out[Evidence, Outputs]) -> None:
     else:
         now = frames.classic(s, c, u, out)
     if c.cam.edges > 0:
-        if s.fast.phase == sync_state.CONFIRMED:
+        if s.fast.phase == sync_state.CONFIRMED or s.fast.rival.other != competing_hypothesis.NONE:
             cam.turned(s.cam, out, sync_state.revolutions(s.fast, c.fast) - turns)
         else:
             cam.forget(s.cam)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gateway.monitors.contract import report
 from gateway_fdi.jit import kernel
+from gateway_plants.crank import wheel_estimation
 from gateway_plants.crank.monitor import anchor, competing_hypothesis, defects, no_gap, runout, turns, wrong_wheel
 from gateway_plants.crank.monitor.faults import ADDED, RELOCATED, TWO_PLACES, Reports
 from gateway_plants.crank.monitor.sync_state import (
@@ -51,9 +52,10 @@ def prove(s: State, c: Const, out: Reports) -> None:
     proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
     if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or held_back(s, c):
         return
-    if _noisy(s, c):
+    seen = wheel_estimation.sure(s.seen)
+    if _noisy(s, c) or (s.recurring == 0 and seen > 0 and seen != c.repeats):
         return
-    if s.held_fault >= 0 and not _alone(s, c, out):
+    if (s.held_fault >= 0 or s.rival.other != competing_hypothesis.NONE) and not _alone(s, c, out):
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
@@ -64,9 +66,7 @@ def prove(s: State, c: Const, out: Reports) -> None:
 @kernel
 def _noisy(s: State, c: Const) -> bool:
     """Tell whether the edges of a wheel of few pulses are so noisy that more turns have to show its place."""
-    return bool(
-        c.pulses < MARKED and c.anchor.ratio > 0.0 and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN
-    )
+    return bool(c.pulses < MARKED and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN)
 
 
 @kernel
@@ -89,7 +89,7 @@ def held_back(s: State, c: Const) -> bool:
 def confirm(s: State, out: Reports) -> None:
     """Take the place on the wheel for proven, and report what was held until then."""
     s.phase = CONFIRMED
-    s.anchor.unchecked = 0
+    anchor.hold(s.anchor)
     s.refused = 0
     no_gap.clear(s.waiting)
     s.suspects = 0
@@ -134,8 +134,8 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             anchor.hold(an)
             if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
                 _witness(s, c, True, out)
-        elif s.teeth - s.uneven <= c.anchor.length:
-            if found == anchor.ABSENT and s.known == 0:
+        elif s.teeth - s.uneven <= c.anchor.length or (s.phase == CONFIRMED and s.defects.turns > 0):
+            if found == anchor.ABSENT and s.known == 0 and not _explained(s, c):
                 doubt(s)
         elif found <= 0:
             # One turn alone never decides: it may be a burst.
@@ -148,6 +148,14 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             an.shift = found
             if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0 and s.hole == 0):
                 relocate(s, c, out, found)
+
+
+@kernel
+def _explained(s: State, c: Const) -> bool:
+    """Tell whether the place explains the last turn better than any other, with its defects."""
+    period = best(s.tracker).period
+    found = competing_hypothesis.place(s.anchor, c.anchor.length, c.wheel, c.repeats, period, s.tracker.variance)
+    return bool(found == s.index % c.repeats)
 
 
 @kernel
@@ -172,11 +180,16 @@ def _laid(s: State, c: Const) -> bool:
 @kernel
 def _alone(s: State, c: Const, out: Reports) -> bool:
     """Tell whether no other place explains the last turn as well; reports one, if teeth are missing in each turn."""
-    period = best(s.tracker).period
-    number, missing = competing_hypothesis.seek(s.rival, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period)
-    if s.recurring == 1 and (number > competing_hypothesis.MOST or missing != defects.missing(s.defects)):
+    period, rv = best(s.tracker).period, s.rival
+    if s.teeth - rv.asked < c.pulses // 2:
+        return False  # each turn says it once
+    rv.asked = s.teeth
+    cost, missing = competing_hypothesis.seek(
+        rv, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period, s.tracker.variance
+    )
+    if s.recurring == 1 and (cost > competing_hypothesis.MOST or missing != defects.missing(s.defects)):
         return False
-    if s.rival.other == competing_hypothesis.NONE:
+    if rv.other == competing_hypothesis.NONE:
         return True
     if missing == 0 or s.recurring == 0 or s.defects.turns < defects.SURE:
         return False
@@ -244,9 +257,9 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
         s.sure = 1
     if s.phase != TENTATIVE or not told or not decides(s, c) or held_back(s, c) or _noisy(s, c):
         return
-    if s.recurring == 1 and not _told_apart(s, c):
+    if s.recurring == 1 and (s.twice == 1 or not _told_apart(s, c)):
         return
-    if s.recurring == 1 and not _alone(s, c, out):
+    if (s.recurring == 1 or s.rival.other != competing_hypothesis.NONE) and not _alone(s, c, out):
         return
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap

@@ -30,6 +30,7 @@ class State(Record):
     base_counter: i8 = means("counter of the last CTW_BASE")
     count: i8 = means("pulses, as the sender counts them, modulo 65536")
     counted: u1 = means("1: count is known")
+    guessed: u1 = means("1: of the last frames lost it is not known how many pulses they had")
     owed: u1 = means("1: the last CTW_BASE told of frames that are not here yet")
     owed_pulses: i8 = means("pulses that it told")
     owed_teeth: i8 = means("counter of the frame that it told of, modulo 16")

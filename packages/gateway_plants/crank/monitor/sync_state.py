@@ -13,7 +13,7 @@ from gateway_plants.crank.monitor import anchor, candidate_wheels, competing_hyp
 from gateway_plants.crank.monitor.faults import RESIDUALS, Reports, Shape
 from gateway_plants.crank.monitor.reversal import Reversal
 from gateway_plants.crank.monitor.runout import ALLOWED, ALLOWED_RPM, FIRING_RPM, Law
-from gateway_plants.crank.pulse_tracking.acquisition import Search, restart, window_of
+from gateway_plants.crank.pulse_tracking.acquisition import Search, restart
 from gateway_plants.crank.pulse_tracking.hypotheses import RING
 from gateway_plants.crank.pulse_tracking.profile import (
     MOST_ORDERS,
@@ -75,7 +75,6 @@ class Const(Record):
     rest: f8 = means("process noise of the growth that ripple needs while it is not learned, by its amplitude squared")
     proof_us: f8 = means("longest turn by which a place is proven", "us")
     repeats: i4 = means("pulses after which the pattern repeats")
-    window: i4 = means("intervals that are compared with the pattern to find the place")
     acceleration: f8 = means("that the engine can have", "pitch/s^2")
     ripple: f8 = means("growth that torsional ripple can have", "1/pitch")
     unlearned: f8 = means("process noise of the growth while ripple is not learned")
@@ -180,7 +179,6 @@ def prepare(s: State, c: Const, wheel: Wheel, acceleration: float, runout: float
     c.pulses, c.teeth, c.turns, c.turn = count, wheel.pulses, wheel.tiles, wheel.turn
     c.even = wheel.even
     c.repeats = wheel.repeats
-    c.window = window_of(pitches, wheel.repeats)
     c.acceleration = acceleration / 60 * wheel.turn
     few = wheel.tiles > 1
     c.ripple = RIPPLE * 2 * (wheel.turn / 2 if few else 2) * (2 * np.pi / wheel.turn)
@@ -378,8 +376,8 @@ def waver(s: State) -> None:
 def proven(s: State) -> bool:
     """Tell whether the tooth of the latest pulse is proven: the place is, and no credible hypothesis has another.
 
-    None is just behind a crowd of pulses, whose end may be yet to come, behind a gap that came too short, or by a pulse
-    that is believed missed before the next gap says so.
+    None is just behind a crowd of pulses, whose end may be yet to come, behind a gap that came too short, by a pulse
+    that is believed missed or added before the next gap says so.
     """
     odd = s.anchor.short == 1 or s.anchor.unchecked == 1 or noise.crowd(s.burst, s.teeth) >= noise.BURST
     return bool(s.phase == CONFIRMED and s.placed > NOT_TOLD and not odd and unanimous(s.tracker))
@@ -387,8 +385,11 @@ def proven(s: State) -> bool:
 
 @kernel
 def shown(s: State) -> int:
-    """Return what is told of synchronisation: SEARCHING, TENTATIVE, CONFIRMED, or SPEED_ONLY."""
-    if s.phase != CONFIRMED or proven(s):
+    """Return what is told of synchronisation: SEARCHING, TENTATIVE, CONFIRMED, or SPEED_ONLY.
+
+    Not CONFIRMED while the last turns speak for another place.
+    """
+    if s.phase != CONFIRMED or (proven(s) and s.anchor.against == 0.0 and s.anchor.wins == 0):
         return int(s.phase)
     return SPEED_ONLY if s.placed == NOT_TOLD else TENTATIVE
 

@@ -1,9 +1,9 @@
 """Where on the wheel are we? The last intervals against the wheel's pattern at every place.
 
 The logarithms of the last intervals are the wheel's (of its pitches) plus a straight line, the speed and its change.
-As many are taken as show a place that no other looks like (:func:`window_of`). For each place on the wheel the sum of
-squares that is left tells how well it fits; the place is found when the best one is likelier than the second by
-:data:`ODDS`.
+For each place on the wheel the sum of squares that is left tells how well it fits; the place is found when the best one
+is likelier than the second by :data:`ODDS`. Where they show none, the whole turn is asked for it
+(:mod:`gateway_plants.crank.monitor.competing_hypothesis`).
 """
 
 from __future__ import annotations
@@ -11,13 +11,10 @@ from __future__ import annotations
 from math import exp, log, sqrt
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gateway_fdi.jit import Record, f8, f8s, i8, kernel, means
 
-#: Intervals that are compared, at least and at most.
-WINDOW, LONGEST = 8, 128
+#: Intervals that are compared.
+WINDOW = 8
 #: Least deviation that is assumed of ln(interval).
 LEAST_DEVIATION = 0.05
 #: A fit worse than this is none.
@@ -32,25 +29,10 @@ class Search(Record):
     """Search, and what the last call found."""
 
     seen: i8 = means("intervals so far")
-    logs: Annotated[f8s, LONGEST] = means("logarithms of the last intervals, the latest at ``(seen - 1) % window``")
+    logs: Annotated[f8s, WINDOW] = means("logarithms of the last intervals, the latest at ``(seen - 1) % WINDOW``")
     period: f8 = means("time of a pitch", "us")
     growth: f8 = means("growth of the squared speed", "1/pitch")
     variance: f8 = means("variance of the logarithms")
-
-
-def window_of(pitches: NDArray[np.float64], repeats: int) -> int:
-    """Return how many intervals show a place that no other looks like.
-
-    Args:
-        pitches: of the wheel, shape (pulses,).
-        repeats: pulses after which its pattern repeats.
-    """
-    ring = np.tile(pitches[:repeats], 2 + LONGEST // repeats)
-    for size in range(WINDOW, min(repeats, LONGEST) + 1):
-        _, counts = np.unique([ring[k : k + size] for k in range(repeats)], axis=0, return_counts=True)
-        if (counts == 1).any():
-            return size
-    return WINDOW
 
 
 @kernel
@@ -66,61 +48,57 @@ def begin_later(se: Search, pulses: int) -> None:
 
 
 @kernel
-def seek(se: Search, logs: f8s, period: int, window: int, y: float) -> int:
+def seek(se: Search, logs: f8s, period: int, y: float) -> int:
     """Take an interval; returns the index of the tooth that ended it, -1: not known yet.
 
     Args:
         se: record of Search.
         logs: ln of the wheel's pitches.
         period: pulses after which the wheel's pattern repeats.
-        window: intervals that are compared.
         y: interval [us].
     """
-    se.logs[se.seen % window] = log(y)
+    se.logs[se.seen % WINDOW] = log(y)
     se.seen += 1
-    if se.seen < window:
+    if se.seen < WINDOW:
         return -1
-    middle = (window - 1) / 2
-    norm = window * (window * window - 1) / 12.0
+    middle = (WINDOW - 1) / 2
+    norm = WINDOW * (WINDOW * WINDOW - 1) / 12.0
     first, second, place, level, slope = 1e9, 1e9, -1, 0.0, 0.0
     for i in range(period):
         total, moment, square = 0.0, 0.0, 0.0
-        at = i - (window - 1)
+        at = i - (WINDOW - 1)
         while at < 0:
             at += period
-        for k in range(window):
-            d = se.logs[(se.seen + k) % window] - logs[at]
+        for k in range(WINDOW):
+            d = se.logs[(se.seen + k) % WINDOW] - logs[at]
             total += d
             moment += (k - middle) * d
             square += d * d
             at = at + 1 if at + 1 < period else 0
-        rest = square - total * total / window - moment * moment / norm
+        rest = square - total * total / WINDOW - moment * moment / norm
         if rest < first:
             second, first, place = first, rest, i
-            level, slope = total / window, moment / norm
+            level, slope = total / WINDOW, moment / norm
         elif rest < second:
             second = rest
-    variance = max(first / (window - 2), LEAST_DEVIATION * LEAST_DEVIATION)
+    variance = max(first / (WINDOW - 2), LEAST_DEVIATION * LEAST_DEVIATION)
     if second - first < 2.0 * ODDS * variance or sqrt(variance) > WORST_DEVIATION:
         return -1
-    if (
-        period > window
-        and sqrt(variance) > ONE_OFF
-        and _largest(se, logs, period, window, place, level, slope) > MOST_OF * first
-    ):
+    odd = period > WINDOW and sqrt(variance) > ONE_OFF
+    if odd and _largest(se, logs, period, place, level, slope) > MOST_OF * first:
         return -1
     se.period = exp(level + slope * (middle + 0.5))
     se.growth = min(max(-2.0 * slope, -0.3), 0.3)
-    se.variance = first / (window - 2) / 2.0
+    se.variance = first / (WINDOW - 2) / 2.0
     return place + 1 if place + 1 < period else 0
 
 
 @kernel
-def _largest(se: Search, logs: f8s, period: int, window: int, place: int, level: float, slope: float) -> float:
+def _largest(se: Search, logs: f8s, period: int, place: int, level: float, slope: float) -> float:
     """Return the largest squared residual at a place [nat^2]."""
     most, at = 0.0, place
-    for k in range(window):
-        d = se.logs[(se.seen - 1 - k) % window] - logs[at] - level - slope * ((window - 1) / 2 - k)
+    for k in range(WINDOW):
+        d = se.logs[(se.seen - 1 - k) % WINDOW] - logs[at] - level - slope * ((WINDOW - 1) / 2 - k)
         most = max(most, d * d)
         at = at - 1 if at > 0 else period - 1
     return most
