@@ -277,6 +277,7 @@ def test_tests_that_fire_leave_the_faults_that_all_of_them_see():
 
 
 @pytest.mark.long
+@pytest.mark.full("5 s")
 def test_courses_name_none_of_faults_that_the_structure_cannot_tell_apart():
     made = plant("valve")
     judge = courses.Courses()

@@ -167,13 +167,15 @@ def spoilt(path, kind):
 @contextmanager
 def full_disk(wanted):
     """Let no file grow beyond some bytes, as a full disk does."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before, wrote = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
     if wanted:
+        sys.dont_write_bytecode = True  # Python would keep the first 16 bytes of it, for all processes after this one
         resource.setrlimit(resource.RLIMIT_FSIZE, (16, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = wrote
 
 
 def called(name, k, kind, good, tmp_path, run):

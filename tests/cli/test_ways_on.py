@@ -113,7 +113,7 @@ def test_ctrl_c_at_any_moment_is_one_line(tmp_path):
 
     write_config(tmp_path)
     write_fleet(tmp_path / "logs", 40, frames=4000)
-    for wait_s in amount((0.1, 1.0, 2.5), (0.1, 2.5)):
+    for wait_s in amount((0.1, 1.0, 2.5), (2.5,)):
         words = ("fleet", "run", "logs/**", "-c", "car.toml", "-o", f"out{wait_s}", "--workers", "1")
         started = begun(tmp_path, *words)
         time.sleep(wait_s)

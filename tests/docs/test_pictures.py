@@ -35,6 +35,7 @@ OF_STUDIES = {f"{name}/{picture}.png" for name, (_, pictures) in STUDIES.items()
 OF_COMMANDS = {picture for pictures in (COMMANDS | RUNS).values() for picture in pictures}
 FIGURES = {*SCENARIOS, *OF_STUDIES, *OF_COMMANDS}
 DRAWINGS = sorted(PICTURES - FIGURES - ELSEWHERE)
+LONGER = pytest.mark.full("3 and 7 s")
 AGAIN = "python tests/support/pictures.py makes it again"
 
 
@@ -55,7 +56,9 @@ def test_each_picture_is_on_a_page_and_none_is_missing():
     assert len(DRAWINGS) < len(PICTURES) / 2
 
 
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=LONGER) if name in ("truck", "linear") else name for name in STUDIES]
+)
 def test_figures_of_a_study(name, tmp_path):
     for picture, made in of_study(name, tmp_path).items():
         held(picture, made)

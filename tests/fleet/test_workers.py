@@ -166,6 +166,7 @@ def own(tmp_path_factory):
         yield address, worker, folder
 
 
+@pytest.mark.full("9 s")
 def test_a_scheduler_and_workers_of_their_own(fleet, own):
     address, _, folder = own
     assert address.startswith("tcp://127.0.0.1:")

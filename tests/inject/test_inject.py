@@ -38,6 +38,7 @@ def test_a_schedule_can_be_read_again():
 
 
 @pytest.mark.long
+@pytest.mark.full("4 s")
 def test_the_same_seed_is_the_same_run(tmp_path):
     """Or a failure could not be repeated."""
     told = []

@@ -83,6 +83,7 @@ def test_what_is_no_bus_is_told(project):
 
 
 @pytest.mark.system
+@pytest.mark.full("8 s")
 def test_workers_have_buses_of_their_own(project):
     code, said = run(
         project, "--gateway-bus", "virtual:{worker}", "-n", "2", "scenarios/healthy.toml", "scenarios/blocked.toml"

@@ -67,7 +67,7 @@ def test_what_a_person_starts_ends_too_and_names_the_monitor(tmp_path, command):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.parametrize("asked", [pytest.param(False, marks=pytest.mark.full("6 s")), True])
 def test_a_step_that_loops_for_ever_ends_the_process_and_stays_off_the_next_time(tmp_path, asked):
     file = looping(tmp_path)
     with bus(tmp_path) as uri:

@@ -18,17 +18,17 @@ import sys
 from pathlib import Path
 
 import pytest
+from amount import FULL
 from scenario_runs import by_config
 from user_mode import boot, build_ptrace_xsave
 
 HERE = Path(__file__).parent
+CRANK = ("test_crank_scenarios.py",)
+#: Of these some are played in the full size only: then each lane has some.
+OTHERS = tuple(f"test_{plant}_scenarios.py" for plant in ("pedal", "steering", "linear", "truck"))
 #: Kernel -> its lanes, each some files of tests. The clock is one of all lanes: its tests have a kernel of their own.
 KERNELS = {
-    "scenarios": (
-        ("test_crank_scenarios.py",),
-        ("test_pedal_scenarios.py",),
-        ("test_steering_scenarios.py", "test_linear_scenarios.py", "test_truck_scenarios.py"),
-    ),
+    "scenarios": ((*CRANK, *OTHERS),) if not FULL else (CRANK, OTHERS[:1], OTHERS[1:]),
     "interfaces": (("test_peers.py",), ("test_supervision.py", "test_socketcan.py"), ("test_restbus.py",)),
     "clock": (("test_clock.py",),),
 }

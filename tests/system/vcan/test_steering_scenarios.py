@@ -14,6 +14,7 @@ def test_a_healthy_steering_over_vcan(tmp_path):
     run_all(CONFIG, [HEALTHY], tmp_path)
 
 
+@pytest.mark.full("the crankshaft's go the same way over the bus")
 def test_its_parts_over_vcan(tmp_path):
     """Nothing is found that is not there, and something that is.
 

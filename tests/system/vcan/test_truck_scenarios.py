@@ -11,5 +11,6 @@ CONFIG, SCENARIOS = next(
 )
 
 
+@pytest.mark.full("the crankshaft's go the same way over the bus")
 def test_a_fault_is_named_over_can(tmp_path):
     run_all(CONFIG, [path for path in SCENARIOS if "battery" in str(path)], tmp_path)
