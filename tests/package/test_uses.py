@@ -19,7 +19,7 @@ SOME = "test_help or test_doctor or test_each_channel_of_a_log"
 WITHOUT = [PLANTS, *([name] for name in (*PLANTS, *GUESTS))]
 
 #: A file that takes every shipped file, every page, or every key, uses all plants.
-EVERY = ("all_shipped", "glob", "rglob", "keys_of")
+EVERY = ("all_shipped", "glob", "rglob", "keys_of", "ECUS")
 
 
 @cache
