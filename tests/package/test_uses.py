@@ -18,8 +18,8 @@ SOME = "test_help or test_doctor or test_each_channel_of_a_log"
 #: What is taken away: all plants, or a plant, or a package that the core does without.
 WITHOUT = [PLANTS, *([name] for name in (*PLANTS, *GUESTS))]
 
-#: A file that takes every shipped file, every page, or every key, uses all plants.
-EVERY = ("all_shipped", "glob", "rglob", "keys_of", "ECUS")
+#: A file that takes every shipped file, page, key or type of ECU uses all plants.
+EVERY = ("all_shipped", "glob", "rglob", "keys_of", "VIRTUAL_ECUS")
 
 
 @cache
