@@ -67,7 +67,8 @@ def prove(s: State, c: Const, out: Reports) -> None:
 @kernel
 def _noisy(s: State, c: Const) -> bool:
     """Tell whether the edges of a wheel of few pulses are so noisy that more turns have to show its place."""
-    return bool(c.pulses < MARKED and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN)
+    most = COARSE / 2 if c.anchor.ratio > 0.0 else COARSE  # one more pulse is told apart at coarser edges than a gap
+    return bool(c.pulses < MARKED and s.tracker.variance > most and s.waiting.row < SHOWN)
 
 
 @kernel
