@@ -77,6 +77,9 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
         *((773311, k) for k in (297, 4153, 6301, 6421, 7414, 8829)),
         *((440777, k) for k in (215, 6289, 6357, 7641)),  # a pulse believed added, before the next gap
         *((773311, k) for k in (1353, 2001, 2037)),  # turns that spoke for another place
+        *((773311, 5112), (271828, 3094)),  # a rival that one turn of several did not show
+        *((773311, 6945), (618033, 2781), (618033, 6520)),  # a place that fitted badly, and a cam that had moved
+        *((773311, 7073), (440777, 8045)),  # a broken tooth like the gap, at both ends of the turn that was asked
     ],
 )
 def test_runs_that_once_proved_a_wrong_tooth(judge, seed, number):

@@ -58,11 +58,8 @@ class CompetingHypothesis(Record):
 def clear(rv: CompetingHypothesis) -> None:
     """There is no rival, and no turn was asked."""
     rv.other = NONE
-    rv.turns = 0
-    rv.asked = 0
-    rv.here = 0
-    rv.there = 0
-    rv.both = 0
+    rv.turns, rv.asked = 0, 0
+    rv.here, rv.there, rv.both = 0, 0, 0
 
 
 @kernel
@@ -155,7 +152,10 @@ def seek(
         variance: of an edge [pitch^2].
     """
     cost, missing, tooth = _lay(an, size, wh, index, us, variance, MOST)
-    had, before, other, least = rv.other, rv.off, NONE, cost + MOST_ODDS
+    had, before, least = rv.other, rv.off, cost + MOST_ODDS
+    other = had  # it stays while the odds are too low, also where this turn fits no other place
+    if cost > max(LOST * size, 2.0 * DEFECT):  # it is rather of no place: the cam begins anew
+        rv.here, rv.there = 0, 0
     if cost > MOST:
         return cost, missing
     for shift in range(1, wh.pulses):
@@ -167,8 +167,7 @@ def seek(
     rv.odds += (least - cost - rv.odds) / rv.turns
     rv.tooth, rv.other = tooth, other if rv.odds < ODDS else NONE
     if rv.other == NONE or other != had or rv.off != before:
-        rv.here = 0
-        rv.there = 0
+        rv.here, rv.there = 0, 0
     return cost, missing
 
 

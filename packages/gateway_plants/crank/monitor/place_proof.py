@@ -50,7 +50,8 @@ def prove(s: State, c: Const, out: Reports) -> None:
         return
     shown = s.sure == 1 and s.reversal.stood == 0
     proof = c.pulses if shown or c.anchor.ratio == 0.0 else 2 * c.pulses
-    if s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or held_back(s, c):
+    off = abs(s.tracker.residual) > competing_hypothesis.MOST_OFF  # the latest interval may be another gap
+    if off or s.since < proof or s.filled == 1 or _two_fit(s) or not decides(s, c) or held_back(s, c):
         return
     seen = wheel_estimation.sure(s.seen)
     if _noisy(s, c) or (s.recurring == 0 and seen > 0 and seen != c.repeats):
@@ -66,7 +67,8 @@ def prove(s: State, c: Const, out: Reports) -> None:
 @kernel
 def _noisy(s: State, c: Const) -> bool:
     """Tell whether the edges of a wheel of few pulses are so noisy that more turns have to show its place."""
-    return bool(c.pulses < MARKED and s.tracker.variance > COARSE / 2 and s.waiting.row < SHOWN)
+    most = COARSE / 2 if c.anchor.ratio > 0.0 else COARSE  # one more pulse is told apart at coarser edges than a gap
+    return bool(c.pulses < MARKED and s.tracker.variance > most and s.waiting.row < SHOWN)
 
 
 @kernel
