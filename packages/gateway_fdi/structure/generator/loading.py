@@ -39,14 +39,33 @@ class Loaded:
     start: Callable[[Any, Any, Any], None]
     step: Callable[[Any, Any, Any, float], float]
 
-    def prepare(self, c: np.void, **told: Any) -> None:
-        """Fill a record of the constants; values and bandwidths as :func:`.records.fill` takes them.
+    def prepare(
+        self,
+        c: np.void,
+        *,
+        values: Mapping[str, float] | None = None,
+        filter_bandwidth: float = 0.5,
+        derivative_bandwidth: float = 10.0,
+    ) -> None:
+        """Fill a record of the constants.
+
+        Args:
+            values: values of parameters instead of the model's.
+            filter_bandwidth: alpha of (20) [rad/s].
+            derivative_bandwidth: of the filters that differentiate [rad/s].
 
         Raises:
             ValueError: a parameter has no value, or there is no such parameter.
         """
         realisation = self.generated.realisation
-        fill(c, realisation.model, start=realisation.carried, **told)
+        fill(
+            c,
+            realisation.model,
+            values=values,
+            start=realisation.carried,
+            filter_bandwidth=filter_bandwidth,
+            derivative_bandwidth=derivative_bandwidth,
+        )
 
     def over(self, s: np.void, c: np.void, rows: NDArray[np.void], steps_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the residual of samples, and advance the states.

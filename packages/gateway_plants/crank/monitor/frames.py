@@ -41,7 +41,7 @@ def wrapped(number: int) -> int:
 
 
 @kernel
-def _compare(s: State) -> None:
+def _forget_guess(s: State) -> None:
     """Forget a count that was guessed, where the gap has told the place since: it may have put a wrong guess right."""
     if s.guessed == 1 and s.fast.hole == 0:
         s.counted = 0
@@ -59,7 +59,7 @@ def base(s: State, c: Const, u: Inputs) -> None:
         s.owed_pulses = pulses
         s.owed_teeth = teeth
         return
-    _compare(s)
+    _forget_guess(s)
     if s.counted == 1:
         adaptive.recount(s.fast, c.fast, wrapped(pulses - s.count))
     s.count = pulses
@@ -72,7 +72,7 @@ def base(s: State, c: Const, u: Inputs) -> None:
 def _missing(s: State, frames: int, counter: int) -> int:
     """Return the pulses of lost CTW_PT4 frames: four each, or what CTW_BASE told meanwhile."""
     number = frames * CLASSIC_INTERVALS
-    _compare(s)
+    _forget_guess(s)
     s.guessed = 1
     if s.owed == 1:
         later = (counter - 1 - s.owed_teeth) % 16
