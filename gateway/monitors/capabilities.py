@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -280,10 +280,13 @@ class Behind:
         levels: parameters, state record -> of each test, in this order: 1 and above: it has failed, and how far its
             residual is beyond its limit; below 1: it has passed; NaN: not tested; minus infinity: nor does its failure
             count that came before.
+        false_alarms: name of a test -> probability that it fails though all parts are well; of one that is not named
+            it is that of any fault.
     """
 
     of: Callable[[Any], Mapping[str, Sequence[Blame]]]
     levels: Callable[[Any, np.void], Iterable[float]]
+    false_alarms: Mapping[str, float] = field(default_factory=dict)
 
 
 class Gain(NamedTuple):

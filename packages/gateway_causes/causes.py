@@ -88,14 +88,17 @@ class Causes:
         delays = _delays(engine, checks)
         self._timeouts = {k for k, slot in enumerate(engine.faults) if slot.id.endswith(".timeout")}
         exact = {check.name for check in checks}
-        inner = {name: each for tests in self._behind for name, each in tests.seen.items()}
-        whole = [*(seen[slot.id] for slot in slots), *inner.values()]
+        inner = {name: (each, tests) for tests in self._behind for name, each in tests.seen.items()}
+        whole = [*(seen[slot.id] for slot in slots), *(each for each, _ in inner.values())]
         components = {one.component.name: one.component for each in whole for one in each}
         self._diagnoser = Diagnoser(
             list(components.values()),
             [
                 *(_test(slot, seen[slot.id], delays.get(slot.id), exact) for slot in slots),
-                *(Test(name, _links(each), FALSE_ALARM, DELAY_S) for name, each in inner.items()),
+                *(
+                    Test(name, _links(each), tests.false_alarms.get(name, FALSE_ALARM), DELAY_S)
+                    for name, (each, tests) in inner.items()
+                ),
             ],
         )
         self._of = {name: tests for tests in self._behind for name in tests.seen}

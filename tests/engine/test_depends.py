@@ -258,7 +258,7 @@ def test_it_may_tell_its_residuals_and_the_tests_behind_its_faults(stranger, net
     gains = (Gain("BATT.Voltage", 2.0), Gain("alternator", -1.0, "actuator"))
     knows = (
         Residuals(lambda p: {fault: lambda result: Reading(result.value - result.limit, 0.1, gains)}),
-        Behind(lambda p: {"T1": [Blame(p.signal)]}, lambda p, state: [3.0]),
+        Behind(lambda p: {"T1": [Blame(p.signal)]}, lambda p, state: [3.0], {"T1": 0.02}),
     )
     made = MonitorInstance("battery", replace(stranger, capabilities=knows), stranger.params())
     sized = residuals([made], network)[f"battery.{fault}"](LastResult([0.0] * 8, 11.0, 9.0, None))
@@ -266,6 +266,7 @@ def test_it_may_tell_its_residuals_and_the_tests_behind_its_faults(stranger, net
     assert sized.gains == {"signal a.BATT.Voltage": 2.0, "actuator battery.alternator": -1.0}
     (tests,) = behind([made], network)
     assert list(tests.seen) == ["battery//T1"]
+    assert tests.false_alarms == {"battery//T1": 0.02}
     assert tests.faults == tuple(f"battery.{one.name}" for one in stranger.faults(stranger.params()))
     wrong = replace(stranger, capabilities=(Residuals(lambda _: {"loww": None}),))
     with pytest.raises(InputError, match="no such fault; did you mean low"):

@@ -23,12 +23,14 @@ class Tests:
         faults: ids of the faults that are made of them.
         seen: test -> what it sees; its name is no fault's.
         levels: state record of the monitor -> of each test, as the contract has it.
+        false_alarms: test -> probability that it fails though all is well, of those that say it.
     """
 
     monitor: int
     faults: tuple[str, ...]
     seen: Mapping[str, tuple[Seen, ...]]
     levels: Callable[[np.void], Sequence[float]]
+    false_alarms: Mapping[str, float]
 
 
 def behind(monitors: Sequence[MonitorInstance], network: Network) -> tuple[Tests, ...]:
@@ -43,8 +45,9 @@ def behind(monitors: Sequence[MonitorInstance], network: Network) -> tuple[Tests
         if capability is None or not seen:
             continue
         own = {f"{m.name}/{m.part}/{name}": each for name, each in seen.items()}
+        alarms = {f"{m.name}/{m.part}/{name}": share for name, share in capability.false_alarms.items()}
         faults = tuple(f"{m.name}.{fault.name}" for fault in m.monitor.faults(m.params))
-        found.append(Tests(k, faults, own, _reader(capability, m, len(own))))
+        found.append(Tests(k, faults, own, _reader(capability, m, len(own)), alarms))
     return tuple(found)
 
 

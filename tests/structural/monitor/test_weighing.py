@@ -46,11 +46,11 @@ unique = ["v"]
 )  # fmt: skip
 
 
-def drive(seed, gain=0.0, bias=0.0, until=40.0):
+def drive(seed, gain=0.0, bias=0.0, until=40.0, second=20.0):
     """Readings of a speed that goes up and down; from the middle on one has another gain, or one a bias."""
     rng, t = np.random.default_rng(seed), np.arange(4000) * 0.01
     v, late = 10.0 + 10.0 * np.sin(0.5 * t), (t >= 20.0) & (t < until)
-    rows = np.stack([3.6 * v * (1.0 + gain * late), v + bias * late, v], 1)
+    rows = np.stack([3.6 * v * (1.0 + gain * late), v + bias * late * (t >= second), v], 1)
     return frames_of(SPEEDS, rows + rng.normal(size=rows.shape) * np.array(SPEEDS.noise))
 
 
@@ -96,13 +96,29 @@ def test_of_two_faults_none_is_likely(config, gain):
     assert weighed(config, drive(SEED, bias=-0.2)) == (["f_b"], False)
 
 
-def test_two_faults_at_once_are_both_the_cause(tmp_path):
-    config = configuration(SPEEDS, tmp_path, 'sensors = { c = { gain = "0.1 %" } }\n')
-    calibrated(config, drive(1), drive(2))
-    events, state = events_of(config, drive(SEED, gain=0.02, bias=-0.4))
+@pytest.fixture(scope="module")
+def uncertain(tmp_path_factory):
+    found = configuration(SPEEDS, tmp_path_factory.mktemp("uncertain"), 'sensors = { c = { gain = "0.1 %" } }\n')
+    calibrated(found, drive(1), drive(2))
+    return found
+
+
+@pytest.mark.parametrize("second", [20.0, 30.0])
+def test_two_faults_are_both_the_cause(uncertain, second):
+    """At once, and one ten seconds after the other."""
+    events, state = events_of(uncertain, drive(SEED, gain=0.02, bias=-0.4, second=second))
     assert unpack(np.asarray(state["own"]["sure"])[None, :], 3)[0].tolist() == [True, True, False]
     causes = [group["cause"] for e in events if e["event"] == "diagnosis" for group in e["groups"]]
     assert [cause for cause in causes if cause][-1] == ["plant own.f_a", "signal b.M1.b"]
+
+
+def test_what_the_blocks_have_said_stays_where_the_tests_begin_anew(uncertain):
+    frames = drive(SEED, gain=0.02)
+    t_s = (frames["t_ns"] - frames["t_ns"][0]) / 1e9
+    _, before = events_of(uncertain, frames[t_s < 30.0])
+    _, after = events_of(uncertain, frames[(t_s < 30.0) | (t_s > 33.0)])
+    assert after["own"]["since_ns"] > before["own"]["since_ns"], "the tests have begun anew"
+    assert after["fit"]["count"] > before["fit"]["count"] > 0
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.2])
@@ -164,30 +180,20 @@ def test_of_faults_that_sizes_leave_no_test_proves_one():
     tests = [SimpleNamespace(faults=tuple(f for f, of in seen.items() if k in of), faulty="code") for k in (0, 1)]
     plan = SimpleNamespace(faults=tuple(seen), tests=tests, seen_by=seen.get, diagnoses=[("f_a", "f_b"), ("f_a",)])
     both, one = pack([[0, 1], [0]], 2)
+    neither = np.zeros_like(both)
     own = {"weighed": 1, "likely": both, "fired": both, "norm": [5.0, 5.0], "found": -1, "by_size": 1}
+    own |= {"paired": neither, "sure": neither}
     nan, never = np.nan, -np.inf
 
     def said(**more):
         return levels(plan, {"own": own | more})
 
-    np.testing.assert_equal(said(), [2.0, nan, nan, never, never, 5.0, never])
-    np.testing.assert_equal(said(likely=one), [2.0, nan, 0.0, never, never, 5.0, 5.0])
-    np.testing.assert_equal(said(likely=one, found=0), [2.0, nan, nan, never, never, 5.0, 5.0])  # it has a group's name
-    np.testing.assert_equal(said(weighed=0), [never] * 7)
-    np.testing.assert_equal(said(weighed=2, sure=both), [2.0, 2.0, 2.0, 2.0, 2.0, never, never])
-    np.testing.assert_equal(said(weighed=2, sure=one), [2.0, 2.0, nan, 2.0, never, never, never])
-    np.testing.assert_equal(said(weighed=2, sure=one, found=0), [2.0, nan, nan, 2.0, never, never, never])
-
-
-def test_the_cause_is_the_sensor_whatever_its_factor(config):
-    gateway = Gateway(load_config(config), None, file=config)
-    events = []
-    gateway.listen(events.append)
-    frames = drive(SEED, bias=0.2)
-    gateway.start(int(frames[0]["t_ns"]))
-    gateway.feed(frames)
-    own = gateway.engine.state_of(0)[0]
-    assert unpack(np.asarray(own["own"]["likely"])[None, :], 3)[0].tolist() == [False, True, False]
-    gateway.close()
-    causes = [group["cause"] for e in events if e["event"] == "diagnosis" for group in e["groups"]]
-    assert causes[-1] == ["signal b.M1.b"]
+    no = [never] * 4  # neither more than one of the two, nor better
+    np.testing.assert_equal(said(), [2.0, nan, nan, *no, 5.0, never])
+    np.testing.assert_equal(said(likely=one), [2.0, nan, 0.0, *no, 5.0, 5.0])
+    np.testing.assert_equal(said(likely=one, found=0), [2.0, nan, nan, *no, 5.0, 5.0])  # it has a group's name
+    silent = [never, never]
+    np.testing.assert_equal(said(weighed=-1, likely=one), [never] * 9)
+    pair = {"paired": both, "likely": one}
+    np.testing.assert_equal(said(weighed=-1, **pair), [2.0, nan, nan, never, 2.0, 2.0, never, *silent])
+    np.testing.assert_equal(said(weighed=2, **pair, sure=one), [2.0, 2.0, nan, 2.0, never, never, never, *silent])

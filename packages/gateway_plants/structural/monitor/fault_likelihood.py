@@ -25,10 +25,9 @@ together: up to :data:`~.decision.MOST_TOGETHER` of them are told as one of seve
 
 What was found may be no single fault of this model:
 
-- **Two faults.** Sizes of each pair are of least squares, each gain u_i known to a share: with (A, b) the form
-  of the gains, b := b - A u, u the sizes in their columns, and the deviation from it, N(0, (error s)^2), is integrated
-  out. One of the two is among the faults that fit best alone. Two fit if the logarithm of their likelihood
-  ratio over that of the best fault is above SPEAKS + LESS: a second fault is rare. A fault of all such pairs is sure.
+- **Two faults** (:mod:`.fault_pairs`). From SPEAKS on, until it falls below LESS, the best fault has no name, and
+  pairs are listed beside it: what a model lacks may look like a second fault. From TWO on they are told; a fault of
+  all pairs that fit is sure.
 - **No fault of the model.** Of what the residuals have beyond their noise the best one leaves more than a share, beside
   what a model leaves that is off; and enough to speak.
 - **A test** has fired for sure that none of those that fit best sees.
@@ -36,6 +35,9 @@ What was found may be no single fault of this model:
 Where nothing may be off, the tests decide alone then. Where something may, they name no fault that sizes do not: a
 fault that was there while it was learned is in what is known, and the tests see what that leaves. For the same reason
 faults that were likely before faults began beside the tests anew stay likely beside others.
+
+Where the tests begin anew, or their model moves to what has been learned, the faults beside them do, too; what the
+blocks have said stays.
 
 **The fault has ended.** Of each block alone, with y and U its form by the size s, what may be off integrated out as it
 was known before, y s - U s^2 / 2 is the logarithm of the likelihood that the fault has its size still, against that it
@@ -61,6 +63,8 @@ from gateway_fdi.jit import f8, f8s, i8, kernel, means
 from gateway_fdi.linear_algebra import add
 from gateway_fdi.linear_algebra import copy as copy_row
 from gateway_fdi.masks import clear, copy, empty, has, include, within
+from gateway_plants.structural.monitor import fault_pairs
+from gateway_plants.structural.monitor.fault_pairs import ERROR, KEPT, LEANS, LENGTHS, LESS
 from gateway_plants.structural.monitor.plan import Plan
 
 #: Size of the fault that runs beside a test.
@@ -69,21 +73,22 @@ STEP = 1e-3
 NEAR = 0.2
 #: Columns and gains up to which they do.
 MOST_COLUMNS = 150
-#: By which what may be off moves from block to block, a share of its bound; error of a gain, a share of it.
-JITTER, ERROR = 0.3, 0.3
-#: Logarithm of the likelihood, and share of the best one's, by which a fault that fits less well is unlikely; that it
-#: takes to speak at all: of healthy cars that are 8 % off one reached it in 12 hours.
-LESS, NEARLY, SPEAKS = 6.0, 0.1, 20.0
-#: Share of the best one's from which on a fault is not out of the question while sizes are not sure.
-LEANS = 0.5
+#: By which what may be off moves from block to block, a share of its bound.
+JITTER = 0.3
+#: Share of the best one's likelihood by which a fault that fits less well is unlikely; what it takes to speak at all:
+#: of healthy cars that are 8 % off one reached it in 12 hours.
+NEARLY, SPEAKS = 0.1, 20.0
+#: Logarithm of the likelihood ratio of two faults to one, by which both are told: of 114 faults alone, of cars that are
+#: 8 % off, two reached it.
+TWO = 45.0
 #: Share of what is beyond noise that the best fault has to explain; variances of the noise that it may leave besides.
 #: T over J of a test that is no chance.
 FITS, BEYOND, SURE = 0.9, 1.0, 3.0
-#: Blocks in the time to confirm; share of what they say that the next one leaves.
-BLOCKS, KEPT = 2, 0.975
+#: Blocks in the time to confirm.
+BLOCKS = 2
 
 
-class Const(model.Const, lengths=model.LENGTHS):
+class Const(model.Const, lengths=LENGTHS):
     """Constants."""
 
     share: Annotated[f8s, "residuals"] = means("of a sample that is independent of those before")
@@ -91,28 +96,22 @@ class Const(model.Const, lengths=model.LENGTHS):
     opened: i8 = means("1: calibration, in which nothing reaches its threshold")
 
 
-class State(model.State, lengths=model.LENGTHS):
+class State(fault_pairs.State, lengths=LENGTHS):
     """State."""
 
     awake: i8 = means("1: faults run beside the tests")
     held: i8 = means("1: a fault has ended, and its residuals have not settled yet")
     near_ns: i8 = means("when a test was near its limit last", "ns")
+    rests: i8 = means("1: the tests have begun anew, while faults ran beside them")
     first: i8 = means("fault that fits best; -1: none")
+    second: f8 = means("logarithm of the likelihood ratio of two faults to one")
     gone: f8 = means("logarithm of the likelihood that it is there still, against that it has gone; 0 at most")
     known_a: Annotated[f8s, "columns", "columns"] = means("A of what was known before")
     r: Annotated[f8s, "residuals"] = means("residuals, without what was known to be off")
     h: Annotated[f8s, "residuals", "slow"] = means("their sensitivities")
     g: Annotated[f8s, "gains"] = means("gains")
     x: Annotated[f8s, "slow"] = means("what was known to be off when faults began beside the tests")
-    since_a: Annotated[f8s, "columns", "columns"] = means("A of all blocks, and of what was known before")
-    since_b: Annotated[f8s, "columns"] = means("b of all blocks")
-    squares: f8 = means("sum of squares of the residuals over their noise")
-    looks: f8 = means("number of independent residuals")
-    alone: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each fault alone")
     stands: i8 = means("blocks since it is sure")
-    together: Annotated[f8s, "faults"] = means("logarithm of the likelihood ratio of each with the best one beside it")
-    without: Annotated[f8s, "faults"] = means("likewise of the best two without it")
-    excess: f8 = means("variance of what the best fault leaves, over that of the noise, 1 at least")
     peak: Annotated[f8s, "edges"] = means("largest of each while it fits best, over its limit")
 
 
@@ -141,6 +140,12 @@ def model_of(plan: Plan, slow: int, period_s: float, confirm_s: float) -> model.
     )
 
 
+def lengths_of(plan: Plan, slow: int) -> dict[str, int]:
+    """Return the lengths of the records; arguments as of :func:`model_of`."""
+    said = model_of(plan, slow, 1.0, 1.0)
+    return said.lengths | {"joint": max(slow + 2 * len(said.gains), 1)}
+
+
 @kernel
 def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
     """Return whether faults begin beside the tests behind this sample; without a test that is near they end.
@@ -163,19 +168,31 @@ def begins(s: Any, c: Any, own: Any, own_const: Any) -> bool:
         return False
     if near and s.awake == 1:
         return False
+    if near and s.rests == 1:
+        s.awake = 1
+        blocks.drop(s)
+        return True
     s.awake = own.awaits = 1 if near else 0
+    s.rests = 0
     own.weighed = 0
+    clear(own.paired)
     for w in range(len(own.likely)):
         own.before[w] |= own.last[w]
         own.last[w] = 0
     if not near:
         return False
     blocks.drop(s)
-    s.since_b[:] = 0.0
-    s.since_a[:, :] = 0.0
-    s.squares = s.looks = s.gone = 0.0
+    fault_pairs.begin(s)
+    s.gone = s.second = 0.0
     s.first, s.stands = -1, 0
     return True
+
+
+@kernel
+def interrupt(s: Any) -> None:
+    """Let faults rest while the tests begin anew: what the blocks have said stays."""
+    s.rests = max(s.rests, s.awake)
+    s.awake = 0
 
 
 @kernel
@@ -189,7 +206,12 @@ def _is_another(own: Any, own_const: Any) -> bool:
 
 @kernel
 def know(s: Any, c: Any, slow: Any) -> None:
-    """Take over what the slow filter knows: its inverse covariance is the information (Gauss and Jordan)."""
+    """Take over what the slow filter knows: its inverse covariance is the information (Gauss and Jordan).
+
+    Where faults have rested only, what was known before stays.
+    """
+    if s.rests == 1:
+        return
     n = c.slow
     a, inverse = s.work_a, s.since_a
     for i in range(n):
@@ -214,6 +236,7 @@ def know(s: Any, c: Any, slow: Any) -> None:
 @kernel
 def take(s: Any, c: Any, own: Any, own_const: Any) -> None:
     """Take the residuals of a sample; where a block is whole, find the faults that are likely."""
+    s.rests = 0
     for k in range(c.residuals):
         settled = own.at_ns - max(own.since_ns, own.from_ns[k]) >= own_const.settle_ns
         if own.waits[k] == 1 or not settled or not c.share[k] > 0.0:
@@ -225,7 +248,7 @@ def take(s: Any, c: Any, own: Any, own_const: Any) -> None:
         return
     n = c.slow + c.first[c.faults]
     s.squares -= blocks.close(s, c)
-    if s.first >= 0:
+    if s.first >= 0 and empty(own.paired):  # of two, either may have the other's size
         s.gone = min(s.gone, 0.0) + _still(s, c, s.first, n)
         if s.gone < -LESS * s.excess:
             s.held = 1
@@ -237,6 +260,7 @@ def take(s: Any, c: Any, own: Any, own_const: Any) -> None:
         s.since_b[i] = KEPT * s.since_b[i] + s.b[i]
         for j in range(n):
             s.since_a[i, j] = KEPT * s.since_a[i, j] + (1.0 - KEPT) * s.known_a[i, j] + s.a[i, j]
+    fault_pairs.take(s, n)
     blocks.drop(s)
     _judge(s, c, own, own_const, n)
 
@@ -256,7 +280,10 @@ def _left(s: Any, c: Any, a: Any, b: Any, n: int) -> float:
 
 @kernel
 def _still(s: Any, c: Any, f: int, n: int) -> float:
-    """Return the logarithm of a block's likelihood that a fault has the size it had, against that it has gone."""
+    """Return the logarithm of a block's likelihood that a fault has the size it had, against that it has gone.
+
+    Where two fit better, either may be beside another one: of both the largest likelihood counts.
+    """
     for i in range(c.slow):
         for j in range(c.slow):
             s.a[i, j] += s.known_a[i, j]
@@ -265,7 +292,18 @@ def _still(s: Any, c: Any, f: int, n: int) -> float:
         for j in range(c.slow):
             s.a[i, j] -= s.known_a[i, j]
     (product, information), size = _moments(s, c, f), s.found[f]
-    return float(product * size - 0.5 * information * size * size)
+    there, gone = 0.0, 0.0
+    for g in range(c.faults):
+        y, own = _moments(s, c, g)
+        if g == f or not own > 0.0 or s.second <= LESS:
+            continue
+        shared = 0.0
+        for i in range(c.slow + c.first[f], c.slow + c.first[f + 1]):
+            for j in range(c.slow + c.first[g], c.slow + c.first[g + 1]):
+                shared += s.work_a[i, j]
+        gone = max(gone, 0.5 * y * y / own)
+        there = max(there, 0.5 * (y - shared * size) ** 2 / own)
+    return float(product * size - 0.5 * information * size * size + there - gone)
 
 
 @kernel
@@ -304,6 +342,7 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
     s.excess = max((left + s.looks - 2.0 * best) / s.looks, 1.0)
     best /= s.excess
     clear(own.likely)
+    two, stood = own.weighed == 2, not empty(own.paired)
     own.weighed, own.awaits, known = 0, 1, False
     for k in range(own_const.tests):
         known = known or own.norm[k] > 1.0
@@ -314,13 +353,17 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         s.peak[c.faults] = max(s.peak[c.faults], rest)
     if s.first >= 0:
         s.peak[s.first] = max(s.peak[s.first], best / limit)
-    second = _second(s, c, own, left, best) if known and left > 2.0 * SPEAKS * s.excess else 0.0
-    most = (best + second) * s.excess
-    if c.slow > 0 and second > SPEAKS + LESS and left - 2.0 * most <= (1.0 - FITS) * left + BEYOND * s.looks:
-        copy(own.last, own.likely)
+    s.second = 0.0
+    if known and left > 2.0 * SPEAKS * s.excess:
+        s.second = fault_pairs.second(s, c, own, left, best)
+    fit = c.slow > 0 and left - 2.0 * s.two <= (1.0 - FITS) * left + BEYOND * s.looks
+    if not fit or s.second <= (LESS if stood else SPEAKS):
+        clear(own.paired)
+    elif s.second > (LESS if two else TWO):
+        copy(own.likely, own.paired)
+        copy(own.last, own.paired)
         own.weighed, own.awaits, s.stands = 2, 0, 0
         return
-    clear(own.likely)
     if own.awaits == 0 or not known or best <= limit:
         _lean(s, c, own, best)
         s.stands = 0
@@ -339,7 +382,7 @@ def _judge(s: Any, c: Any, own: Any, own_const: Any, n: int) -> None:
         if best_too or not missed:
             include(own.likely, f)
             own.awaits = 1 if 2.0 * less > LESS else own.awaits
-    own.weighed = 1 if seen and second <= SPEAKS else -1
+    own.weighed = 1 if seen and s.second <= SPEAKS and empty(own.paired) else -1
     own.awaits = own.awaits if own.weighed == 1 else 0
     if own.weighed == 1 and c.slow > 0:
         _recall(own)
@@ -362,66 +405,3 @@ def _recall(own: Any) -> None:
         same = same or own.likely[w] & own.before[w] != 0
     for w in range(len(own.likely)):
         own.likely[w] |= 0 if same else own.before[w]
-
-
-@kernel
-def _second(s: Any, c: Any, own: Any, left: float, best: float) -> float:
-    """Return by how much two faults fit better than one, the logarithm of the likelihood ratio over what is left.
-
-    Leaves the faults of all pairs that fit in ``own.likely``, and those that each of these pairs has in ``own.sure``.
-    """
-    most = -inf
-    for f in range(c.faults):
-        s.together[f] = s.without[f] = -inf
-    for f in range(c.faults):
-        for g in range(f):
-            if max(s.alone[f], s.alone[g]) < LEANS * best * s.excess:
-                continue
-            value = _both(s, c, f, g)
-            most = max(most, value)
-            for k in range(c.faults):
-                if k in (f, g):
-                    s.together[k] = max(s.together[k], value)
-                else:
-                    s.without[k] = max(s.without[k], value)
-    excess = max((left + s.looks - 2.0 * most) / s.looks, 1.0)
-    clear(own.sure)
-    for f in range(c.faults):
-        if most - s.together[f] <= LESS * excess:
-            include(own.likely, f)
-            if most - s.without[f] > LESS * excess:
-                include(own.sure, f)
-    return float(most / s.excess - best)
-
-
-@kernel
-def _both(s: Any, c: Any, f: int, g: int) -> float:
-    """Return the logarithm of the likelihood ratio of two faults by the form in the scratch.
-
-    Sizes are of least squares; each gain is known to :data:`ERROR`, and what is not known of it is integrated out.
-    """
-    p, first, second = c.slow, c.first[f + 1] - c.first[f], c.first[g + 1] - c.first[g]
-    y, z, a, b, d = 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(first + second):
-        row = p + (c.first[f] + i if i < first else c.first[g] + i - first)
-        s.one_b[i] = s.work_b[row]
-        y += s.one_b[i] if i < first else 0.0
-        z += 0.0 if i < first else s.one_b[i]
-        for j in range(first + second):
-            s.one_a[i, j] = s.work_a[row, p + (c.first[f] + j if j < first else c.first[g] + j - first)]
-            a += s.one_a[i, j] if i < first and j < first else 0.0
-            b += s.one_a[i, j] if i < first <= j else 0.0
-            d += s.one_a[i, j] if i >= first and j >= first else 0.0
-    area = a * d - b * b
-    if not area > 1e-9 * a * d:
-        return -inf
-    one, other = (d * y - b * z) / area, (a * z - b * y) / area
-    if one == 0.0 or other == 0.0:
-        return -inf  # one of no size is not there
-    value = 0.5 * (one * y + other * z)
-    for i in range(first + second):
-        for j in range(first + second):
-            s.one_b[i] -= s.one_a[i, j] * (one if j < first else other)
-    for i in range(first + second):
-        value += blur(s.one_a, s.one_b, first + second, i, (ERROR * (one if i < first else other)) ** -2)
-    return float(value)

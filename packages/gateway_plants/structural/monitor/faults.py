@@ -163,6 +163,9 @@ def blames(model: Model, plan: Plan) -> dict[str, list[Blame]]:
 
 #: How likely a test fires if a fault is there that it sees: of a large one all do, of a small one few.
 _FIRES = 0.8
+#: How likely one fault alone looks like two. By it one of them is not told as the cause, and two neither: what a model
+#: lacks may look so.
+_LOOKS_LIKE_TWO = 0.002
 #: How likely a fault that is there alone is not found unlikely (0.99), as :class:`Blame` has it.
 _FITS = 1.1
 
@@ -170,15 +173,18 @@ _FITS = 1.1
 def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     """Return whom the failure of each test blames: the faults that it sees, and the model.
 
-    Behind the tests there are, where faults are weighed, one that fails if a fault fits, and two of each fault: one
-    passes if it does not fit, and fails if it is one of two for sure; one fails if another one is there beside it.
+    Behind the tests there are, where faults are weighed, one that fails if a fault fits, and three of each fault: one
+    passes if it does not fit, and fails if it is one of two for sure; one fails if another one is there beside it; one
+    if it fits alone, and two fit better.
     """
     sensors = _sensors(model)
     parts = {f: Blame(sensors[f]) if f in sensors else Blame(f, "plant") for f in plan.faults}
     every = [one._replace(share=_FIRES) for one in dict.fromkeys(parts.values())]
     weighed = {"fit": [*every, Blame("model", "model")]}
     weighed |= {f"fit of {f}": [parts[f]._replace(share=_FITS)] for f in plan.faults}
-    weighed |= {f"more than {f}": [one for one in every if one.part != parts[f].part] for f in plan.faults}
+    others = {f: [one for one in every if one.part != parts[f].part] for f in plan.faults}
+    weighed |= {f"more than {f}": others[f] for f in plan.faults}
+    weighed |= {_better(f): others[f] for f in plan.faults}
     return (weighed if fault_likelihood.faults_of(plan) else {}) | {
         test.name: [
             *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
@@ -188,33 +194,45 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     }
 
 
+def _better(fault: str) -> str:
+    """Return the name of the test that fails if a fault fits alone, and two fit better."""
+    return f"better than {fault}"
+
+
+def false_alarms(plan: Plan) -> dict[str, float]:
+    """Return how likely tests fail without a fault, of those that do so more often than others."""
+    return dict.fromkeys(map(_better, plan.faults), _LOOKS_LIKE_TWO)
+
+
 def levels(plan: Plan, state: Any) -> list[float]:
     """Return the levels of the tests: T over J, 1 at least as long as a test counts as one that has fired.
 
     Where something may be off, tests say nothing until sizes do. Where sizes say which faults are likely, a test that
-    has not fired says nothing; nor does one that some of these do
-    not see: its residual is in what they say. One that has just fired says nothing where sizes have spoken: it may be
-    another fault's.
+    has not fired says nothing; nor does one that some of these do not see: its residual is in what they say. One that
+    has just fired says nothing where sizes have spoken: it may be another fault's. Where two fit better than a fault
+    that fits alone, that is one more test of it, and each other fault alone is out of the question.
     """
     own = state["own"]
     weighed: list[float] = []
     said = int(own["weighed"])
     if fault_likelihood.faults_of(plan):
-        likely = unpack(np.asarray(own["likely"])[None, :], len(plan.faults))[0]
+        likely, paired, sure = (
+            unpack(np.asarray(own[name])[None, :], len(plan.faults))[0] for name in ("likely", "paired", "sure")
+        )
         named = plan.diagnoses[own["found"]] if own["by_size"] and 0 <= own["found"] < len(plan.diagnoses) else ()
-        weighed = [-inf] * (1 + 2 * len(plan.faults))
-        if said == 1:
-            fits = [nan if one or f in named else 0.0 for f, one in zip(plan.faults, likely, strict=True)]
-            weighed = [2.0, *fits, *[-inf] * len(fits)]
-        elif said == 2:
-            sure = unpack(np.asarray(own["sure"])[None, :], len(plan.faults))[0]
-            fits = [
-                2.0 if two and not (f in named and len(named) > 1) else nan if one or f in named else 0.0
-                for f, one, two in zip(plan.faults, likely, sure, strict=True)
-            ]
-            more = [2.0 if (two if sure.any() else one) else -inf for one, two in zip(likely, sure, strict=True)]
-            return [2.0, *fits, *more, *[-inf] * len(plan.tests)]
-        if said != 1 and own["by_size"] == 1:
+        fits = [
+            2.0 if said == 2 and two and not (f in named and len(named) > 1)
+            else nan if one or pair or f in named else 0.0
+            for f, one, pair, two in zip(plan.faults, likely, paired, sure, strict=True)
+        ]  # fmt: skip
+        alone = likely if said != 2 else np.zeros_like(likely)
+        told = 1 - alone if said != 2 else sure if sure.any() else paired
+        more = [2.0 if one and paired.any() else -inf for one in told]
+        better = [2.0 if one and paired.any() else -inf for one in alone]
+        weighed = [2.0, *fits, *more, *better]
+        if said == 0 or (said < 0 and not paired.any()):
+            weighed = [-inf] * len(weighed)
+        if said == 2 or (said != 1 and own["by_size"] == 1):
             return weighed + [-inf] * len(plan.tests)
     fired = unpack(np.asarray(own["fired"])[None, :], len(plan.tests))[0]
     levels = [

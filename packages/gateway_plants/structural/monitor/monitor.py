@@ -53,7 +53,7 @@ from gateway_plants.structural.monitor import (
     summary,
     uncertain,
 )
-from gateway_plants.structural.monitor.faults import behind, blames, faults_of, levels, names_of, shown
+from gateway_plants.structural.monitor.faults import behind, blames, false_alarms, faults_of, levels, names_of, shown
 from gateway_plants.structural.monitor.params import Params, PartParams
 from gateway_plants.structural.monitor.plan import Plan, Test
 
@@ -99,7 +99,7 @@ class _Made:
             prepare=self._prepare,  # type: ignore[arg-type]
             faults=self._faults,  # type: ignore[arg-type]
             capabilities=(
-                Behind(lambda _: behind(self.model, plan), lambda _, s: levels(plan, s)),
+                Behind(lambda _: behind(self.model, plan), lambda _, s: levels(plan, s), false_alarms(plan)),
                 Blames(lambda _: blames(self.model, plan)),
                 CusumCalibration(
                     quantities=(*((name, name) for name in names), *((name, "") for name in self._limits)),

@@ -85,6 +85,7 @@ class State(machine.State, lengths=MOST):
     waits: Annotated[i8s, "tests"] = means("1: what may be off is not known well enough to judge it")
     weighed: i8 = means("number of faults that sign and size show; -1: one, and they are not all")
     likely: Annotated[i8s, "words"] = means("those faults, a mask")
+    paired: Annotated[i8s, "words"] = means("faults of pairs that fit better than one fault, a mask")
     sure: Annotated[i8s, "words"] = means("of two faults those that are there in any case, a mask")
     last: Annotated[i8s, "words"] = means("those that were sure last, since faults began beside the tests, a mask")
     before: Annotated[i8s, "words"] = means("those before that, of which something may have been learned, a mask")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from gateway_fdi.structure.generator.records import DEAD, GAIN, HOLD, JACOBIAN, SLOPES, field_name
 from gateway_fdi.structure.generator.sources import load_source, module_name
 from gateway_plants.structural.monitor.fault_likelihood import STEP as SIZE
-from gateway_plants.structural.monitor.fault_likelihood import faults_of, model_of
+from gateway_plants.structural.monitor.fault_likelihood import faults_of, lengths_of
 from gateway_plants.structural.monitor.plan import Plan, Test
 from gateway_plants.structural.monitor.records import lengths
 from gateway_plants.structural.monitor.uncertain import STEP, Slow, neighbours
@@ -156,7 +156,7 @@ def _moved(plan: Plan, slow: Sequence[Slow]) -> list[str]:
     begins = "what == sampling.FIRST"
     return [
         f"if parameter_tracking.moves(s.follow, c.follow, s.own, c.own, {begins}):",
-        *(f"    {line}" for line in [*lines, "s.fit.awake = 0" if faulty(plan) else "pass"]),
+        *(f"    {line}" for line in [*lines, "fault_likelihood.interrupt(s.fit)" if faulty(plan) else "pass"]),
     ]
 
 
@@ -309,7 +309,7 @@ def _weighed(plan: Plan, slow: Sequence[Slow]) -> list[str]:
     """Return the lines of the records that weigh faults."""
     if not faulty(plan):
         return []
-    room = model_of(plan, len(slow), 1.0, 1.0).lengths
+    room = lengths_of(plan, len(slow))
     return [
         f"class Fit(fault_likelihood.State, lengths={room}):", "    pass", "", "",
         f"class FitConst(fault_likelihood.Const, lengths={room}):", "    pass", "", "",
@@ -362,7 +362,7 @@ def module_of(plan: Plan, knowns: tuple[str, ...], slow: Sequence[Slow] = ()) ->
             *(f"            {line}" for line in _resets(plan, slow)),
             *_starts(plan, slow),
             "        dt = s.own.dt",
-            *(["        if what != sampling.GO:", "            s.fit.awake = 0"] if weighed else []),
+            *(["        if what != sampling.GO:", "            fault_likelihood.interrupt(s.fit)"] if weighed else []),
             *(f"        {line}" for line in _residuals(plan, slow)),
             *(
                 ["        if s.fit.awake == 1:", "            fault_likelihood.take(s.fit, c.fit, s.own, c.own)"]
