@@ -51,7 +51,7 @@ USES = {
     "docs/test_tutorials.py": ("structural", _BENCH, "gateway_fleet"),
     "docs/test_walks.py": ("crank", _BENCH, "gateway_fleet"),
     "package/test_windows.py": (_BENCH,),
-    "pytest_plugin": (_BENCH,),
+    "pytest_plugin": (_BENCH, "gateway_pytest"),
     "api/test_arrays.py": ("structural",),
     "arena/test_arena.py": ("linear", "structural"),
     "arena/test_benchmarks.py": ("structural",),
