@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -13,6 +14,7 @@ from gateway.bus.readers.batch import Reader
 from gateway.bus.readers.candump import Candump
 from gateway.common.extras import need
 from gateway.common.plugins import Registry, accept_instance
+from gateway_fdi.errors import InputError
 
 
 class Sink(Protocol):
@@ -59,6 +61,10 @@ CANDUMP = LogFormat("candump", Candump, lambda path, names: CandumpWriter(path.o
 
 
 def formats() -> dict[str, LogFormat]:
-    """Return all formats by their suffix, those first that know their logs best."""
-    found = {**OTHERS, ".log": CANDUMP}
+    """Return all formats that can be used by their suffix, those first that know their logs best."""
+    found = {}
+    for suffix in OTHERS:
+        with suppress(InputError):  # a log of this suffix has this error, and no other
+            found[suffix] = OTHERS[suffix]
+    found[".log"] = CANDUMP
     return dict(sorted(found.items(), key=lambda each: each[1].rank))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gateway.bus.conditions import BUS_ERROR, PROTOCOL
 from gateway.bus.frames import ERROR, ID_MASK, Frames, chosen, of_bus
-from gateway.bus.log_format import LogFormat, formats
+from gateway.bus.log_format import OTHERS, LogFormat, formats
 from gateway.bus.log_source import (
     ARCHIVE,
     COMPRESSIONS,
@@ -45,7 +45,7 @@ CHUNK = 100_000
 
 def is_format(suffix: str) -> bool:
     """Return whether files of a suffix are logs that can be read."""
-    return suffix.lower() in formats() or suffix.lower() in READERS
+    return suffix.lower() in (".log", *OTHERS, *READERS)
 
 
 def _known(suffix: str, path: Path, *, read: bool) -> LogFormat:
@@ -57,6 +57,7 @@ def _known(suffix: str, path: Path, *, read: bool) -> LogFormat:
     every = formats()
     if suffix not in every:
         known = ", ".join(f"{name} ({each.name})" for name, each in sorted(every.items()))
+        OTHERS.get(suffix)  # its own error, if it cannot be used
         more = f"; to be read also with {', '.join(COMPRESSIONS)} after it" if read else ""
         raise InputError(f"a log is one of {known}{more}", file=path)
     every[suffix].need(path)

@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
-from gateway.bus.log_format import CANDUMP, LogFormat, formats
-from gateway.bus.logs import LogReader, open_writer
+from gateway.bus.log_format import CANDUMP, OTHERS, LogFormat, formats
+from gateway.bus.logs import LogReader, is_format, open_writer
 from gateway_fdi.errors import InputError
 
 CSV = "timestamp,arbitration_id,extended,remote,error,dlc,data\n"
@@ -17,6 +17,19 @@ def test_the_core_has_its_own_and_those_of_the_door():
     assert formats()[".log"] is CANDUMP
     assert len(formats()) == 7
     assert all(isinstance(each, LogFormat) for each in formats().values())
+
+
+def test_formats_that_cannot_be_used_concern_their_own_logs_only(tmp_path, monkeypatch):
+    monkeypatch.setattr(OTHERS, "_known", {})
+    monkeypatch.setitem(sys.modules, "gateway_logs.formats", None)
+    (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n")
+    assert sum(map(len, LogReader(tmp_path / "a.log"))) == 1
+    (tmp_path / "a.csv").write_text(CSV)
+    with pytest.raises(InputError, match=r"gateway_logs\.formats cannot be imported"):
+        LogReader(tmp_path / "a.csv")
+    with pytest.raises(InputError, match=r"gateway_logs\.formats cannot be imported"):
+        open_writer(tmp_path / "b.csv")
+    assert is_format(".csv"), "of a folder it is one, and its error is told"
 
 
 def test_lines_in_a_binary_log_are_none_of_a_text(tmp_path):

@@ -1,4 +1,4 @@
-"""``gateway evaluate drives``: vehicles of a folder, everyday faults, and what is told of them."""
+"""``gateway evaluate drives``: vehicles of a folder, everyday faults, and the diagnosis that is told of them."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""What a person and a program see first is the cause; its symptoms are folded below it."""
+"""What a person and a program see first is the cause, of the diagnosis; its symptoms are folded below it."""
 
 import json
 import re

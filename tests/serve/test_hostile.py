@@ -147,7 +147,7 @@ def test_what_means_harm_is_refused_changes_nothing_and_others_are_served(site):
 
     attack(60)  # all kinds, twice
     with slow_clients(site.port, 20) as slow:
-        attack(amount(940, 240, 30))
+        attack(amount(940, 90, 30))
         assert [status_of(site, path, site.reading) for path in ("/", "/metrics")] == [200, 200]
         assert all(map(was_sent_away, slow)), "closed without a word"
     for (kind, status), count in sorted(kinds.items(), key=str):

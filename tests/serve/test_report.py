@@ -39,6 +39,7 @@ def log(drive):
 
 
 def test_the_readme_shows_what_is_printed(drive):
+    """Its line of a cause is that of the diagnosis."""
     text = (Path(__file__).parents[2] / "README.md").read_text()
     shown = re.search(r"^```\n(DTC .*?)^```", text, re.MULTILINE | re.DOTALL)[1]
     printed = {re.sub(r"^\d+\.\d+ s +", "", line.strip()) for line in drive[1].splitlines()}

@@ -1,4 +1,4 @@
-"""A small matrix: faults that run fast, each of another kind; the large one is ``gateway evaluate cause``."""
+"""A small matrix of the diagnosis: faults that run fast, each of another kind; ``gateway evaluate cause`` has all."""
 
 import pytest
 from amount import amount

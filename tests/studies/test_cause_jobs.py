@@ -1,6 +1,11 @@
-"""The runs of the study of causes: faults that a learned configuration can show, and pairs of them."""
+"""The runs of the study of the diagnosis: faults that a learned configuration can show, and pairs of them."""
 
+import pytest
+
+from gateway_fdi.errors import InputError
+from gateway_fleet.study.cause import drive
 from gateway_fleet.study.cause.cars import END_S, Car, Injected, injected
+from gateway_fleet.study.cause.cases import faults
 from gateway_fleet.study.cause.matrix import Job, pairs, run
 
 DBC = """VERSION ""
@@ -84,3 +89,11 @@ def test_a_car_s_drive_is_judged_until_its_faults_end(tmp_path):
     assert row.verdict.seen
     assert row.verdict.place == 2, "Body, which sends Lamps too, comes before it: nothing tests those"
     assert not row.verdict.before
+
+
+def test_without_a_package_that_finds_causes_nothing_is_judged(tmp_path, monkeypatch):
+    """Rows that say "not seen" of each fault would be read as the gateway's."""
+    job = Job("signals", "value Vehicle.Coolant", 5, (next(f for f in faults() if f.name == "value Vehicle.Coolant"),))
+    monkeypatch.setattr(drive, "CALLS", {})
+    with pytest.raises(InputError, match="no installed package finds causes"):
+        run(job)

@@ -26,12 +26,19 @@ HERE = Path(__file__).parent
 CRANK = ("test_crank_scenarios.py",)
 #: Of these some are played in the full size only: then each lane has some.
 OTHERS = tuple(f"test_{plant}_scenarios.py" for plant in ("pedal", "steering", "linear", "truck"))
-#: Kernel -> its lanes, each some files of tests. The clock is one of all lanes: its tests have a kernel of their own.
-KERNELS = {
-    "scenarios": ((*CRANK, *OTHERS),) if not FULL else (CRANK, OTHERS[:1], OTHERS[1:]),
-    "interfaces": (("test_peers.py",), ("test_supervision.py", "test_socketcan.py"), ("test_restbus.py",)),
-    "clock": (("test_clock.py",),),
-}
+PEERS, REST_BUS = ("test_peers.py",), ("test_restbus.py",)
+INTERFACES, CLOCK = ("test_supervision.py", "test_socketcan.py"), ("test_clock.py",)
+#: Kernel -> its lanes, each some files of tests. The start of a kernel, and of Python in it, takes more of a processor
+#: than most of its tests, which wait: in CI one of all does. The clock is one of all lanes: last, or alone.
+KERNELS = (
+    {
+        "scenarios": (CRANK, OTHERS[:1], OTHERS[1:]),
+        "interfaces": (PEERS, INTERFACES, REST_BUS),
+        "clock": (CLOCK,),
+    }
+    if FULL
+    else {"all": ((*CRANK, *OTHERS, *PEERS, *INTERFACES, *REST_BUS, *CLOCK),)}
+)
 
 pytestmark = pytest.mark.system
 

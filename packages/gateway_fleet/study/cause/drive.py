@@ -12,13 +12,16 @@ import numpy as np
 
 from gateway.bus.frames import Frames
 from gateway.bus.logs import LogReader
+from gateway.common.calls import CALLS
 from gateway.config.load import load_config
 from gateway.config.model import Config
 from gateway.runtime.app import Gateway
 from gateway.runtime.assemble import prepare
+from gateway.runtime.diagnosis import DIAGNOSIS
 from gateway_bench.scenario_session import player_of
 from gateway_bench.vecu.scenario import Scenario, located
 from gateway_fdi.common.resources import shipped
+from gateway_fdi.errors import InputError
 from gateway_fleet.study.cause.cases import read
 from gateway_replay.injection import Injector, parse_injection
 
@@ -81,7 +84,13 @@ def diagnoses(config: Config, frames: Frames) -> list[Told]:
 
 
 def events_of(config: Config, frames: Frames) -> list[Mapping[str, Any]]:
-    """Return the events of a run."""
+    """Return the events of a run, for a study that judges what is told of causes.
+
+    Raises:
+        InputError: no package finds any, which is not the same as that none is found.
+    """
+    if DIAGNOSIS not in CALLS:
+        raise InputError("no installed package finds causes")
     gateway = Gateway(config)
     events: list[Mapping[str, Any]] = []
     gateway.listen(events.append)
