@@ -30,6 +30,8 @@ def test_a_single_fault_is_named_first_and_nobody_else_alone(fault):
     assert row.verdict.place == 1
     # A message without a counter may be frozen as a whole: no test of the bench tells that from one signal that stands.
     assert row.verdict.alone is not fault.name.startswith("freeze ")
+    assert row.verdict.right
+    assert 0.0 < row.verdict.chance <= 1.0
     assert not row.verdict.healthy
     assert not row.verdict.before
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -13,7 +15,11 @@ from rich.table import Table
 from gateway.cli.present import print_json, wide_console
 from gateway_bench.cli.study import headed
 from gateway_fleet.study.cause.cars import learned
+from gateway_fleet.study.cause.judge import Verdict
 from gateway_fleet.study.cause.matrix import Job, Row, done, folder_of, healthy, pairs, singles
+
+#: Of a normal distribution, 95 % on both sides.
+_Z = 1.96
 
 
 def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Path, json: bool) -> int:
@@ -40,6 +46,9 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
             console.print(_table(kind, some))
         if len(apart) < len(some):
             console.print(_table(f"{kind} that the models' structure tells apart", apart))
+    told = [row.verdict for some in rows.values() for row in some if row.verdict.chance > 0.0]
+    if told:
+        console.print(_reliability(told))
     return 0
 
 
@@ -62,6 +71,24 @@ def _table(kind: str, rows: Sequence[Row]) -> Table:
     for plant, mine in by_plant.items():
         table.add_row(plant, *_counts(mine))
     table.add_row("all", *_counts(rows), style="bold")
+    return table
+
+
+def _reliability(verdicts: Sequence[Verdict]) -> Table:
+    """Return how often what was told last is right, by the tenths of its probability; with Wilson's interval."""
+    title = "what was told last: is it right as often as its probability says?"
+    table = headed(title, ["told with"], ["runs", "mean", "right", "95 %"])
+    edges = [*(k / 10 for k in range(10)), 0.99, 1.0]
+    for low, high in itertools.pairwise(edges):
+        mine = [one for one in verdicts if low <= one.chance < high or one.chance == high == 1.0]
+        if not mine:
+            continue
+        n, share = len(mine), sum(one.right for one in mine) / len(mine)
+        middle, z2 = share + _Z**2 / (2 * n), _Z**2
+        apart = _Z * math.sqrt(share * (1.0 - share) / n + z2 / (4 * n * n))
+        ends = (f"{(middle + sign * apart) / (1.0 + z2 / n):.1%}" for sign in (-1, 1))
+        mean = sum(one.chance for one in mine) / n
+        table.add_row(f"{low:g} to {high:g}", str(n), f"{mean:.1%}", f"{share:.1%}", " to ".join(ends))
     return table
 
 

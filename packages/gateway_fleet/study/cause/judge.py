@@ -28,6 +28,8 @@ class Verdict:
         told_apart: nothing is alike: by the model's structure no other parts explain all that these faults do.
         alone: it is the first, and nothing else has a tenth of its probability.
         cause: it is told as the cause, and nothing else.
+        chance: probability of the likeliest of what was told last; 0: nothing was told.
+        right: it is the truth.
         healthy: healthy components that were told as a cause at some time.
         last: what was told last, for people.
     """
@@ -38,6 +40,8 @@ class Verdict:
     told_apart: bool
     alone: bool
     cause: bool
+    chance: float
+    right: bool
     healthy: tuple[str, ...]
     last: str
 
@@ -64,15 +68,17 @@ def judge(
     causes = {name for one in during for group in one.groups for name in group["cause"] or ()}
     healthy = tuple(sorted(causes - right))
     if not during:
-        return Verdict(before, False, 0, not alike, False, False, healthy, "")
+        return Verdict(before, False, 0, not alike, False, False, 0.0, False, healthy, "")
     groups = during[-1].groups
-    weighed = [one for one in _together(groups) if _is(one[0], truths) or not any(less <= one[0] for less in alike)]
+    (first, chance), *_ = every = _together(groups)
+    weighed = [one for one in every if _is(one[0], truths) or not any(less <= one[0] for less in alike)]
     places = [k for k, chosen in enumerate((chosen for chosen, _ in weighed), 1) if _is(chosen, truths)]
     whole = [group["cause"] for group in groups]
     near = [chosen for chosen, p in weighed if p >= _TENTH * weighed[0][1]]
     alone = bool(near) and all(_is(chosen, truths) for chosen in near)
     cause = None not in whole and _is(frozenset(itertools.chain.from_iterable(whole)), truths)
-    return Verdict(before, True, places[0] if places else 0, not alike, alone, cause, healthy, _text(groups))
+    place, right = places[0] if places else 0, _is(first, truths)
+    return Verdict(before, True, place, not alike, alone, cause, chance, right, healthy, _text(groups))
 
 
 def _is(chosen: frozenset[str], truths: Sequence[Truth]) -> bool:
