@@ -179,7 +179,7 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     weighed = {"fit": [*every, Blame("model", "model")]}
     weighed |= {f"fit of {f}": [parts[f]._replace(share=_FITS)] for f in plan.faults}
     weighed |= {f"more than {f}": [one for one in every if one.part != parts[f].part] for f in plan.faults}
-    return (weighed if fault_likelihood.faults_of(plan) else {}) | {
+    return (weighed if fault_likelihood.moved(plan) else {}) | {
         test.name: [
             *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
             Blame("model", "model"),
@@ -199,7 +199,7 @@ def levels(plan: Plan, state: Any) -> list[float]:
     own = state["own"]
     weighed: list[float] = []
     said = int(own["weighed"])
-    if fault_likelihood.faults_of(plan):
+    if fault_likelihood.moved(plan):
         likely = unpack(np.asarray(own["likely"])[None, :], len(plan.faults))[0]
         named = plan.diagnoses[own["found"]] if own["by_size"] and 0 <= own["found"] < len(plan.diagnoses) else ()
         weighed = [-inf] * (1 + 2 * len(plan.faults))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from gateway_fdi.evidence import model
 from gateway_fdi.structure.generator.records import DEAD, GAIN, HOLD, JACOBIAN, SLOPES, field_name
 from gateway_fdi.structure.generator.sources import load_source, module_name
 from gateway_plants.structural.monitor.fault_likelihood import STEP as SIZE
-from gateway_plants.structural.monitor.fault_likelihood import faults_of, model_of
+from gateway_plants.structural.monitor.fault_likelihood import moved
 from gateway_plants.structural.monitor.plan import Plan, Test
 from gateway_plants.structural.monitor.records import lengths
 from gateway_plants.structural.monitor.uncertain import STEP, Slow, neighbours
@@ -202,7 +203,7 @@ def _same(one: str, other: str, record: str) -> list[str]:
 
 def faulty(plan: Plan) -> list[tuple[int, Test]]:
     """Return the tests, by their numbers, beside which faults run."""
-    return [(k, test) for k, test in enumerate(plan.tests) if test.faults] if faults_of(plan) else []
+    return [(k, test) for k, test in enumerate(plan.tests) if test.faults] if moved(plan) else []
 
 
 def _gained(plan: Plan, slow: Sequence[Slow], k: int) -> list[str]:
@@ -309,7 +310,7 @@ def _weighed(plan: Plan, slow: Sequence[Slow]) -> list[str]:
     """Return the lines of the records that weigh faults."""
     if not faulty(plan):
         return []
-    room = model_of(plan, len(slow), 1.0, 1.0).lengths
+    room = model.lengths(len(plan.tests), len(slow), moved(plan))
     return [
         f"class Fit(fault_likelihood.State, lengths={room}):", "    pass", "", "",
         f"class FitConst(fault_likelihood.Const, lengths={room}):", "    pass", "", "",
