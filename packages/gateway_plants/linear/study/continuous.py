@@ -68,7 +68,9 @@ def flags(omega: Array, e: Array) -> tuple[Flags, Flags, Flags]:
     """
     others = ~np.eye(3, dtype=np.bool_)
     small, still = np.abs(omega) < example.ACTUATOR_LIMIT, np.abs(e) < example.SENSOR_LIMIT
-    return ~small.any(axis=1), ~(small & others[:, :2]).any(axis=1), ~(still & others).any(axis=1)
+    denied = (small.any(axis=1), (small & others[:, :2]).any(axis=1), (still & others).any(axis=1))
+    r_a, printed, r_s = map(np.logical_not, denied)
+    return r_a, printed, r_s
 
 
 def observe(a: Array, s: Array, gains: ArrayLike = example.GAINS) -> Told:
