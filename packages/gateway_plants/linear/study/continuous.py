@@ -89,11 +89,9 @@ def observe(a: Array, s: Array, gains: ArrayLike = example.GAINS) -> Told:
     x, count = np.zeros(size), len(a)
     omega, e = np.zeros((count, 3, 2)), np.zeros((count, 3, 3))
     for t in range(count):
-        for k in range(3):
-            at = 4 + 6 * k
-            omega[t, k] = x[at + 4 : at + 6]
-            for j in range(3):
-                e[t, k, j] = 0.0 if j == k else x[j] + s[t, j] - x[at + j]
+        bank = x[4:].reshape(3, 6)
+        omega[t], e[t] = bank[:, 4:], x[:3] + s[t] - bank[:, :3]
+        np.fill_diagonal(e[t], 0.0)
         x = step[:size, :size] @ x + step[:size, size:] @ np.concatenate([[example.COMMAND] * 2, a[t], s[t]])
     return Told(omega, e, *flags(omega, e))
 
