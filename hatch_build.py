@@ -58,10 +58,11 @@ def version_of(root: Path) -> str:
 
 
 def write_generated(root: Path) -> None:
-    """Write the modules that models give, where they are not there (gateway_plants.truck.residual_generators)."""
+    """Write the modules that models of plants give, where they are not there (residual_generators.py of a plant)."""
     path = os.pathsep.join(filter(None, (str(root / "packages"), os.environ.get("PYTHONPATH"))))
-    command = [sys.executable, "-m", "gateway_plants.truck.residual_generators"]
-    subprocess.run(command, cwd=root, env={**os.environ, "PYTHONPATH": path}, check=True)  # noqa: S603 - our own
+    for file in sorted(root.glob("packages/gateway_plants/*/residual_generators.py")):
+        command = [sys.executable, "-m", f"gateway_plants.{file.parent.name}.residual_generators"]
+        subprocess.run(command, cwd=root, env={**os.environ, "PYTHONPATH": path}, check=True)  # noqa: S603 - our own
 
 
 class Version(MetadataHookInterface):

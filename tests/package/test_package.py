@@ -16,7 +16,6 @@ import yaml
 from gateway import __version__
 from gateway.cli import app
 from gateway.cli.version import version
-from gateway_plants.truck import residual_generators
 
 ROOT = Path(__file__).parents[2]
 
@@ -84,8 +83,9 @@ def test_the_wheel_is_made_of_what_is_copied(wheel):
     assert "gateway/shipped/gateway.toml" in names
     tops = {name.split("/")[0] for name in names if ".dist-info/" not in name}
     assert {f"{top}/py.typed" for top in tops} <= names
-    written = {f"gateway_plants/truck/monitor/generated/{module}.py" for module in residual_generators.MODULES}
-    assert written <= names, "made at build"
+    written = {name for name in names if re.fullmatch(r"gateway_plants/\w+/monitor/generated/t\d\.py", name)}
+    makers = {name.split("/")[1] for name in packages if name.endswith("/residual_generators.py")}
+    assert {name.split("/")[1] for name in written} == makers, "made at build"
     others = names - packages - written
     assert others == {name for name in others if name.startswith("gateway/shipped/") or ".dist-info/" in name}
 
@@ -112,7 +112,6 @@ def test_the_version_is_that_of_the_tag_and_tells_the_commit(tmp_path):
     spec = importlib.util.spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
     hooks = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(hooks)
-    hooks.write_generated = lambda root: None
     file = tmp_path / "gateway" / "__init__.py"
     file.parent.mkdir()
     file.write_text('__version__ = "1.2.3"\n')
