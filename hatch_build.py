@@ -1,15 +1,17 @@
-"""Version and commit of a build, for hatchling.
+"""Version and commit of a build, and the code that a program writes, for hatchling.
 
 The version is that of ``gateway/__init__.py``: at a tag ``v<version>``, and where there is no git; a tag that says
 another one is refused. At any other commit it is ``<version>.dev0+g<commit>``, with ``.dirty`` where files are changed.
 Neither tags nor history are needed. The commit goes into the file ``COMMIT`` of the sdist, and from there, or from
-git, into the wheel.
+git, into the wheel. Residual generators are written from their model into the checkout, an editable installation's too.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -55,6 +57,14 @@ def version_of(root: Path) -> str:
     return version if not commit or (tags and not dirty) else f"{version}.dev0+g{commit}{dirty}"
 
 
+def write_generated(root: Path) -> None:
+    """Write the modules that models of plants give, where they are not there (residual_generators.py of a plant)."""
+    path = os.pathsep.join(filter(None, (str(root / "packages"), os.environ.get("PYTHONPATH"))))
+    for file in sorted(root.glob("packages/gateway_plants/*/residual_generators.py")):
+        command = [sys.executable, "-m", f"gateway_plants.{file.parent.name}.residual_generators"]
+        subprocess.run(command, cwd=root, env={**os.environ, "PYTHONPATH": path}, check=True)  # noqa: S603 - our own
+
+
 class Version(MetadataHookInterface):
     """Sets the version; that of an sdist stands in its PKG-INFO already."""
 
@@ -66,12 +76,14 @@ class Version(MetadataHookInterface):
 
 
 class Commit(BuildHookInterface[Any]):
-    """Puts the commit into sdist and wheel."""
+    """Puts the commit into sdist and wheel, and generated code into the wheel."""
 
     PLUGIN_NAME = "custom"
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Add the file; not to an editable installation, which asks git."""
+        if self.target_name == "wheel":
+            write_generated(Path(self.root))
         commit = commit_of(Path(self.root))
         if commit and version != "editable":
             self._folder = tempfile.TemporaryDirectory()

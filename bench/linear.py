@@ -22,7 +22,7 @@ from gateway_plants.linear.ecu.plant import simulate
 from gateway_plants.linear.monitor import plant as linear_plant
 from gateway_plants.linear.pi_bank import bank
 from gateway_plants.linear.pi_bank.design import augmented
-from gateway_plants.linear.study import example, products
+from gateway_plants.linear.study import example
 from gateway_plants.linear.study.bank import drive, observers
 
 REPEATS = 5
@@ -36,11 +36,15 @@ def run_bank(s, c, y, u):
         for k in range(1, 4):
             bank.innovate(s, c, k, y[t])
         for i in range(2):
-            if products.actuator(s.z, 4, 3, i, 0.01, False):
-                raised += 1
+            small = 0
+            for k in range(1, 4):
+                small += 1 if abs(s.z[k, 4 + i]) < 0.01 else 0
+            raised += 1 if small == 0 else 0
         for j in range(3):
-            if products.sensor(s.e, 3, j, 0.1):
-                raised += 1
+            small = 0
+            for k in range(1, 4):
+                small += 1 if k != j + 1 and abs(s.e[k, j]) < 0.1 else 0
+            raised += 1 if small == 0 else 0
         for k in range(1, 4):
             bank.advance(s, c, k, u[t])
     return raised

@@ -18,6 +18,8 @@ from pathlib import Path
 _CACHE = tempfile.mkdtemp()
 os.environ["GATEWAY_CACHE_DIR"] = _CACHE
 
+from battery_pack import tests_of, write_pack  # noqa: E402 - with a cache of its own
+
 from gateway.config.load import load_config  # noqa: E402
 from gateway.runtime.app import Gateway  # noqa: E402
 from gateway_bench.scenario_session import opened  # noqa: E402
@@ -25,7 +27,6 @@ from gateway_fdi.structure.file import load_own_model  # noqa: E402
 from gateway_plants.structural.monitor import monitor as structural  # noqa: E402
 from gateway_plants.structural.monitor.choice import choose  # noqa: E402
 from gateway_plants.structural.monitor.params import Params  # noqa: E402
-from gateway_plants.structural.study.battery import tests_of, write_pack  # noqa: E402 - with a cache of its own
 
 SECONDS = 120.0
 

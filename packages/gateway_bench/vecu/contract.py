@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeAlias, TypeVar
 
 import numpy as np
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, model_validator
 
 from gateway.bus.frames import Frames
 from gateway.signals.protection.params import ProtectionParams
@@ -60,6 +60,19 @@ class EcuFault(StrictModel):
     kind: str
     ecu: str = Field(description="name of the ECU")
     when: str | None = Field(None, min_length=1, description=WHEN)
+
+
+class TimedFault(EcuFault):
+    """Base of a fault that begins at a time, and may end."""
+
+    from_s: float = Field(0.0, ge=0, description="[s]")
+    to_s: float | None = Field(None, description="[s]; default: the end")
+
+    @model_validator(mode="after")
+    def _ends_behind_its_begin(self) -> Self:
+        if self.to_s is not None and self.to_s <= self.from_s:
+            raise ValueError("to_s must lie after from_s")
+        return self
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,11 @@
 """Samples into the quadratic form of a block.
 
-With Z the columns of a sample, H and the gains, each gain in the row of its residual, and W the inverse of the noise's
-covariance,
+With Z the columns of a sample, H and the gains, each gain in the row of its residual, and W the inverses of the noise's
+variances,
 
     A = sum Z' W Z        b = sum Z' W r
 
-A residual that is missing is integrated out of W. When the block is whole, the jitter of the slow errors is integrated
-out of it.
+A residual that is missing has no weight. When the block is whole, the slow errors' jitter is integrated out of it.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from typing import Any
 
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import f8s, kernel
-from gateway_fdi.linear_algebra import copy
 
 
 @kernel
@@ -40,33 +38,24 @@ def add(s: Any, c: Any, r: f8s, h: f8s, g: f8s) -> bool:
 @kernel
 def _weigh(s: Any, c: Any, r: f8s) -> None:
     """Find W of the residuals that are there, 0 for others, and W r."""
-    m = c.residuals
-    s.left[:] = 0.0
-    for i in range(m):
-        copy(s.rows[i], c.weight[i], m)
-    for i in range(m):
-        if not isfinite(r[i]):
-            blur(s.rows, s.left, m, i, 0.0)
-    for i in range(m):
-        if isfinite(r[i]):
-            for j in range(m):
-                s.left[j] += s.rows[j, i] * r[i]
+    for i in range(c.residuals):
+        there = isfinite(r[i])
+        s.there[i] = c.weight[i] if there else 0.0
+        s.left[i] = c.weight[i] * r[i] if there else 0.0
 
 
 @kernel
 def _add_slow(s: Any, c: Any, h: f8s) -> None:
     """Take the columns of the slow errors; leaves H' W."""
-    m = c.residuals
     for k in range(c.slow):
-        s.weighted[k, :] = 0.0
-        for j in range(m):
-            if s.rows[j, j] != 0.0 and h[j, k] != 0.0:
-                s.b[k] += h[j, k] * s.left[j]
-                for i in range(m):
-                    s.weighted[k, i] += s.rows[i, j] * h[j, k]
+        for i in range(c.residuals):
+            s.weighted[k, i] = 0.0
+            if s.there[i] != 0.0:
+                s.weighted[k, i] = s.there[i] * h[i, k]
+                s.b[k] += h[i, k] * s.left[i]
         for j in range(k + 1):
-            for i in range(m):
-                if s.rows[i, i] != 0.0:
+            for i in range(c.residuals):
+                if s.there[i] != 0.0:
                     s.a[k, j] += s.weighted[k, i] * h[i, j]
 
 
@@ -76,14 +65,14 @@ def _add_gains(s: Any, c: Any, g: f8s) -> None:
     p = c.slow
     for k in range(c.first[c.faults]):
         row = c.row[k]
-        if s.rows[row, row] == 0.0:
+        if s.there[row] == 0.0:
             continue
         s.b[p + k] += g[k] * s.left[row]
         for j in range(p):
             s.a[p + k, j] += s.weighted[j, row] * g[k]
         for j in range(k + 1):
-            if s.rows[row, c.row[j]] != 0.0:
-                s.a[p + k, p + j] += g[k] * s.rows[row, c.row[j]] * g[j]
+            if c.row[j] == row:
+                s.a[p + k, p + j] += g[k] * s.there[row] * g[j]
 
 
 @kernel
@@ -95,8 +84,8 @@ def close(s: Any, c: Any) -> float:
             s.a[j, i] = s.a[i, j]
     explained = 0.0
     for k in range(c.slow):
-        explained += s.b[k] ** 2 / (s.a[k, k] + c.jitter[k])
-        blur(s.a, s.b, n, k, c.jitter[k])
+        explained += s.b[k] ** 2 / (s.a[k, k] + c.jitter)
+        blur(s.a, s.b, n, k, c.jitter)
     return explained
 
 

@@ -13,17 +13,25 @@ from __future__ import annotations
 from math import exp, inf, log
 from typing import Any
 
-from gateway_fdi.evidence.model import SCALES
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import kernel
 
+#: A size is a mixture of this number of Gaussians, of which each is FINER times as narrow as the one before: faults far
+#: below their range are as likely as those that fill it.
+SCALES, FINER = 3, 3.0
+
 
 @kernel
-def of_fault(s: Any, c: Any, f: int) -> None:
-    """Find likelihood and size of a fault, from the form in the scratch that x is integrated out of."""
+def of_fault(s: Any, c: Any, f: int, largest: float) -> None:
+    """Find likelihood and size of a fault, from the form in the scratch that x is integrated out of.
+
+    Args:
+        f: the fault.
+        largest: standard deviation of its size beforehand, the largest of the scales.
+    """
     best, total, mean = -inf, 0.0, 0.0
     for n in range(SCALES):
-        value = _scaled(s, c, f, c.scale[f, n])
+        value = _scaled(s, c, f, largest / FINER**n)
         fewer = exp(min(best - value, 0.0))
         best = max(best, value)
         share = exp(value - best)
@@ -37,7 +45,7 @@ def _scaled(s: Any, c: Any, f: int, scale: float) -> float:
     """Return the log likelihood ratio of a fault with one scale of its size; leaves the size."""
     first = c.slow + c.first[f]
     m = c.first[f + 1] - c.first[f]
-    own = scale * c.error[f]
+    own = scale * c.error
     precision = own**-2 if own > 0.0 else inf
     s.one_b[m] = 0.0
     for i in range(m + 1):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -43,18 +44,10 @@ class Voted:
 
 
 @kernel
-def average(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drift: Any) -> None:
-    """Vote on samples by their mean; arguments as of :func:`tracking`."""
+def each(vote: Any, s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drift: Any) -> None:
+    """Vote on samples by a kernel that isolates nothing, ``vote(s, c, readings)``; arguments as of :func:`tracking`."""
     for k in range(y.shape[0]):
-        simple.average(s, c, y[k])
-        value[k], used[k] = s.value, s.used
-
-
-@kernel
-def median(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drift: Any) -> None:
-    """Vote on samples by their median; arguments as of :func:`tracking`."""
-    for k in range(y.shape[0]):
-        simple.median(s, c, y[k])
+        vote(s, c, y[k])
         value[k], used[k] = s.value, s.used
 
 
@@ -86,8 +79,8 @@ def through(loop: Callable[..., None], s: Any, c: Any, y: NDArray[np.float64]) -
 
 
 _RULES: dict[str, tuple[type[Record], type[Record], Callable[..., None]]] = {
-    "average": (simple.State, simple.Const, average),
-    "median": (simple.State, simple.Const, median),
+    "average": (simple.State, simple.Const, partial(each, simple.average)),
+    "median": (simple.State, simple.Const, partial(each, simple.median)),
     "tracking": (shape.State, shape.Const, tracking),
 }
 

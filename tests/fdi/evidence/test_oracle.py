@@ -15,7 +15,7 @@ def dense(model, h, g, r, fault, scale):
     there = np.isfinite(r).reshape(-1)
     v = simulated.covariance(model, h)[np.ix_(there, there)]
     z = simulated.columns(model, g, fault, 0, len(h))[there]
-    more = z @ simulated.sizes(model.faults[fault], scale) @ z.T
+    more = z @ simulated.sizes(model, fault, scale) @ z.T
     flat = r.reshape(-1)[there]
     return simulated.gaussian(flat, v + more) - simulated.gaussian(flat, v)
 
@@ -27,8 +27,8 @@ def test_likelihoods_are_those_of_dense_matrices(more):
     model = simulated.plant(rng, samples=4, **more)
     n = 4 * 9
     h, g = simulated.drive(rng, model, n)
-    r = rng.multivariate_normal(np.zeros(len(model.noise)), model.noise, n)
-    r += (simulated.columns(model, g, 1, 16, n) @ np.full(len(model.faults[1].residuals), 1.5)).reshape(r.shape)
+    r = rng.normal(size=(n, len(model.noise))) * np.sqrt(model.noise)
+    r += (simulated.columns(model, g, 1, 16, n) @ np.full(len(model.moved[1]), 1.5)).reshape(r.shape)
     r[5, 0] = r[17, :2] = r[23] = np.nan
     s, c = simulated.records(model)
     whole = c.slow + len(model.gains)
@@ -38,15 +38,15 @@ def test_likelihoods_are_those_of_dense_matrices(more):
             s.work_a[:whole, :whole] += s.a[:whole, :whole]
             s.work_b[:whole] += s.b[:whole]
             blocks.drop(s)
-    for k, prior in enumerate(model.slow):
-        s.work_a[k, k] += prior**-2
+    for k in range(model.slow):
+        s.work_a[k, k] += simulated.PRIOR**-2
     for k in range(c.slow):
         blur(s.work_a, s.work_b, whole, k, 0.0)
-    for f, fault in enumerate(model.faults):
-        hypotheses.of_fault(s, c, f)
-        each = [dense(model, h, g, r, f, scale) for scale in simulated.scales(fault)]
+    for f in range(len(model.moved)):
+        hypotheses.of_fault(s, c, f, simulated.LARGEST)
+        each = [dense(model, h, g, r, f, scale) for scale in simulated.scales()]
         wanted = np.logaddexp.reduce(each) - np.log(len(each))
-        assert s.likelihood[f] == pytest.approx(wanted, rel=1e-9, abs=1e-9), fault.name
+        assert s.likelihood[f] == pytest.approx(wanted, rel=1e-9, abs=1e-9), f
 
 
 def test_what_jitter_explains_lessens_the_sum_of_squares():
@@ -60,9 +60,9 @@ def test_what_jitter_explains_lessens_the_sum_of_squares():
     for at in range(12):
         if blocks.add(s, c, r[at], h[at], g[at]):
             lessened, block = blocks.close(s, c), slice(at - 5, at + 1)
-            flat, z = r[block].reshape(-1), h[block].reshape(-1, len(model.slow))
-            noise = np.kron(np.eye(6), model.noise)
-            moved = noise + z @ np.diag((0.4 * np.array(model.slow)) ** 2) @ z.T
+            flat, z = r[block].reshape(-1), h[block].reshape(-1, model.slow)
+            noise = np.kron(np.eye(6), np.diag(model.noise))
+            moved = noise + 0.4**2 * z @ z.T
             wanted = flat @ np.linalg.solve(noise, flat) - flat @ np.linalg.solve(moved, flat)
             assert lessened == pytest.approx(wanted, rel=1e-9)
             blocks.drop(s)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from random_models import random_model
 
+from bench.battery_pack import battery_model
 from gateway_fdi.structure.analysis import analyse
 from gateway_fdi.structure.candidates import classify
 from gateway_fdi.structure.file import load_model
@@ -12,7 +13,6 @@ from gateway_fdi.structure.isolability import isolability_of_model, isolability_
 from gateway_fdi.structure.mso import TooManySetsError, find_msos
 from gateway_fdi.structure.selection import fewest_tests
 from gateway_fdi.structure.sufficient import sufficient_msos
-from gateway_plants.structural.study.battery import battery_model
 
 
 def every_one(sets):

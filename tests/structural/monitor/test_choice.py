@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.battery_pack import battery_model
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.structure.analysis import analyse
 from gateway_fdi.structure.file import load_model, load_own_model
@@ -14,7 +15,6 @@ from gateway_plants.structural.monitor.choice import choose
 from gateway_plants.structural.monitor.filters import bandwidths, of_meter
 from gateway_plants.structural.monitor.params import Params
 from gateway_plants.structural.monitor.source import module_of
-from gateway_plants.structural.study.battery import battery_model
 
 pytestmark = pytest.mark.long
 

@@ -6,11 +6,11 @@ import sys
 import pytest
 from amount import FULL, amount
 
+from bench.battery_pack import battery_model
 from gateway_fdi.common.resources import shipped
 from gateway_fdi.jit import COMPILED
 from gateway_fdi.structure.file import load_model
 from gateway_plants.structural.study import gallery
-from gateway_plants.structural.study.battery import battery_model
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not COMPILED, reason="tens of thousands of samples")]
 

@@ -4,6 +4,7 @@ import pytest
 from amount import FULL, amount
 from structural_config import named
 
+from bench import battery_pack as battery
 from gateway.bus.logs import open_writer
 from gateway.config.load import load_config
 from gateway.config.monitor_types import monitor_of
@@ -12,7 +13,6 @@ from gateway_calibration.cusum import learn
 from gateway_calibration.file import write
 from gateway_calibration.logs import Reading
 from gateway_fdi.jit import COMPILED
-from gateway_plants.structural.study import battery
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(not (COMPILED and FULL), reason="a minute of algebra")]
 CELLS = 64

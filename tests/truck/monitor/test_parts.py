@@ -10,22 +10,30 @@ from gateway_fdi.common.resources import shipped
 from gateway_fdi.isolation import machine, table
 from gateway_fdi.jit import zeros
 from gateway_fdi.structure.file import load_model
-from gateway_fdi.structure.generator.code import write
-from gateway_fdi.structure.generator.realisation import realise
+from gateway_plants.truck import residual_generators
 from gateway_plants.truck.monitor import blanking, gate, isolation
 from gateway_plants.truck.monitor import generated as folder
-from gateway_plants.truck.monitor.generated import GENERATED
 from gateway_plants.truck.study import dynamic, excitation
 from gateway_plants.truck.study.paper import TESTS
 
 
-def test_the_generated_modules_are_what_the_model_gives():
-    model = load_model(shipped("models/truck.toml"))
-    for module, (name, outputs) in GENERATED.items():
-        choice = model.residuals[name]
-        realised = realise(model, choice.equations, choice.consistency, outputs=outputs)
-        path = Path(import_module(f"{folder.__name__}.{module}").__file__)
-        assert path.read_text() == write(name, realised).source, "run scripts/generate-residuals"
+def test_the_generated_modules_are_what_the_model_gives(tmp_path, monkeypatch):
+    monkeypatch.setattr(residual_generators, "FOLDER", tmp_path)
+    residual_generators.make()
+    for module in residual_generators.MODULES:
+        found = Path(import_module(f"{folder.__name__}.{module}").__file__)
+        assert found.read_text() == (tmp_path / f"{module}.py").read_text(), f"of an older model: delete {found}"
+    assert {path.suffix for path in tmp_path.iterdir()} == {".py"}
+
+
+def test_what_is_there_is_not_written_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(residual_generators, "FOLDER", tmp_path)
+    for module in residual_generators.MODULES:
+        (tmp_path / f"{module}.py").write_text("own")
+    (tmp_path / "t2.py").unlink()
+    residual_generators.make()
+    written = {path.name for path in tmp_path.iterdir() if path.read_text() != "own"}
+    assert written == {"t2.py"}
 
 
 MODEL = load_model(shipped("models/truck.toml"))

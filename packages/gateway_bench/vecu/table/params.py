@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.signals.protection.params import ProtectionParams
-from gateway_bench.vecu.contract import EcuFault, EcuParams
+from gateway_bench.vecu.contract import EcuParams, TimedFault
 
 #: A constant, or breakpoints [time s, value], linear in between.
 Course = Annotated[float, Field(allow_inf_nan=False)] | tuple[tuple[float, float], ...]
@@ -56,7 +56,7 @@ class TableParams(EcuParams):
         return f"{len(self.message)} message(s) by tables"
 
 
-class TableFault(EcuFault):
+class TableFault(TimedFault):
     """A fault of one signal."""
 
     kind: Literal["value", "offset", "freeze", "noise"]
@@ -67,9 +67,3 @@ class TableFault(EcuFault):
     size: float = Field(
         0.0, allow_inf_nan=False, description="value, offset, or standard deviation of the noise, signal's unit"
     )
-
-    @model_validator(mode="after")
-    def _times(self) -> Self:
-        if self.to_s is not None and self.to_s <= self.from_s:
-            raise ValueError("to_s must lie after from_s")
-        return self

@@ -54,7 +54,7 @@ def find_initial(realisation: Realisation) -> Initial:
         raise NotSolvableError(f"{names}: (24) is not solved with filtered derivatives; {hint}")
     of = realisation.symbols.of
     wanted = [of[x] for x in free]
-    deep = _substituted(realisation, everything=len(free) > 1)
+    deep = _Substitution(realisation, everything=len(free) > 1)
     conditions, rates = [deep(realisation.residual)], dict[tuple[str, int], Algebra]()
     for _ in free[1:]:
         conditions.append(_rate(realisation, conditions[-1], deep, rates))
@@ -96,10 +96,6 @@ class _Substitution:
             if not here:
                 return expression
             expression = expression.subs({x: self._by[x] for x in here})
-
-
-def _substituted(realisation: Realisation, *, everything: bool) -> _Substitution:
-    return _Substitution(realisation, everything=everything)
 
 
 def _rate(

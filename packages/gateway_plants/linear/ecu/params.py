@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from gateway_bench.vecu.contract import EcuFault, EcuParams
+from gateway_bench.vecu.contract import EcuParams, TimedFault
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_plants.linear.mathematics.plant import LinearPlant, discretised
 
@@ -75,18 +75,10 @@ class LinearParams(EcuParams):
         return self
 
 
-class LinearFault(EcuFault):
+class LinearFault(TimedFault):
     """A fault of an actuator or of a sensor."""
 
     kind: Literal["actuator_offset", "actuator_drift", "output_offset", "output_drift", "output_stuck"]
     ecu: str = Field("plant", description="name of the ECU")
     place: int = Field(1, ge=1, description="which input or output, from 1")
-    from_s: float = Field(0.0, ge=0, description="[s]")
-    to_s: float | None = Field(None, description="[s]; default: the end")
     size: float = Field(0.0, description="offset: its size; drift: per second [the signal's unit]")
-
-    @model_validator(mode="after")
-    def _times(self) -> Self:
-        if self.to_s is not None and self.to_s <= self.from_s:
-            raise ValueError("to_s must lie after from_s")
-        return self

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from gateway_plants.linear.study import example, products
+from gateway_plants.linear.study import example
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -56,17 +56,20 @@ def system(gains: ArrayLike = example.GAINS) -> tuple[Array, Array]:
 
 
 def flags(omega: Array, e: Array) -> tuple[Flags, Flags, Flags]:
-    """Return r_a, r_a as printed, r_s for estimates (n, 3, 2) and innovations (n, 3, 3)."""
-    n = len(omega)
-    z, left = np.zeros((4, 6)), np.zeros((4, 3))
-    r_a, printed, r_s = np.zeros((n, 2), bool), np.zeros((n, 2), bool), np.zeros((n, 3), bool)
-    for t in range(n):
-        z[1:, 4:], left[1:] = omega[t], e[t]
-        for i in range(2):
-            r_a[t, i] = products.actuator(z, 4, 3, i, example.ACTUATOR_LIMIT, False)
-            printed[t, i] = products.actuator(z, 4, 3, i, example.ACTUATOR_LIMIT, True)
-        for i in range(3):
-            r_s[t, i] = products.sensor(left, 3, i, example.SENSOR_LIMIT)
+    """Return r_a, r_a as printed, r_s for estimates (n, 3, 2) and innovations (n, 3, 3): the paper's products.
+
+        r_si = product over k != i of [|e_ki| >= Th_si]      (15)
+        r_ai = product over all k of [|omega_ki| >= Th_ai]   (16), corrected
+
+    (16) is printed with k != i, like (15). But there i counts actuators and k observers, and leaving out observer i
+    leaves out the one that a fault of sensor i does not touch: flags of actuators for faults of sensors are the
+    consequence. Both are levels. e_ki of a constant sensor fault returns to 0, since a stationary observer has H e = 0
+    and H is regular where p - 1 = m: r_s is a pulse of some samples.
+    """
+    others = ~np.eye(3, dtype=np.bool_)
+    small, still = np.abs(omega) < example.ACTUATOR_LIMIT, np.abs(e) < example.SENSOR_LIMIT
+    denied = (small.any(axis=1), (small & others[:, :2]).any(axis=1), (still & others).any(axis=1))
+    r_a, printed, r_s = map(np.logical_not, denied)
     return r_a, printed, r_s
 
 
@@ -86,11 +89,9 @@ def observe(a: Array, s: Array, gains: ArrayLike = example.GAINS) -> Told:
     x, count = np.zeros(size), len(a)
     omega, e = np.zeros((count, 3, 2)), np.zeros((count, 3, 3))
     for t in range(count):
-        for k in range(3):
-            at = 4 + 6 * k
-            omega[t, k] = x[at + 4 : at + 6]
-            for j in range(3):
-                e[t, k, j] = 0.0 if j == k else x[j] + s[t, j] - x[at + j]
+        bank = x[4:].reshape(3, 6)
+        omega[t], e[t] = bank[:, 4:], x[:3] + s[t] - bank[:, :3]
+        np.fill_diagonal(e[t], 0.0)
         x = step[:size, :size] @ x + step[:size, size:] @ np.concatenate([[example.COMMAND] * 2, a[t], s[t]])
     return Told(omega, e, *flags(omega, e))
 

@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from gateway_bench.vecu.contract import EcuFault, EcuParams
+from gateway_bench.vecu.contract import EcuParams, TimedFault
 from gateway_fdi.common.tomlfile import StrictModel
 
 
@@ -81,7 +81,7 @@ class PedalParams(EcuParams):
         return self
 
 
-class SensorFault(EcuFault):
+class SensorFault(TimedFault):
     """A fault of one sensor, or of several."""
 
     kind: Literal[
@@ -97,8 +97,6 @@ class SensorFault(EcuFault):
     ]
     ecu: str = Field("pedal", description="name of the ECU")
     channel: tuple[int, ...] = Field((1,), min_length=1, description="channels concerned, from 1")
-    from_s: float = Field(0.0, ge=0, description="[s]")
-    to_s: float | None = Field(None, description="[s]; default: the end")
     size: float = Field(
         0.1,
         description="of the supply: impulses: largest; offset: its size; drift: per second; noise: standard deviation",
@@ -107,9 +105,7 @@ class SensorFault(EcuFault):
     common: bool = Field(False, description="the channels have the same error, not each its own")
 
     @model_validator(mode="after")
-    def _times_and_channels(self) -> Self:
-        if self.to_s is not None and self.to_s <= self.from_s:
-            raise ValueError("to_s must lie after from_s")
+    def _channels_count(self) -> Self:
         if min(self.channel) < 1:
             raise ValueError("channels count from 1")
         return self

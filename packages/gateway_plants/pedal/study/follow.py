@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
-from gateway_fdi.jit import Record, kernel, zeros
+from gateway_fdi.jit import Record, zeros
 from gateway_plants.pedal import arrays
 from gateway_plants.pedal.arrays import Voted
 from gateway_plants.pedal.study import hybrid, kalman_hybrid, predictive_hybrid
@@ -21,20 +21,6 @@ BETA, REPAIRED_BETA = 0.3, 0.5
 FLOOR = 4.0
 #: Smoothing constant of the predictive voter: about the best one for it.
 ALPHA = 0.3
-
-
-@kernel
-def _kalman(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drift: Any) -> None:
-    for k in range(y.shape[0]):
-        kalman_hybrid.vote(s, c, y[k])
-        value[k], used[k] = s.value, s.used
-
-
-@kernel
-def _predictive(s: Any, c: Any, y: Any, value: Any, used: Any, isolated: Any, drift: Any) -> None:
-    for k in range(y.shape[0]):
-        predictive_hybrid.vote(s, c, y[k])
-        value[k], used[k] = s.value, s.used
 
 
 def _prepare_simple(c: simple.Const, channels: int, environment: Environment) -> None:
@@ -83,14 +69,16 @@ class Voter:
         return zeros(1, self.state)[0]
 
 
+_KALMAN, _PREDICTIVE = (partial(arrays.each, one.vote) for one in (kalman_hybrid, predictive_hybrid))
+_AVERAGE, _MEDIAN = (partial(arrays.each, one) for one in (simple.average, simple.median))
 #: The paper gives three channels to the simple voters and two to the hybrid ones.
 VOTERS = {
-    "average": Voter(3, simple.Const, simple.State, _prepare_simple, arrays.average),
-    "average of 2": Voter(2, simple.Const, simple.State, _prepare_simple, arrays.average),
-    "median": Voter(3, simple.Const, simple.State, _prepare_simple, arrays.median),
-    "predictive": Voter(2, predictive_hybrid.Const, predictive_hybrid.State, _prepare_predictive, _predictive),
-    "KHR": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_khr, _kalman),
-    "KHR*": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_repaired, _kalman),
+    "average": Voter(3, simple.Const, simple.State, _prepare_simple, _AVERAGE),
+    "average of 2": Voter(2, simple.Const, simple.State, _prepare_simple, _AVERAGE),
+    "median": Voter(3, simple.Const, simple.State, _prepare_simple, _MEDIAN),
+    "predictive": Voter(2, predictive_hybrid.Const, predictive_hybrid.State, _prepare_predictive, _PREDICTIVE),
+    "KHR": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_khr, _KALMAN),
+    "KHR*": Voter(2, kalman_hybrid.Const, kalman_hybrid.State, _prepare_repaired, _KALMAN),
     "tracking": Voter(2, shape.Const, shape.State, _prepare_tracking, arrays.tracking),
     "tracking of 3": Voter(3, shape.Const, shape.State, _prepare_tracking, arrays.tracking),
 }

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from gateway_bench.vecu.contract import EcuFault
+from gateway_bench.vecu.contract import TimedFault
 from gateway_bench.vecu.sensor_faults import drift, offset, stuck
 from gateway_plants.steering.ecu.controller import CONTROL
 
@@ -39,24 +39,16 @@ BURST, BURSTS = 5e-3, 20.0
 Array = NDArray[np.float64]
 
 
-class SteeringFault(EcuFault):
+class SteeringFault(TimedFault):
     """A fault of a steering."""
 
     kind: Kind
     ecu: str = Field("steering", description="name of the ECU")
-    from_s: float = Field(0.0, ge=0, description="[s]")
-    to_s: float | None = Field(None, description="[s]; default: the end")
     size: float = Field(
         description="angles: [rad] at the motor, [deg] at wheel and pinion; drift: per second; scale, gain: "
         "share more or less; noise: standard deviation; currents [A]; voltages [V]; unused: stuck, frozen",
         default=0.1,
     )
-
-    @model_validator(mode="after")
-    def _times(self) -> Self:
-        if self.to_s is not None and self.to_s <= self.from_s:
-            raise ValueError("to_s must lie after from_s")
-        return self
 
     def span(self, n: int) -> tuple[int, int]:
         """Return the first of n controller's samples concerned, and the first one behind."""

@@ -141,12 +141,11 @@ def count() -> dict[str, dict[str, int]]:
     """
     if os.environ.get("NUMBA_DISABLE_JIT") != "1":
         raise RuntimeError("operations are counted with NUMBA_DISABLE_JIT=1")
-    for module in (transforms, feedforward, ekf_alpha_beta, ekf_dq, gaussian):
+    filters = (feedforward, ekf_alpha_beta, ekf_dq, luenberger, reduced_luenberger)
+    for module in (transforms, motor, gaussian, *filters):
         for name in ("sin", "cos", "atan2", "hypot", "floor"):
             if hasattr(module, name):
                 setattr(module, name, _counting(name))
-        module.float = _value_or_same  # type: ignore[attr-defined]
-    for module in (motor, luenberger, reduced_luenberger):
         module.float = _value_or_same  # type: ignore[attr-defined]
     i_u, i_v, u_a, u_b, theta = (Scalar(x) for x in (10.0, -3.0, 1.0, 2.0, 0.4))
     lo, lo_c = _pair(luenberger)
@@ -163,30 +162,17 @@ def count() -> dict[str, dict[str, int]]:
         i_a, i_b = transforms.clarke(i_u, i_v)  # type: ignore[arg-type]
         return (*transforms.park(u_a, u_b, theta), *transforms.park(i_a, i_b, theta))  # type: ignore[arg-type]
 
-    def luenberger_step() -> None:
-        _, u_q, _, i_q = dq()
-        luenberger.step(lo, lo_c, u_q, i_q)
-
-    def reduced_step() -> None:
-        _, u_q, _, i_q = dq()
-        reduced_luenberger.step(red, red_c, u_q, i_q)
-
-    def alpha_beta(s: Any, c: Any) -> None:
-        i_a, i_b = transforms.clarke(i_u, i_v)  # type: ignore[arg-type]
-        ekf_alpha_beta.step(s, c, u_a, u_b, 0.0, 0.0, i_a, i_b)  # type: ignore[arg-type]
-
-    def forward_step() -> None:
-        i_a, i_b = transforms.clarke(i_u, i_v)  # type: ignore[arg-type]
-        feedforward.step(ff, ff_c, u_a, u_b, i_a, i_b)  # type: ignore[arg-type]
+    def alpha_beta(step: Any, s: Any, c: Any, *turned: float) -> None:
+        step(s, c, u_a, u_b, *turned, *transforms.clarke(i_u, i_v))  # type: ignore[arg-type]
 
     return {
-        "Luenberger": _measure(luenberger_step),
-        "reduced Luenberger": _measure(reduced_step),
+        "Luenberger": _measure(lambda: luenberger.step(lo, lo_c, *dq()[1::2])),
+        "reduced Luenberger": _measure(lambda: reduced_luenberger.step(red, red_c, *dq()[1::2])),
         "EKF3 dq": _measure(lambda: ekf_dq.step(e3, e3_c, *dq())),
-        "feedforward": _measure(forward_step),
+        "feedforward": _measure(lambda: alpha_beta(feedforward.step, ff, ff_c)),
         "EKF4 dq + load": _measure(lambda: ekf_dq.step(e4, e4_c, *dq())),
-        "EKF4 ab": _measure(lambda: alpha_beta(a4, a4_c)),
-        "EKF5 ab": _measure(lambda: alpha_beta(a5, a5_c)),
+        "EKF4 ab": _measure(lambda: alpha_beta(ekf_alpha_beta.step, a4, a4_c, 0.0, 0.0)),
+        "EKF5 ab": _measure(lambda: alpha_beta(ekf_alpha_beta.step, a5, a5_c, 0.0, 0.0)),
     }
 
 

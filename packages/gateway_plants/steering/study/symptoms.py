@@ -1,17 +1,18 @@
-"""The paper's structure, filter - distance measure - stopping rule, in all its combinations (paper 001, Fig. 2)."""
+"""The paper's structure, filter - distance measure - stopping rule, in all its combinations (paper 001, Fig. 2).
+
+The normalised innovation squared is a distance, too; the filters give it (:mod:`gateway_fdi.filters.gaussian`).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway_fdi import stopping
-from gateway_fdi.jit import kernel, zeros
+from gateway_fdi.detectors import StoppingRule
 from gateway_fdi.stopping import RULES
-from gateway_plants.steering import distances
 from gateway_plants.steering.study.estimators import (
     ANCHORED,
     EKF4_DQ,
@@ -42,43 +43,41 @@ SYMPTOMS = (
 SLOW = 15.0
 
 
-@kernel
-def _symptoms(x: Any, est: Any, parity: Any, n: int, period: float, out: Any, steps: Any, sums: Any) -> None:
-    turn = 0.5 * np.pi
-    share = period / 0.1
-    for k in range(x.shape[0]):
-        theta = x[k].sensor
-        r = out[k]
-        for j in range(3):
-            column = (LO, REDUCED, EKF4_DQ)[j]
-            odd = distances.increment(steps[j], theta, est[k, n + column], period, turn)
-            r[j] = distances.leaky(sums[j], odd, share)
-        r[3] = 0.0
-        if abs(est[k, n + ANCHORED]) > SLOW:
-            r[3] = distances.modulo_pi(theta, est[k, FF_HELD], 4.0)
-        r[4] = est[k, NIS]
-        r[5] = distances.position(theta, est[k, EKF5_AB], turn)
-        r[6] = distances.position(theta, est[k, ANCHORED], turn)
-        r[7] = distances.increment(steps[3], theta, est[k, n + ANCHORED], period, turn)
-        r[8] = parity[k]
+def wrapped(angle: Array, turn: float) -> Array:
+    """Return angles between -turn/2 and turn/2 that differ by whole turns [rad], shape (n,)."""
+    return np.asarray(angle - turn * np.floor(angle / turn + 0.5))
+
+
+def increments(measured: Array, speed: Array, period: float, turn: float) -> Array:
+    """Return by how much a measured angle's steps differ from those that an estimated speed makes [rad], shape (n,).
+
+    Args:
+        measured: angle, known modulo ``turn`` [rad], shape (n,).
+        speed: estimated mean speed since the sample before [rad/s], shape (n,).
+        period: of the samples [s].
+        turn: [rad].
+    """
+    found = np.zeros(len(measured))
+    found[1:] = wrapped(np.diff(measured) - speed[1:] * period, turn)
+    return found
+
+
+def leaky(values: Array, share: float) -> Array:
+    """Return sums that forget a share with each sample, shape (n,)."""
+    return np.array(list(accumulate(values.tolist(), lambda total, x: total + (x - share * total))))
 
 
 def symptoms(run: Run, followed: Followed, period: float = 1e-3) -> Array:
     """Return the symptoms of a run, shape (n, 9)."""
-    x = zeros(len(run.samples), run.samples.dtype)
-    x[:] = run.samples
+    n, turn, theta = len(NAMES), 0.5 * np.pi, run.samples["sensor"]
     est = estimate(run.samples, period, mean_dq=True)
-    out = np.empty((len(x), len(SYMPTOMS)))
-    steps, sums = zeros(4, distances.Increment), zeros(3, distances.Leaky)
-    _symptoms(x, est, followed.trace[:, 2], len(NAMES), period, out, steps, sums)
-    return out
-
-
-@kernel
-def _levels(values: Any, c: Any, s: Any, out: Any) -> None:
-    for k in range(values.shape[0]):
-        stopping.update(s, c, values[k])
-        out[k] = s.level
+    stepped = {k: increments(theta, est[:, n + k], period, turn) for k in (LO, REDUCED, EKF4_DQ, ANCHORED)}
+    fast = np.abs(est[:, n + ANCHORED]) > SLOW
+    found = [leaky(stepped[k], period / 0.1) for k in (LO, REDUCED, EKF4_DQ)]
+    # The feed-forward angle is known modulo half an electrical turn.
+    found += [np.where(fast, wrapped(theta - est[:, FF_HELD], 0.5 * turn), 0.0), est[:, NIS]]
+    found += [wrapped(theta - est[:, k], turn) for k in (EKF5_AB, ANCHORED)]
+    return np.column_stack([*found, stepped[ANCHORED], followed.trace[:, 2]])
 
 
 def levels(values: Array, scale: float) -> Array:
@@ -88,14 +87,8 @@ def levels(values: Array, scale: float) -> Array:
         values: shape (n,).
         scale: largest healthy value: CUSUM's drift, and half the SPRT's shift, are half of it.
     """
-    out = np.empty((len(values), len(RULES)))
-    column = np.empty(len(values))
-    for j, rule in enumerate(RULES):
-        c, s = zeros(1, stopping.Const), zeros(1, stopping.State)
-        stopping.prepare(c[0], rule, np.inf, drift=0.5 * scale, shift=scale, sigma=max(scale / 3.0, 1e-12))
-        _levels(values, c[0], s[0], column)
-        out[:, j] = column
-    return out
+    more = {"drift": 0.5 * scale, "shift": scale, "sigma": max(scale / 3.0, 1e-12)}
+    return np.column_stack([StoppingRule(rule, np.inf, **more).levels(values) for rule in RULES])
 
 
 @dataclass

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from gateway.signals.protection.params import ProtectionParams
-from gateway_bench.vecu.contract import EcuFault, EcuParams
+from gateway_bench.vecu.contract import EcuParams, TimedFault
 from gateway_fdi.common.tomlfile import StrictModel
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -83,7 +83,7 @@ class StructuralParams(EcuParams):
         return f"the equations of {self.model.name}"
 
 
-class StructuralFault(EcuFault):
+class StructuralFault(TimedFault):
     """A fault of the model, or a value that is not sent anew."""
 
     kind: Literal["value", "ramp", "freeze"]
@@ -96,8 +96,6 @@ class StructuralFault(EcuFault):
 
     @model_validator(mode="after")
     def _fits_its_kind(self) -> Self:
-        if self.to_s is not None and self.to_s <= self.from_s:
-            raise ValueError("to_s must lie after from_s")
         if (self.kind == "ramp") != (self.ramp_s > 0):
             raise ValueError('ramp_s goes with kind = "ramp"')
         if self.kind != "freeze" and self.size == 0.0:

@@ -57,14 +57,13 @@ import numpy as np
 from gateway_fdi.cusum import FLOOR, MARGIN, NEVER
 from gateway_fdi.evidence import blocks, model
 from gateway_fdi.evidence.hypotheses import of_fault
-from gateway_fdi.evidence.model import FINER, SCALES
 from gateway_fdi.evidence.quadratic import blur
 from gateway_fdi.jit import f8, f8s, i8, kernel, means
 from gateway_fdi.linear_algebra import add
 from gateway_fdi.linear_algebra import copy as copy_row
 from gateway_fdi.masks import clear, copy, empty, has, include, within
 from gateway_plants.structural.monitor import fault_pairs
-from gateway_plants.structural.monitor.fault_pairs import ERROR, KEPT, LEANS, LENGTHS, LESS
+from gateway_plants.structural.monitor.fault_pairs import KEPT, LEANS, LENGTHS, LESS
 from gateway_plants.structural.monitor.plan import Plan
 
 #: Size of the fault that runs beside a test.
@@ -73,8 +72,8 @@ STEP = 1e-3
 NEAR = 0.2
 #: Columns and gains up to which they do.
 MOST_COLUMNS = 150
-#: By which what may be off moves from block to block, a share of its bound.
-JITTER = 0.3
+#: By which what may be off moves from block to block, a share of its bound; error of a gain, a share of it.
+JITTER, ERROR = 0.3, 0.3
 #: Share of the best one's likelihood by which a fault that fits less well is unlikely; what it takes to speak at all:
 #: of healthy cars that are 8 % off one reached it in 12 hours.
 NEARLY, SPEAKS = 0.1, 20.0
@@ -115,35 +114,30 @@ class State(fault_pairs.State, lengths=LENGTHS):
     peak: Annotated[f8s, "edges"] = means("largest of each while it fits best, over its limit")
 
 
-def faults_of(plan: Plan) -> tuple[model.Fault, ...]:
-    """Return the faults that are weighed; none where their code is not known, or they would be too many."""
-    found = tuple(model.Fault(f, tuple(plan.seen_by(f)), 1.0, ERROR) for f in plan.faults)
+def moved(plan: Plan) -> tuple[list[int], ...]:
+    """Return the tests that see each fault that is weighed; none where their code is not known, or they are many."""
+    found = tuple(plan.seen_by(f) for f in plan.faults)
     known = all(test.faulty or not test.faults for test in plan.tests)
-    return found if known and sum(len(f.residuals) for f in found) <= MOST_COLUMNS else ()
+    return found if known and sum(map(len, found)) <= MOST_COLUMNS else ()
 
 
-def model_of(plan: Plan, slow: int, period_s: float, confirm_s: float) -> model.Model:
-    """Return what is said of a plant.
+def prepare(c: Const, plan: Plan, slow: int, period_s: float, confirm_s: float) -> None:
+    """Fill a record of Const but for the weights of its residuals, and its limits.
 
     Args:
-        plan: its tests.
+        plan: the tests.
         slow: number of what may be off, each in shares of its bound.
         period_s: between two samples [s].
         confirm_s: before a name is told [s].
     """
-    return model.Model(
-        slow=(1.0,) * slow,
-        faults=faults_of(plan),
-        noise=np.eye(len(plan.tests)),
-        samples=max(round(confirm_s / BLOCKS / period_s), 1),
-        jitter=JITTER,
-    )
+    samples = max(round(confirm_s / BLOCKS / period_s), 1)
+    model.prepare(c, slow, moved(plan), samples=samples, jitter=JITTER, error=ERROR)
 
 
 def lengths_of(plan: Plan, slow: int) -> dict[str, int]:
-    """Return the lengths of the records; arguments as of :func:`model_of`."""
-    said = model_of(plan, slow, 1.0, 1.0)
-    return said.lengths | {"joint": max(slow + 2 * len(said.gains), 1)}
+    """Return the lengths of the records; arguments as of :func:`prepare`."""
+    seen = moved(plan)
+    return model.lengths(len(plan.tests), slow, seen) | {"joint": max(slow + 2 * sum(map(len, seen)), 1)}
 
 
 @kernel
@@ -242,7 +236,7 @@ def take(s: Any, c: Any, own: Any, own_const: Any) -> None:
         if own.waits[k] == 1 or not settled or not c.share[k] > 0.0:
             s.r[k] = np.nan
         if isfinite(s.r[k]):
-            s.squares += c.weight[k, k] * s.r[k] * s.r[k]
+            s.squares += c.weight[k] * s.r[k] * s.r[k]
             s.looks += c.share[k]
     if not blocks.add(s, c, s.r, s.h, s.g):
         return
@@ -323,9 +317,7 @@ def _ratio(s: Any, c: Any, f: int) -> float:
     product, information = _moments(s, c, f)
     if not information > 0.0 or product == 0.0:
         return -inf
-    for m in range(SCALES):
-        c.scale[f, m] = abs(product) / information / FINER**m
-    of_fault(s, c, f)
+    of_fault(s, c, f, abs(product) / information)
     return float(s.likelihood[f])
 
 

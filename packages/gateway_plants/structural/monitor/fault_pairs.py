@@ -23,8 +23,6 @@ from gateway_fdi.jit import f8, f8s, i8, i8s, kernel, means
 from gateway_fdi.linear_algebra import copy
 from gateway_fdi.masks import clear, include
 
-#: Error of a gain, a share of it.
-ERROR = 0.3
 #: Logarithm of the likelihood by which a fault, or a pair of them, that fits less well is unlikely.
 LESS = 6.0
 #: Share of the best one's from which on a fault is not out of the question while sizes are not sure.
@@ -216,5 +214,5 @@ def _both(s: Any, c: Any, a: Any, b: Any, one: int, other: int, f: int, g: int) 
         for j in range(both):
             s.one_b[i] -= s.one_a[i, j] * (first if j < m else later)
     for i in range(both):
-        value += blur(s.one_a, s.one_b, both, i, (ERROR * (first if i < m else later)) ** -2)
+        value += blur(s.one_a, s.one_b, both, i, (c.error * (first if i < m else later)) ** -2)
     return float(value)

@@ -185,7 +185,7 @@ def behind(model: Model, plan: Plan) -> dict[str, list[Blame]]:
     others = {f: [one for one in every if one.part != parts[f].part] for f in plan.faults}
     weighed |= {f"more than {f}": others[f] for f in plan.faults}
     weighed |= {_better(f): others[f] for f in plan.faults}
-    return (weighed if fault_likelihood.faults_of(plan) else {}) | {
+    return (weighed if fault_likelihood.moved(plan) else {}) | {
         test.name: [
             *(parts[f]._replace(share=VAGUE if f in test.fleeting else _FIRES) for f in test.faults if f in parts),
             Blame("model", "model"),
@@ -215,7 +215,7 @@ def levels(plan: Plan, state: Any) -> list[float]:
     own = state["own"]
     weighed: list[float] = []
     said = int(own["weighed"])
-    if fault_likelihood.faults_of(plan):
+    if fault_likelihood.moved(plan):
         likely, paired, sure = (
             unpack(np.asarray(own[name])[None, :], len(plan.faults))[0] for name in ("likely", "paired", "sure")
         )

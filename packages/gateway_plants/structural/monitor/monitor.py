@@ -274,15 +274,14 @@ class _Made:
 
     def _fill_weighed(self, p: PartParams, s: Any, c: Any) -> None:
         """Fill what weighs faults, and the constants of those that run beside the tests."""
-        said = fault_likelihood.model_of(self.plan, len(self.slow), p.period_ms / 1e3, p.confirm_s)
-        said.fill(c.fit)
+        fault_likelihood.prepare(c.fit, self.plan, len(self.slow), p.period_ms / 1e3, p.confirm_s)
         c.fit.limit[:] = fault_likelihood.SPEAKS
         limits = [p.thresholds.get(name, 0.0) for name in self._limits]
         c.fit.limit[: len(limits)] = np.maximum(0.5 * np.square(limits), fault_likelihood.SPEAKS)
         c.fit.opened = min(limits, default=0.0) >= NEVER
-        gains = {gain: column for column, gain in enumerate(said.gains)}
+        gains = [(f, k) for f, tests in enumerate(fault_likelihood.moved(self.plan)) for k in tests]
         for k, test in source.faulty(self.plan):
-            c[f"column_{k}"] = [gains[self.plan.faults.index(fault), k] for fault in test.faults]
+            c[f"column_{k}"] = [gains.index((self.plan.faults.index(fault), k)) for fault in test.faults]
             fitted = filters.bandwidths(test, p)
             for one in s[f"faulty_{k}"]:
                 fill(
@@ -297,7 +296,7 @@ class _Made:
             sigma, c.fit.share[k] = p.nu.get(test.name, math.inf) / decision.NU_OF_NOISE, p.period_ms / 1e3 / apart_s
             if not math.isfinite(sigma) or sigma <= 0.0:
                 c.fit.share[k] = 0.0
-            c.fit.weight[k, k] = c.fit.share[k] / sigma**2
+            c.fit.weight[k] = c.fit.share[k] / sigma**2
 
     def _fill_shown(self, own: Any) -> None:
         own.shown[:] = records.NOT_USED

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from gateway_fdi.structure.generator.records import DEAD, GAIN, HOLD, JACOBIAN, SLOPES, field_name
 from gateway_fdi.structure.generator.sources import load_source, module_name
 from gateway_plants.structural.monitor.fault_likelihood import STEP as SIZE
-from gateway_plants.structural.monitor.fault_likelihood import faults_of, lengths_of
+from gateway_plants.structural.monitor.fault_likelihood import lengths_of, moved
 from gateway_plants.structural.monitor.plan import Plan, Test
 from gateway_plants.structural.monitor.records import lengths
 from gateway_plants.structural.monitor.uncertain import STEP, Slow, neighbours
@@ -202,7 +202,7 @@ def _same(one: str, other: str, record: str) -> list[str]:
 
 def faulty(plan: Plan) -> list[tuple[int, Test]]:
     """Return the tests, by their numbers, beside which faults run."""
-    return [(k, test) for k, test in enumerate(plan.tests) if test.faults] if faults_of(plan) else []
+    return [(k, test) for k, test in enumerate(plan.tests) if test.faults] if moved(plan) else []
 
 
 def _gained(plan: Plan, slow: Sequence[Slow], k: int) -> list[str]:

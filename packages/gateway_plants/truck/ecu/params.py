@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from gateway_bench.vecu.contract import EcuFault, EcuParams
+from gateway_bench.vecu.contract import EcuParams, TimedFault
 from gateway_fdi.common.tomlfile import StrictModel
 from gateway_plants.truck.ecu.plant import Disturbance
 
@@ -61,7 +61,7 @@ class TruckParams(EcuParams):
         return f"hybrid truck on {self.cycle.upper()} from {self.start_s:g} s"
 
 
-class TruckFault(EcuFault):
+class TruckFault(TimedFault):
     """A fault of the battery, the power electronics, the machine or its voltage sensor, (13)."""
 
     kind: Literal[
@@ -72,8 +72,6 @@ class TruckFault(EcuFault):
         "machine_voltage_sensor",
     ]
     ecu: str = Field("truck", description="name of the ECU")
-    from_s: float = Field(0.0, ge=0, description="[s]")
-    to_s: float | None = Field(None, description="[s]; default: the end")
     size: float | None = Field(None, description="relative, of the sensor [V]; default: that of Table II")
 
     @property
@@ -88,8 +86,6 @@ class TruckFault(EcuFault):
 
     @model_validator(mode="after")
     def _possible(self) -> Self:
-        if self.to_s is not None and self.to_s <= self.from_s:
-            raise ValueError("to_s must lie after from_s")
         if self.size is not None and self.kind != "machine_voltage_sensor" and self.size <= -1.0:
             raise ValueError("a relative fault is more than -1")
         return self

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi import cusum
-from gateway_fdi.jit import kernel, zeros
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams
 from gateway_plants.truck.monitor.params import Params
 from gateway_plants.truck.study.follow import inputs
@@ -66,21 +65,11 @@ def _share(norm: Array) -> float:
     return float((norm[alarmed[0] :] > 1.0).mean()) if len(alarmed) else 0.0
 
 
-@kernel
-def _sum(s: Any, c: Any, residual: Any, wanted: Any, out: Any) -> None:
-    for k in range(residual.shape[0]):
-        if wanted[k] and residual[k] == residual[k]:
-            cusum.update(s, c, residual[k])
-        out[k] = s.value
-
-
 def _always(trace: Trace, nu: float) -> Array:
     """Return T of a quantity that is updated whenever the residual is there."""
-    s, c = zeros(1, cusum.State), zeros(1, cusum.Const)
-    cusum.prepare(c[0], nu, 1.0, _UNLIMITED)
-    out = np.empty(len(trace.t))
-    _sum(s[0], c[0], np.ascontiguousarray(trace.residual[:, _T4]), trace.settled, out)
-    return out
+    residual = trace.residual[:, _T4]
+    steps = np.where(trace.settled & ~np.isnan(residual), np.abs(residual) - nu, 0.0)
+    return np.array(list(accumulate(steps.tolist(), lambda total, step: max(0.0, total + step), initial=0.0))[1:])
 
 
 def compare(

@@ -16,7 +16,7 @@ def battery_model(cells: int) -> str:
     """Return the model of a pack of so many cells as TOML."""
     numbers = range(1, cells + 1)
     lines = [
-        f"# A battery pack of {cells} cells in series, written by gateway_plants.structural.study.battery.",
+        f"# A battery pack of {cells} cells in series, written by bench/battery_pack.py.",
         f"text = \"battery pack of {cells} cells in series; each cell's voltage, the pack's and the current measured\"",
         "",
         "[unknown]",
