@@ -77,8 +77,8 @@ def judge(
     near = [chosen for chosen, p in weighed if p >= _TENTH * weighed[0][1]]
     alone = bool(near) and all(_is(chosen, truths) for chosen in near)
     cause = None not in whole and _is(frozenset(itertools.chain.from_iterable(whole)), truths)
-    place, right = places[0] if places else 0, _is(first, truths)
-    return Verdict(before, True, place, not alike, alone, cause, chance, right, healthy, _text(groups))
+    place, hit = places[0] if places else 0, _is(first, truths)
+    return Verdict(before, True, place, not alike, alone, cause, chance, hit, healthy, _text(groups))
 
 
 def _is(chosen: frozenset[str], truths: Sequence[Truth]) -> bool:
