@@ -81,7 +81,7 @@ def _lay(
         what the turn costs [nat], the teeth missing in it, and the first of them; NONE: none is.
     """
     tooth, total, cost, missing, lost = index, 0.0, 0.0, 0, NONE
-    at, way, scale = int(an.at), 0.0, 0.5 / max(INNOVATION * variance, LEAST_VARIANCE)
+    at, way, late, scale = int(an.at), 0.0, 0.0, 0.5 / max(INNOVATION * variance, LEAST_VARIANCE)
     for _ in range(size):
         at = at - 1 if at > 0 else size - 1
         y = an.intervals[at]
@@ -103,10 +103,14 @@ def _lay(
             lost = gone if lost == NONE else min(lost, gone)
         missing += skipped
         cost += skipped * DEFECT + min(scale * off * off, BENT)
-        if off < SMALL:
-            period *= 1.0 + FOLLOWS * (way - span) / span
+        way -= span
+        followed = off < SMALL or late * way > 0.0
+        late = way
+        if followed:
+            period *= 1.0 + FOLLOWS * way / span
+            late, way = 0.0, LEFT * way
         total += span
-        tooth, way = before, (way - span) * (LEFT if off < SMALL else 1.0)
+        tooth = before
         if total > wh.whole - NEAR:
             break
     return cost, missing, lost
