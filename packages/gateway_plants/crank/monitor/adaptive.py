@@ -82,7 +82,6 @@ def lost(s: State, c: Const, number: int, counted: bool, out: Reports) -> None:
         search(s, c)
     _pass_over(s, c, defects.passed(s.defects, c.pulses, int(s.index), number, int(s.teeth)))
     if not counted:
-        s.rival.turns = 0
         anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
     no_gap.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
 

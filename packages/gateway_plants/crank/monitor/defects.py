@@ -144,8 +144,7 @@ def _add(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
         return False
     if k > 0:
         before, here = (de.teeth[k - 1] - de.teeth[0]) % pulses, (tooth - de.teeth[0]) % pulses
-        same_sign = (net > 0) == (de.nets[0] > 0) and (net < 0) == (de.nets[0] < 0)
-        if here <= before or not same_sign or number - de.pulses[0] > pulses + k + NEAR:
+        if here <= before or number - de.pulses[0] > pulses + k + NEAR:
             return False
     de.teeth[k], de.nets[k], de.pulses[k] = tooth, net, number
     de.count = k + 1

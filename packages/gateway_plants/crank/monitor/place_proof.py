@@ -56,7 +56,7 @@ def prove(s: State, c: Const, out: Reports) -> None:
     seen = wheel_estimation.sure(s.seen)
     if _noisy(s, c) or (s.recurring == 0 and seen > 0 and seen != c.repeats):
         return
-    if (s.held_fault >= 0 or s.rival.other != competing_hypothesis.NONE) and not _alone(s, c, out):
+    if not _alone(s, c, out):
         return
     if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
         doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
@@ -189,7 +189,7 @@ def _alone(s: State, c: Const, out: Reports) -> bool:
     cost, missing = competing_hypothesis.seek(
         rv, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period, s.tracker.variance
     )
-    if s.recurring == 1 and (cost > competing_hypothesis.MOST or missing != defects.missing(s.defects)):
+    if cost > competing_hypothesis.MOST or (s.recurring == 1 and missing != defects.missing(s.defects)):
         return False
     if rv.other == competing_hypothesis.NONE:
         return True
@@ -261,8 +261,6 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
         return
     if s.recurring == 1 and (s.twice == 1 or not _told_apart(s, c)):
         return
-    if (s.recurring == 1 or s.rival.other != competing_hypothesis.NONE) and not _alone(s, c, out):
-        return
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap
     if s.hole == 1 and s.recurring == 0:
@@ -270,7 +268,7 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
             return  # a pulse too many in each turn may be in the gap
         if not sure and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
             return
-    if s.hole == 1 or s.recurring == 1:
+    if (s.hole == 1 or s.recurring == 1) and _alone(s, c, out):
         confirm(s, out)
 
 

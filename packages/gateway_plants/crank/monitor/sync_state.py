@@ -366,6 +366,7 @@ def waver(s: State) -> None:
         s.doubted = s.teeth
         no_gap.clear(s.waiting)
     displace(s)
+    s.rival.turns = 0
     s.since = 0
     s.suspects = 0
     s.recurring = 0
