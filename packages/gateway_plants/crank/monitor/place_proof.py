@@ -56,9 +56,7 @@ def prove(s: State, c: Const, out: Reports) -> None:
     seen = wheel_estimation.sure(s.seen)
     if _noisy(s, c) or (s.recurring == 0 and seen > 0 and seen != c.repeats):
         return
-    if not _alone(s, c, out):
-        return
-    if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
+    if _alone(s, c, out):
         doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
         confirm(s, out)
         s.anchor.unchecked = 1 if doubtful else 0
@@ -124,7 +122,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             an.age = c.pulses + anchor.EDGES - c.anchor.length
         an.verified = 1
     elif s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
-        _witness(s, c, c.anchor.alone == 1 and anchor.level(s.tracker.pitches, c.pulses, s.y2, y), out)
+        _witness(s, c, out)
     elif an.age >= c.pulses + anchor.EDGES and not decides(s, c):
         an.age = c.pulses + anchor.EDGES - c.anchor.length
         an.verified = 1
@@ -135,7 +133,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         if found == anchor.HERE:
             anchor.hold(an)
             if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
-                _witness(s, c, True, out)
+                _witness(s, c, out)
         elif s.teeth - s.uneven <= c.anchor.length or (s.phase == CONFIRMED and s.defects.turns > 0):
             if found == anchor.ABSENT and s.known == 0 and not _explained(s, c):
                 doubt(s)
@@ -193,6 +191,10 @@ def _alone(s: State, c: Const, out: Reports) -> bool:
         return False
     if rv.other == competing_hypothesis.NONE:
         return True
+    there = competing_hypothesis.place_of(rv, c.wheel, s.index)
+    if rv.turns >= anchor.WINS and rv.odds < -competing_hypothesis.ODDS and there != competing_hypothesis.NONE:
+        relocate(s, c, out, (there - s.index) % c.pulses)
+        return False
     if missing == 0 or s.recurring == 0 or s.defects.turns < defects.SURE:
         return False
     no_gap.clear(s.waiting)
@@ -212,6 +214,7 @@ def _move(s: State, c: Const, number: int) -> None:
     runout.forget(s.law)
     turns.trust(s, c)
     anchor.restart(s.anchor)
+    competing_hypothesis.clear(s.rival)
 
 
 @kernel
@@ -244,15 +247,8 @@ def place_by_cam(s: State, c: Const, number: int) -> None:
 
 
 @kernel
-def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
-    """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given.
-
-    Args:
-        s: record of State.
-        c: record of Const.
-        sure: whether it can be no other gap, nor a piece of one.
-        out: record of Out.
-    """
+def _witness(s: State, c: Const, out: Reports) -> None:
+    """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given."""
     h = best(s.tracker)
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
     if told:
@@ -266,8 +262,6 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
     if s.hole == 1 and s.recurring == 0:
         if s.defects.turns == 0 and s.doubted < s.uneven > s.teeth - 2 * c.pulses:
             return  # a pulse too many in each turn may be in the gap
-        if not sure and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
-            return
     if (s.hole == 1 or s.recurring == 1) and _alone(s, c, out):
         confirm(s, out)
 
