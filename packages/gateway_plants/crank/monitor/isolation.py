@@ -9,6 +9,7 @@ from gateway_plants.crank.monitor.faults import ADDED, DAMAGED, MISSED, NOISE, P
 from gateway_plants.crank.monitor.sync_state import (
     CONFIRMED,
     MARKED,
+    NEVER,
     NOT_TOLD,
     TENTATIVE,
     Const,
@@ -79,9 +80,11 @@ def fall_noisy(s: State, c: Const, count: int) -> None:
 def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int) -> None:
     """Report missed or added pulses from tooth ``first`` on; a tentative place keeps them until it is proven.
 
-    None where the engine may have turned back.
+    But not what came once where the place itself may have been wrong: it was found anew, frames were lost, or the
+    engine may have turned back.
     """
-    if s.phase == TENTATIVE and s.reversal.stood == 1:
+    guessed = s.doubted == NEVER or s.hole == 1 or s.reversal.stood == 1
+    if s.phase == TENTATIVE and guessed and s.recurring == 0:
         return
     if s.phase == TENTATIVE:
         s.held_fault = fault
