@@ -21,9 +21,9 @@ from gateway_fdi.jit import Record, f8, i4, i8, kernel, means
 from gateway_plants.crank.monitor import anchor
 from gateway_plants.crank.pulse_tracking.profile import LearnedWheel
 
-#: A pulse is a tooth within so much of its place [pitch], or this share of a pitch that is shorter; a place is the same
-#: within so much.
-MOST_OFF, NEAR = 0.42, 0.25
+#: A pulse is a tooth within this share of the pitch before its place, of so much of a gap; a place is the same within
+#: so much [pitch].
+MOST_OFF, WIDE, NEAR = 0.42, 1.2, 0.25
 #: Edges of the cam, more of one place than of the other, that decide.
 EDGES = 3
 #: Cost [nat] of a tooth that is missing or a pulse too many, and the most of a tooth out of its place.
@@ -64,6 +64,12 @@ def clear(rv: CompetingHypothesis) -> None:
 
 
 @kernel
+def most(size: int) -> float:
+    """Return what a turn of so many intervals costs at most where it is of the place, with three defects [nat]."""
+    return min(max(LOST * size, 3.0 * DEFECT), MOST)
+
+
+@kernel
 def _lay(
     an: anchor.State, size: int, wh: LearnedWheel, index: int, period: float, variance: float, most: float
 ) -> tuple[float, int, int]:
@@ -94,7 +100,7 @@ def _lay(
         while skipped < 0 or span < way - most_off:
             before = before - 1 if before > 0 else wh.pulses - 1
             span += wh.nominal[before]
-            most_off = MOST_OFF * min(wh.nominal[before], 1.0)
+            most_off = MOST_OFF * min(wh.nominal[before], WIDE)
             skipped += 1
         off = abs(way - span)
         if off > most_off or abs(following - span) < off:
@@ -106,11 +112,14 @@ def _lay(
         missing += skipped
         cost += skipped * DEFECT + min(scale * off * off, DEFECT)
         way -= span
-        followed = off < SMALL or late * way > 0.0
-        late = way
-        if followed:
+        late, again = way, late * way > 0.0
+        if off < SMALL:
             period *= 1.0 + FOLLOWS * way / span
             late, way = 0.0, LEFT * way
+        elif again:  # two teeth in a row are off: it is the place of both, and of those behind
+            late, way = 0.0, 0.0
+        elif wh.nominal[before] > 1.0:  # a gap's own error
+            way *= LEFT
         total += span
         tooth = before
         if total > wh.whole - NEAR:

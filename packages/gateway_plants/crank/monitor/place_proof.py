@@ -17,6 +17,7 @@ from gateway_plants.crank.monitor.sync_state import (
     State,
     decides,
     doubt,
+    laid,
     speed,
     tell_held,
     uncover,
@@ -122,7 +123,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             an.age = c.pulses + anchor.EDGES - c.anchor.length
         an.verified = 1
     elif s.index == 1 and (anchor.seen(an, c.anchor, s.y2, s.y1, y) or _laid(s, c)):
-        _witness(s, c, out)
+        _witness(s, c, c.anchor.alone == 1 and anchor.level(s.tracker.pitches, c.pulses, s.y2, y), out)
     elif an.age >= c.pulses + anchor.EDGES and not decides(s, c):
         an.age = c.pulses + anchor.EDGES - c.anchor.length
         an.verified = 1
@@ -133,9 +134,9 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
         if found == anchor.HERE:
             anchor.hold(an)
             if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
-                _witness(s, c, out)
+                _witness(s, c, True, out)
         elif s.teeth - s.uneven <= c.anchor.length or (s.phase == CONFIRMED and s.defects.turns > 0):
-            if found == anchor.ABSENT and s.known == 0 and not _explained(s, c):
+            if found == anchor.ABSENT and s.known == 0 and laid(s, c) != s.index % c.repeats:
                 doubt(s)
         elif found <= 0:
             # One turn alone never decides: it may be a burst.
@@ -148,14 +149,6 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             an.shift = found
             if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0 and s.hole == 0):
                 relocate(s, c, out, found)
-
-
-@kernel
-def _explained(s: State, c: Const) -> bool:
-    """Tell whether the place explains the last turn better than any other, with its defects."""
-    period = best(s.tracker).period
-    found = competing_hypothesis.place(s.anchor, c.anchor.length, c.wheel, c.repeats, period, s.tracker.variance)
-    return bool(found == s.index % c.repeats)
 
 
 @kernel
@@ -181,13 +174,16 @@ def _laid(s: State, c: Const) -> bool:
 def _alone(s: State, c: Const, out: Reports) -> bool:
     """Tell whether no other place explains the last turn as well; reports one, if teeth are missing in each turn."""
     period, rv = best(s.tracker).period, s.rival
-    if s.teeth - rv.asked < c.pulses // 2:
-        return False  # each turn says it once
-    rv.asked = s.teeth
+    if s.teeth - rv.asked < c.pulses // 2 or s.waiting.turned > s.waiting.same:
+        return False  # each turn says it once, and none where it may be the polarity
     cost, missing = competing_hypothesis.seek(
         rv, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period, s.tracker.variance
     )
-    if cost > competing_hypothesis.MOST or (s.recurring == 1 and missing != defects.missing(s.defects)):
+    if cost > competing_hypothesis.most(c.anchor.length):  # ripple is too large: without defects, contrasts tell
+        here = anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE
+        return here and s.recurring == 0 and rv.other == competing_hypothesis.NONE
+    rv.asked = s.teeth
+    if s.recurring == 1 and missing != defects.missing(s.defects):
         return False
     if rv.other == competing_hypothesis.NONE:
         return True
@@ -247,8 +243,17 @@ def place_by_cam(s: State, c: Const, number: int) -> None:
 
 
 @kernel
-def _witness(s: State, c: Const, out: Reports) -> None:
-    """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given."""
+def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
+    """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given.
+
+    A place that was proven before the frames were lost needs no more than that it can be no other gap.
+
+    Args:
+        s: record of State.
+        c: record of Const.
+        sure: whether it can be no other gap, nor a piece of one.
+        out: record of Out.
+    """
     h = best(s.tracker)
     told = agreed(s.tracker) and h.missed == 0 and h.added == 0
     if told:
@@ -259,10 +264,10 @@ def _witness(s: State, c: Const, out: Reports) -> None:
         return
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap
-    if s.hole == 1 and s.recurring == 0:
-        if s.defects.turns == 0 and s.doubted < s.uneven > s.teeth - 2 * c.pulses:
-            return  # a pulse too many in each turn may be in the gap
-    if (s.hole == 1 or s.recurring == 1) and _alone(s, c, out):
+    if s.hole == 1 and s.recurring == 0 and s.defects.turns == 0 and s.doubted < s.uneven > s.teeth - 2 * c.pulses:
+        return  # a pulse too many in each turn may be in the gap
+    kept = sure and s.recurring == 0 and s.doubted != NEVER and s.rival.other == competing_hypothesis.NONE
+    if (s.hole == 1 or s.recurring == 1) and (kept or _alone(s, c, out)):
         confirm(s, out)
 
 
