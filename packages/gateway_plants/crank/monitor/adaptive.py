@@ -11,7 +11,7 @@ import numpy as np
 
 from gateway_fdi.jit import f8s, kernel
 from gateway_plants.crank import wheel_estimation, wheel_pairs
-from gateway_plants.crank.monitor import anchor, competing_hypothesis, defects, no_gap, noise, reversal, wrong_wheel
+from gateway_plants.crank.monitor import anchor, defects, no_gap, noise, reversal, wrong_wheel
 from gateway_plants.crank.monitor.faults import Reports
 from gateway_plants.crank.monitor.isolation import decide, fall_noisy, lose
 from gateway_plants.crank.monitor.place_proof import hold_to_gap, prove

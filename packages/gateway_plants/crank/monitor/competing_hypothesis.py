@@ -65,8 +65,8 @@ def clear(rv: CompetingHypothesis) -> None:
 
 @kernel
 def most(size: int) -> float:
-    """Return what a turn of so many intervals costs at most where it is of the place, with three defects [nat]."""
-    return min(max(LOST * size, 3.0 * DEFECT), MOST)
+    """Return what a turn of so many intervals costs at most where it is of the place, with four defects [nat]."""
+    return float(min(max(LOST * size, 4.0 * DEFECT), MOST))
 
 
 @kernel
