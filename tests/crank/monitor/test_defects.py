@@ -139,7 +139,7 @@ def test_what_comes_again_is_told_from_what_comes_once():
 
     def take(*faults):
         defects.clear(de)
-        return [defects.take(de, 58, tooth, net, number) for tooth, net, number in faults]
+        return [defects.take(de, 58, tooth, net, number, False) for tooth, net, number in faults]
 
     assert take((20, 1, 20), (24, 1, 23), (20, 1, 76), (24, 1, 79)) == [True] * 4
     assert de.turns == 1
@@ -159,11 +159,11 @@ def test_lost_pulses_are_counted_with_what_comes_in_each_turn():
     for net, teeth in ((1, 16), (-1, 14)):
         defects.clear(de)
         for number in (20, 78 - net):
-            assert defects.take(de, 58, 20, net, number)
+            assert defects.take(de, 58, 20, net, number, False)
         assert defects.passed(de, 58, 10, 15, 100) == teeth
-        assert defects.take(de, 58, 20, net, de.pulses[0] + 58 - net), "it is expected a turn later"
+        assert defects.take(de, 58, 20, net, de.pulses[0] + 58 - net, False), "it is expected a turn later"
     defects.clear(de)
-    defects.take(de, 58, 20, 1, 20)
+    defects.take(de, 58, 20, 1, 20, False)
     assert defects.passed(de, 58, 10, 15, 30) == 15
     assert de.count == 0, "what came once may not come again"
 

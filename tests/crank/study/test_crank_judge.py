@@ -80,6 +80,8 @@ def test_wheels_in_degrees_and_of_many_teeth_are_taken(text):
         *((773311, 5112), (271828, 3094)),  # a rival that one turn of several did not show
         *((773311, 6945), (618033, 2781), (618033, 6520)),  # a place that fitted badly, and a cam that had moved
         *((773311, 7073), (440777, 8045)),  # a broken tooth like the gap, at both ends of the turn that was asked
+        *((141421, 348), (141421, 9807), (662607, 4642)),  # one tooth off, from which a turn was laid wrongly
+        *((618033, 1378), (331199, 5333), (141421, 9629)),  # a place that was proven without the odds of a turn
     ],
 )
 def test_runs_that_once_proved_a_wrong_tooth(judge, seed, number):
@@ -100,6 +102,13 @@ def test_runs_that_once_proved_a_wrong_tooth(judge, seed, number):
 def test_a_later_fault_that_was_not_named_is_named(judge, number):
     row = judge.one_run((70001, number))
     assert (row[4], row[5], row[6]) == (0, True, [])
+
+
+@compiled
+@pytest.mark.parametrize("number", [1335, 2116, 4312])
+def test_an_index_that_the_gap_puts_right_accuses_no_sensor(judge, number):
+    """One pulse missed or added was told, behind frames that were lost."""
+    assert judge.one_run((141421, number))[6] == []
 
 
 def test_the_page_has_the_table_of_wheels_that_cannot_be_told(judge):

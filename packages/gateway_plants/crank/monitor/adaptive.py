@@ -11,7 +11,7 @@ import numpy as np
 
 from gateway_fdi.jit import f8s, kernel
 from gateway_plants.crank import wheel_estimation, wheel_pairs
-from gateway_plants.crank.monitor import anchor, competing_hypothesis, defects, no_gap, noise, reversal, wrong_wheel
+from gateway_plants.crank.monitor import anchor, defects, no_gap, noise, reversal, wrong_wheel
 from gateway_plants.crank.monitor.faults import Reports
 from gateway_plants.crank.monitor.isolation import decide, fall_noisy, lose
 from gateway_plants.crank.monitor.place_proof import hold_to_gap, prove
@@ -24,6 +24,7 @@ from gateway_plants.crank.monitor.sync_state import (
     State,
     cover,
     doubt,
+    laid,
     search,
     uncover,
     unlearned,
@@ -43,6 +44,7 @@ from gateway_plants.crank.pulse_tracking.tracker import (
     keep_reported,
     reported,
     shift,
+    slowest,
     transfer_ripple,
     unanimous,
 )
@@ -82,7 +84,6 @@ def lost(s: State, c: Const, number: int, counted: bool, out: Reports) -> None:
         search(s, c)
     _pass_over(s, c, defects.passed(s.defects, c.pulses, int(s.index), number, int(s.teeth)))
     if not counted:
-        s.rival.turns = 0
         anchor.skip(s.anchor, c.anchor.length, c.pulses + anchor.EDGES)
     no_gap.clear(s.waiting)  # what the bus lost is no reason to blame the sensor
 
@@ -159,7 +160,7 @@ def tooth(s: State, c: Const, y: float, out: Reports) -> None:
         period = best(s.tracker).period
         noise.note(s.burst, s.teeth, y, period)
         crowded = noise.crowd(s.burst, s.teeth) >= noise.BURST  # the time of a pitch may be that of its pulses
-        silent = not crowded and y > (MOST_MISSED + 1) * period and _silent(s, c, y, period)
+        silent = not crowded and y > (MOST_MISSED + 1) * period and _silent(s, c, y, slowest(s.tracker))
         _watch_turning(s, c, y, silent)
         if silent and s.reversal.stood == 1:
             search(s, c)
@@ -350,10 +351,9 @@ def _seek(s: State, c: Const, y: float) -> None:
         restart(s.search)
     se = s.search
     index = seek(se, c.logs, c.repeats, y)
-    if index < 0 and c.gap > MARK and se.seen > c.pulses and se.seen % (c.pulses - 1) == 0 and s.seen.pitch > 0.0:
-        period, variance = s.seen.pitch, s.seen.variance / 2.0
-        index = competing_hypothesis.place(s.anchor, c.anchor.length, c.wheel, c.repeats, period, variance)
-        se.period, se.growth, se.variance = period, 0.0, variance
+    if index < 0 and c.gap > MARK and se.seen > c.pulses and se.seen % (c.pulses - 1) == 0:
+        index = laid(s, c)
+        se.period, se.growth, se.variance = s.seen.pitch, 0.0, s.seen.variance / 2.0
     if index >= 0 and (c.even == 0 or se.variance < MOST_UNEVEN):
         begin(s.tracker, index, se.period, se.growth, se.variance)
         s.tracker.wander = unlearned(c, se.period)

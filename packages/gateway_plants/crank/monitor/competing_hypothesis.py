@@ -8,7 +8,7 @@ it, and a cam sensor can decide: its edges fit one of the two.
 The pulses of the last turn are laid onto the wheel at each place, the latest one first: each is a tooth, or one too
 many, and teeth in between are missing. As minus its log likelihood [nat] a turn costs, with v the variance of e,
 
-    sum of min(e^2 / 2 v, BENT) over its teeth, e how far each is off, + DEFECT * (teeth missing + pulses too many)
+    sum of min(e^2 / 2 v, DEFECT) over its teeth, e how far each is off, + DEFECT * (teeth missing + pulses too many)
 
 The odds of a place are what the turn costs at the likeliest other one, less what it costs here. What is wrong in each
 turn is the same in all, so that their odds do not add up: they are averaged, which takes the noise out. The other
@@ -21,12 +21,13 @@ from gateway_fdi.jit import Record, f8, i4, i8, kernel, means
 from gateway_plants.crank.monitor import anchor
 from gateway_plants.crank.pulse_tracking.profile import LearnedWheel
 
-#: A pulse is a tooth within so much of its place [pitch], and this share of the way to it.
-NEAR, SHARE, MOST_OFF = 0.25, 0.05, 0.42
+#: A pulse is a tooth within this share of the pitch before its place, of so much of a gap; a place is the same within
+#: so much [pitch].
+MOST_OFF, WIDE, NEAR = 0.42, 1.2, 0.25
 #: Edges of the cam, more of one place than of the other, that decide.
 EDGES = 3
-#: Costs [nat] of a tooth that is missing or a pulse too many, and of a tooth out of its place at most.
-DEFECT, BENT = 12.0, 8.0
+#: Cost [nat] of a tooth that is missing or a pulse too many, and the most of a tooth out of its place.
+DEFECT = 12.0
 #: What a turn costs at most [nat]; what each interval costs that is of no place, and by how much one place has to be
 #: cheaper than all others, just below a defect.
 MOST, LOST, ODDS = 6.0 * DEFECT, 1.5, 11.0
@@ -63,6 +64,12 @@ def clear(rv: CompetingHypothesis) -> None:
 
 
 @kernel
+def most(size: int) -> float:
+    """Return what a turn of so many intervals costs at most where it is of the place, with four defects [nat]."""
+    return float(min(max(LOST * size, 4.0 * DEFECT), MOST))
+
+
+@kernel
 def _lay(
     an: anchor.State, size: int, wh: LearnedWheel, index: int, period: float, variance: float, most: float
 ) -> tuple[float, int, int]:
@@ -81,7 +88,7 @@ def _lay(
         what the turn costs [nat], the teeth missing in it, and the first of them; NONE: none is.
     """
     tooth, total, cost, missing, lost = index, 0.0, 0.0, 0, NONE
-    at, way, scale = int(an.at), 0.0, 0.5 / max(INNOVATION * variance, LEAST_VARIANCE)
+    at, way, late, scale = int(an.at), 0.0, 0.0, 0.5 / max(INNOVATION * variance, LEAST_VARIANCE)
     for _ in range(size):
         at = at - 1 if at > 0 else size - 1
         y = an.intervals[at]
@@ -89,24 +96,32 @@ def _lay(
             return 2.0 * MOST, missing, NONE
         way += y / period
         following = way + an.intervals[at - 1 if at > 0 else size - 1] / period
-        before, span, skipped = tooth, 0.0, -1
-        while span < way - min(NEAR + SHARE * span, MOST_OFF) or skipped < 0:
+        before, span, skipped, most_off = tooth, 0.0, -1, 0.0
+        while skipped < 0 or span < way - most_off:
             before = before - 1 if before > 0 else wh.pulses - 1
             span += wh.nominal[before]
+            most_off = MOST_OFF * min(wh.nominal[before], WIDE)
             skipped += 1
         off = abs(way - span)
-        if off > min(NEAR + SHARE * span, MOST_OFF) or abs(following - span) < off:
+        if off > most_off or abs(following - span) < off:
             cost += DEFECT
             continue
         for k in range(1, skipped + 1):
             gone = (tooth - k) % wh.pulses
             lost = gone if lost == NONE else min(lost, gone)
         missing += skipped
-        cost += skipped * DEFECT + min(scale * off * off, BENT)
+        cost += skipped * DEFECT + min(scale * off * off, DEFECT)
+        way -= span
+        late, again = way, late * way > 0.0
         if off < SMALL:
-            period *= 1.0 + FOLLOWS * (way - span) / span
+            period *= 1.0 + FOLLOWS * way / span
+            late, way = 0.0, LEFT * way
+        elif again:  # two teeth in a row are off: it is the place of both, and of those behind
+            late, way = 0.0, 0.0
+        elif wh.nominal[before] > 1.0:  # a gap's own error
+            way *= LEFT
         total += span
-        tooth, way = before, (way - span) * (LEFT if off < SMALL else 1.0)
+        tooth = before
         if total > wh.whole - NEAR:
             break
     return cost, missing, lost

@@ -59,7 +59,7 @@ def knows(de: Defects, tooth: int, net: int) -> bool:
 
 
 @kernel
-def take(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
+def take(de: Defects, pulses: int, tooth: int, net: int, number: int, mixed: bool) -> bool:
     """Take a fault; returns whether it belongs to those that come again in each turn, or to the first turn of them.
 
     Args:
@@ -68,9 +68,10 @@ def take(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
         tooth: of the fault.
         net: pulses missed less those added.
         number: of the pulse.
+        mixed: whether pulses missed and added may be of one turn.
     """
     if de.next < 0 and (de.count == 0 or tooth != de.teeth[0]):
-        return _add(de, pulses, tooth, net, number)
+        return _add(de, pulses, tooth, net, number, mixed)
     k = max(de.next, 0)
     turn = pulses
     for j in range(de.count):
@@ -94,14 +95,14 @@ def take(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
 
 @kernel
 def learn(de: Defects, pulses: int, tooth: int, net: int, number: int) -> None:
-    """Take a fault of a place that is proven, with the arguments of :func:`take`.
+    """Take a fault of a place that is proven, with the arguments of :func:`take`; it may be of either sign.
 
     Faults that come again are kept when another one comes. They are given up after two turns without them.
     """
-    if take(de, pulses, tooth, net, number) or (de.turns > 0 and number - de.pulses[0] <= 2 * pulses):
+    if take(de, pulses, tooth, net, number, True) or (de.turns > 0 and number - de.pulses[0] <= 2 * pulses):
         return
     clear(de)
-    _add(de, pulses, tooth, net, number)
+    _add(de, pulses, tooth, net, number, True)
 
 
 @kernel
@@ -137,15 +138,15 @@ def passed(de: Defects, pulses: int, tooth: int, number: int, at: int) -> int:
 
 
 @kernel
-def _add(de: Defects, pulses: int, tooth: int, net: int, number: int) -> bool:
+def _add(de: Defects, pulses: int, tooth: int, net: int, number: int, mixed: bool) -> bool:
     """Add a fault of the first turn; returns whether it is one of these."""
     k = int(de.count)
     if k == MOST:
         return False
     if k > 0:
         before, here = (de.teeth[k - 1] - de.teeth[0]) % pulses, (tooth - de.teeth[0]) % pulses
-        same_sign = (net > 0) == (de.nets[0] > 0) and (net < 0) == (de.nets[0] < 0)
-        if here <= before or not same_sign or number - de.pulses[0] > pulses + k + NEAR:
+        same_sign = (net > 0) == (de.nets[0] > 0)
+        if here <= before or not (same_sign or mixed) or number - de.pulses[0] > pulses + k + NEAR:
             return False
     de.teeth[k], de.nets[k], de.pulses[k] = tooth, net, number
     de.count = k + 1

@@ -9,6 +9,7 @@ from gateway_plants.crank.monitor.faults import ADDED, DAMAGED, MISSED, NOISE, P
 from gateway_plants.crank.monitor.sync_state import (
     CONFIRMED,
     MARKED,
+    NEVER,
     NOT_TOLD,
     TENTATIVE,
     Const,
@@ -79,9 +80,11 @@ def fall_noisy(s: State, c: Const, count: int) -> None:
 def _fail(s: State, c: Const, out: Reports, fault: int, number: int, first: int) -> None:
     """Report missed or added pulses from tooth ``first`` on; a tentative place keeps them until it is proven.
 
-    None where the engine may have turned back.
+    But not what came once where the place itself may have been wrong: frames were lost, the engine may have turned
+    back, or it was found anew, and one more tooth than that moves it, or its gap was not seen.
     """
-    if s.phase == TENTATIVE and s.reversal.stood == 1:
+    guessed = s.hole == 1 or s.reversal.stood == 1 or (s.doubted == NEVER and (s.sure == 0 or number > 1))
+    if s.phase == TENTATIVE and guessed and s.recurring == 0:
         return
     if s.phase == TENTATIVE:
         s.held_fault = fault
@@ -107,12 +110,12 @@ def _suspicious(s: State, c: Const, tooth: int, net: int) -> bool:
     frames were lost in between, and pulses with them.
     """
     beside = net > 0 and _beside_gap(c, tooth)
-    if beside or not defects.take(s.defects, c.pulses, tooth, net, s.teeth):
+    if beside or not defects.take(s.defects, c.pulses, tooth, net, s.teeth, False):
         s.suspects += 1
         s.recurring = 0
         defects.clear(s.defects)
         if not beside:
-            defects.take(s.defects, c.pulses, tooth, net, s.teeth)
+            defects.take(s.defects, c.pulses, tooth, net, s.teeth, False)
         return s.suspects > 1 and s.hole == 0
     s.suspects = max(s.suspects, 1)
     s.recurring = 1 if s.defects.turns > 0 else 0

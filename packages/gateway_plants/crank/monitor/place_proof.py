@@ -17,6 +17,7 @@ from gateway_plants.crank.monitor.sync_state import (
     State,
     decides,
     doubt,
+    laid,
     speed,
     tell_held,
     uncover,
@@ -56,9 +57,7 @@ def prove(s: State, c: Const, out: Reports) -> None:
     seen = wheel_estimation.sure(s.seen)
     if _noisy(s, c) or (s.recurring == 0 and seen > 0 and seen != c.repeats):
         return
-    if (s.held_fault >= 0 or s.rival.other != competing_hypothesis.NONE) and not _alone(s, c, out):
-        return
-    if anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE:
+    if _alone(s, c, out):
         doubtful = c.anchor.ratio > 0.0 and (s.reversal.stood == 1 or s.refused > 1)
         confirm(s, out)
         s.anchor.unchecked = 1 if doubtful else 0
@@ -137,7 +136,7 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             if s.recurring == 1 or s.teeth - s.uneven > c.anchor.length:
                 _witness(s, c, True, out)
         elif s.teeth - s.uneven <= c.anchor.length or (s.phase == CONFIRMED and s.defects.turns > 0):
-            if found == anchor.ABSENT and s.known == 0 and not _explained(s, c):
+            if found == anchor.ABSENT and s.known == 0 and laid(s, c) != s.index % c.repeats:
                 doubt(s)
         elif found <= 0:
             # One turn alone never decides: it may be a burst.
@@ -150,14 +149,6 @@ def hold_to_gap(s: State, c: Const, y: float, out: Reports) -> None:
             an.shift = found
             if an.wins >= anchor.WINS or (s.phase == TENTATIVE and s.suspects == 0 and s.hole == 0):
                 relocate(s, c, out, found)
-
-
-@kernel
-def _explained(s: State, c: Const) -> bool:
-    """Tell whether the place explains the last turn better than any other, with its defects."""
-    period = best(s.tracker).period
-    found = competing_hypothesis.place(s.anchor, c.anchor.length, c.wheel, c.repeats, period, s.tracker.variance)
-    return bool(found == s.index % c.repeats)
 
 
 @kernel
@@ -183,16 +174,23 @@ def _laid(s: State, c: Const) -> bool:
 def _alone(s: State, c: Const, out: Reports) -> bool:
     """Tell whether no other place explains the last turn as well; reports one, if teeth are missing in each turn."""
     period, rv = best(s.tracker).period, s.rival
-    if s.teeth - rv.asked < c.pulses // 2:
-        return False  # each turn says it once
-    rv.asked = s.teeth
+    if s.teeth - rv.asked < c.pulses // 2 or s.waiting.turned > s.waiting.same:
+        return False  # each turn says it once, and none where it may be the polarity
     cost, missing = competing_hypothesis.seek(
         rv, s.anchor, c.anchor.length, c.wheel, c.repeats, s.index, period, s.tracker.variance
     )
-    if s.recurring == 1 and (cost > competing_hypothesis.MOST or missing != defects.missing(s.defects)):
+    if cost > competing_hypothesis.most(c.anchor.length):  # ripple is too large: without defects, contrasts tell
+        here = anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) == anchor.HERE
+        return here and s.recurring == 0 and rv.other == competing_hypothesis.NONE
+    rv.asked = s.teeth
+    if s.recurring == 1 and missing != defects.missing(s.defects):
         return False
     if rv.other == competing_hypothesis.NONE:
         return True
+    there = competing_hypothesis.place_of(rv, c.wheel, s.index)
+    if rv.turns >= anchor.WINS and rv.odds < -competing_hypothesis.ODDS and there != competing_hypothesis.NONE:
+        relocate(s, c, out, (there - s.index) % c.pulses)
+        return False
     if missing == 0 or s.recurring == 0 or s.defects.turns < defects.SURE:
         return False
     no_gap.clear(s.waiting)
@@ -212,6 +210,7 @@ def _move(s: State, c: Const, number: int) -> None:
     runout.forget(s.law)
     turns.trust(s, c)
     anchor.restart(s.anchor)
+    competing_hypothesis.clear(s.rival)
 
 
 @kernel
@@ -247,6 +246,8 @@ def place_by_cam(s: State, c: Const, number: int) -> None:
 def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
     """Take the gap at its place as the proof that lost frames, or a defect of every turn, leave to be given.
 
+    A place that was proven before the frames were lost needs no more than that it can be no other gap.
+
     Args:
         s: record of State.
         c: record of Const.
@@ -261,16 +262,12 @@ def _witness(s: State, c: Const, sure: bool, out: Reports) -> None:
         return
     if s.recurring == 1 and (s.twice == 1 or not _told_apart(s, c)):
         return
-    if (s.recurring == 1 or s.rival.other != competing_hypothesis.NONE) and not _alone(s, c, out):
-        return
     if s.recurring == 0 and s.doubted == NEVER and (s.uncovered > 0 or _two_fit(s)):
         return  # never proven: in what no frame brought may be another gap
-    if s.hole == 1 and s.recurring == 0:
-        if s.defects.turns == 0 and s.doubted < s.uneven > s.teeth - 2 * c.pulses:
-            return  # a pulse too many in each turn may be in the gap
-        if not sure and anchor.ask(s.anchor, c.anchor, c.pulses, c.repeats, s.index) != anchor.HERE:
-            return
-    if s.hole == 1 or s.recurring == 1:
+    if s.hole == 1 and s.recurring == 0 and s.defects.turns == 0 and s.doubted < s.uneven > s.teeth - 2 * c.pulses:
+        return  # a pulse too many in each turn may be in the gap
+    kept = sure and s.recurring == 0 and s.doubted != NEVER and s.rival.other == competing_hypothesis.NONE
+    if (s.hole == 1 or s.recurring == 1) and (kept or _alone(s, c, out)):
         confirm(s, out)
 
 

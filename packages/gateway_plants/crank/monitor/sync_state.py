@@ -281,6 +281,17 @@ def unlearned(c: Const, period: float) -> float:
 
 
 @kernel
+def laid(s: State, c: Const) -> int:
+    """Return the tooth of the latest pulse by the last turn, laid onto the wheel with its defects; NONE: not known."""
+    period, variance = best(s.tracker).period, s.tracker.variance
+    if s.phase == SEARCHING:
+        period, variance = s.seen.pitch, s.seen.variance / 2.0
+    if period == 0.0:
+        return competing_hypothesis.NONE
+    return competing_hypothesis.place(s.anchor, c.anchor.length, c.wheel, c.repeats, period, variance)
+
+
+@kernel
 def search(s: State, c: Const) -> None:
     """Give the place on the wheel up, and what was learned at it, and look for it again."""
     if s.phase == CONFIRMED:
@@ -366,6 +377,7 @@ def waver(s: State) -> None:
         s.doubted = s.teeth
         no_gap.clear(s.waiting)
     displace(s)
+    s.rival.turns = 0
     s.since = 0
     s.suspects = 0
     s.recurring = 0

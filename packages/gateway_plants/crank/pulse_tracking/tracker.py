@@ -65,6 +65,16 @@ def best(tr: Tracker) -> Hypothesis:
 
 
 @kernel
+def slowest(tr: Tracker) -> float:
+    """Return the longest time of a pitch that a hypothesis has [us]."""
+    first = tr.bank * MOST
+    period = 0.0
+    for k in range(tr.count):
+        period = max(period, tr.banks[first + k].period)
+    return period
+
+
+@kernel
 def reported(tr: Tracker) -> Hypothesis:
     """Return the hypothesis whose tooth is reported.
 
