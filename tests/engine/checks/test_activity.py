@@ -170,6 +170,44 @@ def test_a_bus_that_loses_frames_falls_asleep_as_any_other(tmp_path, seed, share
     assert ("running", "falling asleep") in activities(events)
 
 
+#: Name -> network, when its ECUs stop [s], share of the frames that get lost. Others run on.
+SWITCHED_OFF = {
+    "most of the frames": (NETWORK, {"Engine": 8.0, "Steering": 8.9}, 0.07),
+    "within a timeout": ({"drive": NETWORK["drive"] | {"Doors": [(0x150, 250)]}}, {"Doors": 8.0, "Brakes": 9.0}, 0.0),
+    "slow and fast": ({"drive": NETWORK["drive"] | {"Doors": [(0x150, 3000)]}}, {"Doors": 8.0, "Brakes": 17.0}, 0.0),
+    "fast before slow ones": (
+        {"drive": {"Engine": [(0x100, 20)], "Radio": [(0x170, 10), (0x171, 10), (0x172, 10)]}
+        | {f"Seat{k}": [(0x150 + k, 500)] for k in range(4)}},
+        {"Engine": 8.0} | {f"Seat{k}": 8.0 for k in range(4)},
+        0.3,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.evidence("Healthy parts: parking")
+@pytest.mark.parametrize("name", SWITCHED_OFF)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_some_ecus_are_switched_off_and_others_run_on(tmp_path, name, seed):
+    """Their stops lie less than a timeout apart, or are not all known yet; the frames of the dead are not lost ones."""
+    network, off, share = SWITCHED_OFF[name]
+    rng = random.Random(seed)
+    frames = traffic(network, rng, 24, lambda b, e, i, t: t < off.get(e, 40.0) and rng.random() >= share)
+    codes, told, events = run(networks.config_of(tmp_path, network, 5.0, health=SLEEPS, check=RATE), frames, 24)
+    assert (codes, told) == (set(), [])
+    assert activities(events) == [("running", "falling asleep")]
+
+
+@pytest.mark.evidence("Healthy parts: lost frames")
+def test_a_bus_of_one_sender_waits_while_the_recorder_pauses(tmp_path):
+    """It cannot tell that from a sender that is missing; its other bus can."""
+    network, rng = NETWORK | {"body": {"Seat": [(0x210, 500)]}}, random.Random(21)
+    config = networks.config_of(tmp_path, network, 5.0, health=SLEEPS)
+    frames = traffic(network, rng, 30, lambda b, e, i, t: not 8 < t < 11.8)
+    assert run(config, frames, 30)[:2] == (set(), [])
+    frames = frames[(frames["bus"] == 0) | (frames["t_ns"] < 20e9)]
+    assert run(config, frames, 30)[0] == {"body.M210.timeout"}
+
+
 @pytest.mark.parametrize("seed", [900, 901, 902, 903])
 @pytest.mark.parametrize("share", [0.03, 0.3])
 def test_two_ecus_that_die_on_a_bus_that_loses_frames_are_not_switched_off(tmp_path, seed, share):
