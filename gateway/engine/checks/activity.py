@@ -334,7 +334,7 @@ def _stopped_by(h: Any, c: Any) -> int:
     """Return before which time a message stopped, if it did: its next frames were late, or lost, too seldom."""
     share = min(max(lost_share(h), h.share, _LEAST), _MOST)
     row_ns = (MISSES - math.log(_ROW) / math.log(share)) * c.wide_ns / MISSES
-    return _last_ns(c) + c.silent_ns + int(max(c.timeout_ns / 2, row_ns))
+    return _last_ns(c) + int(max(c.timeout_ns / 2, row_ns))
 
 
 @kernel
