@@ -77,12 +77,14 @@ def look_at_activity(T: Any, t_ns: int, bus: int) -> None:
     One on which nobody is heard is asleep; that changes nothing for its messages before it is silent as a whole.
     """
     h = T.health[bus]
-    if h.silence == AWAITED and h.activity != ASLEEP:
+    awaited = h.silence == AWAITED and h.activity != ASLEEP
+    if awaited:
         h.look_ns = NEVER
         watch_silence(h)
         if h.look_ns <= t_ns:
             set_activity(T, t_ns, bus, ASLEEP)
-        return
+        if h.activity not in (WAKING, FALLING):
+            return
     settled = h.activity == WAKING and t_ns - h.joined_ns >= max(h.settle_ns, _LEAST_NS)
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
@@ -90,6 +92,8 @@ def look_at_activity(T: Any, t_ns: int, bus: int) -> None:
             set_activity(T, t_ns, bus, h.activity)
             return
     set_activity(T, t_ns, bus, AWAKE)
+    if awaited:
+        watch_silence(h)
 
 
 @kernel
@@ -178,9 +182,12 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
     elif lossy:
         until_ns = max(until_ns, c.overdue_ns + max(_lost_ns(h, c), h.settle_ns))
     if due >= until_ns:
-        if h.activity == FALLING or not _are_many(T, due, c.bus, STOPPED, True):
+        apart = h.activity != FALLING and stopped_apart(T, due, c.bus)  # while it still wakes, too
+        if h.activity == FALLING or not (apart or _are_many(T, due, c.bus, STOPPED, True)):
             return False
-        until_ns = due + h.settle_ns
+        if apart:
+            _fall(T, due, c.bus)
+        until_ns = due + (_AFTER_RUN_NS if apart else h.settle_ns)
     c.deadline_ns = min(until_ns, due + max(h.settle_ns, c.timeout_ns))
     return True
 

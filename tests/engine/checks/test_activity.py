@@ -84,6 +84,24 @@ def test_ecus_that_wake_late_are_no_lost_frames(tmp_path):
     assert [e for e in events if e["event"] == "lossy"] == []
 
 
+def test_a_bus_wakes_where_its_frames_come_in_batches(tmp_path):
+    """At each look the bus is silent since the batch before, and its fastest messages are late."""
+    frames = traffic(NETWORK, random.Random(21), 40, lambda b, e, i, t: t < 8 or t > 20)
+    frames["t_ns"] = (frames["t_ns"] // 50_000_000 + 1) * 50_000_000
+    codes, told, events = run(config_of(tmp_path), frames, 40)
+    assert (codes, told) == (set(), [])
+    assert activities(events)[-1] == ("waking", "running")
+
+
+def test_ecus_that_stop_apart_while_others_still_wake_are_switched_off(tmp_path):
+    from_s, until_s = {"Steering": 4.0, "Climate": 5.5}, {"Engine": 1.3, "Gears": 3.0}
+    frames = traffic(
+        NETWORK, random.Random(22), 30, lambda b, e, i, t: from_s.get(e, 0.0) <= t < until_s.get(e, 30.0)
+    )
+    codes, told, _ = run(config_of(tmp_path), frames, 30)
+    assert (codes, told) == (set(), [])
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("away_s", [2.0, 30.0], ids=["reboots", "dies"])
 def test_an_ecu_that_stops_alone_is_told_on_a_bus_that_may_sleep(tmp_path, seed, away_s):
