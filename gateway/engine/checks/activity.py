@@ -34,6 +34,9 @@ _LOSSY, _TOLD, _WEIGHED, _WEIGHED_NS = 50, 25, 100, FIRST_NS
 #: a row of losses takes so long once in RARE times, where a share of at most MOST is lost, some TOGETHER. From the
 #: share HALF on it is known by the rate of those that come.
 _LONGER, _RARE, _MOST, _TOGETHER, _HALF = 3, 1e10, 0.98, 3.0, 0.5
+#: A message stopped before half of its timeout was over, which a gap between two frames seldom takes, or before as many
+#: frames were due as get lost in a row once in the first number of times. The second share is lost at least.
+_ROW, _LEAST = 1e4, 1e-3
 #: Gaps in a row of one message that count at most, when another message has one; with so few messages each gap counts.
 _MOST_ALONE, _TWO = 8, 2
 #: A message that comes again after less than the first time was not missing: the supply dips while an engine is cranked
@@ -63,7 +66,6 @@ def set_activity(T: Any, t_ns: int, bus: int, activity: int) -> None:
         announce(T, t_ns, ACTIVITY, bus, bus, float(activity), float(before))
     if activity in (AWAKE, PART):
         h.begun = 1
-        h.stops = 0 if before != activity else h.stops
     h.look_ns = t_ns + _LOOK_NS if activity in (WAKING, FALLING) else NEVER
     h.deadline_ns = min(h.deadline_ns, h.look_ns)
 
@@ -75,12 +77,14 @@ def look_at_activity(T: Any, t_ns: int, bus: int) -> None:
     One on which nobody is heard is asleep; that changes nothing for its messages before it is silent as a whole.
     """
     h = T.health[bus]
-    if h.silence == AWAITED and h.activity != ASLEEP:
+    awaited = h.silence == AWAITED and h.activity != ASLEEP
+    if awaited:
         h.look_ns = NEVER
         watch_silence(h)
         if h.look_ns <= t_ns:
             set_activity(T, t_ns, bus, ASLEEP)
-        return
+        if h.activity not in (WAKING, FALLING):
+            return
     settled = h.activity == WAKING and t_ns - h.joined_ns >= max(h.settle_ns, _LEAST_NS)
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
@@ -88,13 +92,15 @@ def look_at_activity(T: Any, t_ns: int, bus: int) -> None:
             set_activity(T, t_ns, bus, h.activity)
             return
     set_activity(T, t_ns, bus, AWAKE)
+    if awaited:
+        watch_silence(h)
 
 
 @kernel
 def begin_waking(T: Any, t_ns: int, bus: int) -> None:
     """Take the first frame of a bus that was asleep: none of its messages has come yet."""
     h = T.health[bus]
-    h.stops = h.weighed_ns = 0
+    h.weighed_ns = 0
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
         if c.bus == bus and c.timeout_ns > 0:
@@ -138,7 +144,7 @@ def waits_to_settle(T: Any, due: int, c: Any) -> bool:
         if c.coming in (COMES, STOPPED):
             waits = _settles(T, due, h, c)
         elif c.coming == NOT_YET:
-            part = _are_many(T, due, c.bus, NOT_YET)
+            part = _are_many(T, due, c.bus, NOT_YET, False)
             waits = (
                 part
                 or (h.activity == FALLING and due < h.fell_ns + _AFTER_RUN_NS)
@@ -163,11 +169,9 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
     lossy = is_lossy(due, h)
     if c.coming == COMES:
         c.coming, c.overdue_ns = STOPPED, due
-        if not lossy:
-            _note_stop(h, c, due)
-    until_ns = h.stopped_ns + h.settle_ns
-    apart, settled = h.stops > 1 and not lossy, due >= until_ns and _are_many(T, due, c.bus, STOPPED)
-    if h.activity in (AWAKE, PART) and (apart or settled or other_falls(T, c.bus)):
+    until_ns = _latest_stop(T, due, c.bus) + h.settle_ns
+    settled = due >= until_ns and _are_many(T, due, c.bus, STOPPED, False)
+    if h.activity in (AWAKE, PART) and (settled or stopped_apart(T, due, c.bus) or other_falls(T, c.bus)):
         _fall(T, due, c.bus)
     if h.activity == FALLING or (h.activity == ASLEEP and h.fell_ns > h.joined_ns):
         until_ns = h.fell_ns + _AFTER_RUN_NS
@@ -178,10 +182,12 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
     elif lossy:
         until_ns = max(until_ns, c.overdue_ns + max(_lost_ns(h, c), h.settle_ns))
     if due >= until_ns:
-        if h.activity == FALLING or not _stopped_apart(T, due, c.bus):
+        apart = h.activity != FALLING and stopped_apart(T, due, c.bus)  # while it still wakes, too
+        if h.activity == FALLING or not (apart or _are_many(T, due, c.bus, STOPPED, True)):
             return False
-        _fall(T, due, c.bus)
-        until_ns = h.fell_ns + _AFTER_RUN_NS
+        if apart:
+            _fall(T, due, c.bus)
+        until_ns = due + (_AFTER_RUN_NS if apart else h.settle_ns)
     c.deadline_ns = min(until_ns, due + max(h.settle_ns, c.timeout_ns))
     return True
 
@@ -199,7 +205,7 @@ def other_falls(T: Any, bus: int) -> bool:
 @kernel
 def _is_parked(T: Any, t_ns: int, bus: int) -> bool:
     """Return whether a bus that fell asleep before is awake in part: who stops then falls asleep again."""
-    return bool(T.health[bus].fell_ns > 0 and _are_many(T, t_ns, bus, NOT_YET))
+    return bool(T.health[bus].fell_ns > 0 and _are_many(T, t_ns, bus, NOT_YET, False))
 
 
 @kernel(inlined=False)
@@ -253,12 +259,15 @@ def _has_others(T: Any, c: Any) -> bool:
 def _lost_share(T: Any, t_ns: int, bus: int) -> float:
     """Return the share of the frames that did not come of the messages that come; 0: less than half; -1: too few.
 
-    A recorder that takes frames for a moment, and none for the next, has few gaps, and long ones.
+    A recorder that takes frames for a moment, and none for the next, has few gaps, and long ones. A message that
+    has stopped for longer than frames are known to get lost does not come.
     """
     h, one = T.health[bus], 0.0
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
-        if c.bus == bus and c.coming in (COMES, STOPPED) and c.one_ns > 0:
+        may_come = h.lossy == 0 or h.share > _HALF or t_ns < c.overdue_ns + _lost_ns(h, c)
+        comes = c.coming == COMES or (c.coming == STOPPED and may_come)
+        if c.bus == bus and comes and c.one_ns > 0:
             one += c.stride * c.slots * ((t_ns - h.weighed_ns) / c.one_ns)
     if max(one, h.watched) < _WEIGHED:
         return -1.0
@@ -322,49 +331,87 @@ def _fall(T: Any, t_ns: int, bus: int) -> None:
 
 
 @kernel
-def _note_stop(h: Any, c: Any, due: int) -> None:
-    """Note when a message stopped: after its last frame, and before its time was over.
+def _last_ns(c: Any) -> int:
+    """Return when the last frame of a message came that comes, or has stopped: silences were added to its time."""
+    return int((c.overdue_ns if c.coming == STOPPED else c.deadline_ns) - c.timeout_ns - c.silent_ns)
+
+
+@kernel
+def _stopped_by(h: Any, c: Any) -> int:
+    """Return before which time a message stopped, if it did: its next frames were late, or lost, too seldom."""
+    share = min(max(lost_share(h), h.share, _LEAST), _MOST)
+    row_ns = (MISSES - math.log(_ROW) / math.log(share)) * c.wide_ns / MISSES
+    return _last_ns(c) + int(max(c.timeout_ns / 2, row_ns))
+
+
+@kernel
+def _is_away(now: int, h: Any, c: Any) -> bool:
+    """Return whether a message has stopped, and was not only lost, though its time may not be over."""
+    return bool(
+        (c.coming == COMES and c.parked_ns == 0 and now > _stopped_by(h, c))
+        or (c.coming == STOPPED and _is_not_lost(now, h, c))
+    )
+
+
+@kernel
+def _first_stop(T: Any, now: int, bus: int) -> int:
+    """Return the place of the message that stopped first of those that have; -1: none has."""
+    h, first, first_ns = T.health[bus], -1, NEVER
+    for k in range(T.checks.shape[0]):
+        c = T.checks[k]
+        if c.bus == bus and c.timeout_ns > 0 and _is_away(now, h, c) and _stopped_by(h, c) < first_ns:
+            first, first_ns = k, _stopped_by(h, c)
+    return first
+
+
+@kernel
+def _latest_stop(T: Any, now: int, bus: int) -> int:
+    """Return the last frame of the message that stopped last of those that have."""
+    h, latest_ns = T.health[bus], 0
+    for k in range(T.checks.shape[0]):
+        c = T.checks[k]
+        if c.bus == bus and c.timeout_ns > 0 and _is_away(now, h, c):
+            latest_ns = max(latest_ns, _last_ns(c))
+    return latest_ns
+
+
+@kernel
+def stopped_apart(T: Any, now: int, bus: int) -> bool:
+    """Return whether senders stopped at several times: one after its last frame, others before that.
 
     An ECU that dies stops all of its messages at one time, which lies between these of each of them.
     """
-    last_ns = due - c.timeout_ns
-    if h.stops > 0 and last_ns > h.stopped_ns + h.settle_ns:
-        h.stops = 0
-    from_ns, until_ns = max(h.stop_from_ns, last_ns), min(h.stop_until_ns, due)
-    if h.stops > 0 and from_ns < until_ns:
-        h.stop_from_ns, h.stop_until_ns = from_ns, until_ns
-    elif h.stops == 0 or c.sender != h.stop_sender:
-        h.stops += 1
-        h.stop_from_ns, h.stop_until_ns, h.stop_sender = last_ns, due, c.sender
-        h.stopped_ns = last_ns
-
-
-@kernel
-def _stopped_apart(T: Any, due: int, bus: int) -> bool:
-    """Return whether messages that are not only lost stopped at several times: each did after its last frame."""
-    h = T.health[bus]
-    latest_ns, until_ns = 0, NEVER
+    h, first = T.health[bus], _first_stop(T, now, bus)
+    if first < 0:
+        return False
+    sender, by_ns = T.checks[first].sender, _stopped_by(h, T.checks[first])
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
-        last_ns = c.overdue_ns - c.timeout_ns
-        if c.bus == bus and c.timeout_ns > 0 and c.coming == STOPPED and _is_not_lost(due, h, c):
-            latest_ns, until_ns = max(latest_ns, last_ns), min(until_ns, last_ns + _lost_ns(h, c))
-    return latest_ns > until_ns
+        other = c.bus == bus and c.timeout_ns > 0 and (c.sender < 0 or c.sender != sender)
+        if other and _last_ns(c) > by_ns and _is_away(now, h, c):
+            return True
+    return False
 
 
 @kernel
-def _are_many(T: Any, due: int, bus: int, coming: int) -> bool:
-    """Return whether the senders that have stopped, or not come yet, are more than are at fault at one time."""
+def _are_many(T: Any, due: int, bus: int, coming: int, doubt: bool) -> bool:
+    """Return whether the senders that have stopped, or not come yet, are more than are at fault at one time.
+
+    ``doubt``: or would be, if those had stopped, too, of which that is not known yet.
+    """
     h = T.health[bus]
     away = on = halves = 0
+    first = _first_stop(T, due, bus) if coming == STOPPED else -1
+    by_ns = _stopped_by(h, T.checks[first]) if first >= 0 else due
     for k in range(T.checks.shape[0]):
         c = T.checks[k]
         if c.bus != bus or c.timeout_ns <= 0:
             continue
-        if c.coming == coming and (coming == NOT_YET or _is_not_lost(due, h, c)):
+        comes = c.coming == COMES and (coming == NOT_YET or c.timeout_ns <= due - by_ns)
+        if c.coming == coming and (coming == NOT_YET or doubt or _is_not_lost(due, h, c)):
             away += 1
             halves += 1 if c.sender < 0 else 2 * _is_first(T, k)
-        elif c.coming == COMES and (coming == NOT_YET or c.timeout_ns <= due - h.stop_until_ns):
+        elif comes:
             on += 1
     part = _PARKED if coming == NOT_YET and h.fell_ns > 0 else _PART
     return bool(halves >= 2 * _MANY and away * _OF >= (away + on) * part)
@@ -388,15 +435,12 @@ def begin_to_come(T: Any, t_ns: int, c: Any) -> bool:
         h.joined_ns = max(h.joined_ns, t_ns)
         if h.weighed_ns > 0 and c.one_ns > 0:  # until now it had no rate
             h.watched += int(c.stride * c.slots * ((t_ns - h.weighed_ns) / c.one_ns))
-        if h.activity == PART and not _are_many(T, t_ns, c.bus, NOT_YET):
+        if h.activity == PART and not _are_many(T, t_ns, c.bus, NOT_YET, False):
             set_activity(T, t_ns, c.bus, AWAKE)
-    elif stopped and h.activity in (AWAKE, PART) and h.stops <= 1 and is_gone(T, t_ns, c):
-        if _is_parked(T, t_ns, c.bus):
-            c.coming = COMES
-            return False
-        if not _are_many(T, t_ns, c.bus, STOPPED):
-            h.stops = 0
+    elif stopped and h.activity in (AWAKE, PART) and is_gone(T, t_ns, c) and not stopped_apart(T, t_ns, c.bus):
+        if _are_many(T, t_ns, c.bus, STOPPED, False):
+            _fall(T, t_ns, c.bus)
+        elif not _is_parked(T, t_ns, c.bus) and not _are_many(T, t_ns, c.bus, STOPPED, True):
             return True
-        _fall(T, t_ns, c.bus)
     c.coming = COMES
     return False

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gateway.common.times import NEVER
-from gateway.engine.checks.activity import UNUSUAL, other_falls, set_activity, watch_silence
+from gateway.engine.checks.activity import UNUSUAL, other_falls, set_activity, stopped_apart, watch_silence
 from gateway.engine.checks.bus_health import ASLEEP, AWAITED, SILENT, SPOKEN, WHOLE, Params, Silence
 from gateway.engine.checks.communication import CheckInstance
 from gateway.engine.checks.kinds import TIMEOUT
@@ -58,35 +58,6 @@ def sender_of(message: str, database: Database) -> str:
 
 
 @kernel
-def park(T: Any, due: int, c: Any) -> bool:
-    """Have a message whose time is over wait for a frame of anybody; returns whether it does.
-
-    Args:
-        T: the tables.
-        due: when its time was over [ns].
-        c: its record of Check.
-    """
-    if c.bus >= T.health.shape[0] - 1:
-        return False
-    h = T.health[c.bus]
-    if h.quiet_ns == 0 or due - h.heard_ns <= h.gap_ns or int(h.bad) & ~(1 << SILENT) != 0:
-        return False
-    if c.parks >= MOST_PARKS and h.silence != WHOLE:
-        return False
-    c.parked_ns = due
-    c.deadline_ns = NEVER
-    if h.silence == WHOLE:
-        not_tested(T, due, c.fault[TIMEOUT])
-    elif h.silence == SPOKEN:
-        h.silence = AWAITED
-        h.until[SILENT] = max(h.heard_ns + h.quiet_ns, due + 1)
-        h.deadline_ns = min(h.deadline_ns, h.until[SILENT])
-        watch_silence(h)
-        arm(T, h.timer, h.deadline_ns)
-    return True
-
-
-@kernel
 def others_sleep(T: Any, t_ns: int, bus: int) -> bool:
     """Return whether there are other buses, and none is heard: all sleep, or the recorder paused.
 
@@ -103,6 +74,40 @@ def others_sleep(T: Any, t_ns: int, bus: int) -> bool:
             if awake and o.heard_ns - h.heard_ns > UNUSUAL * max(h.gap_ns, o.gap_ns):
                 spoken += 1
     return others > 0 and spoken == 0
+
+
+@kernel
+def park(T: Any, due: int, c: Any) -> bool:
+    """Have a message whose time is over wait for a frame of anybody; returns whether it does.
+
+    A bus of one sender cannot tell its silence from that of the sender: it waits while all other buses sleep.
+
+    Args:
+        T: the tables.
+        due: when its time was over [ns].
+        c: its record of Check.
+    """
+    if c.bus >= T.health.shape[0] - 1:
+        return False
+    h = T.health[c.bus]
+    if h.quiet_ns == 0 and due - h.heard_ns >= c.timeout_ns and others_sleep(T, due, c.bus):
+        c.deadline_ns = due + c.timeout_ns
+        return True
+    if h.quiet_ns == 0 or due - h.heard_ns <= h.gap_ns or int(h.bad) & ~(1 << SILENT) != 0:
+        return False
+    if c.parks >= MOST_PARKS and h.silence != WHOLE:
+        return False
+    c.parked_ns = due
+    c.deadline_ns = NEVER
+    if h.silence == WHOLE:
+        not_tested(T, due, c.fault[TIMEOUT])
+    elif h.silence == SPOKEN:
+        h.silence = AWAITED
+        h.until[SILENT] = max(h.heard_ns + h.quiet_ns, due + 1)
+        h.deadline_ns = min(h.deadline_ns, h.until[SILENT])
+        watch_silence(h)
+        arm(T, h.timer, h.deadline_ns)
+    return True
 
 
 @kernel
@@ -144,7 +149,7 @@ def judge_silence(T: Any, t_ns: int, bus: int) -> None:
     elif h.asleep == 1 and h.wake_ns > 0:  # it wakes
         h.asleep = 0
         h.until[SILENT] = t_ns + h.wake_ns
-    elif may_fall and (h.stops > 1 or is_alone(T, bus) or other_falls(T, bus)):
+    elif may_fall and (stopped_apart(T, t_ns, bus) or is_alone(T, bus) or other_falls(T, bus)):
         not_tested(T, t_ns, fault)
     elif may_fall and silent_ns < h.settle_ns:
         h.until[SILENT] = h.heard_ns + h.settle_ns

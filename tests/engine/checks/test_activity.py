@@ -84,6 +84,24 @@ def test_ecus_that_wake_late_are_no_lost_frames(tmp_path):
     assert [e for e in events if e["event"] == "lossy"] == []
 
 
+def test_a_bus_wakes_where_its_frames_come_in_batches(tmp_path):
+    """At each look the bus is silent since the batch before, and its fastest messages are late."""
+    frames = traffic(NETWORK, random.Random(21), 40, lambda b, e, i, t: t < 8 or t > 20)
+    frames["t_ns"] = (frames["t_ns"] // 50_000_000 + 1) * 50_000_000
+    codes, told, events = run(config_of(tmp_path), frames, 40)
+    assert (codes, told) == (set(), [])
+    assert activities(events)[-1] == ("waking", "running")
+
+
+def test_ecus_that_stop_apart_while_others_still_wake_are_switched_off(tmp_path):
+    from_s, until_s = {"Steering": 4.0, "Climate": 5.5}, {"Engine": 1.3, "Gears": 3.0}
+    frames = traffic(
+        NETWORK, random.Random(22), 30, lambda b, e, i, t: from_s.get(e, 0.0) <= t < until_s.get(e, 30.0)
+    )
+    codes, told, _ = run(config_of(tmp_path), frames, 30)
+    assert (codes, told) == (set(), [])
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("away_s", [2.0, 30.0], ids=["reboots", "dies"])
 def test_an_ecu_that_stops_alone_is_told_on_a_bus_that_may_sleep(tmp_path, seed, away_s):
@@ -168,6 +186,44 @@ def test_a_bus_that_loses_frames_falls_asleep_as_any_other(tmp_path, seed, share
     codes, told, events = run(config_of(tmp_path), frames, 40)
     assert (codes, told) == (set(), [])
     assert ("running", "falling asleep") in activities(events)
+
+
+#: Name -> network, when its ECUs stop [s], share of the frames that get lost. Others run on.
+SWITCHED_OFF = {
+    "most of the frames": (NETWORK, {"Engine": 8.0, "Steering": 8.9}, 0.07),
+    "within a timeout": ({"drive": NETWORK["drive"] | {"Doors": [(0x150, 250)]}}, {"Doors": 8.0, "Brakes": 9.0}, 0.0),
+    "slow and fast": ({"drive": NETWORK["drive"] | {"Doors": [(0x150, 3000)]}}, {"Doors": 8.0, "Brakes": 17.0}, 0.0),
+    "fast before slow ones": (
+        {"drive": {"Engine": [(0x100, 20)], "Radio": [(0x170, 10), (0x171, 10), (0x172, 10)]}
+        | {f"Seat{k}": [(0x150 + k, 500)] for k in range(4)}},
+        {"Engine": 8.0} | {f"Seat{k}": 8.0 for k in range(4)},
+        0.3,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.evidence("Healthy parts: parking")
+@pytest.mark.parametrize("name", SWITCHED_OFF)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_some_ecus_are_switched_off_and_others_run_on(tmp_path, name, seed):
+    """Their stops lie less than a timeout apart, or are not all known yet; the frames of the dead are not lost ones."""
+    network, off, share = SWITCHED_OFF[name]
+    rng = random.Random(seed)
+    frames = traffic(network, rng, 24, lambda b, e, i, t: t < off.get(e, 40.0) and rng.random() >= share)
+    codes, told, events = run(networks.config_of(tmp_path, network, 5.0, health=SLEEPS, check=RATE), frames, 24)
+    assert (codes, told) == (set(), [])
+    assert activities(events) == [("running", "falling asleep")]
+
+
+@pytest.mark.evidence("Healthy parts: lost frames")
+def test_a_bus_of_one_sender_waits_while_the_recorder_pauses(tmp_path):
+    """It cannot tell that from a sender that is missing; its other bus can."""
+    network, rng = NETWORK | {"body": {"Seat": [(0x210, 500)]}}, random.Random(21)
+    config = networks.config_of(tmp_path, network, 5.0, health=SLEEPS)
+    frames = traffic(network, rng, 30, lambda b, e, i, t: not 8 < t < 11.8)
+    assert run(config, frames, 30)[:2] == (set(), [])
+    frames = frames[(frames["bus"] == 0) | (frames["t_ns"] < 20e9)]
+    assert run(config, frames, 30)[0] == {"body.M210.timeout"}
 
 
 @pytest.mark.parametrize("seed", [900, 901, 902, 903])
