@@ -94,7 +94,7 @@ def test_a_bus_wakes_where_its_frames_come_in_batches(tmp_path):
 
 
 def test_ecus_that_stop_apart_while_others_still_wake_are_switched_off(tmp_path):
-    from_s, until_s = {"Steering": 4.0, "Climate": 5.5}, {"Engine": 1.3, "Gears": 3.0}
+    from_s, until_s = {"Steering": 2.0, "Climate": 4.4}, {"Engine": 1.3, "Gears": 3.0}
     frames = traffic(
         NETWORK, random.Random(22), 30, lambda b, e, i, t: from_s.get(e, 0.0) <= t < until_s.get(e, 30.0)
     )
