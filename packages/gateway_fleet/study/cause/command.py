@@ -46,9 +46,10 @@ def cause(*, seeds: int, pair_runs: int, healthy_runs: int, seed: int, work: Pat
             console.print(_table(kind, some))
         if len(apart) < len(some):
             console.print(_table(f"{kind} that the models' structure tells apart", apart))
-    told = [row.verdict for some in rows.values() for row in some if row.verdict.chance > 0.0]
-    if told:
-        console.print(_reliability(told))
+    for kind, some in rows.items():
+        told = [row.verdict for row in some if row.verdict.chance > 0.0]
+        if told:
+            console.print(_reliability(kind, told))
     return 0
 
 
@@ -74,9 +75,9 @@ def _table(kind: str, rows: Sequence[Row]) -> Table:
     return table
 
 
-def _reliability(verdicts: Sequence[Verdict]) -> Table:
+def _reliability(kind: str, verdicts: Sequence[Verdict]) -> Table:
     """Return how often what was told last is right, by the tenths of its probability; with Wilson's interval."""
-    title = "what was told last: is it right as often as its probability says?"
+    title = f"{kind}: is what was told last right as often as its probability says?"
     table = headed(title, ["told with"], ["runs", "mean", "right", "95 %"])
     edges = [*(k / 10 for k in range(10)), 0.99, 1.0]
     for low, high in itertools.pairwise(edges):

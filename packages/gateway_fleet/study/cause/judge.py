@@ -28,7 +28,7 @@ class Verdict:
         told_apart: nothing is alike: by the model's structure no other parts explain all that these faults do.
         alone: it is the first, and nothing else has a tenth of its probability.
         cause: it is told as the cause, and nothing else.
-        chance: probability of the likeliest of what was told last; 0: nothing was told.
+        chance: probability of the likeliest of what was told last, with all that is the truth if it is; 0: nothing.
         right: it is the truth.
         healthy: healthy components that were told as a cause at some time.
         last: what was told last, for people.
@@ -71,6 +71,8 @@ def judge(
         return Verdict(before, False, 0, not alike, False, False, 0.0, False, healthy, "")
     groups = during[-1].groups
     (first, chance), *_ = every = _together(groups)
+    if _is(first, truths):
+        chance = min(sum(p for chosen, p in every if _is(chosen, truths)), 1.0)
     weighed = [one for one in every if _is(one[0], truths) or not any(less <= one[0] for less in alike)]
     places = [k for k, chosen in enumerate((chosen for chosen, _ in weighed), 1) if _is(chosen, truths)]
     whole = [group["cause"] for group in groups]
