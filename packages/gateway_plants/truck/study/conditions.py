@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway_fdi import cusum
+from gateway_fdi.detectors import StoppingRule
 from gateway_plants.truck.ecu.params import TruckFault, TruckParams
 from gateway_plants.truck.monitor.params import Params
 from gateway_plants.truck.study.follow import inputs
@@ -68,8 +68,9 @@ def _share(norm: Array) -> float:
 def _always(trace: Trace, nu: float) -> Array:
     """Return T of a quantity that is updated whenever the residual is there."""
     residual = trace.residual[:, _T4]
-    steps = np.where(trace.settled & ~np.isnan(residual), np.abs(residual) - nu, 0.0)
-    return np.array(list(accumulate(steps.tolist(), lambda total, step: max(0.0, total + step), initial=0.0))[1:])
+    taken = trace.settled & ~np.isnan(residual)
+    sums = StoppingRule("cusum", np.inf, drift=nu).levels(np.abs(residual[taken]))
+    return np.concatenate([[0.0], sums])[np.cumsum(taken)]
 
 
 def compare(
