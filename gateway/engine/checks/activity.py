@@ -169,7 +169,9 @@ def _settles(T: Any, due: int, h: Any, c: Any) -> bool:
     lossy = is_lossy(due, h)
     if c.coming == COMES:
         c.coming, c.overdue_ns = STOPPED, due
-    until_ns = _latest_stop(T, due, c.bus) + h.settle_ns
+        if not lossy and due - c.timeout_ns > h.stopped_ns + h.settle_ns:
+            h.stopped_ns = due - c.timeout_ns
+    until_ns = h.stopped_ns + h.settle_ns
     settled = due >= until_ns and _are_many(T, due, c.bus, STOPPED, False)
     if h.activity in (AWAKE, PART) and (settled or stopped_apart(T, due, c.bus) or other_falls(T, c.bus)):
         _fall(T, due, c.bus)
@@ -362,17 +364,6 @@ def _first_stop(T: Any, now: int, bus: int) -> int:
         if c.bus == bus and c.timeout_ns > 0 and _is_away(now, h, c) and _stopped_by(h, c) < first_ns:
             first, first_ns = k, _stopped_by(h, c)
     return first
-
-
-@kernel
-def _latest_stop(T: Any, now: int, bus: int) -> int:
-    """Return the last frame of the message that stopped last of those that have."""
-    h, latest_ns = T.health[bus], 0
-    for k in range(T.checks.shape[0]):
-        c = T.checks[k]
-        if c.bus == bus and c.timeout_ns > 0 and _is_away(now, h, c):
-            latest_ns = max(latest_ns, _last_ns(c))
-    return latest_ns
 
 
 @kernel

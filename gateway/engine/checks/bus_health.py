@@ -229,6 +229,7 @@ class HealthState(Record):
     begun: u1 = means("whether it was AWAKE before")
     joined_ns: i8 = means("when a message last began to come after the bus was asleep", "ns")
     look_ns: i8 = means("when it is looked whether it is awake", "ns")
+    stopped_ns: i8 = means("last frame of what was the first to be overdue, others settle_ns after it at most", "ns")
     dipped_ns: i8 = means("when a message first came again after a gap that a cranked engine makes; 0: none did", "ns")
     fell_ns: i8 = means("since when it is FALLING, or was last; 0: never", "ns")
     frames: i8 = means("frames received")

@@ -84,6 +84,16 @@ def test_ecus_that_wake_late_are_no_lost_frames(tmp_path):
     assert [e for e in events if e["event"] == "lossy"] == []
 
 
+def test_a_message_that_comes_twelve_times_too_seldom_is_told(tmp_path):
+    """Each time it stops for less than an engine takes to crank, and comes again before the bus has settled."""
+    frames = traffic(
+        NETWORK, random.Random(23), 30, lambda b, e, i, t: i != 0x110 or t < 8 or round(t / 0.02) % 12 == 0
+    )
+    codes, told, _ = run(config_of(tmp_path), frames, 30)
+    assert codes == {"drive.M110.timeout"}
+    assert causes(told) <= {("message drive.M110",), ("ecu drive.Gears",)}
+
+
 def test_a_bus_wakes_where_its_frames_come_in_batches(tmp_path):
     """At each look the bus is silent since the batch before, and its fastest messages are late."""
     frames = traffic(NETWORK, random.Random(21), 40, lambda b, e, i, t: t < 8 or t > 20)
@@ -95,9 +105,7 @@ def test_a_bus_wakes_where_its_frames_come_in_batches(tmp_path):
 
 def test_ecus_that_stop_apart_while_others_still_wake_are_switched_off(tmp_path):
     from_s, until_s = {"Steering": 2.0, "Climate": 4.4}, {"Engine": 1.3, "Gears": 3.0}
-    frames = traffic(
-        NETWORK, random.Random(22), 30, lambda b, e, i, t: from_s.get(e, 0.0) <= t < until_s.get(e, 30.0)
-    )
+    frames = traffic(NETWORK, random.Random(22), 30, lambda b, e, i, t: from_s.get(e, 0.0) <= t < until_s.get(e, 30.0))
     codes, told, _ = run(config_of(tmp_path), frames, 30)
     assert (codes, told) == (set(), [])
 
