@@ -7,14 +7,13 @@ import os
 import signal
 import threading
 import time
-from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
 #: Flags for :func:`os.open`: bytes as they are, and no child process has the file.
@@ -38,22 +37,6 @@ def call_at_end(loop: asyncio.AbstractEventLoop, tell: Callable[[], None]) -> No
 
     for number in ENDS:
         signal.signal(number, handle)
-
-
-@contextmanager
-def children_that_go_on() -> Iterator[None]:
-    """Have processes and threads that begin within, and theirs, not hear Ctrl-C: this process ends them in order."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    from multiprocessing import resource_tracker  # noqa: PLC0415 - few want it
-
-    resource_tracker.ensure_running()  # begun later, it has its thread's children hear Ctrl-C again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def user() -> int:

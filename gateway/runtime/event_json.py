@@ -11,7 +11,6 @@ from gateway.engine.checks.kinds import KINDS
 from gateway.engine.events import Event
 from gateway.faults.catalogue import Catalogue
 from gateway.faults.entries import DtcChange
-from gateway.faults.explanation import Cause
 from gateway.faults.interventions import Intervention
 from gateway.faults.service import intervention_as_dict
 from gateway.faults.summary import Summary
@@ -117,26 +116,6 @@ def cycle_event(t_ns: int, bus: str, name: str, state: str, number: int) -> dict
         "cycle": name,
         "state": state,
         "number": number,
-    }
-
-
-def symptoms_event(t_ns: int, state: str, faults: Sequence[str], cause: Cause | None, lead: str) -> dict[str, Any]:
-    """Tell that symptoms are held by a proven cause, or that this cause is withdrawn.
-
-    Args:
-        t_ns: when, of the wall clock.
-        state: "held" or "released".
-        faults: their ids.
-        cause: that holds them.
-        lead: id of the fault that stands for it.
-    """
-    return {
-        "event": "symptoms",
-        "t_ns": t_ns,
-        "state": state,
-        "faults": list(faults),
-        "cause": [] if cause is None else list(cause.components),
-        "lead": lead,
     }
 
 

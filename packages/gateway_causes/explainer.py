@@ -23,7 +23,6 @@ from gateway.faults.memory import FaultMemory
 from gateway.faults.records import Record
 from gateway.faults.status import Status
 from gateway.runtime.diagnosis import Diagnosis, NoteChanges
-from gateway.runtime.event_json import symptoms_event
 from gateway_causes.causes import PACE_NS, Causes
 
 #: Longest time that a confirmation waits for the diagnosis [ns].
@@ -301,3 +300,23 @@ def _group(told: Mapping[str, Any]) -> _Group:
     if told["cause"] is not None:
         proven = next(one for one in told["causes"] if one["components"] == told["cause"])
     return _Group(frozenset(told["failed"]), proven, tuple(kept[:MOST_RANKED]))
+
+
+def symptoms_event(t_ns: int, state: str, faults: Sequence[str], cause: Cause | None, lead: str) -> dict[str, Any]:
+    """Tell that symptoms are held by a proven cause, or that this cause is withdrawn.
+
+    Args:
+        t_ns: when, of the wall clock.
+        state: "held" or "released".
+        faults: their ids.
+        cause: that holds them.
+        lead: id of the fault that stands for it.
+    """
+    return {
+        "event": "symptoms",
+        "t_ns": t_ns,
+        "state": state,
+        "faults": list(faults),
+        "cause": [] if cause is None else list(cause.components),
+        "lead": lead,
+    }

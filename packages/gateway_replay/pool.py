@@ -9,15 +9,16 @@ happened.
 from __future__ import annotations
 
 import logging
+import signal
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from tempfile import TemporaryDirectory
 from typing import Any, Generic, Protocol, TypeVar
 
 from gateway.common import lazy_modules
 from gateway.common.extras import need
-from gateway.host.process import children_that_go_on, processors
+from gateway.host.process import processors
 from gateway_fdi.errors import GatewayError, InputError
 
 #: How often a task that was under way when a worker died is tried alone.
@@ -203,3 +204,19 @@ def _client(workers: Workers, stack: ExitStack) -> Any:
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(f"no scheduler with a worker: {error}", key="--scheduler", value=workers.scheduler) from error
     return client
+
+
+@contextmanager
+def children_that_go_on() -> Iterator[None]:
+    """Have processes and threads that begin within, and theirs, not hear Ctrl-C: this process ends them in order."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker  # noqa: PLC0415 - few want it
+
+    resource_tracker.ensure_running()  # begun later, it has its thread's children hear Ctrl-C again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
