@@ -1,5 +1,6 @@
 """Faults that fire the same tests are told apart by sign and size of all residuals; what is not is told as it is."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -65,6 +66,15 @@ def config(tmp_path_factory):
 def test_a_fault_of_which_one_test_fires_has_its_name(config, fault):
     print("seed", SEED)
     assert named(config, drive(SEED, **fault)) == ["f_a" if "gain" in fault else "f_b"]
+
+
+def test_the_only_fault_of_a_model_has_its_name(tmp_path):
+    """There is no pair that could fit better."""
+    model = SPEEDS.model.replace("f_b = {}\nf_c = {}\n", "").replace(" + f_b", "").replace(" + f_c", "")
+    config = configuration(replace(SPEEDS, model=model), tmp_path, 'sensors = { c = { gain = "0.1 %" } }\n')
+    calibrated(config, drive(1), drive(2))
+    _, state = events_of(config, drive(SEED, gain=0.5))
+    assert (state["own"]["found"], state["own"]["weighed"]) == (0, 1)
 
 
 def weighed(config, frames, until=40.0):

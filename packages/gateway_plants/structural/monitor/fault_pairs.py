@@ -137,9 +137,11 @@ def second(s: Any, c: Any, own: Any, left: float, best: float) -> float:
                 _note(s, c, f, g, value)
     if 0 <= onset < MOVING:
         _move(s, MOVING, onset)
-    excess = max((left + s.looks - 2.0 * s.two) / s.looks, 1.0)
     clear(own.sure)
     clear(own.paired)
+    if s.two == -inf:
+        return -inf  # no two can be told apart
+    excess = max((left + s.looks - 2.0 * s.two) / s.looks, 1.0)
     for f in range(c.faults):
         if s.two - s.together[f] <= LESS * excess:
             include(own.paired, f)
