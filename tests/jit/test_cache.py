@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -59,6 +60,14 @@ def run(tmp_path, program=PROGRAM, **environment):
     )
     assert ended.returncode == 0, ended.stderr
     return ended.stdout.strip()
+
+
+def test_a_file_that_another_process_forgets_meanwhile_is_not_counted(folder, monkeypatch):
+    folder.mkdir(parents=True)
+    (folder / "here.kernel").write_bytes(b"12345")
+    seen = Path.glob
+    monkeypatch.setattr(Path, "glob", lambda self, pattern: [*seen(self, pattern), folder / "gone.kernel"])
+    assert cache.size() == (1, 5)
 
 
 def test_what_was_written_is_read(folder, said):

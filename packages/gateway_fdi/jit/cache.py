@@ -12,6 +12,7 @@ import hashlib
 import json
 import os
 import tempfile
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -197,5 +198,8 @@ def _prune(kept: Path, name: str, suffix: str, most: int) -> None:
 
 def size() -> tuple[int, int]:
     """Return how many compiled kernels are kept, and their bytes."""
-    sizes = [path.stat().st_size for path in folder().glob("*.kernel")]
+    sizes = []
+    for path in folder().glob("*.kernel"):
+        with suppress(FileNotFoundError):  # another process may forget it meanwhile
+            sizes.append(path.stat().st_size)
     return len(sizes), sum(sizes)
